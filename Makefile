@@ -1,0 +1,42 @@
+# make run: set up and run the loop against the simulated ring.  make test: set up and test.
+PYTHON ?= python3.11
+BIN := .venv/bin
+STAMP := .venv/.installed
+
+.PHONY: run test test-system venv lint types layers format bench clean
+
+run: venv
+	$(BIN)/orbitfb run --ioc sim
+
+test: venv
+	$(BIN)/python -m pytest
+
+venv: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $(STAMP)
+
+lint: venv
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: venv
+	$(BIN)/pyright
+
+layers: venv
+	$(BIN)/lint-imports
+
+format: venv
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: venv
+	$(BIN)/python -m benchmarks.loop --out benchmarks/loop.json
+
+test-system:
+	@echo "skipped: no test needs a Debian package yet"
+
+clean:
+	rm -rf .venv build dist

@@ -1,0 +1,77 @@
+"""The one family of errors.
+
+    OrbitFeedbackError
+    ├── ConfigError          a configuration key or value is wrong; names path and line
+    ├── RingError            a places table, ring file or response matrix is wrong
+    ├── MachineError         the machine, seen over its port
+    │   ├── ConnectError     PVs that cannot be reached, all of them at once
+    │   ├── NoOrbitError     no fresh and coherent orbit within the time allowed
+    │   └── WriteError       setpoints that were not, or not all, sent
+    ├── OwnershipError       somebody else holds the port, the ring or the directory
+    ├── ArchiveError         a segment of the archive cannot be read or written
+    ├── StoreError           a policy or model file is missing, corrupt or not ours
+    ├── EstimationError      data from which no response can be identified
+    └── ControlError         a running service refused a command or cannot be asked
+
+A message says what was wrong, where, and what to do. The command line prints it without a
+traceback and exits with 2.
+"""
+
+from collections.abc import Sequence
+
+
+class OrbitFeedbackError(Exception):
+    """Base of every error that orbitfb raises on purpose."""
+
+
+class ConfigError(OrbitFeedbackError):
+    """A configuration key or value is wrong."""
+
+
+class RingError(OrbitFeedbackError):
+    """A places table, a ring file or a response matrix is wrong."""
+
+
+class MachineError(OrbitFeedbackError):
+    """The machine did not do what its port promises."""
+
+
+class ConnectError(MachineError):
+    """PVs that cannot be reached, listed all at once."""
+
+    def __init__(self, missing: Sequence[str], total: int, waited: float, advice: str) -> None:
+        self.missing = tuple(missing)
+        self.waited = waited
+        names = "\n".join(f"  {name}" for name in self.missing)
+        super().__init__(
+            f"{len(self.missing)} of {total} PVs did not connect within {waited:.1f} s:\n"
+            f"{names}\n{advice}"
+        )
+
+
+class NoOrbitError(MachineError):
+    """No fresh and coherent orbit arrived within the time allowed."""
+
+
+class WriteError(MachineError):
+    """Setpoints that were not, or not all, sent."""
+
+
+class OwnershipError(OrbitFeedbackError):
+    """Somebody else holds the port, the ring or the directory."""
+
+
+class ArchiveError(OrbitFeedbackError):
+    """A segment of the archive cannot be read or written."""
+
+
+class StoreError(OrbitFeedbackError):
+    """A policy or model file is missing, corrupt or not ours."""
+
+
+class EstimationError(OrbitFeedbackError):
+    """Data from which no response can be identified."""
+
+
+class ControlError(OrbitFeedbackError):
+    """A running service refused a command or cannot be asked."""

@@ -1,0 +1,99 @@
+"""The ports: what the loop needs of a machine, of a policy, of a clock, of its listeners."""
+
+from typing import Any, Protocol
+
+from orbitfb.core.signals import Applied, Channels, Mask, Reading, TickRecord, Vector
+
+
+class Machine(Protocol):
+    """A storage ring behind its BPMs and correctors."""
+
+    @property
+    def channels(self) -> Channels:
+        """Names behind the elements of the vectors."""
+        ...
+
+    def read(self, timeout: float) -> Reading:
+        """Wait for the next coherent orbit, never one that was returned before.
+
+        Args:
+            timeout: How long to wait [s].
+
+        Raises:
+            NoOrbitError: None came in time; the message says what was missing.
+        """
+        ...
+
+    def setpoints(self) -> Vector:
+        """Ask the machine for the absolute setpoints in force, shape (m,) [A].
+
+        Raises:
+            MachineError: A setpoint cannot be read; all of them are named.
+        """
+        ...
+
+    def write(self, setpoints: Vector) -> Applied:
+        """Send absolute setpoints, shape (m,) [A]: all of them or none.
+
+        Raises:
+            WriteError: A channel is away or refuses, or a value is not finite.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of the machine; setpoints stay where they are."""
+        ...
+
+
+class Policy(Protocol):
+    """A law from orbit error to a change of the setpoints."""
+
+    @property
+    def policy_id(self) -> str:
+        """Name under which the store and every record know it."""
+        ...
+
+    def initial_state(self) -> Any:
+        """State to begin with: whatever `act` carries from tick to tick."""
+        ...
+
+    def act(self, error: Vector, valid: Mask, state: Any) -> tuple[Vector, Any]:
+        """Decide.
+
+        Args:
+            error: Orbit − reference, shape (n,) [m]; finite where valid, ignored elsewhere.
+            valid: BPMs that count, shape (n,).
+            state: What the last call returned, or `initial_state()`.
+
+        Returns:
+            The change of setpoints, shape (m,) [A], and the new state.
+        """
+        ...
+
+
+class SystemModel(Protocol):
+    """A model of the ring: s' = f(s, a)."""
+
+    def predict(self, orbit: Vector, change: Vector) -> Vector:
+        """Predict the next orbit, shape (n,) [m], from an orbit [m] and a change (m,) [A]."""
+        ...
+
+
+class Clock(Protocol):
+    """The two clocks that the loop reads."""
+
+    def wall(self) -> float:
+        """Now [s since the epoch]."""
+        ...
+
+    def monotonic(self) -> float:
+        """Now on a clock that never steps [s]."""
+        ...
+
+
+class Subscriber(Protocol):
+    """Gets every record. It must return at once and never raise."""
+
+    def __call__(self, record: TickRecord) -> None:
+        """Take a record."""
+        ...

@@ -1,0 +1,149 @@
+"""What is read from the machine, what is sent to it, and what one tick leaves behind."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Channels:
+    """The names behind the elements of an orbit (n) and of a set of setpoints (m).
+
+    Vectors are x first, then y, in the order of the places table.
+
+    Args:
+        planes: `x`, `y` or `xy`.
+        bpms: n names of BPMs, as in the places table.
+        correctors: m names of correctors.
+        orbit_pvs: n PVs of the readings [mm].
+        setpoint_pvs: m PVs of the setpoints [A].
+        readback_pvs: m PVs of the readbacks [A].
+    """
+
+    planes: str
+    bpms: tuple[str, ...]
+    correctors: tuple[str, ...]
+    orbit_pvs: tuple[str, ...]
+    setpoint_pvs: tuple[str, ...]
+    readback_pvs: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Orbit:
+    """One coherent orbit: every reading carries the same stamp.
+
+    Args:
+        position: Shape (n,) [m]; NaN where not valid.
+        valid: Shape (n,); False for a BPM that is disconnected, INVALID or not finite.
+        time: The common stamp [s since the epoch].
+    """
+
+    position: Vector
+    valid: Mask
+    time: float
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """All that one read of the machine returns.
+
+    Args:
+        orbit: The coherent orbit.
+        readback: Corrector readbacks, shape (m,) [A]; NaN where none is known.
+        auxiliary: Slow channels by name, SI: `current` [A], `rf_frequency` [Hz], others as
+            configured; NaN where none is known.
+        received: When the orbit was complete, on the monotonic clock [s].
+    """
+
+    orbit: Orbit
+    readback: Vector
+    auxiliary: Mapping[str, float]
+    received: float
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """What a write did.
+
+    Args:
+        setpoints: What was sent, shape (m,) [A].
+        time: When the last one had left, wall clock [s since the epoch].
+        monotonic: The same moment on the monotonic clock [s].
+    """
+
+    setpoints: Vector
+    time: float
+    monotonic: float
+
+
+class LoopState(StrEnum):
+    """States of the loop."""
+
+    OPEN = "OPEN"
+    """Reads and records; decides nothing."""
+    SHADOW = "SHADOW"
+    """Decides and records what it would do; never writes."""
+    CLOSED = "CLOSED"
+    """Decides and writes."""
+    HELD = "HELD"
+    """Was CLOSED; writes nothing until the cause is gone, then closes again by itself."""
+    TRIPPED = "TRIPPED"
+    """An interlock opened the loop; latched with its reason until an operator resets it."""
+    FAULT = "FAULT"
+    """The program itself failed; nothing is written; restart after reading the log."""
+
+
+@dataclass(frozen=True, slots=True)
+class Phases:
+    """How long each phase of a tick took [s]. `read` is the wait for the orbit."""
+
+    read: float
+    check: float
+    decide: float
+    limit: float
+    act: float
+
+
+@dataclass(frozen=True, slots=True)
+class TickRecord:
+    """Everything one tick leaves behind; what subscribers get.
+
+    Args:
+        tick: Count of ticks since the loop was built.
+        state: State in which the tick ended.
+        reason: Why it is in that state; empty when there is nothing to say.
+        reading: What was read; None when no coherent orbit came (then nothing was decided).
+        reference: Reference orbit, shape (n,) [m].
+        setpoints: Absolute setpoints in force when the orbit was read, shape (m,) [A].
+        requested: Change that policy and dither asked for, shape (m,) [A]; zeros if none.
+        dither: The dither's part of `requested`, shape (m,) [A].
+        applied: Change that was written, shape (m,) [A]; zeros if none was.
+        scale: Factor by which the limits shortened `requested` (1 if untouched).
+        written: When the write had left, wall clock [s]; NaN if none was.
+        policy_id: The policy that decided.
+        phases: Duration of each phase [s].
+        latency: From the complete orbit to the last setpoint sent [s]; NaN if none was.
+        missed: Orbits that should have come since the last tick and did not.
+    """
+
+    tick: int
+    state: LoopState
+    reason: str
+    reading: Reading | None
+    reference: Vector
+    setpoints: Vector
+    requested: Vector
+    dither: Vector
+    applied: Vector
+    scale: float
+    written: float
+    policy_id: str
+    phases: Phases
+    latency: float
+    missed: int
