@@ -1,0 +1,1 @@
+"""Policies: from an orbit error to a change of the setpoints."""
