@@ -1,0 +1,132 @@
+"""The ring: its table of places and its global parameters."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.errors import RingError
+from orbitfb.core.signals import Channels, Vector
+from orbitfb.physics.parameters import RingParameters, parse_parameters
+from orbitfb.physics.table import PlacesTable, parse_places
+
+Plane = Literal["x", "y"]
+Planes = Literal["x", "y", "xy"]
+Kind = Literal["BPM", "COR", "QUAD", "SEXT"]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ring:
+    """A ring as named places, in the order of the places table.
+
+    Args:
+        table: The places, one element of every column per place.
+        parameters: Tunes, momentum compaction, circumference, harmonic number, energy.
+    """
+
+    table: PlacesTable
+    parameters: RingParameters
+
+    @classmethod
+    def load(cls, places: Path | None = None, parameters: Path | None = None) -> "Ring":
+        """Read and validate a ring.
+
+        Args:
+            places: Table of places (CSV); the default ring's when None.
+            parameters: Global parameters (JSON); the default ring's when None.
+
+        Raises:
+            RingError: A file is missing or wrong; the message names file, line, column and value.
+        """
+        ring_file, ring_text = _text(parameters, "ring.json")
+        places_file, places_text = _text(places, "places.csv")
+        ring_parameters = parse_parameters(ring_text, ring_file)
+        table = parse_places(places_text, places_file, ring_parameters.circumference)
+        ring = cls(table, ring_parameters)
+        ring._check_counts(places_file, ring_file)
+        return ring
+
+    def _check_counts(self, places_file: str, ring_file: str) -> None:
+        for kind, wanted in self.parameters.counts.items():
+            found = self.table.kind.count(kind)
+            if found != wanted:
+                raise RingError(
+                    f"{places_file}: {found} places of kind {kind}, but {ring_file} says that the "
+                    f"ring has {wanted}; restore the missing rows, or correct `counts`"
+                )
+
+    def places(self, kind: Kind) -> Indices:
+        """Indices of the places of one kind, in ring order, shape (k,)."""
+        found = [i for i, its_kind in enumerate(self.table.kind) if its_kind == kind]
+        return np.array(found, dtype=np.intp)
+
+    def names(self, kind: Kind) -> tuple[str, ...]:
+        """Names of the places of one kind, in ring order."""
+        return tuple(self.table.name[int(i)] for i in self.places(kind))
+
+    def strength(self, kind: Literal["QUAD", "SEXT"]) -> Vector:
+        """Integrated strengths k1L [1/m] or b2L [1/m²] of one kind, shape (k,)."""
+        return self.table.strength[self.places(kind)]
+
+    def calibration(self, plane: Plane) -> Vector:
+        """Kick per ampere of every corrector, shape (180,) for the default ring [rad/A]."""
+        return self.table.calibration[plane_row(plane), self.places("COR")]
+
+    def tune(self, plane: Plane) -> float:
+        """Betatron tune with its integer part."""
+        return self.parameters.nu_x if plane == "x" else self.parameters.nu_y
+
+    @property
+    def rf_frequency(self) -> float:
+        """Nominal RF frequency of the ultra-relativistic beam [Hz]."""
+        return self.parameters.rf_frequency
+
+    def channels(self, planes: Planes) -> Channels:
+        """Names behind the orbit and the setpoints, x first and then y."""
+        bpms, correctors = self.places("BPM"), self.places("COR")
+        rows = [plane_row(plane) for plane in split(planes)]
+        return Channels(
+            planes=planes,
+            bpms=self.names("BPM") * len(rows),
+            correctors=self.names("COR") * len(rows),
+            orbit_pvs=_pick(self.table.pv, rows, bpms),
+            setpoint_pvs=_pick(self.table.pv, rows, correctors),
+            readback_pvs=_pick(self.table.readback, rows, correctors),
+        )
+
+
+def split(planes: Planes) -> tuple[Plane, ...]:
+    """Split `x`, `y` or `xy` into single planes, x first."""
+    return ("x", "y") if planes == "xy" else (planes,)
+
+
+def plane_row(plane: Plane) -> int:
+    """Row of a plane in the (2, N) columns of the table."""
+    return 0 if plane == "x" else 1
+
+
+def _pick(
+    columns: tuple[tuple[str, ...], tuple[str, ...]], rows: Iterable[int], places: Indices
+) -> tuple[str, ...]:
+    return tuple(columns[row][int(i)] for row in rows for i in places)
+
+
+def _text(path: Path | None, default: str) -> tuple[str, str]:
+    if path is None:
+        packaged = resources.files("orbitfb") / "data" / default
+        return f"orbitfb/data/{default}", packaged.read_text(encoding="utf-8")
+    try:
+        return str(path), path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise RingError(
+            f"{path}: cannot be read ({error.strerror}); correct the path in the configuration"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise RingError(
+            f"{path}: not UTF-8 text at byte {error.start}; save it as UTF-8"
+        ) from error

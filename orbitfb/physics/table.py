@@ -1,0 +1,207 @@
+"""The table of places: a CSV file, parsed column by column and refused where it is wrong."""
+
+import csv
+import io
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.errors import RingError
+from orbitfb.core.signals import Vector
+
+KINDS = ("BPM", "COR", "QUAD", "SEXT")
+"""Kinds of places."""
+
+_OPTICS = ("s_m", "beta_x_m", "beta_y_m", "mu_x_2pi", "mu_y_2pi", "eta_x_m")
+_CALIBRATIONS = ("cal_x_rad_per_A", "cal_y_rad_per_A")
+_PVS = ("pv_x", "pv_y")
+_READBACKS = ("rb_x", "rb_y")
+COLUMNS = ("name", "kind", *_OPTICS, "length_m", "strength", *_CALIBRATIONS, *_PVS, *_READBACKS)
+"""Columns that the table must have; others are ignored."""
+
+_NUMBERS = {
+    "BPM": (),
+    "COR": _CALIBRATIONS,
+    "QUAD": ("length_m", "strength"),
+    "SEXT": ("length_m", "strength"),
+}
+_TEXTS = {"BPM": _PVS, "COR": _PVS + _READBACKS, "QUAD": (), "SEXT": ()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacesTable:
+    """N places in ring order, as columns.
+
+    Args:
+        name: N unique names.
+        kind: N kinds: `BPM`, `COR`, `QUAD` or `SEXT`.
+        s: Position of the centres, shape (N,) [m].
+        beta: Rows x and y, shape (2, N) [m].
+        phase: Phase advance from s = 0, rows x and y, shape (2, N) [rad].
+        dispersion: Horizontal, shape (N,) [m].
+        strength: k1L of quadrupoles [1/m], b2L of sextupoles [1/m²], shape (N,); else NaN.
+        calibration: Kick per ampere, rows x and y, shape (2, N) [rad/A]; NaN where no corrector.
+        pv: BPM readings and corrector setpoints, rows x and y; empty where none.
+        readback: Corrector readbacks, rows x and y; empty where none.
+    """
+
+    name: tuple[str, ...]
+    kind: tuple[str, ...]
+    s: Vector
+    beta: NDArray[np.float64]
+    phase: NDArray[np.float64]
+    dispersion: Vector
+    strength: Vector
+    calibration: NDArray[np.float64]
+    pv: tuple[tuple[str, ...], tuple[str, ...]]
+    readback: tuple[tuple[str, ...], tuple[str, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """One line of the file with what a message needs."""
+
+    source: str
+    line: int
+    cells: dict[str, str]
+
+    def wrong(self, column: str, problem: str, advice: str) -> RingError:
+        value = self.cells[column]
+        return RingError(
+            f"{self.source}, line {self.line}, column {column}: {value!r} {problem}; {advice}"
+        )
+
+    def number(self, column: str) -> float:
+        try:
+            value = float(self.cells[column])
+        except ValueError as error:
+            raise self.wrong(column, "is not a number", "write a decimal number") from error
+        if not math.isfinite(value):
+            raise self.wrong(column, "is not finite", "write a finite number")
+        return value
+
+    def optional(self, column: str) -> float:
+        return self.number(column) if column in _NUMBERS[self.cells["kind"]] else math.nan
+
+
+def parse_places(text: str, source: str, circumference: float) -> PlacesTable:
+    """Parse and validate a table of places.
+
+    Args:
+        text: The CSV document.
+        source: Name of the file, for messages.
+        circumference: Upper end of s [m].
+
+    Raises:
+        RingError: Naming file, line, column and value of the first fault.
+    """
+    rows = _rows(text, source)
+    for row in rows:
+        _check_cells(row, circumference)
+    _check_order(rows)
+    _check_unique(rows, ("name",))
+    _check_unique(rows, _PVS + _READBACKS)
+    for kind, what in (("BPM", "readings"), ("COR", "setpoints")):
+        if not any(row.cells["kind"] == kind for row in rows):
+            raise RingError(
+                f"{source}: no place of kind {kind}, so there are no {what}; add at least one row"
+            )
+    return _columns(rows)
+
+
+def _rows(text: str, source: str) -> list[_Row]:
+    reader = csv.reader(io.StringIO(text, newline=""))
+    header = [cell.strip() for cell in next(reader, list[str]())]
+    missing = [column for column in COLUMNS if column not in header]
+    if missing:
+        raise RingError(
+            f"{source}, line 1: column {', '.join(missing)} is missing from the header "
+            f"{','.join(header)!r}; add it"
+        )
+    rows: list[_Row] = []
+    for cells in reader:
+        if not cells:
+            continue
+        if len(cells) != len(header):
+            raise RingError(
+                f"{source}, line {reader.line_num}: {len(cells)} cells under {len(header)} "
+                f"columns, beginning with {cells[0]!r}; give every column a cell, empty or not"
+            )
+        stripped = (cell.strip() for cell in cells)
+        rows.append(_Row(source, reader.line_num, dict(zip(header, stripped, strict=True))))
+    return rows
+
+
+def _check_cells(row: _Row, circumference: float) -> None:
+    kind = row.cells["kind"]
+    if kind not in KINDS:
+        raise row.wrong("kind", "is no kind of place", f"use one of {', '.join(KINDS)}")
+    for column in (*_OPTICS, *_NUMBERS[kind]):
+        row.number(column)
+    if not row.cells["name"]:
+        raise row.wrong("name", "is empty", "name the place")
+    for column in ("beta_x_m", "beta_y_m"):
+        if row.number(column) <= 0:
+            raise row.wrong(column, "is not above 0", "a beta function is positive")
+    if not 0 <= row.number("s_m") <= circumference:
+        raise row.wrong("s_m", f"is outside 0 … {circumference} m", "correct s or circumference")
+    for column in _CALIBRATIONS if kind == "COR" else ():
+        if row.number(column) == 0:
+            raise row.wrong(column, "is a corrector that cannot kick", "give its calibration")
+    for column in _TEXTS[kind]:
+        if not row.cells[column]:
+            raise row.wrong(column, f"is no PV, but a {kind} needs one", "give the PV")
+
+
+def _check_order(rows: Sequence[_Row]) -> None:
+    for column, strict in (("s_m", True), ("mu_x_2pi", False), ("mu_y_2pi", False)):
+        for before, row in itertools.pairwise(rows):
+            step = row.number(column) - before.number(column)
+            if step < 0 or (strict and step == 0):
+                raise row.wrong(
+                    column,
+                    f"does not increase after {before.cells[column]!r} on line {before.line}",
+                    "order the rows along the ring, one place per position",
+                )
+
+
+def _check_unique(rows: Sequence[_Row], columns: tuple[str, ...]) -> None:
+    seen: dict[str, tuple[int, str]] = {}
+    for row in rows:
+        for column in columns:
+            value = row.cells[column]
+            if value in seen:
+                line, where = seen[value]
+                raise row.wrong(
+                    column, f"stands already on line {line}, column {where}", "make it unique"
+                )
+            if value:
+                seen[value] = (row.line, column)
+
+
+def _columns(rows: Sequence[_Row]) -> PlacesTable:
+    def numbers(column: str) -> Vector:
+        return np.array([row.number(column) for row in rows], dtype=np.float64)
+
+    def optional(column: str) -> Vector:
+        return np.array([row.optional(column) for row in rows], dtype=np.float64)
+
+    def texts(column: str) -> tuple[str, ...]:
+        return tuple(row.cells[column] for row in rows)
+
+    return PlacesTable(
+        name=texts("name"),
+        kind=texts("kind"),
+        s=numbers("s_m"),
+        beta=np.stack([numbers("beta_x_m"), numbers("beta_y_m")]),
+        phase=2 * np.pi * np.stack([numbers("mu_x_2pi"), numbers("mu_y_2pi")]),
+        dispersion=numbers("eta_x_m"),
+        strength=optional("strength"),
+        calibration=np.stack([optional(column) for column in _CALIBRATIONS]),
+        pv=(texts("pv_x"), texts("pv_y")),
+        readback=(texts("rb_x"), texts("rb_y")),
+    )
