@@ -1,0 +1,262 @@
+"""A directory of policies: tensors in safetensors, a JSON card beside them, one of them active.
+
+    STORE/<id>/policy.safetensors     response matrix, covariance
+    STORE/<id>/card.json              see `policies.card`
+    STORE/active.json                 stack of activations; the last one is in force
+    STORE/.lock                       held while anything is written
+
+A policy appears by the rename of a directory that is complete and on disk, and `active.json`
+is replaced the same way: whoever reads sees the old or the new, also after a kill or a power
+cut. Readers take no lock. Nothing is ever unpickled.
+"""
+
+import hashlib
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from orbitfb.core.clock import SystemClock
+from orbitfb.core.errors import StoreError
+from orbitfb.core.ports import Clock, Policy
+from orbitfb.core.settings import Settings
+from orbitfb.core.signals import Channels
+from orbitfb.policies.card import PolicyCard, check_identifier, check_ring, read_card
+from orbitfb.policies.files import (
+    SCHEMA_VERSION,
+    publish_directory,
+    read_json,
+    replace_file,
+    sole_writer,
+)
+from orbitfb.policies.svd import SvdPolicy
+from orbitfb.policies.tensors import SVD_KIND, decode, encode
+
+_TENSORS = "policy.safetensors"
+_LARGEST_ACTIVE = 2**20
+_ACTIVATIONS_KEPT = 200
+
+
+class Activation(Settings):
+    """One line of `active.json`.
+
+    Args:
+        id: The policy that was put in force.
+        time: When [s since the epoch].
+    """
+
+    id: str
+    time: float
+
+
+class _Activations(Settings):
+    schema_version: int = SCHEMA_VERSION
+    activations: tuple[Activation, ...] = ()
+
+
+class PolicyStore:
+    """Policies by name, and which of them is in force.
+
+    Args:
+        path: The directory; it is made when something is first saved.
+        clock: Gives the time on the cards; by default the system's.
+    """
+
+    def __init__(self, path: Path, clock: Clock | None = None) -> None:
+        self.path = Path(path)
+        self._clock = clock or SystemClock()
+
+    def save(
+        self,
+        policy: Policy,
+        channels: Channels,
+        parent: str | None = None,
+        data_hash: str | None = None,
+        figures: Mapping[str, float] | None = None,
+    ) -> str:
+        """Store a policy; one that is there already stays as it is, with its first card.
+
+        Args:
+            policy: What to store.
+            channels: The ring that it is for.
+            parent: Policy that it was refitted from.
+            data_hash: Hash of the data that it was fitted to.
+            figures: Judged figures by name, SI.
+
+        Returns:
+            Its id.
+
+        Raises:
+            StoreError: It cannot be written, is of a kind that cannot be stored, or another
+                policy has its id.
+        """
+        if not isinstance(policy, SvdPolicy):
+            raise StoreError(f"a {type(policy).__name__} cannot be stored; only SVD policies can")
+        shape = (len(channels.bpms), len(channels.correctors))
+        if policy.response.shape != shape:
+            raise StoreError(
+                f"policy {policy.policy_id} has a response of shape {policy.response.shape}, the "
+                f"ring has {shape[0]} BPMs and {shape[1]} correctors; nothing was stored"
+            )
+        identifier = check_identifier(policy.policy_id)
+        content = encode(policy)
+        card = PolicyCard(
+            schema_version=SCHEMA_VERSION,
+            id=identifier,
+            kind=SVD_KIND,
+            created=self._clock.wall(),
+            parent=parent,
+            data_hash=data_hash,
+            settings=policy.settings.model_dump(mode="json"),
+            figures={k: v if math.isfinite(v) else None for k, v in (figures or {}).items()},
+            planes=channels.planes,
+            bpms=channels.bpms,
+            correctors=channels.correctors,
+            tensor_bytes=len(content),
+            tensor_sha256=hashlib.sha256(content).hexdigest(),
+        )
+        with sole_writer(self.path):
+            self._publish(card, content)
+        return identifier
+
+    def load(self, identifier: str, channels: Channels) -> SvdPolicy:
+        """Load a policy for a ring.
+
+        Raises:
+            StoreError: There is none of that name, it is damaged, or it is for another ring.
+        """
+        card = self.card(identifier)
+        path = self.path / identifier / _TENSORS
+        check_ring(card, channels, path)
+        return decode(path, card)
+
+    def card(self, identifier: str) -> PolicyCard:
+        """Read one card.
+
+        Raises:
+            StoreError: There is no such policy, or its card is damaged.
+        """
+        directory = self.path / check_identifier(identifier)
+        if not directory.is_dir():
+            raise StoreError(
+                f"there is no policy {identifier!r} in {self.path}; `orbitfb policies list` shows "
+                "those there are"
+            )
+        return read_card(directory)
+
+    def cards(self, on_damage: Callable[[StoreError], None] | None = None) -> list[PolicyCard]:
+        """Read all cards, the oldest first.
+
+        Args:
+            on_damage: Told of each damaged policy, so that the others are listed all the same.
+
+        Raises:
+            StoreError: A policy is damaged and nobody asked to be told.
+        """
+        cards: list[PolicyCard] = []
+        directories = self.path.iterdir() if self.path.is_dir() else ()
+        for directory in directories:
+            if directory.name.startswith(".") or not directory.is_dir():
+                continue
+            try:
+                cards.append(self.card(directory.name))
+            except StoreError as error:
+                if on_damage is None:
+                    raise
+                on_damage(error)
+        return sorted(cards, key=lambda card: (card.created, card.id))
+
+    def active(self) -> str | None:
+        """Name the policy in force; None when none was ever activated.
+
+        Raises:
+            StoreError: `active.json` is damaged.
+        """
+        stack = self.activations()
+        return stack[-1].id if stack else None
+
+    def activations(self) -> tuple[Activation, ...]:
+        """Give the stack of activations, the one in force last.
+
+        Raises:
+            StoreError: `active.json` is damaged.
+        """
+        path = self.path / "active.json"
+        if not path.exists():
+            return ()
+        advice = f"remove {path} and activate a policy by name"
+        content = read_json(path, _LARGEST_ACTIVE, advice)
+        try:
+            stack = _Activations.model_validate(content).activations
+        except ValidationError as error:
+            raise StoreError(f"{path} holds no list of activations; {advice}") from error
+        for activation in stack:
+            check_identifier(activation.id)
+        return stack
+
+    def activate(self, identifier: str) -> None:
+        """Put a policy in force. Activating the active one changes nothing.
+
+        Raises:
+            StoreError: It does not exist or is damaged; the active one stays.
+        """
+        with sole_writer(self.path):
+            self._check_whole(identifier)
+            stack = self.activations()
+            if not stack or stack[-1].id != identifier:
+                self._write_stack((*stack, Activation(id=identifier, time=self._clock.wall())))
+
+    def rollback(self) -> str:
+        """Go back to the policy that was active before this one; again: one further.
+
+        Returns:
+            The id of the policy now in force.
+
+        Raises:
+            StoreError: There is none before it, or it is damaged; the active one stays.
+        """
+        with sole_writer(self.path):
+            stack = self.activations()[:-1]
+            if not stack:
+                raise StoreError(
+                    f"no policy was active before the present one in {self.path}; activate one by "
+                    "name instead: `orbitfb policies activate ID`"
+                )
+            self._check_whole(stack[-1].id)
+            self._write_stack(stack)
+            return stack[-1].id
+
+    def _check_whole(self, identifier: str) -> None:
+        """See that a policy is there and unharmed, as far as that goes without its ring."""
+        card = self.card(identifier)
+        decode(self.path / identifier / _TENSORS, card)
+
+    def _publish(self, card: PolicyCard, content: bytes) -> None:
+        final = self.path / card.id
+        if final.exists():
+            stored = self.card(card.id)
+            if stored.tensor_sha256 != card.tensor_sha256 or stored.settings != card.settings:
+                raise StoreError(
+                    f"{final} holds another policy of the same id; store this one under another"
+                )
+            self._check_whole(card.id)
+            return
+        files = {_TENSORS: content, "card.json": card.model_dump_json(indent=1).encode()}
+        try:
+            publish_directory(final, files)
+        except OSError as error:
+            raise StoreError(
+                f"policy {card.id} cannot be stored in {self.path} ({error.strerror}); make room "
+                "or mend the permissions and save it again"
+            ) from error
+
+    def _write_stack(self, stack: tuple[Activation, ...]) -> None:
+        content = _Activations(activations=stack[-_ACTIVATIONS_KEPT:])
+        try:
+            replace_file(self.path / "active.json", content.model_dump_json(indent=1).encode())
+        except OSError as error:
+            raise StoreError(
+                f"{self.path / 'active.json'} cannot be written ({error.strerror}); the active "
+                "policy is unchanged"
+            ) from error
