@@ -51,9 +51,7 @@ def quadrupole_displacement_response(ring: Ring, planes: Planes = "x") -> Matrix
     return _block_diagonal(blocks)
 
 
-def seeded_gradient_errors(
-    ring: Ring, beta_beat_rms: float = 0.07, seed: int | np.random.SeedSequence = 0
-) -> Vector:
+def seeded_gradient_errors(ring: Ring, beta_beat_rms: float = 0.07, seed: int = 0) -> Vector:
     """Draw gradient errors that make a given horizontal beta-beat.
 
     Every quadrupole gets a normal error relative to its strength. The part that shifts a tune is

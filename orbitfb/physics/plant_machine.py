@@ -1,0 +1,157 @@
+"""The simulated ring in process, behind the port that the loop knows, on virtual time."""
+
+import math
+
+import numpy as np
+
+from orbitfb.core.clock import ManualClock
+from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
+from orbitfb.core.signals import Applied, Channels, Orbit, Reading, Vector
+from orbitfb.physics.plant import Plant, PlantState
+
+_STORED_CURRENT = 0.4
+
+
+class PlantMachine:
+    """A `Machine` without a network and without waiting.
+
+    Every read lets one tick pass under the setpoints in force, so what is written after orbit n
+    shows in orbit n + 1, and moves the clock on to the stamp of the new orbit.
+
+    Args:
+        plant: The ring.
+        clock: Virtual time; reads move it.
+        period: Between two orbits [s].
+
+    Attributes:
+        current: Stored current that the machine reports [A]; set it to play a beam loss.
+        true_orbit_rms: Of the orbit read last [m].
+    """
+
+    def __init__(self, plant: Plant, clock: ManualClock, period: float = 0.1) -> None:
+        self.plant = plant
+        self.current = _STORED_CURRENT
+        self.true_orbit_rms = math.nan
+        self._clock, self._period = clock, period
+        self._start = clock.wall() - plant.tick * period
+        self._setpoints = np.zeros(len(plant.channels.correctors))
+        self._masked = np.zeros(len(plant.channels.bpms), dtype=np.bool_)
+        self._failing_reads = 0
+        self._failing_writes = 0
+        self._last: tuple[PlantState, float] | None = None
+        self._frozen = False
+        self._closed = False
+
+    @property
+    def channels(self) -> Channels:
+        """Names behind the elements of the vectors."""
+        return self.plant.channels
+
+    def read(self, timeout: float) -> Reading:
+        """Let one tick pass and return its orbit.
+
+        Args:
+            timeout: Time that a read made to fail takes [s].
+
+        Raises:
+            NoOrbitError: The read was made to fail.
+            MachineError: The machine is closed.
+        """
+        self._check_open()
+        if self._failing_reads > 0:
+            self._failing_reads -= 1
+            for _ in range(max(1, int(timeout / self._period))):  # the ring does not stop
+                self._pass_one_tick()
+            raise NoOrbitError(
+                f"no orbit within {timeout:.3g} s: this read was made to fail; read again"
+            )
+        state, stamp = self._pass_one_tick()
+        if self._frozen and self._last is not None:
+            state, stamp = self._last
+        self._last = state, stamp
+        self.true_orbit_rms = float(np.sqrt(np.mean(state.true_orbit**2)))
+        return Reading(
+            orbit=Orbit(
+                position=np.where(self._masked, np.nan, state.reading),
+                valid=~self._masked,
+                time=stamp,
+            ),
+            readback=state.readback.copy(),
+            auxiliary={
+                "current": self.current,
+                "rf_frequency": self.plant.ring.rf_frequency,
+                "true_orbit_rms": self.true_orbit_rms,
+            },
+            received=self._clock.monotonic(),
+        )
+
+    def setpoints(self) -> Vector:
+        """Absolute setpoints in force, shape (m,) [A]."""
+        self._check_open()
+        return self._setpoints.copy()
+
+    def write(self, setpoints: Vector) -> Applied:
+        """Put absolute setpoints in force, shape (m,) [A]: all of them or none.
+
+        Raises:
+            WriteError: Wrong shape, a value not finite or beyond the limit, or made to fail.
+            MachineError: The machine is closed.
+        """
+        self._check_open()
+        if self._failing_writes > 0:
+            self._failing_writes -= 1
+            raise WriteError("no setpoint was written: this write was made to fail; write again")
+        if setpoints.shape != self._setpoints.shape:
+            raise WriteError(
+                f"setpoints of shape {setpoints.shape} for {len(self._setpoints)} correctors; "
+                "nothing was written"
+            )
+        limit = self.plant.settings.corrector_limit
+        refused = np.flatnonzero(~(np.abs(setpoints) <= limit))  # so that NaN is refused too
+        if refused.size:
+            which = ", ".join(
+                f"{self.channels.setpoint_pvs[int(i)]} = {setpoints[i]}" for i in refused
+            )
+            raise WriteError(
+                f"{which}: not a finite current within ±{limit} A; nothing was written"
+            )
+        self._setpoints = setpoints.astype(np.float64)
+        return Applied(self._setpoints.copy(), self._clock.wall(), self._clock.monotonic())
+
+    def close(self) -> None:
+        """Let go; setpoints stay where they are."""
+        self._closed = True
+
+    def fail_next_reads(self, count: int) -> None:
+        """Make the next reads fail; the ring goes on, its orbits are lost."""
+        self._failing_reads = count
+
+    def fail_next_writes(self, count: int) -> None:
+        """Make the next writes fail and change nothing."""
+        self._failing_writes = count
+
+    def mask(self, *bpms: int) -> None:
+        """Make BPMs read NaN and be invalid, by their index in the orbit."""
+        self._masked[list(bpms)] = True
+
+    def unmask(self) -> None:
+        """Make all BPMs valid again."""
+        self._masked[:] = False
+
+    def freeze(self) -> None:
+        """Repeat the last orbit with its stamp at every read, as a stuck source would."""
+        self._frozen = True
+
+    def thaw(self) -> None:
+        """Deliver new orbits again."""
+        self._frozen = False
+
+    def _pass_one_tick(self) -> tuple[PlantState, float]:
+        stamp = self._start + (self.plant.tick + 1) * self._period
+        state = self.plant.step(self._setpoints)
+        self._clock.advance(max(0.0, stamp - self._clock.wall()))
+        return state, stamp
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise MachineError("the simulated machine was closed; build a new one")
