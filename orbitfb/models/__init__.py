@@ -1,0 +1,1 @@
+"""Models of the ring that are identified from transitions, and how sure they are."""

@@ -1,0 +1,279 @@
+"""Identify the response matrix from the loop's own transitions: Bayesian, recursive, unbiased.
+
+Innovations of the prefilter (`orbitfb.models.filter`) are a linear regression on the
+prefiltered changes φ. Each row of UᵀR is normal with a covariance P, walks at random by Q per
+tick, and is updated block by block in information form:
+
+    P ← P + B Q,   P⁺ = (P⁻¹ + Φᵀ Φ / S)⁻¹,   R̂ ← R̂ + Eᵀ Φ P⁺ / S
+
+with S the innovation variance. Rows move only along directions that were excited, the past is
+forgotten at the rate Q, and the covariance says what is not known.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import Field
+
+from orbitfb.core.errors import EstimationError
+from orbitfb.core.settings import Settings
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.models.filter import Carry, PrefilterBank
+from orbitfb.models.linear import LinearModel
+from orbitfb.models.noise import LADDER, NoiseEstimate
+from orbitfb.models.rows import Rows
+
+_MANY_KICKS = 0.1
+
+
+class IdentifySettings(Settings):
+    """Configuration of the identification."""
+
+    reading_noise: float = Field(
+        0.2e-6, gt=0.0, description="BPM noise to believe before there are data, rms [m]."
+    )
+    ground: float = Field(
+        0.04e-6,
+        gt=0.0,
+        description="Orbit motion per tick to believe before there are data, rms [m].",
+    )
+    noise_memory: float = Field(
+        3000.0, gt=0.0, description="Rows after which an innovation counts 1/e for the noise [1]."
+    )
+    prior_entry: float = Field(
+        1e-6, ge=0.0, description="Error of an element of the first R̂, rms [m/A]."
+    )
+    prior_relative: float = Field(
+        0.02, ge=0.0, description="Error of the first R̂ relative to its size, rms [1]."
+    )
+    drift_entry: float = Field(
+        0.03e-6, ge=0.0, description="Drift of an element of R in √tick, rms [m/A]."
+    )
+    drift_relative: float = Field(
+        1e-3, ge=0.0, description="Drift of R relative to its size in √tick, rms [1]."
+    )
+    block: int = Field(100, ge=1, le=5000, description="Rows that one update takes in [1].")
+    kick_chi2: float = Field(
+        25.0,
+        gt=1.0,
+        description="Mean squared normalised innovation of a row that is taken for a kick [1].",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Absorbed:
+    """What taking in rows came to.
+
+    Args:
+        rows: Rows that taught.
+        kicks: Rows taken for a kick of the orbit.
+        chi2: Mean squared normalised innovation, predicted before the rows were used; 1 when
+            model, uncertainty and noise are right.
+        chi2_other: The same for the response it was compared with, without uncertainty.
+        nats: Log-likelihood of the rows over that of the other response [nats per row].
+    """
+
+    rows: int
+    kicks: int
+    chi2: float
+    chi2_other: float
+    nats: float
+
+
+class Identifier:
+    """The running estimate of R.
+
+    Args:
+        response: R̂ to begin with, shape (n, m) [m/A].
+        settings: Prior, drift, noise.
+
+    Raises:
+        EstimationError: The response is not a finite matrix, or prior and drift are zero.
+    """
+
+    def __init__(self, response: Vector, settings: IdentifySettings) -> None:
+        if response.ndim != 2 or not np.isfinite(response).all() or not np.any(response):
+            raise EstimationError(
+                f"the first response matrix (shape {response.shape}) must be a finite matrix "
+                "that is not zero; compute or measure it again"
+            )
+        rows, columns = response.shape
+        relative = response.T @ response / rows
+        self._prior = settings.prior_entry**2 * np.eye(columns)
+        self._prior += settings.prior_relative**2 * relative
+        self._drift = settings.drift_entry**2 * np.eye(columns)
+        self._drift += settings.drift_relative**2 * relative
+        if not np.any(self._prior):
+            raise EstimationError(
+                "prior_entry and prior_relative are both 0: nothing can be learnt"
+            )
+        self._prior += 1e-12 * np.trace(self._prior) / columns * np.eye(columns)
+        self._settings = settings
+        self._modes = np.linalg.svd(response)[0]
+        self._rows = self._modes.T @ response
+        self._covariances = np.repeat(self._prior[None], len(LADDER), axis=0)
+        self._bank = PrefilterBank(LADDER)
+        self._carry = self._bank.start(columns + rows)
+        self._noise = NoiseEstimate(
+            rows, settings.reading_noise, settings.ground, settings.noise_memory, 50.0
+        )
+        self._last_tick: int | None = None
+
+    @property
+    def last_tick(self) -> int | None:
+        """Tick of the last transition that was taken in; None before the first."""
+        return self._last_tick
+
+    @property
+    def model(self) -> LinearModel:
+        """The estimate as it stands, copied."""
+        return LinearModel(
+            response=self._modes @ self._rows,
+            modes=self._modes,
+            levels=self._noise.levels.copy(),
+            covariances=self._covariances.copy(),
+            reading_variance=self._noise.reading_variance,
+            ground_variances=self._noise.ground_variances,
+        )
+
+    def absorb(self, rows: Rows, other: Vector | None = None) -> Absorbed:
+        """Take rows in, block by block.
+
+        Args:
+            rows: What `select_rows` let through, later than all rows before.
+            other: A response to compare with, shape (n, m) [m/A]; None: R̂ as it stands.
+        """
+        if not len(rows):
+            return Absorbed(0, 0, float("nan"), float("nan"), float("nan"))
+        other_rows = self._rows.copy() if other is None else self._modes.T @ other
+        starts = rows.starts.copy()
+        starts[0] = self._last_tick is None or rows.tick[0] != self._last_tick + 1
+        rows = replace(rows, starts=starts)
+        size = self._settings.block
+        pieces = [
+            self._absorb_block(rows.take(begin, begin + size), other_rows)
+            for begin in range(0, len(rows), size)
+        ]
+        return _total(pieces)
+
+    def _absorb_block(self, rows: Rows, other: Vector) -> Absorbed:
+        first, last = int(rows.tick[0]), int(rows.tick[-1])
+        elapsed = last - (first - 1 if self._last_tick is None else self._last_tick)
+        self._covariances += elapsed * self._drift
+        kicks, interrupted = 0, False
+        block = self._filter(rows)
+        while (kicked := block.chi2 > self._settings.kick_chi2).any():
+            worst = int(np.argmax(kicked))
+            if kicks >= max(3.0, _MANY_KICKS * elapsed) or len(rows) == 1:
+                self._covariances += self._prior
+                block = self._filter(rows)
+                break
+            kicks += 1
+            interrupted = interrupted or worst + 1 == len(rows)
+            rows = _without(rows, worst)
+            block = self._filter(rows)
+        self._carry = Carry(block.carry.columns, 0) if interrupted else block.carry
+        self._last_tick = last
+        absorbed = self._score(block, other, kicks)
+        self._noise.absorb(block.squares, block.counted)
+        self._update(block)
+        return absorbed
+
+    def _filter(self, rows: Rows) -> "_Block":
+        """Filter a block and find its innovations before it has taught anything."""
+        columns = rows.change.shape[1]
+        expected = rows.change @ (self._modes @ self._rows).T
+        difference = np.where(rows.valid, rows.difference, expected) @ self._modes
+        both = np.concatenate([rows.change, difference], axis=1)
+        filtered, weights, carry = self._bank.run(both, rows.starts, self._carry)
+        filtered *= weights[:, :, None]
+        regressors, responses = filtered[:, :, :columns], filtered[:, :, columns:]
+        innovations = responses - regressors @ self._rows.T
+        variances = self._noise.innovation_variances
+        doubts = np.einsum("gtm,gtm->gt", regressors @ self._covariances, regressors)
+        certain = variances[:, None] / (variances[:, None] + doubts)
+        levels = self._noise.levels
+        own = innovations[levels, :, np.arange(len(levels))]
+        total = (variances[:, None] + doubts)[levels]
+        chi2 = np.mean(own**2 / total, axis=0)
+        known = (certain[levels].mean(axis=0) > 0.5) & (chi2 < self._settings.kick_chi2)
+        squares = np.einsum("gtn,gt,t->gn", innovations**2, certain, known)
+        return _Block(
+            regressors, responses, innovations, own, total, chi2, squares, float(known.sum()), carry
+        )
+
+    def _score(self, block: "_Block", other: Vector, kicks: int) -> Absorbed:
+        levels = self._noise.levels
+        variances = self._noise.innovation_variances[levels]
+        theirs = np.empty_like(block.own)
+        for level in np.unique(levels):
+            members = levels == level
+            theirs[members] = (
+                block.responses[level][:, members] - block.regressors[level] @ other[members].T
+            ).T
+        chi2_other = theirs**2 / variances[:, None]
+        ours = block.own**2 / block.total + np.log(block.total / variances[:, None])
+        nats = 0.5 * float(np.sum(chi2_other - ours)) / max(block.own.shape[1], 1)
+        return Absorbed(
+            block.own.shape[1], kicks, float(block.chi2.mean()), float(chi2_other.mean()), nats
+        )
+
+    def _update(self, block: "_Block") -> None:
+        levels = self._noise.levels
+        variances = self._noise.innovation_variances
+        identity = np.eye(self._rows.shape[1])
+        for level, regressor in enumerate(block.regressors):
+            before = self._covariances[level]
+            information = regressor.T @ regressor / variances[level]
+            after = np.linalg.solve(identity + before @ information, before)
+            after = 0.5 * (after + after.T)
+            members = levels == level
+            if members.any():
+                pull = block.innovations[level][:, members].T @ regressor / variances[level]
+                self._rows[members] += pull @ after
+            self._covariances[level] = after
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """A filtered block: by level (G, T, ·), by mode (n, T), by row (T,)."""
+
+    regressors: Vector
+    responses: Vector
+    innovations: Vector
+    own: Vector
+    total: Vector
+    chi2: Vector
+    squares: Vector
+    counted: float
+    carry: Carry
+
+
+def _without(rows: Rows, index: int) -> Rows:
+    """Drop one row; the next one begins a stretch."""
+    keep: Mask = np.arange(len(rows)) != index
+    starts = rows.starts.copy()
+    if index + 1 < len(rows):
+        starts[index + 1] = True
+    return replace(
+        rows,
+        tick=rows.tick[keep],
+        change=rows.change[keep],
+        dither=rows.dither[keep],
+        difference=rows.difference[keep],
+        valid=rows.valid[keep],
+        starts=starts[keep],
+        closed=rows.closed[keep],
+    )
+
+
+def _total(pieces: list[Absorbed]) -> Absorbed:
+    weights = np.array([piece.rows for piece in pieces], dtype=np.float64)
+    share = weights / max(weights.sum(), 1.0)
+    return Absorbed(
+        rows=int(weights.sum()),
+        kicks=sum(piece.kicks for piece in pieces),
+        chi2=float(share @ [piece.chi2 for piece in pieces]),
+        chi2_other=float(share @ [piece.chi2_other for piece in pieces]),
+        nats=float(share @ [piece.nats for piece in pieces]),
+    )

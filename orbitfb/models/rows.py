@@ -1,0 +1,111 @@
+"""Which transitions may teach: the integrity screen before any statistics."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.transitions import Transitions
+
+_MOST_INVALID = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Transitions that may teach, in order.
+
+    Args:
+        tick: Tick of s_n, shape (T,).
+        change: a_n as applied, shape (T, m) [A].
+        dither: The dither's part of it, shape (T, m) [A].
+        difference: s_{n+1} − s_n, shape (T, n) [m]; 0 where not valid.
+        valid: Shape (T, n).
+        starts: Whether a row does not continue the one before it, shape (T,).
+        closed: Whether the loop was closed, shape (T,).
+        left_out: How many rows were left out, by reason.
+    """
+
+    tick: np.ndarray
+    change: Vector
+    dither: Vector
+    difference: Vector
+    valid: Mask
+    starts: Mask
+    closed: Mask
+    left_out: Mapping[str, int]
+
+    def __len__(self) -> int:
+        return len(self.tick)
+
+    def take(self, begin: int, end: int) -> "Rows":
+        """Give the rows of a range, with nothing counted as left out."""
+        piece = slice(begin, end)
+        return Rows(
+            self.tick[piece],
+            self.change[piece],
+            self.dither[piece],
+            self.difference[piece],
+            self.valid[piece],
+            self.starts[piece],
+            self.closed[piece],
+            {},
+        )
+
+
+def select_rows(transitions: Transitions, tolerance: float) -> Rows:
+    """Leave out what would poison an estimate, and count it.
+
+    Left out are rows whose next orbit is not known to answer the change (`unusable`), with
+    values that are not finite (`not_finite`), with more than a tenth of the BPMs not valid
+    (`invalid_bpms`), where a readback is away from its setpoint (`readback`), where somebody
+    else moved a corrector (`foreign_change`) and where the reference orbit changed
+    (`reference`). Each breaks the stretch that it stands in.
+
+    Args:
+        transitions: What the loop recorded.
+        tolerance: Largest |readback − setpoint| and largest unexplained change [A].
+    """
+    count = len(transitions)
+    finite = np.isfinite(transitions.applied).all(axis=1)
+    finite &= np.isfinite(transitions.setpoints).all(axis=1)
+    readable = np.isfinite(transitions.orbit) & np.isfinite(transitions.next_orbit)
+    valid = transitions.valid & readable
+    finite &= ~(transitions.valid & ~readable).any(axis=1)
+    enough = valid.mean(axis=1) >= 1.0 - _MOST_INVALID
+    with np.errstate(invalid="ignore"):
+        away = np.abs(transitions.readback - transitions.setpoints) > tolerance
+        moved = np.diff(transitions.setpoints, axis=0) - transitions.applied[:-1]
+        foreign = np.zeros(count, dtype=np.bool_)
+        foreign[:-1] = (np.abs(moved) > tolerance).any(axis=1)
+    consecutive = np.zeros(count, dtype=np.bool_)
+    consecutive[:-1] = np.diff(transitions.tick) == 1
+    stepped = np.zeros(count, dtype=np.bool_)
+    stepped[:-1] = (transitions.reference[1:] != transitions.reference[:-1]).any(axis=1)
+    left_out: dict[str, int] = {}
+    keep = np.ones(count, dtype=np.bool_)
+    for reason, bad in (
+        ("unusable", ~transitions.usable),
+        ("not_finite", ~finite),
+        ("invalid_bpms", ~enough),
+        ("readback", away.any(axis=1)),
+        ("foreign_change", foreign & consecutive),
+        ("reference", stepped & consecutive),
+    ):
+        found = int(np.sum(keep & bad))
+        if found:
+            left_out[reason] = found
+        keep &= ~bad
+    starts = transitions.starts()
+    starts[1:] |= ~keep[:-1]
+    difference = np.where(valid, transitions.next_orbit - transitions.orbit, 0.0)
+    return Rows(
+        transitions.tick[keep],
+        transitions.applied[keep],
+        transitions.dither[keep],
+        difference[keep],
+        valid[keep],
+        starts[keep],
+        transitions.closed[keep],
+        left_out,
+    )
