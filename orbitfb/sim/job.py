@@ -1,0 +1,41 @@
+"""Everything the soft IOC's process needs to know, in one line of JSON."""
+
+from pathlib import Path
+
+from pydantic import Field
+
+from orbitfb.core.settings import Settings
+from orbitfb.physics.places import Planes, Ring
+from orbitfb.physics.plant import Plant, PlantSettings
+from orbitfb.sim.settings import SimSettings
+
+PORT_TAKEN = 3
+"""Exit status of a soft IOC whose port somebody else has."""
+
+
+class SimJob(Settings):
+    """A ring to simulate and how to serve it."""
+
+    places: Path | None = Field(
+        default=None, description="Table of places (CSV); the default ring's when not given."
+    )
+    parameters: Path | None = Field(
+        default=None,
+        description="Parameters of the ring (JSON); the default ring's when not given.",
+    )
+    planes: Planes = Field(default="x", description="Planes of the orbit: x, y or xy.")
+    seed: int = Field(default=0, ge=0, description="Seed of every random number of the ring.")
+    plant: PlantSettings = Field(default=PlantSettings(), description="What the ring suffers from.")
+    sim: SimSettings = Field(default=SimSettings(), description="Where and how it is served.")
+
+    def build(self) -> tuple[Plant, SimSettings]:
+        """Make the ring, and the settings with what only the ring knows filled in.
+
+        Raises:
+            RingError: The table or the parameters are wrong.
+        """
+        ring = Ring.load(self.places, self.parameters)
+        settings = self.sim
+        if settings.rf_frequency is None:
+            settings = settings.model_copy(update={"rf_frequency": ring.rf_frequency})
+        return Plant(ring, self.planes, self.plant, self.seed), settings

@@ -1,0 +1,113 @@
+"""Which PVs there are, in which order, with which units and limits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from orbitfb.core.signals import Channels, Vector
+from orbitfb.sim.ring import RingState
+from orbitfb.sim.settings import SimSettings
+
+CURRENT_PV = "SR:C03-BI{DCCT:1}I:Real-I"
+RF_PV = "RF{Osc:1}Freq:SP"
+TRUE_RMS_PV = "SR:SIM{Ring}Rms:True-I"
+TICK_PV = "SR:SIM{Ring}Tick-I"
+KICK_PV = "SR:SIM{Ring}Kick-SP"
+
+MILLI = 1.0e3
+"""From m to mm and from A to mA."""
+
+Range = tuple[float, float]
+NO_RANGE: Range = (0.0, 0.0)
+"""Equal ends mean no limit, as in EPICS."""
+
+
+@dataclass(frozen=True, slots=True)
+class PvSpec:
+    """One PV and its metadata, in the PV's own units.
+
+    Args:
+        name: The PV.
+        units: At most 7 characters.
+        precision: Digits after the point on a screen.
+        display: Range of a slider or plot.
+        warning: LOW and HIGH (MINOR).
+        alarm: LOLO and HIHI (MAJOR).
+        drive: Range outside which a write is refused.
+    """
+
+    name: str
+    units: str
+    precision: int
+    display: Range = NO_RANGE
+    warning: Range = NO_RANGE
+    alarm: Range = NO_RANGE
+    drive: Range = NO_RANGE
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """All PVs of a ring.
+
+    Args:
+        readings: What every tick publishes, in the order in which clients see it: BPMs and
+            readbacks in the order of the channels, stored current, RF, true rms, tick.
+        setpoints: Setpoints in the order of the channels [A].
+        kick: The random kick [mm].
+        constants: Stored current [mA] and RF frequency [Hz].
+    """
+
+    readings: tuple[PvSpec, ...]
+    setpoints: tuple[PvSpec, ...]
+    kick: PvSpec
+    constants: tuple[float, float] = field(default=(0.0, 0.0))
+
+    def __len__(self) -> int:
+        return len(self.readings) + len(self.setpoints) + 1
+
+    def values(self, state: RingState, tick: int) -> Vector:
+        """Give the values of `readings` at a tick, in the units of the PVs."""
+        true_rms = float(np.sqrt(np.mean(np.square(state.true_orbit)))) * MILLI
+        slow = (*self.constants, true_rms, float(tick))
+        return np.concatenate((state.reading * MILLI, state.readback, slow))
+
+
+def lay_out(channels: Channels, settings: SimSettings) -> Layout:
+    """Name every PV of a ring and give it its limits."""
+
+    def both(limit: float) -> Range:
+        return (-limit, limit)
+
+    drive = both(settings.corrector_limit)
+    warning = both(settings.corrector_limit * settings.corrector_warning)
+
+    def ammeters(names: Sequence[str], drive_range: Range) -> tuple[PvSpec, ...]:
+        return tuple(
+            PvSpec(name, "A", 5, display=drive, warning=warning, alarm=drive, drive=drive_range)
+            for name in names
+        )
+
+    bpms = tuple(
+        PvSpec(
+            name,
+            "mm",
+            5,
+            display=both(5.0),
+            warning=both(settings.orbit_warning * MILLI),
+            alarm=both(settings.orbit_alarm * MILLI),
+        )
+        for name in channels.orbit_pvs
+    )
+    slow = (
+        PvSpec(CURRENT_PV, "mA", 3, display=(0.0, 500.0)),
+        PvSpec(RF_PV, "Hz", 1),
+        PvSpec(TRUE_RMS_PV, "mm", 6, display=(0.0, 1.0)),
+        PvSpec(TICK_PV, "", 0),
+    )
+    return Layout(
+        readings=(*bpms, *ammeters(channels.readback_pvs, NO_RANGE), *slow),
+        setpoints=ammeters(channels.setpoint_pvs, drive),
+        kick=PvSpec(KICK_PV, "mm", 3, drive=(0.0, settings.kick_limit * MILLI)),
+        constants=(settings.stored_current * MILLI, settings.rf_frequency or 0.0),
+    )

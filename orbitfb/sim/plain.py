@@ -1,0 +1,96 @@
+"""The reference front: caproto's documented calls alone. Slow, and right by construction."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from caproto import AlarmSeverity, AlarmStatus
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.sim.channels import KickChannel, ReadOnlyChannel, ScalarChannel
+from orbitfb.sim.context import ClaimedContext
+from orbitfb.sim.layout import Layout, PvSpec
+from orbitfb.sim.listening import Sockets
+from orbitfb.sim.stamp import Stamp
+
+
+class PlainSetpoint(ScalarChannel):
+    """A setpoint that tells when it has been written."""
+
+    def __init__(self, spec: PvSpec, written: Callable[[], None]) -> None:
+        super().__init__(spec)
+        self._written = written
+
+    async def write(self, value: Any, **options: Any) -> None:
+        """Take the value or refuse it."""
+        await super().write(value, **options)
+        self._written()
+
+
+class PlainFront:
+    """Serves a ring by writing to its channels one by one.
+
+    Args:
+        layout: The PVs.
+        kick: What a write to the kick PV does, in its units.
+
+    Attributes:
+        on_written: Called when a setpoint has been written.
+    """
+
+    def __init__(self, layout: Layout, kick: Callable[[float], None]) -> None:
+        self.on_written: Callable[[], None] = lambda: None
+        self._names = layout
+        self._readings = [ReadOnlyChannel(spec) for spec in layout.readings]
+        self._written: Mask = np.zeros(len(layout.setpoints), dtype=np.bool_)
+        self._setpoints = [
+            PlainSetpoint(spec, lambda index=index: self._note(index))
+            for index, spec in enumerate(layout.setpoints)
+        ]
+        self._kick = KickChannel(layout.kick, kick)
+        self._publishing: asyncio.Task[None] | None = None
+
+    @property
+    def setpoints(self) -> Vector:
+        """Setpoints in force, shape (m,) [A]."""
+        return np.array([float(channel.value) for channel in self._setpoints])
+
+    @property
+    def complete(self) -> bool:
+        """Whether every setpoint has been written since the last `show`."""
+        return bool(self._written.all())
+
+    @property
+    def busy(self) -> bool:
+        """Whether the last orbit is still being written."""
+        return self._publishing is not None and not self._publishing.done()
+
+    def show(self, values: Vector, stamp: Stamp) -> None:
+        """Publish the readings of a tick."""
+        self._written[:] = False
+        self._publishing = asyncio.get_running_loop().create_task(self._publish(values, stamp))
+
+    def context(self, sockets: Sockets) -> ClaimedContext:
+        """Make the caproto server that serves it."""
+        layout = self._names
+        names = [spec.name for spec in (*layout.readings, *layout.setpoints, layout.kick)]
+        channels = [*self._readings, *self._setpoints, self._kick]
+        return ClaimedContext(dict(zip(names, channels, strict=True)), sockets)
+
+    async def _publish(self, values: Vector, stamp: Stamp) -> None:
+        for channel, value in zip(self._readings, values.tolist(), strict=True):
+            if np.isfinite(value):
+                await channel.write(value, timestamp=stamp)
+            else:
+                await channel.write(
+                    value,
+                    timestamp=stamp,
+                    verify_value=False,
+                    status=AlarmStatus.UDF,
+                    severity=AlarmSeverity.INVALID_ALARM,
+                )
+
+    def _note(self, index: int) -> None:
+        self._written[index] = True
+        self.on_written()

@@ -1,0 +1,54 @@
+"""Setpoints picked straight out of a client's stream of bytes.
+
+A write of one double without answer is a message of 24 bytes: command 4, payload size 8, type 6,
+count 1, channel, request id, value. A controller sends a whole set of them at once; here they are
+read as one array.
+"""
+
+import numpy as np
+from caproto import RemoteProtocolError
+from numpy.typing import NDArray
+
+PUT = np.dtype(
+    [
+        ("kind", ">u8"),  # command, payload size, type and count
+        ("channel", ">u4"),
+        ("request", ">u4"),
+        ("value", ">f8"),
+    ]
+)
+PUT_COMMAND = 4
+PUT_KIND = PUT_COMMAND << 48 | 8 << 32 | 6 << 16 | 1
+WRITES = frozenset({4, 19})
+"""Commands that write: without and with an answer."""
+LARGEST_MESSAGE = 1 << 20
+"""What no client of scalars ever sends [bytes]."""
+_HEADER, _EXTENDED_HEADER = 16, 24
+
+
+def leading_puts(data: bytes, start: int) -> NDArray[np.void]:
+    """Give the unbroken run of whole puts that begins at `start`; it may be empty."""
+    run = np.frombuffer(data, dtype=PUT, count=(len(data) - start) // PUT.itemsize, offset=start)
+    other = run["kind"] != PUT_KIND
+    return run[: int(other.argmax())] if other.any() else run
+
+
+def message_end(data: bytes, start: int) -> int | None:
+    """Say where the message at `start` ends, or None if it is not all there.
+
+    Raises:
+        RemoteProtocolError: It is longer than anything a client of scalars sends.
+    """
+    if len(data) - start < _HEADER:
+        return None
+    size = int.from_bytes(data[start + 2 : start + 4])
+    header = _HEADER
+    if size == 0xFFFF:
+        if len(data) - start < _EXTENDED_HEADER:
+            return None
+        header = _EXTENDED_HEADER
+        size = int.from_bytes(data[start + 16 : start + 20])
+    if size > LARGEST_MESSAGE:
+        raise RemoteProtocolError(f"message of {size} bytes announced; at most {LARGEST_MESSAGE}")
+    end = start + header + size
+    return end if end <= len(data) else None

@@ -1,0 +1,107 @@
+"""The soft IOC: a ring that ticks, and its PVs."""
+
+import asyncio
+from collections.abc import Callable
+
+from orbitfb.sim.fast import FastFront
+from orbitfb.sim.front import Front
+from orbitfb.sim.layout import MILLI, lay_out
+from orbitfb.sim.listening import claim
+from orbitfb.sim.plain import PlainFront
+from orbitfb.sim.ring import SimulatedRing
+from orbitfb.sim.settings import SimSettings
+from orbitfb.sim.stamp import now
+from orbitfb.sim.ticker import Ticker, start_ticker
+
+
+class RingServer:
+    """A ring that advances by the clock, or by its setpoints, and is shown to clients.
+
+    Args:
+        ring: The simulated ring.
+        settings: Rate, limits, kind of front.
+    """
+
+    def __init__(self, ring: SimulatedRing, settings: SimSettings) -> None:
+        self._ring = ring
+        self._settings = settings
+        self.layout = lay_out(ring.channels, settings)
+        kind = PlainFront if settings.plain else FastFront
+        self.front: Front = kind(self.layout, self._kick)
+        self._ticker: Ticker | None = None
+
+    def start(self) -> None:
+        """Make the first tick and go on from there."""
+        self.tick()
+        self._ticker = start_ticker(1.0 / self._settings.rate_hz, self.tick)
+        if self._settings.lockstep:
+            self.front.on_written = self._tick_if_complete
+
+    def stop(self) -> None:
+        """Stand still."""
+        self.front.on_written = lambda: None
+        if self._ticker is not None:
+            self._ticker.stop()
+
+    def tick(self) -> None:
+        """Advance the ring by one tick and publish it; left out while the last is under way."""
+        if self.front.busy:
+            return
+        stamp = now()
+        state = self._ring.step(self.front.setpoints)
+        self.front.show(self.layout.values(state, self._ring.tick), stamp)
+
+    def _tick_if_complete(self) -> None:
+        if self.front.complete and not self.front.busy:
+            self.tick()
+            if self._ticker is not None:
+                self._ticker.restart()
+
+    def _kick(self, rms: float) -> None:
+        self._ring.kick(rms / MILLI)
+
+
+async def serve(
+    ring: SimulatedRing,
+    settings: SimSettings,
+    announce: Callable[[int, int], None],
+    stop: asyncio.Event,
+) -> None:
+    """Serve a ring over Channel Access until told to stop.
+
+    Args:
+        ring: The simulated ring.
+        settings: Where and how.
+        announce: Called with the port and the number of PVs once clients can connect.
+        stop: Ends it when set.
+
+    Raises:
+        OwnershipError: Somebody else has the port.
+    """
+    send_buffer = None if settings.plain else settings.send_buffer
+    sockets = claim(settings.interface, settings.port, send_buffer)
+    try:
+        server = RingServer(ring, settings)
+        context = server.front.context(sockets)
+        server.start()
+        ready = asyncio.Event()
+
+        async def note_startup(_library: object) -> None:
+            ready.set()
+
+        running = asyncio.create_task(context.run(startup_hook=note_startup))
+        waiting = [asyncio.create_task(ready.wait()), asyncio.create_task(stop.wait())]
+        try:
+            await asyncio.wait([running, waiting[0]], return_when=asyncio.FIRST_COMPLETED)
+            if ready.is_set():
+                announce(sockets.port, len(server.layout))
+            await asyncio.wait([running, waiting[1]], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            server.stop()
+            for task in (*waiting, running):
+                task.cancel()
+            await asyncio.gather(*waiting, running, return_exceptions=True)
+        if not running.cancelled() and (failure := running.exception()) is not None:
+            raise failure
+    finally:
+        sockets.close()
