@@ -1,0 +1,1 @@
+"""What people and their tools see: live status, metrics, health, log and summary."""

@@ -1,0 +1,268 @@
+"""The list of all metrics: the Collector and the page of the docs are made from it."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal["gauge", "counter", "histogram", "summary", "info"]
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """One metric.
+
+    Args:
+        name: Full name as Prometheus shows it, with unit and `_total` or `_info`.
+        kind: Its type.
+        unit: Base unit; empty for counts and states.
+        labels: Names of its labels.
+        help: What it is, in one sentence.
+    """
+
+    name: str
+    kind: Kind
+    unit: str
+    labels: tuple[str, ...]
+    help: str
+
+    @property
+    def family(self) -> str:
+        """Name of the family, without the suffix that its kind adds."""
+        if self.kind == "counter":
+            return self.name.removesuffix("_total")
+        return self.name.removesuffix("_info") if self.kind == "info" else self.name
+
+
+LOOP = (
+    Metric(
+        "orbitfb_loop_state",
+        "gauge",
+        "",
+        ("state",),
+        "1 for the state of the loop, 0 for all others; all 0 before the first tick.",
+    ),
+    Metric(
+        "orbitfb_loop_state_entries_total",
+        "counter",
+        "",
+        ("state",),
+        "How often the loop entered each state.",
+    ),
+    Metric(
+        "orbitfb_loop_state_duration_seconds",
+        "gauge",
+        "seconds",
+        (),
+        "How long the loop has been in its state.",
+    ),
+    Metric("orbitfb_ticks_total", "counter", "", (), "Ticks of the loop."),
+    Metric(
+        "orbitfb_missed_ticks_total", "counter", "", (), "Orbits that should have come and did not."
+    ),
+    Metric(
+        "orbitfb_limited_ticks_total",
+        "counter",
+        "",
+        (),
+        "Ticks whose change of setpoints the limits shortened.",
+    ),
+    Metric(
+        "orbitfb_last_tick_timestamp_seconds",
+        "gauge",
+        "seconds",
+        (),
+        "When the last tick ended, since the epoch: the heartbeat.",
+    ),
+    Metric(
+        "orbitfb_tick_latency_seconds",
+        "histogram",
+        "seconds",
+        (),
+        "From the complete orbit to the last setpoint sent, ticks that wrote.",
+    ),
+    Metric(
+        "orbitfb_tick_phase_seconds",
+        "summary",
+        "seconds",
+        ("phase",),
+        "Time spent in each phase of a tick: read (the wait for the orbit), check, decide, "
+        "limit, act.",
+    ),
+    Metric(
+        "orbitfb_tick_period_seconds",
+        "gauge",
+        "seconds",
+        (),
+        "Mean time from orbit to orbit over the last 10 s.",
+    ),
+    Metric(
+        "orbitfb_tick_jitter_seconds",
+        "gauge",
+        "seconds",
+        (),
+        "Standard deviation of the time from orbit to orbit over the last 10 s.",
+    ),
+)
+
+BEAM = (
+    Metric(
+        "orbitfb_orbit_rms_meters",
+        "gauge",
+        "meters",
+        ("plane",),
+        "RMS of orbit − reference over the valid BPMs, last orbit.",
+    ),
+    Metric(
+        "orbitfb_orbit_rms_window_meters",
+        "gauge",
+        "meters",
+        ("plane",),
+        "The same as quadratic mean over the last 10 s.",
+    ),
+    Metric(
+        "orbitfb_true_orbit_rms_meters",
+        "gauge",
+        "meters",
+        (),
+        "RMS of the orbit without BPM noise, last orbit; only a simulated ring knows it.",
+    ),
+    Metric(
+        "orbitfb_true_orbit_rms_window_meters",
+        "gauge",
+        "meters",
+        (),
+        "The same as quadratic mean over the last 10 s.",
+    ),
+    Metric(
+        "orbitfb_orbit_error_max_meters",
+        "gauge",
+        "meters",
+        (),
+        "Largest |orbit − reference| of a valid BPM, last orbit.",
+    ),
+    Metric(
+        "orbitfb_orbit_timestamp_seconds",
+        "gauge",
+        "seconds",
+        (),
+        "Stamp of the last coherent orbit, since the epoch.",
+    ),
+    Metric("orbitfb_bpms", "gauge", "", (), "BPM readings that the loop listens to."),
+    Metric(
+        "orbitfb_bpms_masked", "gauge", "", (), "BPM readings of the last orbit that do not count."
+    ),
+    Metric(
+        "orbitfb_corrector_setpoint_max_amperes",
+        "gauge",
+        "amperes",
+        (),
+        "|setpoint| of the corrector that is nearest its limit.",
+    ),
+    Metric(
+        "orbitfb_corrector_limit_amperes",
+        "gauge",
+        "amperes",
+        (),
+        "Limit of |setpoint| of that corrector.",
+    ),
+    Metric("orbitfb_stored_current_amperes", "gauge", "amperes", (), "Stored current, last orbit."),
+    Metric("orbitfb_rf_frequency_hertz", "gauge", "hertz", (), "RF frequency, last orbit."),
+)
+
+LEARNING = (
+    Metric("orbitfb_policy_info", "info", "", ("policy",), "The policy that decides."),
+    Metric("orbitfb_policy_swaps_total", "counter", "", (), "How often the policy changed."),
+    Metric(
+        "orbitfb_refits_total",
+        "counter",
+        "",
+        ("decision",),
+        "Candidates by what became of them: promoted, refused, rolled_back.",
+    ),
+    Metric(
+        "orbitfb_last_refit_timestamp_seconds",
+        "gauge",
+        "seconds",
+        (),
+        "When the last refit ended, since the epoch.",
+    ),
+    Metric(
+        "orbitfb_last_refit_duration_seconds",
+        "gauge",
+        "seconds",
+        (),
+        "How long the last refit took.",
+    ),
+    Metric(
+        "orbitfb_last_refit_rows", "gauge", "", (), "Transitions that went into the last refit."
+    ),
+    Metric(
+        "orbitfb_last_refit_figure",
+        "gauge",
+        "",
+        ("figure",),
+        "Judged figures of the last refit by name, in SI units (change of the model, orbit RMS "
+        "of candidate and incumbent, …).",
+    ),
+)
+
+SERVICE = (
+    Metric(
+        "orbitfb_archive_rows_written_total",
+        "counter",
+        "",
+        (),
+        "Transitions that the archive has on disk.",
+    ),
+    Metric(
+        "orbitfb_archive_rows_dropped_total",
+        "counter",
+        "",
+        (),
+        "Transitions that the archive could not take.",
+    ),
+    Metric("orbitfb_uptime_seconds", "gauge", "seconds", (), "Time since the service started."),
+    Metric("orbitfb_build_info", "info", "", ("version", "python"), "What runs."),
+)
+
+METRICS = LOOP + BEAM + LEARNING + SERVICE
+"""All metrics that a scrape exposes, and no other."""
+
+_HEAD = """# Metrics
+
+Served on `http://127.0.0.1:9180/metrics` (section `observe` of the configuration) while
+`orbitfb run` runs. Base units; the words are those of the glossary. A figure that is not known
+(no orbit came, nothing was written, a real ring has no true orbit) is left out of the scrape, so
+that it is never mistaken for zero.
+
+This page is written by `python -m orbitfb.observe.metrics_table`; a test compares the two.
+"""
+
+
+def metrics_table_markdown() -> str:
+    """Return the page of the docs that lists all metrics."""
+    parts = [_HEAD]
+    for title, metrics in (
+        ("The loop", LOOP),
+        ("Beam, BPMs and correctors", BEAM),
+        ("Policies and the learner", LEARNING),
+        ("The service", SERVICE),
+    ):
+        rows = [
+            f"\n## {title}\n",
+            "| name | type | unit | labels | meaning |",
+            "|---|---|---|---|---|",
+        ]
+        for metric in metrics:
+            labels = ", ".join(f"`{label}`" for label in metric.labels)
+            meaning = metric.help.replace("|", "\\|")
+            rows.append(
+                f"| `{metric.name}` | {metric.kind} | {metric.unit} | {labels} | {meaning} |"
+            )
+        parts.append("\n".join(rows) + "\n")
+    return "".join(parts)
+
+
+if __name__ == "__main__":
+    import sys
+
+    sys.stdout.write(metrics_table_markdown())

@@ -1,0 +1,162 @@
+"""The figures of a running loop at one moment, as values."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from orbitfb.core.refit import Decision, RefitReport
+from orbitfb.core.signals import LoopState, Phases
+
+
+@dataclass(frozen=True, slots=True)
+class Rms:
+    """An orbit RMS: of the last orbit and over the window.
+
+    Args:
+        now: Of the last orbit [m]; NaN when the last tick had none.
+        window: Quadratic mean over the window [m]; NaN when unknown.
+    """
+
+    now: float
+    window: float
+
+
+@dataclass(frozen=True, slots=True)
+class OrbitFigures:
+    """Orbit error (orbit − reference) over the valid BPMs, all in m, NaN when unknown.
+
+    Args:
+        first: RMS of the first orbit of the run [m].
+        observed: RMS as the BPMs read it.
+        true: RMS without BPM noise, where the machine (a simulator) tells it.
+        planes: RMS by plane, keys `x` and/or `y`.
+        worst: Largest |error| of the last orbit [m].
+        worst_bpm: Where it is; empty when unknown.
+        masked: BPMs of the last orbit that do not count.
+        bpms: All BPMs.
+        time: Stamp of the last orbit [s since the epoch].
+    """
+
+    first: float
+    observed: Rms
+    true: Rms
+    planes: Mapping[str, Rms]
+    worst: float
+    worst_bpm: str
+    masked: int
+    bpms: int
+    time: float
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectorFigures:
+    """The corrector that is nearest its limit, and how often the limits shortened a change.
+
+    Args:
+        name: Its name; empty before the first tick.
+        setpoint: Its absolute setpoint [A]; NaN when unknown.
+        limit: Its limit [A].
+        limited: Ticks whose change was shortened.
+    """
+
+    name: str
+    setpoint: float
+    limit: float
+    limited: int
+
+
+@dataclass(frozen=True, slots=True)
+class TickFigures:
+    """Pace of the loop.
+
+    Args:
+        ticks: Ticks since the start.
+        missed: Orbits that should have come and did not.
+        age: Time since the last tick, or since the start if there was none [s].
+        time: When the last tick ended, wall clock [s since the epoch]; NaN before the first.
+        period: Mean time from orbit to orbit over the window [s]; NaN when unknown.
+        jitter: Standard deviation of that time over the window [s]; NaN when unknown.
+        phases: Sum of each phase over all ticks [s].
+    """
+
+    ticks: int
+    missed: int
+    age: float
+    time: float
+    period: float
+    jitter: float
+    phases: Phases
+
+
+@dataclass(frozen=True, slots=True)
+class LatencyFigures:
+    """From the complete orbit to the last setpoint sent.
+
+    Args:
+        p50: Median over the latency window [s]; NaN when nothing was written in it.
+        p99: 99th percentile over the latency window [s].
+        largest: Largest since the start [s]; NaN when nothing was written.
+        buckets: Ticks at or below each of `LATENCY_BOUNDS`, cumulative, then all of them.
+        total: Sum since the start [s].
+    """
+
+    p50: float
+    p99: float
+    largest: float
+    buckets: tuple[int, ...]
+    total: float
+
+
+@dataclass(frozen=True, slots=True)
+class Happening:
+    """Something that people want to know when it happens.
+
+    Args:
+        number: Count since the start, from 1.
+        time: Wall clock [s since the epoch].
+        kind: `state`, `policy` or `refit`.
+        text: What happened, in a few words.
+    """
+
+    number: int
+    time: float
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSnapshot:
+    """All figures of a running loop at one moment.
+
+    Args:
+        state: State of the loop; None before the first tick.
+        reason: Why it is in that state; empty when there is nothing to say.
+        in_state: How long it has been in that state [s].
+        entries: How often each state was entered.
+        duration: Time since the start [s].
+        orbit: Orbit error.
+        correctors: Distance to the limits.
+        ticks: Pace.
+        latency: Orbit to setpoint.
+        auxiliary: Slow channels of the last orbit by name, SI.
+        policy_id: The policy that decides; empty before the first tick.
+        swaps: How often the policy changed.
+        refits: Reports by decision.
+        last_refit: The last report, if there was one.
+        happenings: The last few, oldest first.
+    """
+
+    state: LoopState | None
+    reason: str
+    in_state: float
+    entries: Mapping[LoopState, int]
+    duration: float
+    orbit: OrbitFigures
+    correctors: CorrectorFigures
+    ticks: TickFigures
+    latency: LatencyFigures
+    auxiliary: Mapping[str, float]
+    policy_id: str
+    swaps: int
+    refits: Mapping[Decision, int]
+    last_refit: RefitReport | None
+    happenings: tuple[Happening, ...] = field(default=())

@@ -1,0 +1,247 @@
+"""The running figures of the loop: a subscriber that counts, and snapshots for whoever asks."""
+
+import math
+import threading
+from collections import Counter, deque
+
+import numpy as np
+
+from orbitfb.core.ports import Clock
+from orbitfb.core.refit import Decision, RefitReport
+from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, TickRecord, Vector
+from orbitfb.observe.snapshot import (
+    CorrectorFigures,
+    Happening,
+    LatencyFigures,
+    LoopSnapshot,
+    OrbitFigures,
+    Rms,
+    TickFigures,
+)
+from orbitfb.observe.windows import (
+    Histogram,
+    Window,
+    mean_and_deviation,
+    percentiles,
+    root_mean,
+)
+
+ORBIT_WINDOW = 10.0
+"""Window of the orbit RMS and of the pace [s]."""
+
+LATENCY_WINDOW = 60.0
+"""Window of the latency percentiles [s]: long enough for a p99 at 10 Hz."""
+
+TRUE_RMS = "true_orbit_rms"
+"""Auxiliary channel in which a simulated ring tells its orbit RMS without BPM noise [m]."""
+
+KEPT_HAPPENINGS = 64
+
+
+class LoopStatistics:
+    """Keep the running figures of the loop.
+
+    Called with every record in the loop's thread it does a few microseconds of work; everything
+    that can wait (percentiles, worst BPM, nearest limit) is done by `snapshot`, in the thread of
+    whoever asks.
+
+    Args:
+        channels: Names behind the vectors.
+        limit: Limit of |setpoint|, one for all or shape (m,) [A].
+        clock: The loop's clock.
+    """
+
+    def __init__(self, channels: Channels, limit: float | Vector, clock: Clock) -> None:
+        self._channels = channels
+        self._limit = np.broadcast_to(
+            np.asarray(limit, dtype=np.float64), (len(channels.correctors),)
+        )
+        self._clock = clock
+        count = len(channels.bpms)
+        if channels.planes == "xy":
+            self._planes = {"x": slice(0, count // 2), "y": slice(count // 2, count)}
+        else:
+            self._planes = {channels.planes: slice(0, count)}
+        self._lock = threading.Lock()
+
+        self._started = clock.monotonic()
+        self._last: TickRecord | None = None
+        self._last_orbit: Orbit | None = None
+        self._last_monotonic = self._started
+        self._last_wall = math.nan
+        self._state_since = self._started
+        self._entries: Counter[LoopState] = Counter()
+        self._ticks = self._missed = self._limited = self._swaps = 0
+        self._phase_sums = [0.0] * 5
+
+        self._first_rms = math.nan
+        self._observed = Window(ORBIT_WINDOW)
+        self._true = Window(ORBIT_WINDOW)
+        self._by_plane = {plane: Window(ORBIT_WINDOW) for plane in self._planes}
+        self._now_by_plane = dict.fromkeys(self._planes, math.nan)
+        self._now = self._true_now = math.nan
+        self._stamp = self._received = math.nan
+        self._intervals = Window(ORBIT_WINDOW)
+        self._latencies = Window(LATENCY_WINDOW)
+        self._histogram = Histogram()
+
+        self._refits: Counter[Decision] = Counter()
+        self._last_refit: RefitReport | None = None
+        self._happenings: deque[Happening] = deque(maxlen=KEPT_HAPPENINGS)
+        self._happened = 0
+
+    def __call__(self, record: TickRecord) -> None:
+        """Take a record; called in the loop's thread."""
+        with self._lock:
+            self._ticks += 1
+            self._missed += record.missed
+            self._limited += record.scale < 1.0
+            self._count_phases(record.phases)
+            self._note_changes(record)
+            self._histogram.add(record.latency)
+            self._take_reading(record)
+            self._last = record
+            self._last_monotonic = self._clock.monotonic()
+            self._last_wall = self._clock.wall()
+
+    def refitted(self, report: RefitReport) -> None:
+        """Take the report of a refit; called in the learner's thread."""
+        with self._lock:
+            self._refits[report.decision] += 1
+            self._last_refit = report
+            word = report.decision.value.replace("_", " ")
+            self._happen("refit", f"{report.policy_id} {word}: {report.reason}")
+
+    def snapshot(self) -> LoopSnapshot:
+        """Return the figures of this moment; called from any thread."""
+        with self._lock:
+            last, orbit = self._last, self._last_orbit
+            entries, refits = dict(self._entries), dict(self._refits)
+            observed, true = self._observed.copy(), self._true.copy()
+            planes = {
+                plane: (self._now_by_plane[plane], window.copy())
+                for plane, window in self._by_plane.items()
+            }
+            now, true_now = self._now, self._true_now
+            intervals, latencies = self._intervals.copy(), self._latencies.copy()
+            buckets = self._histogram.cumulative()
+            total, largest = self._histogram.total, self._histogram.largest
+            ticks, missed, limited, swaps = self._ticks, self._missed, self._limited, self._swaps
+            phases = Phases(*self._phase_sums)
+            monotonic = self._clock.monotonic()
+            age, in_state = monotonic - self._last_monotonic, monotonic - self._state_since
+            wall, stamp = self._last_wall, self._stamp
+            last_refit, happenings = self._last_refit, tuple(self._happenings)
+        period, jitter = mean_and_deviation(intervals)
+        p50, p99 = percentiles(latencies, 50.0, 99.0)
+        worst, worst_bpm = self._worst(last)
+        reading = None if last is None else last.reading
+        return LoopSnapshot(
+            state=None if last is None else last.state,
+            reason="" if last is None else last.reason,
+            in_state=in_state,
+            entries={state: entries.get(state, 0) for state in LoopState},
+            duration=monotonic - self._started,
+            orbit=OrbitFigures(
+                first=self._first_rms,
+                observed=Rms(now, root_mean(observed)),
+                true=Rms(true_now, root_mean(true)),
+                planes={plane: Rms(rms, root_mean(old)) for plane, (rms, old) in planes.items()},
+                worst=worst,
+                worst_bpm=worst_bpm,
+                masked=0 if orbit is None else int(np.count_nonzero(~orbit.valid)),
+                bpms=len(self._channels.bpms),
+                time=stamp,
+            ),
+            correctors=self._nearest(last, limited),
+            ticks=TickFigures(ticks, missed, age, wall, period, jitter, phases),
+            latency=LatencyFigures(p50, p99, largest, buckets, total),
+            auxiliary={} if reading is None else dict(reading.auxiliary),
+            policy_id="" if last is None else last.policy_id,
+            swaps=swaps,
+            refits={decision: refits.get(decision, 0) for decision in Decision},
+            last_refit=last_refit,
+            happenings=happenings,
+        )
+
+    def _count_phases(self, phases: Phases) -> None:
+        sums = self._phase_sums
+        sums[0] += phases.read
+        sums[1] += phases.check
+        sums[2] += phases.decide
+        sums[3] += phases.limit
+        sums[4] += phases.act
+
+    def _note_changes(self, record: TickRecord) -> None:
+        last = self._last
+        if last is None or last.state is not record.state:
+            self._entries[record.state] += 1
+            self._state_since = self._clock.monotonic()
+            because = f": {record.reason}" if record.reason else ""
+            self._happen("state", f"{record.state.value}{because}")
+        if last is not None and last.policy_id != record.policy_id:
+            self._swaps += 1
+            self._happen("policy", f"{record.policy_id} instead of {last.policy_id}")
+
+    def _take_reading(self, record: TickRecord) -> None:
+        reading = record.reading
+        if reading is None:
+            self._now = self._true_now = self._received = math.nan
+            self._now_by_plane = dict.fromkeys(self._planes, math.nan)
+            return
+        stamp = reading.orbit.time
+        mean_square = self._mean_squares(reading.orbit, record.reference, stamp)
+        self._now = math.sqrt(mean_square)
+        if math.isnan(self._first_rms):
+            self._first_rms = self._now
+        self._observed.add(stamp, mean_square)
+        self._true_now = reading.auxiliary.get(TRUE_RMS, math.nan)
+        self._true.add(stamp, self._true_now**2)
+        self._latencies.add(stamp, record.latency)
+        # An interval that spans a missed orbit says nothing about the jitter.
+        interval = math.nan if record.missed else reading.received - self._received
+        self._intervals.add(stamp, interval)
+        self._received = reading.received
+        self._stamp = stamp
+        self._last_orbit = reading.orbit
+
+    def _mean_squares(self, orbit: Orbit, reference: Vector, stamp: float) -> float:
+        """Note the mean square of each plane and return that of all valid BPMs [m²]."""
+        error = orbit.position - reference
+        total, count = 0.0, 0
+        for plane, part in self._planes.items():
+            valid = error[part][orbit.valid[part]]
+            squares = float(valid @ valid)
+            mean = squares / valid.size if valid.size else math.nan
+            self._now_by_plane[plane] = math.sqrt(mean)
+            self._by_plane[plane].add(stamp, mean)
+            total += squares
+            count += valid.size
+        return total / count if count else math.nan
+
+    def _happen(self, kind: str, text: str) -> None:
+        self._happened += 1
+        self._happenings.append(Happening(self._happened, self._clock.wall(), kind, text))
+
+    def _worst(self, last: TickRecord | None) -> tuple[float, str]:
+        """Return the largest |error| of the last tick [m] and its BPM."""
+        if last is None or last.reading is None or not last.reading.orbit.valid.any():
+            return math.nan, ""
+        orbit = last.reading.orbit
+        error = np.where(orbit.valid, np.abs(orbit.position - last.reference), -1.0)
+        where = int(np.argmax(error))
+        return float(error[where]), self._channels.bpms[where]
+
+    def _nearest(self, last: TickRecord | None, limited: int) -> CorrectorFigures:
+        """Find the corrector nearest its limit, once the last change is in."""
+        if last is None or not self._channels.correctors:
+            limit = float(self._limit.min()) if self._limit.size else math.nan
+            return CorrectorFigures("", math.nan, limit, limited)
+        setpoints = last.setpoints + last.applied
+        where = int(np.argmax(np.abs(setpoints) / self._limit))
+        return CorrectorFigures(
+            self._channels.correctors[where],
+            float(setpoints[where]),
+            float(self._limit[where]),
+            limited,
+        )

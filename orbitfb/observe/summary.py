@@ -1,0 +1,103 @@
+"""What a run came to, as one JSON object."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from orbitfb.core.errors import OrbitFeedbackError
+from orbitfb.core.refit import Decision
+from orbitfb.observe.plain import dumps, plain
+from orbitfb.observe.snapshot import LoopSnapshot
+from orbitfb.observe.statistics import LATENCY_WINDOW
+
+SCHEMA = 1
+"""Version of the layout; a key that changes its meaning raises it."""
+
+
+def summary(snapshot: LoopSnapshot) -> dict[str, Any]:
+    """Return the figures of a run; what is unknown is None.
+
+    Args:
+        snapshot: The last snapshot of the run.
+
+    Returns:
+        Names carry their units: `_um`, `_ms`, `_s`, `_A`. `last_10s` is the quadratic mean over
+        the last 10 s of orbit stamps; the percentiles of the latency are over its last
+        `window_s`.
+    """
+    orbit, ticks, latency = snapshot.orbit, snapshot.ticks, snapshot.latency
+    refits = snapshot.refits
+    figures = {
+        "schema": SCHEMA,
+        "state": snapshot.state,
+        "reason": snapshot.reason,
+        "duration_s": snapshot.duration,
+        "orbit_rms_um": {
+            "first": orbit.first * 1e6,
+            "last_10s": orbit.observed.window * 1e6,
+            "true_last_10s": orbit.true.window * 1e6,
+        },
+        "ticks": ticks.ticks,
+        "missed_ticks": ticks.missed,
+        "limited_ticks": snapshot.correctors.limited,
+        "latency_ms": {
+            "p50": latency.p50 * 1e3,
+            "p99": latency.p99 * 1e3,
+            "max": latency.largest * 1e3,
+            "window_s": LATENCY_WINDOW,
+        },
+        "period_ms": ticks.period * 1e3,
+        "jitter_ms": ticks.jitter * 1e3,
+        "bpms": orbit.bpms,
+        "bpms_masked": orbit.masked,
+        "corrector_nearest_limit": {
+            "name": snapshot.correctors.name or None,
+            "setpoint_A": snapshot.correctors.setpoint,
+            "limit_A": snapshot.correctors.limit,
+        },
+        "policy": snapshot.policy_id or None,
+        "swaps": snapshot.swaps,
+        "refits": refits[Decision.PROMOTED] + refits[Decision.REFUSED],
+        "promotions": refits[Decision.PROMOTED],
+        "refusals": refits[Decision.REFUSED],
+        "roll_backs": refits[Decision.ROLLED_BACK],
+        "last_refit": None
+        if snapshot.last_refit is None
+        else {
+            "number": snapshot.last_refit.number,
+            "decision": snapshot.last_refit.decision,
+            "reason": snapshot.last_refit.reason,
+            "policy": snapshot.last_refit.policy_id,
+            "figures": snapshot.last_refit.figures,
+        },
+        "state_entries": snapshot.entries,
+    }
+    return plain(figures)
+
+
+def write_summary(path: Path, snapshot: LoopSnapshot) -> None:
+    """Write the summary of a run: the whole file or none.
+
+    Args:
+        path: Where to; a file that is there is replaced.
+        snapshot: The last snapshot of the run.
+
+    Raises:
+        OrbitFeedbackError: The file cannot be written.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with part.open("w", encoding="utf-8") as file:
+                file.write(dumps(summary(snapshot), indent=2) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise OrbitFeedbackError(
+            f"the summary cannot be written to {path}: {error.strerror}; "
+            "name a file in a directory that can be written to"
+        ) from error
