@@ -154,6 +154,15 @@ def test_the_same_seed_gives_the_same_numbers_and_another_one_others(ring):
     assert np.all(runs[0] != runs[2])
 
 
+def test_every_effect_and_every_seed_has_numbers_of_its_own():
+    draws = {
+        tuple(generator(seed, name).standard_normal(3))
+        for seed in (0, 1)
+        for name in ("BPM noise", "ground motion", "drift")
+    }
+    assert len(draws) == 6
+
+
 class Spikes(Effect):
     """An effect as the later ones will be: its own numbers, one hook."""
 
