@@ -95,6 +95,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     server_version = "orbitfb"
     sys_version = ""
+    default_request_version = "HTTP/1.0"  # of 0.9, whose answers have no status line
     timeout = PATIENCE
 
     def handle(self) -> None:

@@ -37,6 +37,12 @@ class Trend:
             self._next = snapshot.duration + TREND_STEP
 
 
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Say that the reader has gone; the base class would end the process's output."""
+        raise BrokenPipeError("the reader of the status has gone")
+
+
 class Terminal:
     """Show the status of the loop until it is stopped.
 
@@ -70,7 +76,7 @@ class Terminal:
         """Begin to show; nothing happens when the settings say so."""
         if self._settings.mode == "off" or self._thread is not None:
             return
-        console = Console(file=self._stream)
+        console = _Console(file=self._stream)
         live = self._settings.mode == "live" or (
             self._settings.mode == "auto" and console.is_terminal and not console.is_dumb_terminal
         )

@@ -1,0 +1,127 @@
+"""The table of metrics, the scrape and the page of the docs say the same."""
+
+import math
+from pathlib import Path
+
+import pytest
+from observe_records import feed, record, report
+from prometheus_client.exposition import choose_encoder
+from prometheus_client.openmetrics.parser import text_string_to_metric_families as open_families
+from prometheus_client.parser import text_string_to_metric_families
+
+from orbitfb.core.refit import Decision
+from orbitfb.core.signals import LoopState
+from orbitfb.observe.metrics import ArchiveFigures, loop_registry
+from orbitfb.observe.metrics_table import METRICS, metrics_table_markdown
+
+PAGE = Path(__file__).parents[3] / "docs/reference/metrics.md"
+
+
+@pytest.fixture
+def full(statistics, clock):
+    """Statistics in which every figure is known."""
+    feed(
+        statistics,
+        clock,
+        20,
+        error=(2e-6, -2e-6, 2e-6, -2e-6),
+        true=1e-7,
+        latency=1.5e-3,
+        auxiliary={"current": 0.4, "rf_frequency": 499.68e6},
+    )
+    statistics.refitted(report(Decision.PROMOTED, model_change=0.1))
+    return statistics
+
+
+def scrape(statistics, archive=None):
+    encode, _ = choose_encoder("text/plain")
+    text = encode(loop_registry(statistics.snapshot, archive)).decode()
+    families = list(text_string_to_metric_families(text))
+    values = {
+        (sample.name, tuple(sorted(sample.labels.items()))): sample.value
+        for family in families
+        for sample in family.samples
+    }
+    return families, values
+
+
+def archive():
+    return ArchiveFigures(written=120, dropped=3)
+
+
+def test_a_scrape_exposes_exactly_the_table(full):
+    families, _ = scrape(full, archive)
+    exposed = {
+        f"{family.name}_total" if family.type == "counter" else family.name: family
+        for family in families
+    }
+    assert set(exposed) == {metric.name for metric in METRICS}
+    for metric in METRICS:
+        family = exposed[metric.name]
+        assert family.documentation == metric.help
+        assert family.type == {"info": "gauge"}.get(metric.kind, metric.kind)
+        assert family.samples, f"{metric.name} has no sample though all is known"
+        for sample in family.samples:
+            assert set(sample.labels) - {"le"} == set(metric.labels), sample
+
+
+def test_names_carry_their_unit_and_nothing_is_listed_twice():
+    assert len({metric.name for metric in METRICS}) == len(METRICS)
+    for metric in METRICS:
+        assert metric.name.startswith("orbitfb_")
+        assert metric.name.endswith(metric.unit)
+        assert metric.name.endswith("_total") == (metric.kind == "counter")
+        assert metric.name.endswith("_info") == (metric.kind == "info")
+
+
+def test_the_page_of_the_docs_is_the_table():
+    assert PAGE.read_text(encoding="utf-8") == metrics_table_markdown(), (
+        "run: python -m orbitfb.observe.metrics_table > docs/reference/metrics.md"
+    )
+
+
+def test_values_are_those_of_the_loop(full):
+    _, values = scrape(full, archive)
+    assert values["orbitfb_ticks_total", ()] == 20
+    assert values["orbitfb_orbit_rms_meters", (("plane", "x"),)] == pytest.approx(2e-6)
+    assert values["orbitfb_true_orbit_rms_meters", ()] == pytest.approx(1e-7)
+    assert values["orbitfb_loop_state", (("state", "CLOSED"),)] == 1
+    assert values["orbitfb_loop_state", (("state", "HELD"),)] == 0
+    assert values["orbitfb_tick_latency_seconds_bucket", (("le", "0.001"),)] == 0
+    assert values["orbitfb_tick_latency_seconds_bucket", (("le", "0.002"),)] == 20
+    assert values["orbitfb_tick_latency_seconds_count", ()] == 20
+    assert values["orbitfb_tick_latency_seconds_sum", ()] == pytest.approx(0.03)
+    assert values["orbitfb_tick_phase_seconds_sum", (("phase", "act"),)] == pytest.approx(0.02)
+    assert values["orbitfb_tick_phase_seconds_count", (("phase", "act"),)] == 20
+    assert values["orbitfb_refits_total", (("decision", "promoted"),)] == 1
+    assert values["orbitfb_last_refit_figure", (("figure", "model_change"),)] == 0.1
+    assert values["orbitfb_policy_info", (("policy", "svd-1"),)] == 1
+    assert values["orbitfb_archive_rows_dropped_total", ()] == 3
+    assert values["orbitfb_corrector_setpoint_max_amperes", ()] == 2.0
+    assert values["orbitfb_stored_current_amperes", ()] == 0.4
+
+
+def test_what_is_unknown_is_left_out_and_never_nan(statistics):
+    _, values = scrape(statistics)
+    names = {name for name, _ in values}
+    assert "orbitfb_orbit_rms_meters" not in names
+    assert "orbitfb_bpms_masked" not in names
+    assert "orbitfb_archive_rows_written_total" not in names
+    assert not any(math.isnan(value) for value in values.values())
+    states = [value for (name, _), value in values.items() if name == "orbitfb_loop_state"]
+    assert states == [0.0] * len(LoopState)
+
+
+def test_a_lost_orbit_takes_its_figures_out_of_the_scrape(full):
+    full(record(21, lost=True, state=LoopState.HELD, missed=1))
+    _, values = scrape(full)
+    assert ("orbitfb_orbit_rms_meters", (("plane", "x"),)) not in values
+    assert ("orbitfb_orbit_rms_window_meters", (("plane", "x"),)) in values
+    assert values["orbitfb_missed_ticks_total", ()] == 1
+
+
+def test_strict_openmetrics_readers_take_it_too(full):
+    encode, content_type = choose_encoder("application/openmetrics-text; version=1.0.0")
+    assert content_type.startswith("application/openmetrics-text")
+    text = encode(loop_registry(full.snapshot, archive)).decode()
+    assert {family.name for family in open_families(text)} == {metric.family for metric in METRICS}
