@@ -76,11 +76,11 @@ class LoopCollector(Collector):
         return ()
 
 
-def loop_registry(
+def metrics_registry(
     snapshot: Callable[[], LoopSnapshot],
     archive: Callable[[], ArchiveFigures] | None = None,
 ) -> CollectorRegistry:
-    """Return a registry that holds the loop's metrics and no other.
+    """Return a registry that holds the metrics of `METRICS` and no other.
 
     Args:
         snapshot: As for `LoopCollector`.

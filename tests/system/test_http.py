@@ -17,7 +17,7 @@ from orbitfb.core.errors import OwnershipError
 from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, Reading, TickRecord
 from orbitfb.observe.bounded_http import MOST_CONNECTIONS
 from orbitfb.observe.http import ObserveServer
-from orbitfb.observe.metrics import loop_registry
+from orbitfb.observe.metrics import metrics_registry
 from orbitfb.observe.settings import ObserveSettings
 from orbitfb.observe.statistics import LoopStatistics
 
@@ -49,7 +49,7 @@ def statistics(clock):
 def server(statistics):
     server = ObserveServer(
         ObserveSettings(port=0, stale_after=5.0),
-        loop_registry(statistics.snapshot),
+        metrics_registry(statistics.snapshot),
         statistics.snapshot,
     )
     server.start()
@@ -185,7 +185,7 @@ def test_figures_that_fail_give_500_and_no_details(statistics):
     def broken():
         raise RuntimeError("SECRET")
 
-    server = ObserveServer(ObserveSettings(port=0), loop_registry(broken), broken)
+    server = ObserveServer(ObserveSettings(port=0), metrics_registry(broken), broken)
     server.start()
     try:
         for path in ("/metrics", "/healthz"):
@@ -199,7 +199,7 @@ def test_figures_that_fail_give_500_and_no_details(statistics):
 def test_a_port_in_use_is_an_ownership_error(server, statistics):
     port = where(server)[1]
     second = ObserveServer(
-        ObserveSettings(port=port), loop_registry(statistics.snapshot), statistics.snapshot
+        ObserveSettings(port=port), metrics_registry(statistics.snapshot), statistics.snapshot
     )
     with pytest.raises(OwnershipError, match=rf"port {port} is in use.*observe.port"):
         second.start()
@@ -219,7 +219,7 @@ def test_stopping_is_quick_and_frees_the_port(server, statistics):
         with contextlib.suppress(ConnectionResetError):
             assert idle.recv(100) == b""
     again = ObserveServer(
-        ObserveSettings(port=port), loop_registry(statistics.snapshot), statistics.snapshot
+        ObserveSettings(port=port), metrics_registry(statistics.snapshot), statistics.snapshot
     )
     again.start()
     assert where(again)[1] == port
@@ -228,7 +228,7 @@ def test_stopping_is_quick_and_frees_the_port(server, statistics):
 
 def test_disabled_serves_nothing(statistics):
     server = ObserveServer(
-        ObserveSettings(enabled=False), loop_registry(statistics.snapshot), statistics.snapshot
+        ObserveSettings(enabled=False), metrics_registry(statistics.snapshot), statistics.snapshot
     )
     server.start()
     assert server.address == ""

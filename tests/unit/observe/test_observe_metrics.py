@@ -11,7 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import LoopState
-from orbitfb.observe.metrics import ArchiveFigures, loop_registry
+from orbitfb.observe.metrics import ArchiveFigures, metrics_registry
 from orbitfb.observe.metrics_table import METRICS, metrics_table_markdown
 
 PAGE = Path(__file__).parents[3] / "docs/reference/metrics.md"
@@ -35,7 +35,7 @@ def full(statistics, clock):
 
 def scrape(statistics, archive=None):
     encode, _ = choose_encoder("text/plain")
-    text = encode(loop_registry(statistics.snapshot, archive)).decode()
+    text = encode(metrics_registry(statistics.snapshot, archive)).decode()
     families = list(text_string_to_metric_families(text))
     values = {
         (sample.name, tuple(sorted(sample.labels.items()))): sample.value
@@ -123,5 +123,5 @@ def test_a_lost_orbit_takes_its_figures_out_of_the_scrape(full):
 def test_strict_openmetrics_readers_take_it_too(full):
     encode, content_type = choose_encoder("application/openmetrics-text; version=1.0.0")
     assert content_type.startswith("application/openmetrics-text")
-    text = encode(loop_registry(full.snapshot, archive)).decode()
+    text = encode(metrics_registry(full.snapshot, archive)).decode()
     assert {family.name for family in open_families(text)} == {metric.family for metric in METRICS}
