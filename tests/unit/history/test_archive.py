@@ -141,6 +141,27 @@ def test_rows_that_were_written_but_not_marked_are_not_read(archive, monkeypatch
     assert list(read_archive(archive.directory).tick) == list(range(19))
 
 
+def test_a_kill_between_any_two_writes_leaves_the_rows_before_whole(archive, tmp_path, monkeypatch):
+    archive.write([make_record(tick) for tick in range(10)])
+    archive.write([make_record(tick) for tick in range(10, 13)])
+    path, copy, lengths = archive.segments()[0], tmp_path / "copy.h5", []
+    pwrite = os.pwrite
+
+    def write_and_look(descriptor, content, position):
+        # Half a write first: a kill can cut one, at a page's border.
+        half = pwrite(descriptor, bytes(content)[: max(1, len(content) // 2)], position)
+        shutil.copy(path, copy)
+        read = read_archive(copy)
+        assert_same(read, buffered([make_record(tick) for tick in range(len(read) + 1)]))
+        lengths.append(len(read))
+        return half
+
+    monkeypatch.setattr(os, "pwrite", write_and_look)
+    archive.write([make_record(tick) for tick in range(13, 17)])
+    assert set(lengths[:-3]) == {12}
+    assert lengths[-3:] == [14, 15, 16]  # the marks: 2 of 4, 1 of 2, the last one
+
+
 def test_the_oldest_segments_go_when_there_are_too_many_bytes(tmp_path, monkeypatch):
     monkeypatch.setattr("orbitfb.history.recorder.row_bytes", lambda _: 20_000)  # 50 rows each
     archive = Archive(tmp_path / "a", MANY.model_copy(update={"keep_gigabytes": 2e-4}))
