@@ -1,7 +1,10 @@
 """Records whose every number is known from the tick, so that a torn row shows."""
 
+from collections import deque
+
 import numpy as np
 
+from orbitfb.core.clock import ManualClock
 from orbitfb.core.signals import (
     Channels,
     LoopState,
@@ -10,6 +13,9 @@ from orbitfb.core.signals import (
     Reading,
     TickRecord,
 )
+from orbitfb.history.archive import ArchiveSettings
+from orbitfb.history.buffer import History
+from orbitfb.history.recorder import Recorder
 
 START = 1.7e9
 PHASES = Phases(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -92,3 +98,35 @@ def eventful_run():
     records = [make_record(tick, **changes.get(tick, {})) for tick in range(60)]
     del records[50]
     return records
+
+
+MANY = ArchiveSettings(segment_megabytes=1.0, compress=False)
+
+
+class Archive:
+    """A recorder without its thread."""
+
+    def __init__(self, directory, settings=MANY, channels=None, clock=None):
+        self.directory = directory
+        self.channels = channels or make_channels()
+        self.clock = clock or ManualClock()
+        self.recorder = Recorder(directory, self.channels, settings, self.clock)
+
+    def write(self, records):
+        queue = deque(records)
+        while self.recorder.write(queue):
+            pass
+
+    def tidy(self):
+        while self.recorder.tidy():
+            pass
+
+    def segments(self):
+        return sorted(self.directory.glob("*.h5"))
+
+
+def buffered(records):
+    history = History(make_channels(), 10_000)
+    for record in records:
+        history(record)
+    return history.snapshot()
