@@ -1,0 +1,5 @@
+"""`python -m orbitfb` is the command line."""
+
+from orbitfb.cli import main
+
+main()

@@ -1,0 +1,299 @@
+"""The command line: thin; what a command needs is imported when it runs."""
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from orbitfb import __version__
+from orbitfb.core.errors import OrbitFeedbackError
+
+if TYPE_CHECKING:
+    from orbitfb.config import AppConfig
+
+app = typer.Typer(
+    name="orbitfb",
+    help="Adaptive orbit feedback for synchrotron light sources on an EPICS control network.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+policies = typer.Typer(help="Policies in the store of a data directory.", no_args_is_help=True)
+evaluate = typer.Typer(help="Measure what a method is worth.", no_args_is_help=True)
+config = typer.Typer(help="Print and check the configuration.", no_args_is_help=True)
+app.add_typer(policies, name="policies")
+app.add_typer(evaluate, name="evaluate")
+app.add_typer(config, name="config")
+
+ConfigFile = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).")]
+DataDirectory = Annotated[
+    Path | None, typer.Option("--data", help="Data directory [orbitfb-data].")
+]
+Planes = Annotated[str | None, typer.Option(help="Planes under feedback: x, y or xy [x].")]
+Seed = Annotated[int | None, typer.Option(help="Seed of the simulated ring and of the dither.")]
+Rate = Annotated[float | None, typer.Option(help="Ticks per second, loop and soft IOC [10].")]
+Port = Annotated[int | None, typer.Option(help="Port of the soft IOC; 0: any free one [15064].")]
+Drift = Annotated[
+    str | None, typer.Option(help="Drift of the simulated ring: none, paper, mild, strong.")
+]
+DriftTicks = Annotated[int | None, typer.Option(help="Ticks that the drift takes.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+def main() -> None:
+    """Run the command line; a known error is printed without a traceback and exits with 2."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its spinning threads disturb the tick
+    try:
+        app()
+    except OrbitFeedbackError as error:
+        print(f"orbitfb: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _configure(path: Path | None, **options: Any) -> "AppConfig":
+    from orbitfb.config import load_config
+
+    return load_config(path, {name.replace("__", "."): value for name, value in options.items()})
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version.", callback=_version, is_eager=True),
+    ] = False,
+) -> None:
+    """Take the options that stand before any command."""
+
+
+@app.command()
+def run(
+    ioc: Annotated[
+        str,
+        typer.Option(
+            help="sim: a simulated ring as a child process; HOST[:PORT]: an IOC that runs there; "
+            "env: what the EPICS_CA_… environment says."
+        ),
+    ],
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    planes: Planes = None,
+    rate: Rate = None,
+    seed: Seed = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Stop after so many seconds [until Ctrl-C].")
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(help="State to start in: open, shadow or closed [sim: closed, else open]."),
+    ] = None,
+    summary: Annotated[
+        Path | None, typer.Option(help="Write a summary of the run to this file (JSON).")
+    ] = None,
+    port: Port = None,
+    drift: Drift = None,
+    drift_ticks: DriftTicks = None,
+    metrics_port: Annotated[
+        int | None, typer.Option(help="Port of /metrics; 0: any free one [9180].")
+    ] = None,
+) -> None:
+    """Close the loop: read the orbit, correct it, learn from it."""
+    from orbitfb.service import run_service
+
+    settings = _configure(
+        config_file,
+        data_directory=data,
+        ring__planes=planes,
+        loop__rate_hz=rate,
+        sim__rate_hz=rate,
+        seed=seed,
+        sim__port=port,
+        plant__drift__preset=drift,
+        plant__drift__ticks=drift_ticks,
+        observe__port=metrics_port,
+    )
+    raise typer.Exit(run_service(settings, ioc, start, duration, summary))
+
+
+@app.command()
+def ioc(
+    config_file: ConfigFile = None,
+    planes: Planes = None,
+    rate: Rate = None,
+    seed: Seed = None,
+    port: Port = None,
+    drift: Drift = None,
+    drift_ticks: DriftTicks = None,
+    plain: Annotated[
+        bool | None,
+        typer.Option("--plain", help="Serve by caproto's documented calls alone (slow reference)."),
+    ] = None,
+    lockstep: Annotated[
+        bool | None,
+        typer.Option(
+            "--lockstep", help="Advance as soon as every setpoint was written (accelerated clock)."
+        ),
+    ] = None,
+) -> None:
+    """Serve the simulated ring as a soft IOC until Ctrl-C."""
+    from orbitfb.service import run_ioc
+
+    settings = _configure(
+        config_file,
+        ring__planes=planes,
+        sim__rate_hz=rate,
+        seed=seed,
+        sim__port=port,
+        sim__plain=plain,
+        sim__lockstep=lockstep,
+        plant__drift__preset=drift,
+        plant__drift__ticks=drift_ticks,
+    )
+    run_ioc(settings)
+
+
+@app.command()
+def refit(
+    archive: Annotated[
+        Path | None,
+        typer.Option("--from", help="Refit from this archive; without it, ask the service."),
+    ] = None,
+    activate: Annotated[
+        bool, typer.Option("--activate", help="Activate the candidate if the judge accepts it.")
+    ] = False,
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    planes: Planes = None,
+    as_json: AsJson = False,
+) -> None:
+    """Identify the response matrix anew, judge the policy built on it, print the decision."""
+    from orbitfb.maintenance import refit_offline, refit_online
+
+    settings = _configure(config_file, data_directory=data, ring__planes=planes)
+    report = (
+        refit_online(settings, activate)
+        if archive is None
+        else refit_offline(settings, archive, activate)
+    )
+    _show(report, as_json)
+
+
+@app.command()
+def command(
+    name: Annotated[str, typer.Argument(help="open, shadow, close, reset or status.")],
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    as_json: AsJson = False,
+) -> None:
+    """Command the running service."""
+    from orbitfb.control import ask
+
+    settings = _configure(config_file, data_directory=data)
+    _show(ask(settings.data_directory, {"command": name}), as_json)
+
+
+@policies.command("list")
+def policies_list(
+    config_file: ConfigFile = None, data: DataDirectory = None, as_json: AsJson = False
+) -> None:
+    """List the stored policies; the active one is starred."""
+    from orbitfb.maintenance import list_policies
+
+    rows = list_policies(_configure(config_file, data_directory=data))
+    if as_json:
+        print(json.dumps(rows, indent=2))
+        return
+    for row in rows:
+        star = "*" if row["active"] else " "
+        print(f"{star} {row['id']:<24} {row['created']}  parent {row['parent'] or '-'}")
+        if row["damage"]:
+            print(f"    {row['damage']}")
+    if not rows:
+        print("no policies stored yet: `orbitfb run` stores its baseline, a refit its candidates")
+
+
+@policies.command("show")
+def policies_show(
+    policy: Annotated[str, typer.Argument(help="Id of the policy.")],
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+) -> None:
+    """Print the card of a policy."""
+    from orbitfb.maintenance import show_policy
+
+    print(json.dumps(show_policy(_configure(config_file, data_directory=data), policy), indent=2))
+
+
+@policies.command("activate")
+def policies_activate(
+    policy: Annotated[str, typer.Argument(help="Id of the policy.")],
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    planes: Planes = None,
+) -> None:
+    """Make a policy the active one, in the running service too if there is one."""
+    from orbitfb.maintenance import activate_policy
+
+    settings = _configure(config_file, data_directory=data, ring__planes=planes)
+    _show(activate_policy(settings, policy), as_json=False)
+
+
+@policies.command("rollback")
+def policies_rollback(
+    config_file: ConfigFile = None, data: DataDirectory = None, planes: Planes = None
+) -> None:
+    """Go back to the policy that was active before."""
+    from orbitfb.maintenance import activate_policy
+
+    settings = _configure(config_file, data_directory=data, ring__planes=planes)
+    _show(activate_policy(settings, None), as_json=False)
+
+
+@config.command("show")
+def config_show(config_file: ConfigFile = None) -> None:
+    """Print the configuration in force as TOML, each key with its meaning."""
+    from orbitfb.config import to_toml
+
+    print(to_toml(_configure(config_file)))
+
+
+@config.command("check")
+def config_check(path: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
+    """Say whether a configuration file is good, its ring included."""
+    _configure(path).ring.load()
+    print(f"{path}: good")
+
+
+@config.command("schema")
+def config_schema() -> None:
+    """Print the JSON schema of the configuration."""
+    from orbitfb.config import AppConfig
+
+    print(json.dumps(AppConfig.model_json_schema(), indent=2))
+
+
+def _show(answer: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(answer, indent=2))
+        return
+    width = max(map(len, answer), default=0)
+    for name, value in answer.items():
+        if isinstance(value, dict):
+            print(f"{name}:")
+            inner = max(map(len, value), default=0)
+            for key, number in value.items():
+                print(f"  {key:<{inner}}  {_plain(number)}")
+        else:
+            print(f"{name:<{width}}  {_plain(value)}")
+
+
+def _plain(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

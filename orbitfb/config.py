@@ -1,0 +1,259 @@
+"""The configuration of the whole service: one frozen tree, from file, environment and options.
+
+Later sources win: defaults, the TOML file, `ORBITFB_SECTION__KEY` environment variables, command
+line options. A key that nobody knows or a value of the wrong type is refused with its path and
+the place that it came from.
+"""
+
+import difflib
+import json
+import os
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+from pydantic_core import ErrorDetails
+
+from orbitfb.core.errors import ConfigError
+from orbitfb.core.settings import Settings
+from orbitfb.epics.settings import EpicsSettings
+from orbitfb.history.recorder import ArchiveSettings
+from orbitfb.learn.settings import LearnSettings
+from orbitfb.loop.dither import DitherSettings
+from orbitfb.loop.settings import LoopSettings
+from orbitfb.observe.settings import ObserveSettings
+from orbitfb.physics.places import Planes, Ring
+from orbitfb.physics.plant import PlantSettings
+from orbitfb.policies.svd import SvdSettings
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.limits import LimitSettings
+from orbitfb.sim.settings import SimSettings
+
+ENVIRONMENT_PREFIX = "ORBITFB_"
+
+
+class RingSettings(Settings):
+    """Which ring is under feedback."""
+
+    places: Path | None = Field(None, description="Places table (CSV); none: the default ring.")
+    parameters: Path | None = Field(
+        None, description="Ring parameters (JSON); none: the default ring."
+    )
+    planes: Planes = Field("x", description="Planes under feedback: x, y or xy.")
+
+    def load(self) -> Ring:
+        """Read the ring that these settings name."""
+        return Ring.load(self.places, self.parameters)
+
+
+class HistorySettings(Settings):
+    """What is kept of the transitions."""
+
+    capacity: int = Field(20_000, ge=100, description="Ticks kept in memory.")
+    archive: ArchiveSettings = Field(
+        default_factory=ArchiveSettings, description="The archive on disk."
+    )
+
+
+class AppConfig(Settings):
+    """Everything that can be configured."""
+
+    data_directory: Path = Field(
+        Path("orbitfb-data"), description="Where policies, archive and log are kept."
+    )
+    seed: int = Field(1, ge=0, description="Seed of the simulated ring and of the dither.")
+    policy: SvdSettings = Field(
+        default_factory=SvdSettings, description="The baseline law, and that of every refit."
+    )
+    ring: RingSettings = Field(default_factory=RingSettings, description="The ring.")
+    loop: LoopSettings = Field(default_factory=LoopSettings, description="The loop.")
+    dither: DitherSettings = Field(default_factory=DitherSettings, description="The dither.")
+    limits: LimitSettings = Field(default_factory=LimitSettings, description="Limits of a write.")
+    interlocks: InterlockSettings = Field(
+        default_factory=InterlockSettings, description="What holds or trips the loop."
+    )
+    learn: LearnSettings = Field(default_factory=LearnSettings, description="The learner.")
+    history: HistorySettings = Field(
+        default_factory=HistorySettings, description="Transitions in memory and on disk."
+    )
+    observe: ObserveSettings = Field(
+        default_factory=ObserveSettings, description="Metrics, health and logs."
+    )
+    epics: EpicsSettings = Field(default_factory=EpicsSettings, description="Channel Access.")
+    sim: SimSettings = Field(default_factory=SimSettings, description="The soft IOC.")
+    plant: PlantSettings = Field(
+        default_factory=PlantSettings, description="The simulated ring behind the soft IOC."
+    )
+
+
+def load_config(
+    path: Path | None = None,
+    options: Mapping[str, Any] | None = None,
+    environment: Mapping[str, str] | None = None,
+) -> AppConfig:
+    """Compose the configuration.
+
+    Args:
+        path: A TOML file, or None.
+        options: Values from the command line by dotted path, `{"loop.rate_hz": 20.0}`; those
+            that are None are left out.
+        environment: Where to look for `ORBITFB_…`; the process's own by default.
+
+    Raises:
+        ConfigError: A file that cannot be read, a key that nobody knows, a value that does not
+            fit: all of them at once, each with its path and its origin.
+    """
+    tree: dict[str, Any] = {}
+    origins: dict[str, str] = {}
+    if path is not None:
+        text = _read(path)
+        tree = _parse(path, text)
+        lines = dict(_key_lines(text))
+        origins = {key: f"{path}, line {line}" for key, line in lines.items()}
+    for variable, value in sorted((os.environ if environment is None else environment).items()):
+        if variable.startswith(ENVIRONMENT_PREFIX):
+            dotted = variable.removeprefix(ENVIRONMENT_PREFIX).lower().replace("__", ".")
+            _put(tree, dotted, _environment_value(value), f"environment variable {variable}")
+            origins[dotted] = f"environment variable {variable}"
+    for dotted, value in (options or {}).items():
+        if value is not None:
+            _put(tree, dotted, value, "command line")
+            origins[dotted] = "command line"
+    try:
+        return AppConfig.model_validate(tree)
+    except ValidationError as error:
+        problems = "\n".join(f"  {_explain(problem, origins)}" for problem in error.errors())
+        raise ConfigError(
+            f"the configuration is refused:\n{problems}\n"
+            "`orbitfb config show` prints every key with its value and meaning."
+        ) from None
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be read ({error.strerror}); name a TOML file with --config"
+        ) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})") from None
+
+
+def _parse(path: Path, text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: is not TOML: {error}") from None
+
+
+_HEADER = re.compile(r"^\s*\[\[?\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
+_KEY = re.compile(r"""^\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*[A-Za-z0-9_"'-]+)*)\s*=""")
+
+
+def _key_lines(text: str) -> Iterator[tuple[str, int]]:
+    """Yield every key of a TOML text by dotted path with the line where it stands."""
+    table = ""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := _HEADER.match(line):
+            table = _plain(header.group(1))
+            yield table, number
+        elif key := _KEY.match(line):
+            name = _plain(key.group(1))
+            yield (f"{table}.{name}" if table else name), number
+
+
+def _plain(dotted: str) -> str:
+    return ".".join(part.strip().strip("\"'") for part in dotted.split("."))
+
+
+def _environment_value(value: str) -> Any:
+    """Read a value as TOML would; text that is no TOML value stays text."""
+    try:
+        return tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return value
+
+
+def _put(tree: dict[str, Any], dotted: str, value: Any, origin: str) -> None:
+    *parents, last = dotted.split(".")
+    for depth, parent in enumerate(parents, start=1):
+        child = tree.setdefault(parent, {})
+        if not isinstance(child, dict):
+            raise ConfigError(
+                f"{origin}: {dotted} lies below {'.'.join(parents[:depth])}, which is already "
+                f"set to {child!r}, a plain value"
+            )
+        tree = child
+    tree[last] = value
+
+
+def _explain(problem: ErrorDetails, origins: Mapping[str, str]) -> str:
+    location = [str(part) for part in problem["loc"]]
+    dotted = ".".join(location) or "the configuration"
+    origin = next(
+        (
+            origins[key]
+            for end in range(len(location), 0, -1)
+            if (key := ".".join(location[:end])) in origins
+        ),
+        "default",
+    )
+    if problem["type"] == "extra_forbidden":
+        return f"{dotted}: no such key ({origin}){_did_you_mean(location)}"
+    return f"{dotted}: {problem['msg']}, got {problem['input']!r} ({origin})"
+
+
+def _did_you_mean(location: list[str]) -> str:
+    model: Any = AppConfig
+    for part in location[:-1]:
+        field = getattr(model, "model_fields", {}).get(part)
+        model = field.annotation if field else None
+    known = list(getattr(model, "model_fields", {}))
+    close = difflib.get_close_matches(location[-1], known, n=1)
+    if close:
+        return f"; did you mean {close[0]}?"
+    return f"; known here: {', '.join(known)}" if known else ""
+
+
+def to_toml(config: AppConfig) -> str:
+    """Write a configuration as TOML, each key below its meaning.
+
+    Keys whose value is None, which TOML cannot say, are written as comments.
+    """
+    return "\n".join(_section(config, "")).strip() + "\n"
+
+
+def _section(model: Settings, table: str) -> Iterator[str]:
+    fields = type(model).model_fields
+    nested = {name for name in fields if isinstance(getattr(model, name), Settings)}
+    if table:
+        yield f"\n[{table}]"
+    for name in fields:
+        if name not in nested:
+            value = getattr(model, name)
+            yield f"# {fields[name].description}"
+            yield f"# {name} =" if value is None else f"{name} = {_toml_value(value)}"
+    for name in fields:
+        if name in nested:
+            yield from _section(getattr(model, name), f"{table}.{name}" if table else name)
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, Settings):
+        value = value.model_dump()
+    if isinstance(value, Mapping):
+        items = ", ".join(
+            f"{json.dumps(str(key))} = {_toml_value(item)}"
+            for key, item in value.items()
+            if item is not None
+        )
+        return "{ " + items + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml_value, value)) + "]"
+    if isinstance(value, bool | int | float):
+        return json.dumps(value)
+    return json.dumps(str(value), ensure_ascii=False)
