@@ -49,6 +49,11 @@ async def _serve(job: SimJob) -> None:
 
     logging.getLogger("caproto").setLevel(logging.CRITICAL)  # a refused write is no accident
     await serve(ring, settings, _announce, stop)
+    # caproto's tasks can miss that they are cancelled (asyncio.wait_for before Python 3.12), and
+    # asyncio.run would wait for them for ever; nothing is left to save
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
 
 
 def _stop_with_parent(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:

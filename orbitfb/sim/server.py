@@ -13,6 +13,9 @@ from orbitfb.sim.settings import SimSettings
 from orbitfb.sim.stamp import now
 from orbitfb.sim.ticker import Ticker, start_ticker
 
+_PATIENCE = 0.3
+"""How long caproto may take to stop [s]."""
+
 
 class RingServer:
     """A ring that advances by the clock, or by its setpoints, and is shown to clients.
@@ -100,8 +103,8 @@ async def serve(
             server.stop()
             for task in (*waiting, running):
                 task.cancel()
-            await asyncio.gather(*waiting, running, return_exceptions=True)
-        if not running.cancelled() and (failure := running.exception()) is not None:
+            await asyncio.wait([*waiting, running], timeout=_PATIENCE)
+        if running.done() and not running.cancelled() and (failure := running.exception()):
             raise failure
     finally:
         sockets.close()

@@ -1,0 +1,128 @@
+"""The ring behind both fronts, without a network."""
+
+import asyncio
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from caproto import ChannelType
+from test_sim_board import CHANNELS
+
+from orbitfb.sim.environment import client_environment, server_environment
+from orbitfb.sim.job import SimJob
+from orbitfb.sim.server import RingServer
+from orbitfb.sim.settings import SimSettings
+
+
+@dataclass
+class State:
+    reading: np.ndarray
+    true_orbit: np.ndarray
+    readback: np.ndarray
+
+
+class Ring:
+    """A stand-in: the orbit is the sum of the setpoints, in mm."""
+
+    channels = CHANNELS
+
+    def __init__(self):
+        self.tick = 0
+        self.kicks = []
+
+    def step(self, setpoints):
+        self.tick += 1
+        orbit = np.full(3, setpoints.sum() * 1e-3)
+        return State(orbit, orbit, setpoints.copy())
+
+    def kick(self, rms):
+        self.kicks.append(rms)
+
+
+@pytest.fixture(params=["fast", "plain"])
+def settings(request):
+    return SimSettings(plain=request.param == "plain", lockstep=True, rate_hz=0.001)
+
+
+def channels(server):
+    """The PVs by name, without sockets."""
+    front = server.front
+    if hasattr(front, "board"):
+        found = dict(zip(front.board.names, front._channels, strict=True))
+    else:
+        specs = (*server.layout.readings, *server.layout.setpoints)
+        names = [spec.name for spec in specs]
+        found = dict(zip(names, [*front._readings, *front._setpoints], strict=True))
+    return found | {server.layout.kick.name: front._kick}
+
+
+async def value(channel):
+    return (await channel.read(ChannelType.DOUBLE))[1][0]
+
+
+def test_the_ring_ticks_when_every_setpoint_was_written(settings):
+    async def scenario():
+        ring = Ring()
+        server = RingServer(ring, settings)
+        server.start()
+        pvs = channels(server)
+        try:
+            assert ring.tick == 1
+            await asyncio.sleep(0)
+            await pvs["c{1}:SP"].write(2.0)
+            await pvs["c{1}:SP"].write(3.0)
+            assert ring.tick == 1
+            await pvs["c{2}:SP"].write(4.0)
+            assert ring.tick == 2
+            await asyncio.sleep(0)
+            assert await value(pvs["b{2}"]) == 7.0
+            assert await value(pvs["c{1}:RB"]) == 3.0
+            await pvs["c{2}:SP"].write(4.0)
+            assert ring.tick == 2
+        finally:
+            server.stop()
+
+    asyncio.run(scenario())
+
+
+def test_what_is_refused_neither_changes_nor_counts(settings):
+    async def scenario():
+        ring = Ring()
+        server = RingServer(ring, settings)
+        server.start()
+        pvs = channels(server)
+        try:
+            await asyncio.sleep(0)
+            await pvs["c{1}:SP"].write(2.0)
+            for bad in (18.5, float("nan"), float("-inf")):
+                with pytest.raises(ValueError, match="Cannot write"):
+                    await pvs["c{2}:SP"].write(bad)
+            assert ring.tick == 1
+            assert server.front.setpoints.tolist() == [2.0, 0.0]
+            assert pvs["c{2}:SP"].alarm.severity == 2
+            assert pvs["c{1}:SP"].alarm.severity == 0
+            with pytest.raises(ValueError, match="Cannot write"):
+                await pvs["SR:SIM{Ring}Kick-SP"].write(-0.1)
+            assert ring.kicks == []
+            await pvs["SR:SIM{Ring}Kick-SP"].write(0.25)
+            assert ring.kicks == [0.25e-3]
+        finally:
+            server.stop()
+
+    asyncio.run(scenario())
+
+
+def test_environments_keep_to_loopback_and_off_production():
+    client = client_environment(15064)
+    assert client["EPICS_CA_ADDR_LIST"] == "127.0.0.1"
+    assert client["EPICS_CA_AUTO_ADDR_LIST"] == "NO"
+    assert client["EPICS_CA_SERVER_PORT"] == "15064"
+    assert client["EPICS_CA_REPEATER_PORT"] not in ("5065", "15064")
+    assert 0 < int(client_environment(65535)["EPICS_CA_REPEATER_PORT"]) < 65536
+    assert server_environment(plain=False)["EPICS_CAS_BEACON_ADDR_LIST"] == "127.0.0.1"
+
+
+def test_a_job_survives_its_line_of_json():
+    job = SimJob.model_validate({"planes": "xy", "seed": 3, "sim": {"port": 0, "lockstep": True}})
+    assert SimJob.model_validate_json(job.model_dump_json()) == job
+    assert "\n" not in job.model_dump_json()
