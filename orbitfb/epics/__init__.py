@@ -1,0 +1,1 @@
+"""The machine over EPICS Channel Access: the only package that imports pyepics."""

@@ -1,0 +1,145 @@
+"""Coherent vectors out of single events: pure bookkeeping on arrays.
+
+Events come one scalar at a time, in any order, doubled, lost or with two ticks interleaved. A
+vector is coherent when every connected channel carries a stamp within the window of the newest
+one, and each of them is newer than what it contributed to the vector before. No sequence PV is
+needed: the assembler counts down the events without which the next vector cannot be complete,
+and looks at the stamps only when they have come. That is one subtraction per event, and one look
+at all stamps per tick even if a channel is stuck for ever.
+"""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.epics.records import NANOSECONDS, blank_records, stamps_of, usable, wall_time
+
+NEVER = 0
+"""Stamp of a record that nothing has been written to: less than any that comes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """One coherent vector.
+
+    Args:
+        values: Shape (n,), in the unit of the PVs; NaN where not valid.
+        valid: Shape (n,); False where disconnected, INVALID or not finite.
+        stamp: Newest stamp in it [ns since the EPICS epoch].
+    """
+
+    values: Vector
+    valid: Mask
+    stamp: int
+
+    @property
+    def time(self) -> float:
+        """The stamp [s since the epoch]."""
+        return wall_time(self.stamp)
+
+
+class Assembler:
+    """Says after which event a new coherent vector lies in `records`.
+
+    Args:
+        size: Count of channels n.
+        window: How far the stamps of one vector may lie apart [s].
+    """
+
+    def __init__(self, size: int, window: float = 0.0) -> None:
+        self.records = blank_records(size)
+        self.connected: Mask = np.zeros(size, dtype=np.bool_)
+        self.checks = 0
+        """How often all stamps were looked at."""
+        self._window = round(window * NANOSECONDS)
+        self._used: NDArray[np.int64] = np.full(size, NEVER, dtype=np.int64)
+        self._published = NEVER
+        self._awaited = 1
+
+    def set_connected(self, index: int, up: bool) -> None:
+        """Expect a channel from now on, or expect it no more.
+
+        Nothing becomes complete by this: were the vector completed by the channels that drop out,
+        a dying server would leave a last one of a single BPM behind.
+        """
+        self.connected[index] = up
+        self._awaited = 1
+
+    def arrived(self) -> bool:
+        """Count an event; its record has been written to `records` before.
+
+        Returns:
+            True exactly when this event completed a new coherent vector: take `snapshot()` now.
+        """
+        self._awaited -= 1
+        return self._awaited <= 0 and self._complete()
+
+    def snapshot(self) -> Snapshot:
+        """Copy the vector that `arrived` has announced, before the next event is written."""
+        valid = self.connected & usable(self.records)
+        return Snapshot(np.where(valid, self.records["value"], np.nan), valid, self._published)
+
+    def describe(self, names: tuple[str, ...]) -> str:
+        """Say what the next vector waits for.
+
+        Args:
+            names: The n PVs.
+        """
+        connected = self.connected.copy()
+        total, present = connected.size, int(np.count_nonzero(connected))
+        if not present:
+            return f"all {total} BPM channels are disconnected"
+        away = f"; {total - present} disconnected" if present < total else ""
+        stamps = stamps_of(self.records)
+        newest = int(stamps[connected].max())
+        if newest <= 0:
+            return f"none of {present} connected BPMs has sent a reading{away}"
+        if newest < self._published:
+            return (
+                f"stamps went back from {_clock(self._published)} to {_clock(newest)}: "
+                f"the IOC's clock was set{away}"
+            )
+        late = connected & ~self._fresh(stamps, newest)
+        count = int(np.count_nonzero(late))
+        if count == present or newest == self._published:
+            return (
+                f"{present} of {total} BPMs still carry stamp {_clock(newest)}, read before{away}"
+            )
+        shown = ", ".join(
+            f"{names[i]} still at {_clock(int(stamps[i]))}" for i in np.flatnonzero(late)[:5]
+        )
+        more = f" and {count - 5} more" if count > 5 else ""
+        return (
+            f"{present - count} of {total} BPMs carry stamp {_clock(newest)}, {shown}{more}{away}"
+        )
+
+    def _fresh(self, stamps: NDArray[np.int64], newest: int) -> Mask:
+        return (stamps >= newest - self._window) & (stamps > self._used)
+
+    def _complete(self) -> bool:
+        self.checks += 1
+        stamps = stamps_of(self.records)
+        connected = self.connected
+        present = stamps[connected]
+        if not present.size:
+            self._awaited = 1
+            return False
+        newest = int(present.max())
+        late = int(np.count_nonzero(connected & ~self._fresh(stamps, newest)))
+        if late or newest <= self._published:
+            # Each of them must send at least once more, whatever else comes in between.
+            self._awaited = max(late, 1)
+            return False
+        self._published = newest
+        self._used[connected] = present
+        self._awaited = present.size
+        return True
+
+
+def _clock(stamp: int) -> str:
+    if stamp <= 0:
+        return "none"
+    return datetime.fromtimestamp(wall_time(stamp), UTC).isoformat(timespec="milliseconds")

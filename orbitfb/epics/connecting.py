@@ -1,0 +1,50 @@
+"""Waiting for all channels at the start, and saying everything that is wrong with them at once."""
+
+import time
+from collections.abc import Sequence
+
+from orbitfb.core.errors import ConnectError, MachineError
+from orbitfb.core.ports import Clock
+from orbitfb.epics.channels import ChannelGroup
+from orbitfb.epics.settings import EpicsSettings
+
+LOOK_EVERY = 0.01
+
+
+def wait_for_channels(
+    groups: Sequence[ChannelGroup],
+    setpoints: ChannelGroup,
+    settings: EpicsSettings,
+    clock: Clock,
+) -> None:
+    """Wait until every channel is connected and every setpoint may be written.
+
+    Args:
+        groups: All channels, searched for already.
+        setpoints: The group among them that is written to.
+        settings: How long to wait, and what to name in the advice.
+        clock: Clock that says when the time is over.
+
+    Raises:
+        ConnectError: PVs that did not connect in time, all of them.
+        MachineError: Setpoints that may not be written, all of them.
+    """
+    deadline = clock.monotonic() + settings.connect_timeout
+    while not all(group.all_connected for group in groups):
+        if clock.monotonic() >= deadline:
+            break
+        time.sleep(LOOK_EVERY)
+    missing = [name for group in groups for name in group.disconnected]
+    if missing:
+        total = sum(len(group) for group in groups)
+        advice = (
+            f"Is the IOC running, and reachable at '{settings.address_list}' port "
+            f"{settings.server_port}? Are the names those of the places table?"
+        )
+        raise ConnectError(missing, total, settings.connect_timeout, advice)
+    if read_only := setpoints.read_only:
+        names = "\n".join(f"  {name}" for name in read_only)
+        raise MachineError(
+            f"{len(read_only)} of {len(setpoints)} setpoints may not be written:\n{names}\n"
+            "Ask for write access for this host and user."
+        )

@@ -1,0 +1,238 @@
+"""The storage ring behind Channel Access."""
+
+import atexit
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.clock import SystemClock
+from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
+from orbitfb.core.ports import Clock
+from orbitfb.core.signals import Applied, Channels, Orbit, Reading, Vector
+from orbitfb.epics.assembler import Assembler
+from orbitfb.epics.auxiliary import AuxiliaryChannels
+from orbitfb.epics.channels import ChannelGroup, Monitor
+from orbitfb.epics.connecting import wait_for_channels
+from orbitfb.epics.inbox import Inbox
+from orbitfb.epics.keeper import Keeper
+from orbitfb.epics.libca import Context
+from orbitfb.epics.network import environment_lock, use_network
+from orbitfb.epics.requests import Getter, Putter
+from orbitfb.epics.settings import EpicsSettings
+
+MILLIMETRE = 1e-3
+
+
+class EpicsMachine:
+    """A machine behind Channel Access: `orbitfb.core.ports.Machine`.
+
+    One thread reads. Any thread may write or ask for setpoints. Setpoints that the server itself
+    refuses (drive limits) show in the readback, not here: a put is not acknowledged.
+
+    An orbit is complete when every connected BPM carries the same stamp, so the IOC must stamp
+    the BPMs of a tick alike (or within `stamp_window`) and post each of them at every tick, also
+    if its value has not changed (MDEL = −1 at records of EPICS base). If several orbits come
+    before they are read, the newest is returned; the gap shows in the stamps.
+
+    Args:
+        channels: Names of the PVs.
+        settings: Network and time limits.
+        clock: Clock of the program; its wall clock is compared with the stamps.
+
+    Raises:
+        ConnectError: PVs that cannot be reached within `connect_timeout`, all of them.
+        MachineError: Setpoints that may not be written, all of them; or libca fails.
+    """
+
+    def __init__(
+        self, channels: Channels, settings: EpicsSettings, clock: Clock | None = None
+    ) -> None:
+        self._channels = channels
+        self._settings = settings
+        self._clock: Clock = clock or SystemClock()
+        self._closed = False
+        self._limits_due = True
+        size = len(channels.setpoint_pvs)
+        self._drive_limits = np.full((size, 2), np.nan)
+        self._orbit_assembler = Assembler(len(channels.orbit_pvs), settings.stamp_window)
+        self._readback_assembler = Assembler(len(channels.readback_pvs), settings.stamp_window)
+        self._inbox = Inbox(
+            self._orbit_assembler,
+            self._readback_assembler,
+            self._clock,
+            settings,
+            self._describe,
+        )
+        with environment_lock:
+            use_network(settings)
+            self._context = Context()
+            self._build()
+            atexit.register(self.close)
+            self._open()
+        self._keeper.start()
+        try:
+            wait_for_channels(self._groups, self._setpoints, settings, self._clock)
+            self._refresh_limits()
+        except MachineError:
+            self.close()
+            raise
+
+    @property
+    def channels(self) -> Channels:
+        """Names behind the elements of the vectors."""
+        return self._channels
+
+    @property
+    def drive_limits(self) -> NDArray[np.float64]:
+        """Drive limits that the server states, shape (m, 2), low and high [A]; NaN: none.
+
+        Read when the setpoints connect, and again after they were away.
+        """
+        return self._drive_limits.copy()
+
+    @property
+    def disconnected(self) -> tuple[str, ...]:
+        """PVs that are away now."""
+        return tuple(name for group in self._groups for name in group.disconnected)
+
+    def auxiliary_ages(self) -> Mapping[str, float]:
+        """Return how old each slow channel is by its stamp [s]; NaN where nothing is known."""
+        return self._auxiliary.ages(self._clock.wall())
+
+    def read(self, timeout: float) -> Reading:
+        """Wait for the newest coherent orbit, never one that was returned before.
+
+        Args:
+            timeout: How long to wait [s].
+
+        Raises:
+            NoOrbitError: None came in time, or only stale ones; the message says what was missing.
+        """
+        if self._closed:
+            raise NoOrbitError("the machine is closed")
+        frame = self._inbox.take(timeout)
+        snapshot = frame.arrival.snapshot
+        orbit = Orbit(snapshot.values * MILLIMETRE, snapshot.valid, snapshot.time)
+        return Reading(orbit, frame.readback, self._auxiliary.values(), frame.arrival.received)
+
+    def setpoints(self) -> Vector:
+        """Ask the machine for the absolute setpoints in force, shape (m,) [A].
+
+        Raises:
+            MachineError: A setpoint does not answer with a finite value; all of them are named.
+        """
+        self._refuse_if_closed(MachineError)
+        return self._getter.values()
+
+    def write(self, setpoints: Vector) -> Applied:
+        """Send absolute setpoints, shape (m,) [A]: all of them or none.
+
+        Raises:
+            WriteError: A channel is away or read-only, a value is not finite, or no orbit has
+                come for `silent_after` (an IOC that hangs still looks connected).
+        """
+        self._refuse_if_closed(WriteError)
+        values = np.array(setpoints, dtype=np.float64)
+        self._check_values(values)
+        if (silence := self._inbox.silence) > self._settings.silent_after:
+            raise WriteError(
+                f"no orbit for {silence:.1f} s: {self._describe()}; nothing was sent to a machine "
+                "that may hang"
+            )
+        self._putter.put(values)
+        return Applied(values, self._clock.wall(), self._clock.monotonic())
+
+    def close(self) -> None:
+        """Let go of the machine; setpoints stay where they are. May be called twice."""
+        if self._closed:
+            return
+        self._closed = True
+        atexit.unregister(self.close)
+        self._keeper.stop()
+        self._setpoints.forget()
+        self._context.destroy()
+        self._inbox.close()
+
+    def __enter__(self) -> Self:
+        """Return the machine itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Close."""
+        self.close()
+
+    def _build(self) -> None:
+        context, channels, inbox = self._context, self._channels, self._inbox
+        bpms, readbacks = self._orbit_assembler, self._readback_assembler
+        self._auxiliary = AuxiliaryChannels(context, self._settings.auxiliary)
+        self._setpoints = ChannelGroup(
+            context, channels.setpoint_pvs, changed=self._setpoint_changed
+        )
+        self._groups = (
+            ChannelGroup(
+                context,
+                channels.orbit_pvs,
+                Monitor(bpms.records, bpms.arrived, inbox.orbit_complete),
+                bpms.set_connected,
+            ),
+            self._setpoints,
+            ChannelGroup(
+                context,
+                channels.readback_pvs,
+                Monitor(readbacks.records, readbacks.arrived, inbox.readbacks_complete),
+                readbacks.set_connected,
+            ),
+            self._auxiliary.group,
+        )
+        self._getter = Getter(context, self._setpoints, self._settings.answer_timeout)
+        self._putter = Putter(context, self._setpoints)
+        self._keeper = Keeper(
+            context, self._groups, self._settings.reconnect_period, self._refresh_limits
+        )
+
+    def _open(self) -> None:
+        try:
+            for group in self._groups:
+                group.open()
+        except MachineError:
+            self.close()
+            raise
+
+    def _setpoint_changed(self, _index: int, up: bool) -> None:
+        self._limits_due |= up
+
+    def _refresh_limits(self) -> None:
+        if self._limits_due and self._setpoints.all_connected:
+            self._limits_due = False
+            self._drive_limits = self._getter.limits()
+
+    def _check_values(self, values: Vector) -> None:
+        expected = len(self._setpoints)
+        if values.shape != (expected,):
+            raise WriteError(f"{values.shape} setpoints instead of ({expected},); nothing was sent")
+        wrong = np.flatnonzero(~np.isfinite(values))
+        if wrong.size:
+            names = ", ".join(f"{self._setpoints.names[i]} = {values[i]}" for i in wrong)
+            raise WriteError(f"setpoints that are not finite: {names}; nothing was sent")
+
+    def _refuse_if_closed(self, error: type[MachineError]) -> None:
+        if self._closed:
+            raise error("the machine is closed")
+
+    def _describe(self) -> str:
+        total = sum(len(group) for group in self._groups)
+        if self._closed:
+            return "the machine is closed"
+        if len(self.disconnected) == total:
+            text = f"all {total} channels are disconnected"
+        else:
+            text = self._orbit_assembler.describe(self._channels.orbit_pvs)
+        return f"{text}; {self._keeper.trouble}" if self._keeper.trouble else text

@@ -1,0 +1,161 @@
+"""Requests for a whole group at once: read values, read drive limits, put."""
+
+import ctypes
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.errors import MachineError, WriteError
+from orbitfb.core.signals import Vector
+from orbitfb.epics.channels import ChannelGroup
+from orbitfb.epics.libca import DBR_CTRL_DOUBLE, DBR_DOUBLE, ECA_NORMAL, ECA_TIMEOUT, Context
+
+CONTROL_RECORD = np.dtype(
+    {
+        "names": ["units", "upper_limit", "lower_limit", "value"],
+        "formats": ["S8", np.float64, np.float64, np.float64],
+        "offsets": [8, 64, 72, 80],
+        "itemsize": 88,
+    }
+)
+"""`struct dbr_ctrl_double` (db_access.h), as far as it is used here."""
+
+
+class Getter:
+    """Asks for all values of a group in one request.
+
+    Args:
+        context: Context of the group.
+        group: Whom to ask.
+        timeout: How long to wait for the answers [s].
+    """
+
+    def __init__(self, context: Context, group: ChannelGroup, timeout: float) -> None:
+        self._context = context
+        self._group = group
+        self._timeout = timeout
+        self._abandoned: list[NDArray[Any]] = []
+
+    def values(self) -> Vector:
+        """Return the values of the group, shape (m,), in the unit of the PVs.
+
+        Raises:
+            MachineError: Some did not answer with a finite value; all of them are named.
+        """
+        values = np.full(len(self._group), np.nan)
+        values = self._fetch(DBR_DOUBLE, values)
+        silent = np.flatnonzero(~np.isfinite(values))
+        if silent.size:
+            names = ", ".join(self._group.names[index] for index in silent)
+            raise MachineError(
+                f"{silent.size} of {len(self._group)} PVs did not answer with a finite value "
+                f"within {self._timeout:.1f} s: {names}; see whether their IOC runs"
+            )
+        return values
+
+    def limits(self) -> NDArray[np.float64]:
+        """Return the drive limits of the group.
+
+        Returns:
+            Shape (m, 2), low and high in the unit of the PVs; NaN where the server states none
+            or does not answer.
+        """
+        records = self._fetch(DBR_CTRL_DOUBLE, np.zeros(len(self._group), dtype=CONTROL_RECORD))
+        limits = np.stack([records["lower_limit"], records["upper_limit"]], axis=1)
+        # A record without drive limits answers 0, 0.
+        limits[~(limits[:, 0] < limits[:, 1])] = np.nan
+        return limits
+
+    def _fetch(self, kind: int, answers: NDArray[Any]) -> NDArray[Any]:
+        group, get = self._group, self._context.library.ca_array_get
+        with group.lock:
+            present = np.flatnonzero(group.connected).tolist()
+            if not present:
+                return answers
+            self._context.attach()
+            addresses = _addresses(answers)
+            for index in present:
+                # One that goes away just now is refused; its answer stays as it was.
+                get(kind, 1, group.handles[index], addresses[index])
+            status = self._context.library.ca_pend_io(self._timeout)
+        if status == ECA_NORMAL:
+            return answers
+        # An answer that comes after all is still written there by libca: it must not be freed.
+        self._abandoned.append(answers)
+        if status != ECA_TIMEOUT:
+            self._context.check("ca_pend_io", status)
+        return answers.copy()
+
+
+class Putter:
+    """Puts one double to every channel of a group and flushes once.
+
+    Args:
+        context: Context of the group.
+        group: Where to put.
+    """
+
+    def __init__(self, context: Context, group: ChannelGroup) -> None:
+        self._context = context
+        self._group = group
+        self._values = np.zeros(len(group))
+        self._calls: list[tuple[Any, ...]] = []
+        self._generation = -1
+        # A function object of its own, without prototype: its arguments are converted beforehand.
+        self._put: Callable[..., int] = context.library["ca_array_put"]
+
+    def put(self, values: Vector) -> None:
+        """Send values, shape (m,), in the unit of the PVs: all of them or none.
+
+        Raises:
+            WriteError: A channel is away, read-only or refuses; then nothing was sent, unless
+                the message says so.
+        """
+        group = self._group
+        with group.lock:
+            if not (group.connected & group.writable).all():
+                raise WriteError(self._refusal())
+            if self._generation != group.generation:
+                self._prepare()
+            self._values[:] = values
+            self._context.attach()
+            put = self._put
+            for call in self._calls:
+                if (status := put(*call)) != ECA_NORMAL:
+                    self._refused(call, status)
+            self._context.flush()
+
+    def _prepare(self) -> None:
+        kind, count = ctypes.c_long(DBR_DOUBLE), ctypes.c_ulong(1)
+        self._calls = [
+            (kind, count, ctypes.c_void_p(self._group.handles[index]), ctypes.c_void_p(address))
+            for index, address in enumerate(_addresses(self._values))
+        ]
+        self._generation = self._group.generation
+
+    def _refusal(self) -> str:
+        away, read_only = self._group.disconnected, self._group.read_only
+        parts = [
+            f"{len(names)} of {len(self._group)} setpoints are {what}: {', '.join(names)}"
+            for names, what in ((away, "disconnected"), (read_only, "read-only"))
+            if names
+        ]
+        return "; ".join([*parts, "nothing was sent"])
+
+    def _refused(self, call: tuple[Any, ...], status: int) -> None:
+        index = self._calls.index(call)
+        sent = (
+            "nothing was sent"
+            if index == 0
+            else f"{index} setpoints before it may have been sent: read them back"
+        )
+        raise WriteError(
+            f"{self._group.names[index]} refused: {self._context.message(status)}; {sent}"
+        )
+
+
+def _addresses(values: NDArray[Any]) -> list[int]:
+    start, stride = values.ctypes.data, values.itemsize
+    return [start + index * stride for index in range(values.size)]

@@ -1,0 +1,81 @@
+"""How to reach the machine over Channel Access."""
+
+from pydantic import Field
+
+from orbitfb.core.settings import Settings
+
+CURRENT_PV = "SR:C03-BI{DCCT:1}I:Real-I"
+RF_FREQUENCY_PV = "RF{Osc:1}Freq:SP"
+MILLIAMPERE = 1e-3
+
+
+class AuxiliarySettings(Settings):
+    """A slow channel that is read beside the orbit."""
+
+    pv: str = Field(min_length=1, description="Name of the PV.")
+    scale: float = Field(default=1.0, description="SI value = scale × value of the PV.")
+
+
+def _default_auxiliary() -> dict[str, AuxiliarySettings]:
+    return {
+        "current": AuxiliarySettings(pv=CURRENT_PV, scale=MILLIAMPERE),
+        "rf_frequency": AuxiliarySettings(pv=RF_FREQUENCY_PV),
+    }
+
+
+class EpicsSettings(Settings):
+    """Network, time limits and slow channels of the machine behind Channel Access."""
+
+    address_list: str = Field(
+        default="127.0.0.1",
+        description="Where to search for PVs: addresses separated by blanks (EPICS_CA_ADDR_LIST).",
+    )
+    auto_address_list: bool = Field(
+        default=False,
+        description="Search on every network interface too (EPICS_CA_AUTO_ADDR_LIST).",
+    )
+    server_port: int = Field(
+        default=5064,
+        gt=0,
+        lt=65536,
+        description="Port on which the machine's IOCs listen (EPICS_CA_SERVER_PORT).",
+    )
+    connect_timeout: float = Field(
+        default=5.0, gt=0, description="How long to wait for all PVs at start [s]."
+    )
+    answer_timeout: float = Field(
+        default=1.0, gt=0, description="How long to wait for the answers to one request [s]."
+    )
+    stamp_window: float = Field(
+        default=0.0,
+        ge=0,
+        description="How far the stamps of one orbit may lie apart [s]; 0: they must be equal.",
+    )
+    stale_after: float = Field(
+        default=1.0,
+        gt=0,
+        description="Age, by stamp against the wall clock, beyond which an orbit is refused [s].",
+    )
+    silent_after: float = Field(
+        default=2.0,
+        gt=0,
+        description="Writes are refused when no complete orbit has come for so long [s]; "
+        "must exceed the period.",
+    )
+    readback_wait: float = Field(
+        default=0.01,
+        ge=0,
+        description="How long an orbit may wait for the readbacks of its own stamp [s]; they "
+        "come within 1 ms unless the computer is overloaded.",
+    )
+    reconnect_period: float = Field(
+        default=2.0, gt=0, description="Channels that are away are searched anew so often [s]."
+    )
+    circuit_timeout: float = Field(
+        default=5.0,
+        ge=0.1,
+        description="Silence after which a circuit is suspected dead [s] (EPICS_CA_CONN_TMO).",
+    )
+    auxiliary: dict[str, AuxiliarySettings] = Field(
+        default_factory=_default_auxiliary, description="Slow channels by name."
+    )

@@ -1,0 +1,119 @@
+"""A soft IOC of EPICS base: plain `ai` and `ao` records of a small ring, driven tick by tick.
+
+    python base_ioc.py JOB.json
+
+JOB is `{orbit_pvs, setpoint_pvs, readback_pvs, auxiliary: {pv: value}, rate_hz, read_only}`.
+All readings of a tick carry the stamp of one record (TSEL). BPM i reads
+`(tick % 1000) * 1e-3 + i * 1e-6` mm, so that a torn orbit is seen in the values alone. Faults are
+switched on by PVs: TEST:SKIP, TEST:NAN, TEST:INVALID hold the index of a BPM or -1.
+Prints READY when it serves.
+"""
+
+import ctypes
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from epicscorelibs.ioc import dbCore
+from softioc import imports, softioc
+
+DBR_DOUBLE = 6  # CA numbering
+DBF_DOUBLE = 10  # numbering of db_put_field_process
+STAMP = "TEST:STAMP"
+FAULTS = ("TEST:SKIP", "TEST:NAN", "TEST:INVALID")
+INVALID_ABOVE = 1e6
+DRIVE_LIMIT = 18.0
+
+ACCESS = """
+ASG(DEFAULT) { RULE(1, READ) RULE(1, WRITE) }
+ASG(READONLY) { RULE(1, READ) }
+"""
+
+
+def database(job: dict) -> str:
+    """Write the database of a ring."""
+    reading = f'field(TSEL, "{STAMP}.TIME") field(MDEL, "-1") field(ADEL, "-1") field(VAL, "0")'
+    alarm = f'field(HIHI, "{INVALID_ABOVE}") field(HHSV, "INVALID")'
+    group = "READONLY" if job["read_only"] else "DEFAULT"
+    drive = f'field(DRVH, "{DRIVE_LIMIT}") field(DRVL, "-{DRIVE_LIMIT}") field(ASG, "{group}")'
+    records = [f'record(ai, "{STAMP}") {{ field(TSE, "0") }}']
+    records += [f'record(ao, "{pv}") {{ field(VAL, "-1") field(PINI, "YES") }}' for pv in FAULTS]
+    records += [f'record(ai, "{pv}") {{ {reading} {alarm} }}' for pv in job["orbit_pvs"]]
+    records += [f'record(ai, "{pv}") {{ {reading} }}' for pv in job["readback_pvs"]]
+    records += [
+        f'record(ao, "{pv}") {{ {drive} field(VAL, "0") field(PINI, "YES") }}'
+        for pv in job["setpoint_pvs"]
+    ]
+    records += [
+        f'record(ai, "{pv}") {{ field(VAL, "{value}") field(PINI, "YES") }}'
+        for pv, value in job["auxiliary"].items()
+    ]
+    return "\n".join(records)
+
+
+class Field:
+    """One VAL field that is put or got by dbPutField and dbGetField."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._value = ctypes.c_double()
+        self._pointer = ctypes.addressof(self._value)
+
+    def put(self, value: float) -> None:
+        self._value.value = value
+        imports.db_put_field_process(self._name, DBF_DOUBLE, self._pointer, 1, True)
+
+    def get(self) -> float:
+        imports.db_get_field(self._name, DBF_DOUBLE, self._pointer, 1)
+        return self._value.value
+
+
+def start(job: dict) -> None:
+    """Load the database and begin to serve."""
+    with tempfile.TemporaryDirectory() as folder:
+        access, records = Path(folder, "access.acf"), Path(folder, "ring.db")
+        access.write_text(ACCESS)
+        records.write_text(database(job))
+        dbCore.asSetFilename(str(access).encode())
+        softioc.dbLoadDatabase(str(records))
+        softioc.iocInit(dispatcher=lambda function, *arguments: None, enable_pva=False)
+
+
+def run(job: dict) -> None:
+    """Tick for ever."""
+    bpms = [Field(pv) for pv in job["orbit_pvs"]]
+    pairs = [
+        (Field(readback), Field(setpoint))
+        for readback, setpoint in zip(job["readback_pvs"], job["setpoint_pvs"], strict=True)
+    ]
+    stamp, faults = Field(STAMP), [Field(pv) for pv in FAULTS]
+    period, tick = 1.0 / job["rate_hz"], 0
+    due = time.monotonic()
+    while True:
+        due = max(due + period, time.monotonic() - period)
+        time.sleep(max(0.0, due - time.monotonic()))
+        tick += 1
+        skip, nan, invalid = (int(fault.get()) for fault in faults)
+        stamp.put(tick)
+        for index, bpm in enumerate(bpms):
+            if index == skip:
+                continue
+            value = (tick % 1000) * 1e-3 + index * 1e-6
+            bpm.put(float("nan") if index == nan else 1e9 if index == invalid else value)
+        for readback, setpoint in pairs:
+            readback.put(setpoint.get())
+
+
+def main() -> None:
+    """Serve the job named on the command line."""
+    job = json.loads(Path(sys.argv[1]).read_text())
+    start(job)
+    sys.stdout.write("READY\n")
+    sys.stdout.flush()
+    run(job)
+
+
+if __name__ == "__main__":
+    main()

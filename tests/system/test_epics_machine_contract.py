@@ -1,0 +1,57 @@
+"""Every machine keeps the same promises: in process, EPICS base, our own IOC."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import pytest
+from base_ioc_process import BaseIoc, small_ring
+from machine_contract import CHECKS, Bench
+
+from orbitfb.core.clock import ManualClock
+from orbitfb.epics.machine import EpicsMachine
+from orbitfb.epics.settings import EpicsSettings
+from orbitfb.physics.places import Ring
+from orbitfb.physics.plant import Plant, PlantSettings
+from orbitfb.physics.plant_machine import PlantMachine
+from orbitfb.sim.child import SimChild
+from orbitfb.sim.job import SimJob
+from orbitfb.sim.settings import SimSettings
+
+pytestmark = pytest.mark.system
+
+RATE_HZ = 20.0
+
+
+def plant_bench(_: ExitStack) -> Bench:
+    clock = ManualClock()
+    plant = Plant(Ring.load(), "x", PlantSettings(), seed=1)
+    return Bench(PlantMachine(plant, clock, 0.1), 0.1, clock.advance)
+
+
+def base_bench(stack: ExitStack) -> Bench:
+    ring = small_ring(12)
+    ioc = stack.enter_context(BaseIoc(ring, RATE_HZ))
+    machine = EpicsMachine(ring, EpicsSettings(server_port=ioc.port))
+    stack.enter_context(machine)
+    return Bench(machine, 1 / RATE_HZ, time.sleep)
+
+
+def sim_bench(stack: ExitStack) -> Bench:
+    child = stack.enter_context(SimChild(SimJob(sim=SimSettings(rate_hz=RATE_HZ, port=0))))
+    settings = EpicsSettings(server_port=child.port)
+    machine = EpicsMachine(Ring.load().channels("x"), settings)
+    stack.enter_context(machine)
+    return Bench(machine, 1 / RATE_HZ, time.sleep)
+
+
+@pytest.fixture(scope="module", params=[plant_bench, base_bench, sim_bench])
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    build: Callable[[ExitStack], Bench] = request.param
+    with ExitStack() as stack:
+        yield build(stack)
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_contract(bench: Bench, check: Callable[[Bench], None]) -> None:
+    check(bench)
