@@ -30,31 +30,33 @@ class IdentifySettings(Settings):
     """Configuration of the identification."""
 
     reading_noise: float = Field(
-        0.2e-6, gt=0.0, description="BPM noise to believe before there are data, rms [m]."
+        default=0.2e-6, gt=0.0, description="BPM noise to believe before there are data, rms [m]."
     )
     ground: float = Field(
-        0.04e-6,
+        default=0.04e-6,
         gt=0.0,
         description="Orbit motion per tick to believe before there are data, rms [m].",
     )
     noise_memory: float = Field(
-        3000.0, gt=0.0, description="Rows after which an innovation counts 1/e for the noise [1]."
+        default=3000.0,
+        gt=0.0,
+        description="Rows after which an innovation counts 1/e for the noise [1].",
     )
     prior_entry: float = Field(
-        1e-6, ge=0.0, description="Error of an element of the first R̂, rms [m/A]."
+        default=1e-6, ge=0.0, description="Error of an element of the first R̂, rms [m/A]."
     )
     prior_relative: float = Field(
-        0.02, ge=0.0, description="Error of the first R̂ relative to its size, rms [1]."
+        default=0.02, ge=0.0, description="Error of the first R̂ relative to its size, rms [1]."
     )
     drift_entry: float = Field(
-        0.03e-6, ge=0.0, description="Drift of an element of R in √tick, rms [m/A]."
+        default=0.03e-6, ge=0.0, description="Drift of an element of R in √tick, rms [m/A]."
     )
     drift_relative: float = Field(
-        1e-3, ge=0.0, description="Drift of R relative to its size in √tick, rms [1]."
+        default=1e-3, ge=0.0, description="Drift of R relative to its size in √tick, rms [1]."
     )
-    block: int = Field(100, ge=1, le=5000, description="Rows that one update takes in [1].")
+    block: int = Field(default=100, ge=1, le=5000, description="Rows that one update takes in [1].")
     kick_chi2: float = Field(
-        25.0,
+        default=25.0,
         gt=1.0,
         description="Mean squared normalised innovation of a row that is taken for a kick [1].",
     )
@@ -71,6 +73,10 @@ class Absorbed:
             model, uncertainty and noise are right.
         chi2_other: The same for the response it was compared with, without uncertainty.
         nats: Log-likelihood of the rows over that of the other response [nats per row].
+        dither_pull: Correlation of the innovations with what R̂ says the dither does, each in
+            units of the noise. The dither is an instrument: it owes nothing to the noise.
+        dither_information: The same correlation if R were larger than R̂ by one; pull over
+            information is the share by which R exceeds R̂, known to 1/√information.
     """
 
     rows: int
@@ -78,6 +84,8 @@ class Absorbed:
     chi2: float
     chi2_other: float
     nats: float
+    dither_pull: float = 0.0
+    dither_information: float = 0.0
 
 
 class Identifier:
@@ -174,7 +182,7 @@ class Identifier:
             block = self._filter(rows)
         self._carry = Carry(block.carry.columns, 0) if interrupted else block.carry
         self._last_tick = last
-        absorbed = self._score(block, other, kicks)
+        absorbed = self._score(block, rows, other, kicks)
         self._noise.absorb(block.squares, block.counted)
         self._update(block)
         return absorbed
@@ -202,7 +210,7 @@ class Identifier:
             regressors, responses, innovations, own, total, chi2, squares, float(known.sum()), carry
         )
 
-    def _score(self, block: "_Block", other: Vector, kicks: int) -> Absorbed:
+    def _score(self, block: "_Block", rows: Rows, other: Vector, kicks: int) -> Absorbed:
         levels = self._noise.levels
         variances = self._noise.innovation_variances[levels]
         theirs = np.empty_like(block.own)
@@ -213,9 +221,15 @@ class Identifier:
             ).T
         chi2_other = theirs**2 / variances[:, None]
         ours = block.own**2 / block.total + np.log(block.total / variances[:, None])
-        nats = 0.5 * float(np.sum(chi2_other - ours)) / max(block.own.shape[1], 1)
+        moved = self._rows @ rows.dither.T
         return Absorbed(
-            block.own.shape[1], kicks, float(block.chi2.mean()), float(chi2_other.mean()), nats
+            rows=len(rows),
+            kicks=kicks,
+            chi2=float(block.chi2.mean()),
+            chi2_other=float(chi2_other.mean()),
+            nats=0.5 * float(np.sum(chi2_other - ours)) / max(len(rows), 1),
+            dither_pull=float(np.sum(moved * block.own / variances[:, None])),
+            dither_information=float(np.sum(moved**2 / variances[:, None])),
         )
 
     def _update(self, block: "_Block") -> None:
@@ -276,4 +290,6 @@ def _total(pieces: list[Absorbed]) -> Absorbed:
         chi2=float(share @ [piece.chi2 for piece in pieces]),
         chi2_other=float(share @ [piece.chi2_other for piece in pieces]),
         nats=float(share @ [piece.nats for piece in pieces]),
+        dither_pull=sum(piece.dither_pull for piece in pieces),
+        dither_information=sum(piece.dither_information for piece in pieces),
     )

@@ -38,8 +38,8 @@ class Rows:
     def __len__(self) -> int:
         return len(self.tick)
 
-    def take(self, begin: int, end: int) -> "Rows":
-        """Give the rows of a range, with nothing counted as left out."""
+    def take(self, begin: int, end: int | None = None) -> "Rows":
+        """Give the rows of a range; what was left out counts on with the first."""
         piece = slice(begin, end)
         return Rows(
             self.tick[piece],
@@ -49,7 +49,7 @@ class Rows:
             self.valid[piece],
             self.starts[piece],
             self.closed[piece],
-            {},
+            self.left_out if begin == 0 else {},
         )
 
 

@@ -1,0 +1,240 @@
+"""One refit: take rows in, build a candidate, judge it. No threads here."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.core.clock import SystemClock
+from orbitfb.core.errors import EstimationError
+from orbitfb.core.ports import Clock, Policy
+from orbitfb.core.refit import Decision, RefitReport
+from orbitfb.core.signals import Vector
+from orbitfb.core.transitions import Transitions
+from orbitfb.learn.judge import Verdict, gain_of, judge
+from orbitfb.learn.settings import LearnSettings
+from orbitfb.models.identify import Absorbed, Identifier
+from orbitfb.models.linear import LinearModel
+from orbitfb.models.rows import Rows, select_rows
+
+Build = Callable[[Vector, Vector | None], Policy]
+"""Makes a policy of a response, shape (n, m) [m/A], and the covariance of its rows, (m, m)."""
+
+
+class Learner:
+    """Keeps the estimate of R and makes candidates of it.
+
+    Works online, on what it has not seen yet, and offline, from the prior over a whole archive.
+
+    Args:
+        response: R̂ to begin with, shape (n, m) [m/A].
+        settings: How to identify and to judge.
+        build: Makes a candidate; gets the covariance when `cautious`, else None.
+        clock: For the reports.
+        seed: Of the responses that the judge draws.
+    """
+
+    def __init__(
+        self,
+        response: Vector,
+        settings: LearnSettings,
+        build: Build,
+        clock: Clock | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.settings = settings
+        self._identifier = Identifier(response, settings.identify)
+        self._first_response = response
+        self._build = build
+        self._clock = clock or SystemClock()
+        self._generator = np.random.default_rng(seed)
+        self._number = 0
+        self._since = _Since(None)
+
+    @property
+    def model(self) -> LinearModel:
+        """The posterior as it stands."""
+        return self._identifier.model
+
+    @property
+    def last_tick(self) -> int | None:
+        """Tick of the last row that taught; None before the first."""
+        return self._identifier.last_tick
+
+    def absorb(self, transitions: Transitions, incumbent: Policy) -> Absorbed:
+        """Take in the transitions that are new; cheap, decides nothing.
+
+        Args:
+            transitions: May begin with rows that were taken in before.
+            incumbent: The policy in force, whose response is compared.
+
+        Returns:
+            What the new rows say; `chi2_other` is about the incumbent's response.
+        """
+        if self._since.policy_id != incumbent.policy_id:
+            self._since = _Since(incumbent.policy_id)
+        rows = select_rows(transitions, self.settings.tolerance)
+        if self.last_tick is not None:
+            known = int(np.searchsorted(rows.tick, self.last_tick, side="right"))
+            rows = replace(rows.take(known), left_out=rows.left_out)
+        absorbed = self._identifier.absorb(rows, self._response_of(incumbent))
+        self._since.add(rows, absorbed)
+        return absorbed
+
+    def refit(
+        self, transitions: Transitions, incumbent: Policy, trigger: str
+    ) -> tuple[RefitReport, Policy | None]:
+        """Take in what is new, build a candidate and judge it.
+
+        Args:
+            transitions: May begin with rows that were taken in before.
+            incumbent: The policy to beat.
+            trigger: `periodic`, `on-demand` or `innovation`; goes into the report.
+
+        Returns:
+            The report (PROMOTED: may be put in force; REFUSED) and the candidate; None when no
+            candidate was built.
+
+        Raises:
+            EstimationError: No row has ever been fit to learn from; says why.
+        """
+        began = self._clock.monotonic()
+        self.absorb(transitions, incumbent)
+        since = self._since
+        if self.last_tick is None:
+            raise EstimationError(
+                f"none of {len(transitions)} transitions can be used to identify the response "
+                f"({_counts(since.left_out)}); record with the loop CLOSED and readbacks that "
+                "follow the setpoints"
+            )
+        figures = since.figures() | self._model_figures(incumbent)
+        candidate, verdict = None, self._obstacle(since)
+        if verdict is None:
+            model = self.model
+            covariance = model.row_covariance if self.settings.cautious else None
+            candidate = self._build(model.response, covariance)
+            size = len(model.modes)
+            verdict = judge(
+                gain_of(candidate, size),
+                gain_of(incumbent, size),
+                model,
+                since.nats,
+                self.settings.judge,
+                self._generator,
+            )
+        self._number += 1
+        report = RefitReport(
+            number=self._number,
+            time=self._clock.wall(),
+            trigger=trigger,
+            rows=since.rows,
+            decision=Decision.PROMOTED if verdict.accepted else Decision.REFUSED,
+            reason=verdict.reason,
+            policy_id=incumbent.policy_id if candidate is None else candidate.policy_id,
+            incumbent_id=incumbent.policy_id,
+            figures=figures | verdict.figures,
+            duration=self._clock.monotonic() - began,
+        )
+        return report, candidate
+
+    def rolled_back(self, left: Policy, restored: Policy, reason: str) -> RefitReport:
+        """Report that a promoted policy was taken out of force again."""
+        self._number += 1
+        return RefitReport(
+            number=self._number,
+            time=self._clock.wall(),
+            trigger="watch",
+            rows=self._since.rows,
+            decision=Decision.ROLLED_BACK,
+            reason=reason,
+            policy_id=left.policy_id,
+            incumbent_id=restored.policy_id,
+            figures={},
+            duration=0.0,
+        )
+
+    def failed(self, trigger: str, incumbent: Policy, reason: str) -> RefitReport:
+        """Report a refit that came to nothing."""
+        refused = self.rolled_back(incumbent, incumbent, reason)
+        return replace(refused, trigger=trigger, decision=Decision.REFUSED)
+
+    def _obstacle(self, since: "_Since") -> Verdict | None:
+        if since.rows < self.settings.minimum_rows:
+            return Verdict(
+                False,
+                f"only {since.rows} rows since {since.policy_id} is in force, "
+                f"{self.settings.minimum_rows} are needed ({_counts(since.left_out)})",
+                {},
+            )
+        if since.change_square == 0.0:
+            return Verdict(
+                False,
+                f"no excitation: nothing was written in {since.rows} rows; close the loop",
+                {},
+            )
+        return None
+
+    def _response_of(self, policy: Policy) -> Vector:
+        response = getattr(policy, "response", None)
+        return self._first_response if response is None else response
+
+    def _model_figures(self, incumbent: Policy) -> dict[str, float]:
+        model = self.model
+        before = self._response_of(incumbent)
+        return {
+            "reading_noise": float(np.sqrt(model.reading_variance)),
+            "ground": float(np.sqrt(np.mean(model.ground_variances))),
+            "response_moved": float(
+                np.linalg.norm(model.response - before) / np.linalg.norm(before)
+            ),
+            "response_uncertainty": float(
+                np.sqrt(np.trace(model.row_covariance) * len(before)) / np.linalg.norm(before)
+            ),
+        }
+
+
+class _Since:
+    """What was taken in since a policy is in force."""
+
+    def __init__(self, policy_id: str | None) -> None:
+        self.policy_id = policy_id
+        self.rows = 0
+        self.kicks = 0
+        self.nats = 0.0
+        self.change_square = 0.0
+        self.chi2 = float("nan")
+        self.chi2_incumbent = float("nan")
+        self.dither_pull = 0.0
+        self.dither_information = 0.0
+        self.left_out: dict[str, int] = {}
+
+    def add(self, rows: Rows, absorbed: Absorbed) -> None:
+        for reason, count in rows.left_out.items():
+            self.left_out[reason] = self.left_out.get(reason, 0) + count
+        if absorbed.rows == 0:
+            return
+        self.rows += absorbed.rows
+        self.kicks += absorbed.kicks
+        self.nats += absorbed.rows * absorbed.nats
+        self.change_square += float(np.sum(rows.change**2))
+        self.dither_pull += absorbed.dither_pull
+        self.dither_information += absorbed.dither_information
+        self.chi2, self.chi2_incumbent = absorbed.chi2, absorbed.chi2_other
+
+    def figures(self) -> dict[str, float]:
+        dither = {}
+        if self.dither_information > 0.0:
+            dither["dither_gain"] = 1.0 + self.dither_pull / self.dither_information
+            dither["dither_gain_sigma"] = self.dither_information**-0.5
+        return dither | {
+            "rows_left_out": float(sum(self.left_out.values())),
+            "kicks": float(self.kicks),
+            "chi2": self.chi2,
+            "chi2_incumbent": self.chi2_incumbent,
+        }
+
+
+def _counts(left_out: dict[str, int]) -> str:
+    if not left_out:
+        return "none left out"
+    return "left out: " + ", ".join(f"{count} {reason}" for reason, count in left_out.items())
