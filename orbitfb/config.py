@@ -38,11 +38,13 @@ ENVIRONMENT_PREFIX = "ORBITFB_"
 class RingSettings(Settings):
     """Which ring is under feedback."""
 
-    places: Path | None = Field(None, description="Places table (CSV); none: the default ring.")
-    parameters: Path | None = Field(
-        None, description="Ring parameters (JSON); none: the default ring."
+    places: Path | None = Field(
+        default=None, description="Places table (CSV); none: the default ring."
     )
-    planes: Planes = Field("x", description="Planes under feedback: x, y or xy.")
+    parameters: Path | None = Field(
+        default=None, description="Ring parameters (JSON); none: the default ring."
+    )
+    planes: Planes = Field(default="x", description="Planes under feedback: x, y or xy.")
 
     def load(self) -> Ring:
         """Read the ring that these settings name."""
@@ -52,40 +54,38 @@ class RingSettings(Settings):
 class HistorySettings(Settings):
     """What is kept of the transitions."""
 
-    capacity: int = Field(20_000, ge=100, description="Ticks kept in memory.")
-    archive: ArchiveSettings = Field(
-        default_factory=ArchiveSettings, description="The archive on disk."
-    )
+    capacity: int = Field(default=20_000, ge=100, description="Ticks kept in memory.")
+    archive: ArchiveSettings = Field(default=ArchiveSettings(), description="The archive on disk.")
 
 
 class AppConfig(Settings):
     """Everything that can be configured."""
 
     data_directory: Path = Field(
-        Path("orbitfb-data"), description="Where policies, archive and log are kept."
+        default=Path("orbitfb-data"), description="Where policies, archive and log are kept."
     )
-    seed: int = Field(1, ge=0, description="Seed of the simulated ring and of the dither.")
+    seed: int = Field(default=1, ge=0, description="Seed of the simulated ring and of the dither.")
     policy: SvdSettings = Field(
-        default_factory=SvdSettings, description="The baseline law, and that of every refit."
+        default=SvdSettings(), description="The baseline law, and that of every refit."
     )
-    ring: RingSettings = Field(default_factory=RingSettings, description="The ring.")
-    loop: LoopSettings = Field(default_factory=LoopSettings, description="The loop.")
-    dither: DitherSettings = Field(default_factory=DitherSettings, description="The dither.")
-    limits: LimitSettings = Field(default_factory=LimitSettings, description="Limits of a write.")
+    ring: RingSettings = Field(default=RingSettings(), description="The ring.")
+    loop: LoopSettings = Field(default=LoopSettings(), description="The loop.")
+    dither: DitherSettings = Field(default=DitherSettings(), description="The dither.")
+    limits: LimitSettings = Field(default=LimitSettings(), description="Limits of a write.")
     interlocks: InterlockSettings = Field(
-        default_factory=InterlockSettings, description="What holds or trips the loop."
+        default=InterlockSettings(), description="What holds or trips the loop."
     )
-    learn: LearnSettings = Field(default_factory=LearnSettings, description="The learner.")
+    learn: LearnSettings = Field(default=LearnSettings(), description="The learner.")
     history: HistorySettings = Field(
-        default_factory=HistorySettings, description="Transitions in memory and on disk."
+        default=HistorySettings(), description="Transitions in memory and on disk."
     )
     observe: ObserveSettings = Field(
-        default_factory=ObserveSettings, description="Metrics, health and logs."
+        default=ObserveSettings(), description="Metrics, health and logs."
     )
-    epics: EpicsSettings = Field(default_factory=EpicsSettings, description="Channel Access.")
-    sim: SimSettings = Field(default_factory=SimSettings, description="The soft IOC.")
+    epics: EpicsSettings = Field(default=EpicsSettings(), description="Channel Access.")
+    sim: SimSettings = Field(default=SimSettings(), description="The soft IOC.")
     plant: PlantSettings = Field(
-        default_factory=PlantSettings, description="The simulated ring behind the soft IOC."
+        default=PlantSettings(), description="The simulated ring behind the soft IOC."
     )
 
 

@@ -16,7 +16,7 @@ import structlog
 from orbitfb.config import AppConfig
 from orbitfb.control import ControlServer, Lock
 from orbitfb.core.clock import SystemClock
-from orbitfb.core.errors import ConfigError, ControlError
+from orbitfb.core.errors import ArchiveError, ConfigError, ControlError
 from orbitfb.core.ports import Policy
 from orbitfb.core.refit import Decision, RefitReport
 from orbitfb.core.signals import Channels, LoopState
@@ -161,7 +161,9 @@ class Service:
         self.statistics = LoopStatistics(self.channels, config.limits.setpoint, clock)
         self.events = EventLog(self.channels, clock, config.observe.logs.quiet_time)
         self.history = History(self.channels, config.history.capacity)
-        archive = ArchiveWriter(directory / "archive", self.channels, config.history.archive)
+        archive = ArchiveWriter(
+            directory / "archive", self.channels, config.history.archive, _archive_failed
+        )
         stack.callback(archive.close)
         dither = Dither(
             config.dither.model_copy(update={"seed": config.seed}),
@@ -321,6 +323,10 @@ class Service:
     def _refitted(self, report: RefitReport) -> None:
         self.statistics.refitted(report)
         self.events.refitted(report)
+
+
+def _archive_failed(error: ArchiveError) -> None:
+    _log.error("archive_failed", problem=str(error))
 
 
 def _make_directory(directory: Path) -> None:

@@ -35,19 +35,27 @@ class SvdSettings(Settings):
     """Configuration of the SVD policy."""
 
     gain: float = Field(
-        0.5, gt=0.0, le=2.0, description="Proportional gain: share of the error per tick [1]."
+        default=0.5,
+        gt=0.0,
+        le=2.0,
+        description="Proportional gain: share of the error per tick [1].",
     )
     regularisation: float = Field(
-        70e-6, ge=0.0, description="Tikhonov λ, compared with the singular values [m/A]."
+        default=70e-6, ge=0.0, description="Tikhonov λ, compared with the singular values [m/A]."
     )
     singular_values: int | None = Field(
-        None, ge=1, description="Number of modes that are corrected [1]; unset: all of them."
+        default=None,
+        ge=1,
+        description="Number of modes that are corrected [1]; unset: all of them.",
     )
     integral_gain: float = Field(
-        0.0, ge=0.0, le=1.0, description="Gain of the summed error per tick [1]; 0: no integral."
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        description="Gain of the summed error per tick [1]; 0: no integral.",
     )
     integral_limit: float = Field(
-        0.01, gt=0.0, description="Largest rms of the integral's share of one change [A]."
+        default=0.01, gt=0.0, description="Largest rms of the integral's share of one change [A]."
     )
 
 
