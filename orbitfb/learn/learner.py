@@ -132,7 +132,7 @@ class Learner:
             reason=verdict.reason,
             policy_id=incumbent.policy_id if candidate is None else candidate.policy_id,
             incumbent_id=incumbent.policy_id,
-            figures=figures | verdict.figures,
+            figures={**figures, **verdict.figures},
             duration=self._clock.monotonic() - began,
         )
         return report, candidate

@@ -219,9 +219,8 @@ class LearnerThread(threading.Thread):
         return np.sqrt(squares.sum(axis=1) / np.maximum(valid.sum(axis=1), 1))
 
     def _report_failure(self, trigger: str, error: Exception) -> RefitReport:
-        reason = (
-            str(error) if isinstance(error, EstimationError) else f"the refit failed: {error!r}"
-        )
+        known = isinstance(error, OrbitFeedbackError)
+        reason = str(error) if known else f"the refit failed: {error!r}"
         report = self._learner.failed(trigger, self._slot.current, reason)
         self._publish(report)
         return report
