@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.core.ports import Policy
 from orbitfb.core.refit import Decision, RefitReport
 from orbitfb.core.transitions import Transitions
