@@ -1,0 +1,1 @@
+"""The loop: state table, one tick as functions of values, and the runner that paces it."""

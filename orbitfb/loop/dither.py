@@ -1,0 +1,102 @@
+"""A small known movement of the setpoints from which the learner can tell the response.
+
+The setpoints make an excursion d_n around those of the feedback, so that the change of one
+tick has the part a_n = d_n − d_{n−1}: it adds up to nothing, and it is logged by itself, being
+an instrument that the reading noise knows nothing of.
+"""
+
+from enum import StrEnum
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from orbitfb.core.settings import Settings
+from orbitfb.core.signals import Vector
+
+
+class DitherKind(StrEnum):
+    """Distribution of an excursion over ticks and correctors."""
+
+    WHITE = "white"
+    """Gaussian, independent."""
+    PRBS = "prbs"
+    """Pseudo-random binary: plus or minus one amplitude, independent."""
+
+
+class DitherSettings(Settings):
+    """Configuration of the dither."""
+
+    orbit_cost: float = Field(
+        default=0.0,
+        ge=0,
+        le=1e-3,
+        description="Orbit motion that it may cause, rms over the BPMs [m]; 0 = off.",
+    )
+    kind: DitherKind = Field(default=DitherKind.PRBS, description="`white` or `prbs`.")
+    seed: int = Field(default=1, ge=0, description="Seed of its random numbers.")
+
+
+class Dither:
+    """Seeded excursions of the setpoints at a stated cost.
+
+    With all excursions d of one amplitude σ the orbit moves by R d, whose mean square over the
+    BPMs is σ² ‖R‖_F² / n. A feedback of gain g in mode space reacts to every excursion one tick
+    later, which multiplies the mean square by 2 / (2 − g) (first-order autoregression driven by
+    the differences of white noise); the amplitude allows for it.
+
+    Args:
+        settings: Cost, kind, seed.
+        response: R, shape (n, m) [m/A].
+        gain: Of the feedback, 0 to below 2.
+    """
+
+    def __init__(
+        self, settings: DitherSettings, response: NDArray[np.float64], gain: float = 0.0
+    ) -> None:
+        n, m = response.shape
+        per_ampere = float(np.linalg.norm(response)) / np.sqrt(n)
+        self._kind = settings.kind
+        self._amplitude = settings.orbit_cost / per_ampere * float(np.sqrt(1.0 - gain / 2.0))
+        self._random = np.random.default_rng(settings.seed)
+        self._excursion = np.zeros(m)
+
+    @classmethod
+    def off(cls, correctors: int) -> Self:
+        """Build the dither that never moves.
+
+        Args:
+            correctors: m.
+        """
+        return cls(DitherSettings(), np.ones((1, correctors)))
+
+    @property
+    def amplitude(self) -> float:
+        """Rms excursion of a corrector [A]."""
+        return self._amplitude
+
+    @property
+    def excursion(self) -> Vector:
+        """Where the setpoints stand around those of the feedback, shape (m,) [A]."""
+        return self._excursion
+
+    def propose(self) -> Vector:
+        """Draw the next excursion and return the change towards it, shape (m,) [A]."""
+        if self._amplitude == 0:
+            return np.zeros_like(self._excursion)
+        m = len(self._excursion)
+        if self._kind is DitherKind.WHITE:
+            aim = self._amplitude * self._random.standard_normal(m)
+        else:
+            aim = self._amplitude * (2.0 * self._random.integers(0, 2, m) - 1.0)
+        return aim - self._excursion
+
+    def settle(self, change: Vector) -> None:
+        """Note the part of a proposed change that was written, shape (m,) [A]."""
+        if self._amplitude:
+            self._excursion = self._excursion + change
+
+    def restart(self) -> None:
+        """Take the setpoints as they are for those of the feedback."""
+        self._excursion = np.zeros_like(self._excursion)

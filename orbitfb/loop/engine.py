@@ -1,0 +1,208 @@
+"""The phases of one tick on a machine; the runner calls them in their order.
+
+All that the loop remembers is one value (`LoopMemory`) and all that it decides is in pure
+functions; here they meet the machine.
+"""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.core.errors import MachineError
+from orbitfb.core.ports import Clock, Machine
+from orbitfb.core.signals import LoopState, Reading
+from orbitfb.loop import memory as remember
+from orbitfb.loop.dither import Dither
+from orbitfb.loop.intake import Intake, await_orbit
+from orbitfb.loop.memory import Rules
+from orbitfb.loop.pacing import miss, take
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.loop.states import Event
+from orbitfb.loop.tick import Checked, check, decide, ramp_gain, supervise, too_long
+from orbitfb.loop.work import Work
+from orbitfb.safety.limits import Limited, limit
+from orbitfb.safety.verdict import Action, Verdict, name_some
+
+
+class Engine:
+    """Reads, checks, decides, limits and writes; keeps the memory between two ticks.
+
+    Args:
+        machine: The ring.
+        slot: Where the policy in force lies.
+        rules: Settings, reference, names.
+        clock: The one on which the machine stamps.
+        dither: Part of every change.
+        start: OPEN, SHADOW or CLOSED.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        slot: PolicySlot,
+        rules: Rules,
+        clock: Clock,
+        dither: Dither,
+        start: LoopState,
+    ) -> None:
+        self._machine, self._slot, self._clock = machine, slot, clock
+        self._rules, self._dither = rules, dither
+        self.policy = slot.current
+        self.memory = remember.first_memory(
+            start, len(rules.channels.correctors), self.policy.initial_state(), clock.monotonic()
+        )
+
+    def read(self, stop: threading.Event) -> Intake:
+        """Wait for the orbit of this tick; a closed loop no longer than until it must hold."""
+        loop, memory = self._rules.loop, self.memory
+        patience = loop.patience
+        if memory.state is LoopState.CLOSED:
+            patience -= self._clock.monotonic() - memory.fresh
+        intake = await_orbit(self._machine, self._clock, patience, memory.pace, loop.period, stop)
+        self.memory = replace(memory, pace=intake.pace)
+        return intake
+
+    def take_policy(self) -> None:
+        """Take the policy in force, with its initial state if it is a new one."""
+        policy = self._slot.current
+        if policy is not self.policy:
+            self.memory = replace(self.memory, policy_state=policy.initial_state())
+            self.policy = policy
+
+    def move(self, event: Event, reason: str) -> None:
+        """Let an event happen.
+
+        Raises:
+            ControlError: A command that is not legal in this state.
+        """
+        before = self.memory.state
+        now, recloses = self._clock.monotonic(), self._rules.loop.reclose
+        after = remember.move(self.memory, event, reason, now, recloses)
+        if after.state is LoopState.CLOSED and before is not LoopState.CLOSED:
+            after = replace(after, policy_state=self.policy.initial_state())
+            self._dither.restart()
+        self.memory = after
+
+    def without_orbit(self, absence: str) -> int:
+        """Live through a tick to which no orbit came; return how many are missed by now."""
+        now, loop = self._clock.monotonic(), self._rules.loop
+        missed, pace = miss(now, self.memory.pace, loop.period)
+        self.memory = replace(self.memory, pace=pace)
+        self.move(Event.ORBIT_MISSING, absence)
+        if self.memory.state is LoopState.HELD:
+            happening = too_long(self.memory, absence, now, loop)
+            if happening.event:
+                self.move(happening.event, happening.reason)
+        return missed
+
+    def check(self, reading: Reading, closing: bool) -> tuple[Checked, int]:
+        """Ask the interlocks, about setpoints that the machine states whenever in doubt.
+
+        Args:
+            reading: The orbit of this tick.
+            closing: Whether the loop is asked to close on it.
+
+        Returns:
+            The checked orbit, and how many orbits were missed before it.
+        """
+        stamp, loop = reading.orbit.time, self._rules.loop
+        missed, pace = take(stamp, reading.received, self.memory.pace, loop.period)
+        self.memory = replace(self.memory, pace=pace)
+        trouble = ""
+        closed = self.memory.state is LoopState.CLOSED
+        unknown = bool(np.isnan(self.memory.setpoints).any())
+        doubt = closing or unknown or self.memory.state is LoopState.HELD
+        if doubt:
+            trouble, _ = self._ask_setpoints()
+        checked = check(reading, self.memory, self._rules)
+        if checked.off.any() and not doubt:
+            trouble, names = self._ask_setpoints()
+            if trouble or names:
+                checked = check(reading, self.memory, self._rules)
+            if closed and names:
+                trouble = f"setpoints were moved by somebody else: {names}"
+        if trouble and checked.verdict.action < Action.HOLD:
+            checked = replace(checked, verdict=Verdict(Action.HOLD, "setpoints", trouble))
+        self.memory = checked.memory
+        return checked, missed
+
+    def _ask_setpoints(self) -> tuple[str, str]:
+        """Have the machine state its setpoints; say what failed, or which are not as believed."""
+        try:
+            actual = np.array(self._machine.setpoints(), dtype=np.float64)
+        except MachineError as error:
+            self.memory = remember.forget_setpoints(self.memory)
+            return f"the setpoints in force are not known: {error}", ""
+        tolerance = self._rules.interlocks.readback_tolerance or 0.0
+        mask = remember.moved(self.memory, actual, tolerance)
+        self.memory = remember.confirm_setpoints(self.memory, actual, tolerance)
+        if not np.isfinite(actual).all():
+            return "the machine states setpoints that are not finite", ""
+        return "", name_some(mask, self._rules.channels.correctors)
+
+    def supervise(self, reading: Reading, verdict: Verdict) -> None:
+        """Let a verdict have its effect on the state."""
+        now = self._clock.monotonic()
+        happening = supervise(self.memory, verdict, now, self._rules.loop)
+        if happening.event:
+            self.move(happening.event, happening.reason)
+        else:
+            self.memory = remember.note(self.memory, happening.reason, verdict.may_act)
+        if verdict.may_act:
+            self.memory = replace(self.memory, fresh=reading.received)
+
+    def act(self, work: Work, reading: Reading, checked: Checked) -> None:
+        """Decide and limit; write if CLOSED.
+
+        Args:
+            work: The tick in hand.
+            reading: Its orbit.
+            checked: The same, found fit to act on.
+        """
+        rules, memory = self._rules, self.memory
+        closed = memory.state is LoopState.CLOSED
+        gain = ramp_gain(reading.received - memory.since, rules.loop) if closed else 1.0
+        change, policy_state = decide(
+            self.policy, checked, memory.policy_state, len(memory.setpoints)
+        )
+        dither = self._dither.propose() if closed else work.nothing
+        requested = gain * change + dither
+        work.done("decide")
+        limited = limit(requested, memory.setpoints, rules.limits, rules.channels.correctors)
+        now = work.done("limit")
+        if not limited.verdict.may_act:
+            self.move(Event.TRIP, f"policy {self.policy.policy_id}: {limited.verdict.reason}")
+            return
+        work.requested, work.dither, work.scale = requested, dither, limited.scale
+        reasons = filter(None, (checked.verdict.reason, limited.verdict.reason))
+        self.memory = remember.note(memory, "; ".join(reasons), may_act=True)
+        if not closed:
+            return
+        age = now - reading.received
+        if age > rules.loop.patience:
+            self.move(Event.HOLD, f"the orbit was {age:.3g} s old when it came to writing")
+            return
+        if self._write(work, reading, limited):
+            self._dither.settle(limited.scale * dither)
+            # A change that was shortened is not what the policy asked for: nothing winds up.
+            if gain == 1.0 and limited.scale == 1.0:
+                self.memory = replace(self.memory, policy_state=policy_state)
+
+    def _write(self, work: Work, reading: Reading, limited: Limited) -> bool:
+        before = self.memory.setpoints
+        try:
+            applied = self._machine.write(limited.setpoints)
+        except MachineError as error:
+            self.memory = remember.forget_setpoints(self.memory)
+            self.move(Event.HOLD, f"writing failed: {error}")
+            return False
+        finally:
+            work.done("act")
+        work.applied = applied.setpoints - before
+        work.written = applied.time
+        work.latency = applied.monotonic - reading.received
+        lag = self._rules.interlocks.readback_lag
+        recent = (np.array(applied.setpoints), *self.memory.recent[:lag])
+        self.memory = replace(self.memory, recent=recent)
+        return True

@@ -1,0 +1,64 @@
+"""Waiting for the orbit that the next tick acts on."""
+
+import math
+import threading
+from dataclasses import dataclass
+
+from orbitfb.core.errors import MachineError
+from orbitfb.core.ports import Clock, Machine
+from orbitfb.core.signals import Reading
+from orbitfb.loop.pacing import Pace, see
+
+_SLICE = 0.5
+_LEAST = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Intake:
+    """What the wait came to.
+
+    Args:
+        reading: The orbit for this tick; None when none came.
+        absence: Why none came; empty when one did.
+        pace: Stream of orbits as seen by then.
+    """
+
+    reading: Reading | None
+    absence: str
+    pace: Pace
+
+
+def await_orbit(
+    machine: Machine,
+    clock: Clock,
+    patience: float,
+    pace: Pace,
+    period: float,
+    stop: threading.Event,
+) -> Intake:
+    """Read until an orbit is due, passing over those that come faster than the loop ticks.
+
+    The wait is cut into slices, so that a slow loop still stops at once.
+
+    Args:
+        machine: To read.
+        clock: The machine's and the loop's.
+        patience: How long to wait [s].
+        pace: Stream of orbits so far.
+        period: Of the loop [s].
+        stop: Ends the wait early.
+    """
+    end = clock.monotonic() + patience
+    slices = math.ceil(patience / _SLICE)
+    while True:
+        left = max(end - clock.monotonic(), _LEAST * period)
+        try:
+            reading = machine.read(min(left, _SLICE))
+        except MachineError as error:
+            slices -= 1
+            if left > _SLICE and slices > 0 and not stop.is_set():
+                continue
+            return Intake(None, str(error) or type(error).__name__, pace)
+        is_due, pace = see(reading.orbit.time, pace, period)
+        if is_due:
+            return Intake(reading, "", pace)

@@ -1,0 +1,168 @@
+"""All that one tick hands to the next, as a value, and what a change of state does to it."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.signals import Channels, LoopState, Mask, Vector
+from orbitfb.loop.pacing import Pace
+from orbitfb.loop.settings import LoopSettings
+from orbitfb.loop.states import Event, next_state
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.limits import LimitSettings
+from orbitfb.safety.watch import Growth, LastOrbit
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """All that stays while the loop runs.
+
+    Args:
+        loop: Pacing, closing, holding.
+        limits: Of what may be sent.
+        interlocks: Their thresholds.
+        reference: Reference orbit, shape (n,) [m].
+        channels: Names behind the vectors.
+    """
+
+    loop: LoopSettings
+    limits: LimitSettings
+    interlocks: InterlockSettings
+    reference: Vector
+    channels: Channels
+
+
+@dataclass(frozen=True, slots=True)
+class LoopMemory:
+    """What the loop knows between two ticks.
+
+    Args:
+        state: State of the loop.
+        reason: Why it is in that state.
+        recent: Setpoints in force, then those before, newest first, each (m,) [A]; NaN when
+            unknown.
+        policy_state: What the policy carries from tick to tick.
+        growth: Memory of the divergence interlock.
+        last: The orbit before this one.
+        off: Ticks in a row that each corrector did not follow, shape (m,).
+        pace: Place in the stream of orbits.
+        since: When the state was entered, monotonic [s].
+        fresh: When the last orbit fit to act on was complete, monotonic [s].
+        good: Good orbits in a row while HELD.
+        recloses: Whether HELD ends by itself.
+    """
+
+    state: LoopState
+    reason: str
+    recent: tuple[Vector, ...]
+    policy_state: Any
+    growth: Growth
+    last: LastOrbit
+    off: NDArray[np.int64]
+    pace: Pace
+    since: float
+    fresh: float
+    good: int = 0
+    recloses: bool = True
+
+    @property
+    def setpoints(self) -> Vector:
+        """Absolute setpoints in force, shape (m,) [A]; NaN when unknown."""
+        return self.recent[0]
+
+
+def first_memory(start: LoopState, correctors: int, policy_state: Any, now: float) -> LoopMemory:
+    """Build the memory of a loop that has not ticked yet.
+
+    A loop that is to start CLOSED begins HELD: it proves a few orbits and closes by itself.
+
+    Args:
+        start: OPEN, SHADOW or CLOSED.
+        correctors: m.
+        policy_state: Of the first policy.
+        now: Monotonic [s].
+    """
+    closes = start is LoopState.CLOSED
+    return LoopMemory(
+        state=LoopState.HELD if closes else start,
+        reason="starting: closes by itself after a few good orbits" if closes else "",
+        recent=(np.full(correctors, np.nan),),
+        policy_state=policy_state,
+        growth=Growth(),
+        last=LastOrbit(),
+        off=np.zeros(correctors, dtype=np.int64),
+        pace=Pace(),
+        since=now,
+        fresh=now,
+    )
+
+
+def confirm_setpoints(memory: LoopMemory, actual: Vector, tolerance: float) -> LoopMemory:
+    """Take setpoints as the machine states them.
+
+    What was sent before still explains a readback on its way, unless a setpoint is not what
+    it was believed to be: then that history counts no longer.
+
+    Args:
+        memory: So far.
+        actual: In force, shape (m,) [A].
+        tolerance: Largest difference that is none [A].
+    """
+    if moved(memory, actual, tolerance).any():
+        return replace(memory, recent=(actual,), off=np.zeros_like(memory.off))
+    return replace(memory, recent=(actual, *memory.recent[1:]))
+
+
+def moved(memory: LoopMemory, actual: Vector, tolerance: float) -> Mask:
+    """Find the setpoints that are not what they were believed to be, shape (m,)."""
+    return ~(np.abs(actual - memory.setpoints) <= tolerance)
+
+
+def forget_setpoints(memory: LoopMemory) -> LoopMemory:
+    """Assume nothing of the setpoints until the machine states them."""
+    unknown = np.full_like(memory.setpoints, np.nan)
+    return replace(memory, recent=(unknown,), off=np.zeros_like(memory.off))
+
+
+def move(memory: LoopMemory, event: Event, reason: str, now: float, recloses: bool) -> LoopMemory:
+    """Let an event happen.
+
+    Args:
+        memory: So far.
+        event: What happens.
+        reason: Why; kept with the state.
+        now: Monotonic [s].
+        recloses: Whether a loop that is held now may close again by itself.
+
+    Raises:
+        ControlError: A command that is not legal in this state.
+    """
+    after = next_state(memory.state, event)
+    if after is memory.state:
+        latched = after in (LoopState.TRIPPED, LoopState.FAULT)
+        return memory if latched else replace(memory, reason=reason, good=0)
+    memory = replace(memory, state=after, reason=reason, since=now, good=0)
+    if after is LoopState.CLOSED:
+        return replace(memory, growth=Growth())
+    if after is LoopState.HELD:
+        return replace(memory, recloses=recloses)
+    return memory
+
+
+def note(memory: LoopMemory, reason: str, may_act: bool) -> LoopMemory:
+    """Note an orbit that did not change the state.
+
+    Args:
+        memory: So far.
+        reason: What there is to say about it.
+        may_act: Whether it was good.
+    """
+    if memory.state in (LoopState.TRIPPED, LoopState.FAULT):
+        return memory
+    if memory.state is LoopState.HELD:
+        if may_act:
+            return replace(memory, good=memory.good + 1)
+        return replace(memory, good=0, reason=reason or memory.reason)
+    return replace(memory, reason=reason)

@@ -1,0 +1,234 @@
+"""The runner: paces the ticks, swaps the policy between two of them, obeys commands.
+
+The machine gives the beat: a tick begins when the orbit it waits for is complete. Commands and
+swaps that came during the wait take effect before that orbit is looked at.
+"""
+
+import threading
+from collections.abc import Sequence
+from concurrent.futures import Future
+
+import numpy as np
+
+from orbitfb.core.errors import ConfigError, ControlError
+from orbitfb.core.ports import Clock, Machine, Subscriber
+from orbitfb.core.signals import LoopState, TickRecord, Vector
+from orbitfb.loop.commands import CommandQueue, Order
+from orbitfb.loop.dither import Dither
+from orbitfb.loop.engine import Engine
+from orbitfb.loop.memory import Rules
+from orbitfb.loop.settings import LoopSettings
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.loop.states import Event, as_command, next_state
+from orbitfb.loop.work import Work
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.limits import LimitSettings
+from orbitfb.safety.verdict import Verdict
+
+
+class Runner:
+    """Runs the loop in its caller's thread.
+
+    Args:
+        machine: The ring.
+        slot: Where the policy in force lies.
+        settings: Pacing, closing, holding.
+        limits: Of what may be sent.
+        interlocks: Their thresholds.
+        reference: Reference orbit, shape (n,) [m].
+        clock: The one on which the machine stamps `received` and `monotonic`.
+        dither: Part of every change; none by default.
+        start: OPEN, SHADOW, or CLOSED: then it closes by itself after a few good orbits.
+        subscribers: Get every record, in this thread.
+
+    Attributes:
+        failure: What led to FAULT, for the log; None otherwise.
+        subscriber_failures: Count of records that a subscriber raised on.
+        last_subscriber_failure: What the last of them raised; empty if none did.
+
+    Raises:
+        ConfigError: The reference does not fit the machine, or the start is no start.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        slot: PolicySlot,
+        settings: LoopSettings,
+        limits: LimitSettings,
+        interlocks: InterlockSettings,
+        reference: Vector,
+        clock: Clock,
+        dither: Dither | None = None,
+        start: LoopState = LoopState.OPEN,
+        subscribers: Sequence[Subscriber] = (),
+    ) -> None:
+        channels = machine.channels
+        n, m = len(channels.bpms), len(channels.correctors)
+        if reference.shape != (n,) or not np.isfinite(reference).all():
+            raise ConfigError(f"the reference orbit must be {n} finite numbers [m], one per BPM")
+        if start not in (LoopState.OPEN, LoopState.SHADOW, LoopState.CLOSED):
+            raise ConfigError(f"a loop cannot start {start}: choose OPEN, SHADOW or CLOSED")
+        rules = Rules(settings, limits, interlocks, reference.copy(), channels)
+        self._rules, self._clock = rules, clock
+        self._engine = Engine(machine, slot, rules, clock, dither or Dither.off(m), start)
+        self._subscribers = tuple(subscribers)
+        self._nothing = np.zeros(m)
+        self._nothing.flags.writeable = False
+        self._commands = CommandQueue()
+        self._closing: list[Order] = []
+        self._stop = threading.Event()
+        self._ticks = 0
+        self.failure: Exception | None = None
+        self.subscriber_failures = 0
+        self.last_subscriber_failure = ""
+
+    @property
+    def state(self) -> LoopState:
+        """State of the loop."""
+        return self._engine.memory.state
+
+    @property
+    def reason(self) -> str:
+        """Why it is in that state."""
+        return self._engine.memory.reason
+
+    @property
+    def ticks(self) -> int:
+        """Count of ticks since the loop was built."""
+        return self._ticks
+
+    def command(self, name: str) -> Future[LoopState]:
+        """Give a command; it takes effect before the next orbit is acted on.
+
+        Args:
+            name: `open`, `shadow`, `close` or `reset`.
+
+        Returns:
+            Its outcome: the state after it, or a `ControlError` with what refused it (closing
+            asks the interlocks, which takes an orbit).
+
+        Raises:
+            ControlError: No such command, not legal in the present state, or the loop ended.
+        """
+        event = as_command(name)
+        next_state(self.state, event)
+        return self._commands.put(event)
+
+    def run(self, stop: threading.Event) -> None:
+        """Tick until told to stop, or FAULT; setpoints stay where they are.
+
+        Args:
+            stop: Set it from any thread.
+        """
+        self._stop = stop
+        while not stop.is_set() and self.state is not LoopState.FAULT:
+            begin = self._clock.monotonic()
+            _, acted = self._once()
+            if not acted:
+                # A machine that fails or repeats itself at once must not make the loop spin.
+                spent = self._clock.monotonic() - begin
+                stop.wait(max(0.0, self._rules.loop.period / 2 - spent))
+        self._commands.end(f"the loop has ended in {self.state}")
+
+    def step(self) -> TickRecord:
+        """Do one tick and return its record."""
+        record, _ = self._once()
+        return record
+
+    def _once(self) -> tuple[TickRecord, bool]:
+        """Do one tick; return its record and whether its orbit was fit to act on."""
+        engine = self._engine
+        work = Work(self._clock, engine.memory.setpoints, self._nothing)
+        fit = False
+        if self.state is not LoopState.FAULT:
+            try:
+                fit = self._tick(work)
+            except Exception as error:  # the outermost guard: FAULT reports it
+                self.failure = error
+                engine.move(Event.FAULT, f"{type(error).__name__}: {error}")
+        if self.state is LoopState.FAULT:
+            self._refuse_closing(self.reason)
+            self._commands.end(f"the loop has failed: {self.reason}")
+        record = self._record(work)
+        self._ticks += 1
+        for subscriber in self._subscribers:
+            try:
+                subscriber(record)
+            except Exception as error:  # a listener must not stop the loop; counted and kept
+                self.subscriber_failures += 1
+                self.last_subscriber_failure = f"{subscriber!r} raised {error!r}"
+        return record, fit
+
+    def _tick(self, work: Work) -> bool:
+        engine = self._engine
+        intake = engine.read(self._stop)
+        work.done("read")
+        engine.take_policy()
+        self._obey()
+        if intake.reading is None:
+            work.missed = engine.without_orbit(intake.absence)
+            self._refuse_closing(intake.absence)
+            return False
+        work.reading = intake.reading
+        checked, work.missed = engine.check(intake.reading, bool(self._closing))
+        work.setpoints = engine.memory.setpoints
+        self._close(checked.verdict)
+        engine.supervise(intake.reading, checked.verdict)
+        work.done("check")
+        if not checked.verdict.may_act:
+            return False
+        if self.state in (LoopState.SHADOW, LoopState.CLOSED):
+            engine.act(work, intake.reading, checked)
+        return True
+
+    def _obey(self) -> None:
+        """Carry out the commands that came; those to close wait for the interlocks."""
+        for event, future in self._commands.take():
+            try:
+                after = next_state(self.state, event)
+                if after is LoopState.CLOSED and after is not self.state:
+                    self._closing.append((event, future))
+                    continue
+                self._engine.move(event, "")
+            except ControlError as error:
+                future.set_exception(error)
+            else:
+                future.set_result(self.state)
+                self._refuse_closing(f"the command {event} came right after it")
+
+    def _close(self, verdict: Verdict) -> None:
+        if not self._closing:
+            return
+        if not verdict.may_act:
+            self._refuse_closing(verdict.reason)
+            return
+        self._engine.move(Event.CLOSE, "")
+        orders, self._closing = self._closing, []
+        for _, future in orders:
+            future.set_result(self.state)
+
+    def _refuse_closing(self, reason: str) -> None:
+        orders, self._closing = self._closing, []
+        for event, future in orders:
+            future.set_exception(ControlError(f"{event} refused: {reason}"))
+
+    def _record(self, work: Work) -> TickRecord:
+        memory = self._engine.memory
+        return TickRecord(
+            tick=self._ticks,
+            state=memory.state,
+            reason=memory.reason,
+            reading=work.reading,
+            reference=self._rules.reference,
+            setpoints=work.setpoints,
+            requested=work.requested,
+            dither=work.dither,
+            applied=work.applied,
+            scale=work.scale,
+            written=work.written,
+            policy_id=self._engine.policy.policy_id,
+            phases=work.phases(),
+            latency=work.latency,
+            missed=work.missed,
+        )

@@ -1,0 +1,38 @@
+"""How the loop is paced, closed and held."""
+
+from pydantic import Field
+
+from orbitfb.core.settings import Settings
+
+
+class LoopSettings(Settings):
+    """Configuration of the loop."""
+
+    rate_hz: float = Field(default=10.0, gt=0, le=1e4, description="Ticks per second [Hz].")
+    ramp: float = Field(
+        default=1.0,
+        ge=0,
+        description="Time over which the gain rises from 0 to 1 after closing [s].",
+    )
+    hold_after: float = Field(
+        default=1.5, gt=1, le=1000, description="Periods without a fresh orbit before HELD."
+    )
+    trip_after: float | None = Field(
+        default=None, gt=0, description="Time in HELD after which the loop trips [s]; none = never."
+    )
+    proving: int = Field(
+        default=3, ge=1, description="Good orbits in a row before a held loop closes again."
+    )
+    reclose: bool = Field(
+        default=True, description="Whether a held loop closes by itself, or waits for the command."
+    )
+
+    @property
+    def period(self) -> float:
+        """Time between two ticks [s]."""
+        return 1.0 / self.rate_hz
+
+    @property
+    def patience(self) -> float:
+        """Time without a fresh orbit before HELD [s]."""
+        return self.hold_after * self.period

@@ -1,0 +1,164 @@
+"""One tick as functions of values: check, supervise, decide. Limiting is in `safety.limits`."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfb.core.ports import Policy
+from orbitfb.core.signals import LoopState, Mask, Reading, Vector
+from orbitfb.loop.memory import LoopMemory, Rules
+from orbitfb.loop.settings import LoopSettings
+from orbitfb.loop.states import Event
+from orbitfb.safety import interlocks, watch
+from orbitfb.safety.verdict import Action, Verdict, worst
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """An orbit that was looked at.
+
+    Args:
+        error: Orbit − reference, shape (n,) [m]; 0 where not valid.
+        valid: BPMs that count, shape (n,).
+        rms: Of the error over the valid BPMs [m]; NaN when there are none.
+        off: Correctors whose readback is not at their setpoint now, shape (m,).
+        verdict: The gravest that the interlocks say.
+        memory: What they remember of this tick.
+    """
+
+    error: Vector
+    valid: Mask
+    rms: float
+    off: Mask
+    verdict: Verdict
+    memory: LoopMemory
+
+
+def check(reading: Reading, memory: LoopMemory, rules: Rules) -> Checked:
+    """Form the orbit error and ask every interlock.
+
+    Args:
+        reading: From the machine.
+        memory: What the last tick left.
+        rules: Settings and reference.
+    """
+    settings, names = rules.interlocks, rules.channels
+    closed = memory.state is LoopState.CLOSED
+    valid = reading.orbit.valid & np.isfinite(reading.orbit.position)
+    error = reading.orbit.position - rules.reference
+    if not valid.all():
+        error = np.where(valid, error, 0.0)
+    rms, largest = _size(error, int(np.count_nonzero(valid)))
+    fresh, last = watch.repeated(reading.orbit, valid, memory.last, settings)
+    quota = interlocks.bpm_quota(valid, settings, names.bpms)
+    unknown = Action.TRIP if closed else Action.HOLD
+    current = interlocks.stored_current(reading.auxiliary, settings, unknown)
+    verdicts = [fresh, quota, current]
+    growth = memory.growth
+    if fresh.may_act and quota.may_act:
+        verdicts.append(interlocks.orbit_distortion(rms, largest, settings))
+        if closed:
+            diverging, growth = watch.divergence(rms, growth, settings)
+            verdicts.append(diverging)
+    off = interlocks.not_following(reading.readback, memory.recent, settings)
+    ticks = settings.readback_ticks if closed else 1
+    following, counts = watch.readback(off, memory.off, ticks, names.correctors)
+    verdicts.append(following)
+    after = replace(memory, last=last, growth=growth, off=counts)
+    return Checked(error, valid, rms, off, worst(*verdicts), after)
+
+
+def _size(error: Vector, count: int) -> tuple[float, float]:
+    """Give rms and largest |error| [m], the invalid ones being zeros."""
+    if count == 0:
+        return float("nan"), float("nan")
+    return float(np.sqrt(error @ error / count)), float(np.abs(error).max())
+
+
+@dataclass(frozen=True, slots=True)
+class Happening:
+    """What an orbit, or its absence, means for the state.
+
+    Args:
+        event: For the state table; None when nothing happens.
+        reason: Why.
+    """
+
+    event: Event | None
+    reason: str
+
+
+def supervise(memory: LoopMemory, verdict: Verdict, now: float, loop: LoopSettings) -> Happening:
+    """Say what a verdict does to the state.
+
+    Args:
+        memory: After the check; `good` counts the good orbits before this one.
+        verdict: Of the interlocks.
+        now: Monotonic [s].
+        loop: Pacing and holding.
+    """
+    if verdict.action is Action.TRIP:
+        return Happening(Event.TRIP, verdict.reason)
+    if memory.state is LoopState.HELD:
+        if verdict.may_act:
+            recovered = memory.recloses and memory.good + 1 >= loop.proving
+            return Happening(Event.RECOVERED if recovered else None, "")
+        return too_long(memory, verdict.reason, now, loop)
+    if verdict.action is Action.HOLD:
+        return Happening(Event.HOLD, verdict.reason)
+    if verdict.action is Action.SKIP and now - memory.fresh >= loop.patience:
+        return Happening(Event.ORBIT_MISSING, verdict.reason)
+    return Happening(None, verdict.reason)
+
+
+def too_long(memory: LoopMemory, reason: str, now: float, loop: LoopSettings) -> Happening:
+    """Say whether a held loop has waited long enough to trip.
+
+    Args:
+        memory: Of a loop that is HELD.
+        reason: What is wrong now.
+        now: Monotonic [s].
+        loop: Holding.
+    """
+    held = now - memory.since
+    if loop.trip_after is not None and held >= loop.trip_after:
+        return Happening(Event.HELD_TOO_LONG, f"held for {held:.1f} s: {reason}")
+    return Happening(None, reason)
+
+
+def decide(
+    policy: Policy, checked: Checked, policy_state: object, correctors: int
+) -> tuple[Vector, object]:
+    """Ask the policy.
+
+    Args:
+        policy: In force.
+        checked: The orbit error and what of it counts.
+        policy_state: What it carries.
+        correctors: m.
+
+    Returns:
+        The change of setpoints, shape (m,) [A], and the policy's new state.
+
+    Raises:
+        ValueError: The policy returned another shape.
+    """
+    change, after = policy.act(checked.error, checked.valid, policy_state)
+    if change.shape != (correctors,):
+        raise ValueError(
+            f"policy {policy.policy_id} returned a change of shape {change.shape} "
+            f"for {correctors} correctors"
+        )
+    return change, after
+
+
+def ramp_gain(closed_for: float, loop: LoopSettings) -> float:
+    """Give the share of the gain at a time after closing, 0 to 1.
+
+    Args:
+        closed_for: Since closing [s]; the tick that closes counts as one period.
+        loop: The ramp.
+    """
+    if loop.ramp == 0:
+        return 1.0
+    return min(1.0, (max(closed_for, 0.0) + loop.period) / loop.ramp)

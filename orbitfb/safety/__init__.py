@@ -1,0 +1,1 @@
+"""May this be sent? Limits and interlocks: pure functions of values."""

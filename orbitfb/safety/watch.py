@@ -1,0 +1,115 @@
+"""Interlocks that look at several ticks: memory in, verdict and new memory out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.signals import Mask, Orbit, Vector
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.verdict import FINE, Action, Verdict, name_some
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """A stretch of ticks over which the rms grew.
+
+    Args:
+        start: Rms at which it began [m].
+        last: Rms of the last tick [m].
+        ticks: Ticks in a row that grew.
+    """
+
+    start: float = float("inf")
+    last: float = float("inf")
+    ticks: int = 0
+
+
+def divergence(rms: float, memory: Growth, settings: InterlockSettings) -> tuple[Verdict, Growth]:
+    """Trip when the rms grows tick by tick, by a factor, to above the noise.
+
+    Args:
+        rms: Of the orbit error [m].
+        memory: What the last call returned.
+        settings: Thresholds.
+    """
+    if rms <= memory.last:
+        return FINE, Growth(rms, rms, 0)
+    grown = Growth(memory.start, rms, memory.ticks + 1)
+    if grown.ticks < settings.divergence_ticks:
+        return FINE, grown
+    if rms <= settings.divergence_floor or rms < settings.divergence_factor * grown.start:
+        return FINE, grown
+    reason = (
+        f"the orbit error grew for {grown.ticks} ticks in a row, "
+        f"from {grown.start * 1e6:.3g} to {rms * 1e6:.3g} µm rms"
+    )
+    return Verdict(Action.TRIP, "divergence", reason), grown
+
+
+@dataclass(frozen=True, slots=True)
+class LastOrbit:
+    """The orbit before this one.
+
+    Args:
+        position: Shape (n,) [m]; None before the first.
+        time: Stamp [s since the epoch].
+        repeats: Ticks in a row that brought the same readings again.
+    """
+
+    position: Vector | None = None
+    time: float = float("-inf")
+    repeats: int = 0
+
+
+def repeated(
+    orbit: Orbit, valid: Mask, memory: LastOrbit, settings: InterlockSettings
+) -> tuple[Verdict, LastOrbit]:
+    """Refuse an orbit that is not newer than the last, or has the very same readings.
+
+    After a clock that stepped back one orbit is lost, not all until the old time is reached.
+
+    Args:
+        orbit: As read.
+        valid: BPMs that count, shape (n,).
+        memory: What the last call returned.
+        settings: Thresholds.
+    """
+    same = memory.position is not None and bool(
+        np.array_equal(orbit.position[valid], memory.position[valid])
+    )
+    repeats = memory.repeats + 1 if same else 0
+    now = LastOrbit(orbit.position, orbit.time, repeats)
+    if not orbit.time > memory.time:
+        reason = f"the stamp {orbit.time:.6f} is not newer than that of the orbit before"
+        return Verdict(Action.SKIP, "repeated", reason), now
+    if settings.frozen_ticks and repeats >= settings.frozen_ticks:
+        reason = f"all {int(np.count_nonzero(valid))} readings are those of the orbit before"
+        return Verdict(Action.SKIP, "frozen", reason), now
+    return FINE, now
+
+
+def readback(
+    missing: Mask,
+    counts: NDArray[np.int64],
+    ticks: int,
+    names: Sequence[str] = (),
+) -> tuple[Verdict, NDArray[np.int64]]:
+    """Hold when a corrector does not follow its setpoint for some ticks in a row.
+
+    Args:
+        missing: Correctors that do not follow now, shape (m,), from `not_following`.
+        counts: Ticks in a row so far, shape (m,).
+        ticks: How many hold the loop.
+        names: The correctors, for the reason.
+    """
+    if not missing.any():
+        return FINE, np.zeros_like(counts) if counts.any() else counts
+    counts = np.where(missing, counts + 1, 0)
+    held = counts >= ticks
+    if held.any():
+        reason = f"{int(held.sum())} correctors do not follow their setpoint: "
+        return Verdict(Action.HOLD, "readback", reason + name_some(held, names)), counts
+    reason = f"{int(missing.sum())} readbacks are off their setpoint: {name_some(missing, names)}"
+    return Verdict(Action.WARN, "readback", reason), counts

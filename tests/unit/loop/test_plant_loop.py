@@ -1,0 +1,82 @@
+"""The loop on the simulated ring in process, as `evaluate` runs it."""
+
+import numpy as np
+import pytest
+
+from orbitfb.core.clock import ManualClock
+from orbitfb.core.signals import LoopState
+from orbitfb.loop.runner import Runner
+from orbitfb.loop.settings import LoopSettings
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.physics.places import Ring
+from orbitfb.physics.plant import Plant
+from orbitfb.physics.plant_machine import PlantMachine
+from orbitfb.policies.svd import SvdPolicy, SvdSettings
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.limits import LimitSettings
+
+
+@pytest.fixture(scope="module")
+def ring():
+    return Ring.load()
+
+
+def build(ring, seed=0, **keywords):
+    clock, records = ManualClock(), []
+    machine = PlantMachine(Plant(ring, "x", seed=seed), clock)
+    policy = SvdPolicy(machine.plant.nominal_response, SvdSettings())
+    runner = Runner(
+        machine,
+        PolicySlot(policy),
+        LoopSettings(),
+        LimitSettings(),
+        InterlockSettings(**keywords),
+        np.zeros(180),
+        clock,
+        start=LoopState.CLOSED,
+        subscribers=(records.append,),
+    )
+    return machine, runner, records
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_closing_takes_the_orbit_from_250_um_to_below_1_um_within_5_s(ring, seed):
+    _, runner, records = build(ring, seed)
+    rms = {}
+    while len(records) < 200:
+        record = runner.step()
+        rms[record.tick] = np.sqrt(np.mean(record.reading.orbit.position**2))
+    closed = next(record.tick for record in records if record.state is LoopState.CLOSED)
+    assert rms[0] > 200e-6
+    assert max(rms[tick] for tick in range(closed + 50, 200)) < 1e-6
+    assert all(record.state is LoopState.CLOSED for record in records[closed:])
+    assert max(np.abs(record.setpoints).max() for record in records) <= 17.5
+    assert sum(record.missed for record in records) == 0
+
+
+def test_a_flapping_machine_is_never_written_blind(ring):
+    machine, runner, _ = build(ring)
+    for round_trip in range(6):
+        for _ in range(10):
+            runner.step()
+        (machine.freeze if round_trip % 2 else lambda: machine.fail_next_reads(2))()
+        for _ in range(3):
+            record = runner.step()
+            assert np.isnan(record.written)
+        assert runner.state is LoopState.HELD
+        machine.thaw()
+    for _ in range(40):
+        record = runner.step()
+    assert record.state is LoopState.CLOSED
+    assert np.sqrt(np.mean(record.reading.orbit.position**2)) < 1e-6
+
+
+def test_masked_bpms_are_left_to_the_policy_up_to_the_quota(ring):
+    machine, runner, _ = build(ring, max_invalid_bpms=2)
+    machine.mask(3, 77)
+    for _ in range(60):
+        record = runner.step()
+    assert record.state is LoopState.CLOSED
+    assert machine.true_orbit_rms < 2e-6
+    machine.mask(90)
+    assert runner.step().state is LoopState.HELD

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from orbitfb.safety.interlocks import (
+    InterlockSettings,
+    bpm_quota,
+    not_following,
+    orbit_distortion,
+    stored_current,
+)
+from orbitfb.safety.verdict import FINE, Action, Verdict, name_some, worst
+
+S = InterlockSettings()
+NAN = float("nan")
+
+
+@given(current=st.floats())
+def test_only_a_known_sufficient_current_is_fine(current):
+    verdict = stored_current({"current": current}, S)
+    fine = bool(np.isfinite(current) or current > 0) and current >= S.current_min
+    assert verdict.action is (Action.OK if fine else Action.TRIP)
+    assert bool(verdict.reason) != fine
+
+
+def test_an_absent_current_trips_or_holds_as_told_but_a_low_one_always_trips():
+    assert stored_current({}, S).action is Action.TRIP
+    assert stored_current({}, S, unknown=Action.HOLD).action is Action.HOLD
+    assert stored_current({"current": 0.0}, S, unknown=Action.HOLD).action is Action.TRIP
+    assert stored_current({}, InterlockSettings(current_min=None)) is FINE
+
+
+@given(rms=st.floats(), largest=st.floats())
+def test_distortion_lets_pass_only_what_is_known_to_be_small(rms, largest):
+    fine = rms <= S.distortion_rms and largest <= S.distortion_max
+    assert orbit_distortion(rms, largest, S).action is (Action.OK if fine else Action.TRIP)
+
+
+@pytest.mark.parametrize(
+    ("invalid", "action"),
+    [(0, Action.OK), (1, Action.WARN), (9, Action.WARN), (10, Action.HOLD), (180, Action.HOLD)],
+)
+def test_bpm_quota(invalid, action):
+    valid = np.ones(180, dtype=bool)
+    valid[:invalid] = False
+    assert bpm_quota(valid, S).action is action
+
+
+def test_no_quota_allows_a_ring_without_bpms():
+    assert bpm_quota(np.zeros(3, dtype=bool), S).action is Action.HOLD
+
+
+def test_a_readback_follows_between_recent_setpoints_and_nan_does_not():
+    recent = [np.array([2.0, 2.0, 2.0, 2.0]), np.array([1.0] * 4), np.array([0.0] * 4)]
+    readback = np.array([0.5, 2.05, 2.2, NAN])
+    assert not_following(readback, recent, S).tolist() == [False, False, True, True]
+    tight = InterlockSettings(readback_lag=0)
+    assert not_following(readback, recent, tight).tolist() == [True, False, True, True]
+    off = InterlockSettings(readback_tolerance=None)
+    assert not not_following(readback, recent, off).any()
+
+
+def test_unknown_setpoints_are_not_followed():
+    assert not_following(np.zeros(2), [np.full(2, NAN)], S).all()
+
+
+def test_the_gravest_verdict_wins_and_the_first_among_equals():
+    warn, trip = Verdict(Action.WARN, "a", "a"), Verdict(Action.TRIP, "b", "b")
+    assert worst(FINE, warn, trip, Verdict(Action.TRIP, "c", "c")) is trip
+    assert worst() is FINE
+
+
+def test_names_are_cut_short():
+    assert name_some(np.array([True, True, False, True]), "abcd", 2) == "a, b and 1 more"
+    assert name_some(np.array([False, True]), ()) == "#1"
