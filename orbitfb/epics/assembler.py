@@ -21,6 +21,10 @@ NEVER = 0
 """Stamp of a record that nothing has been written to: less than any that comes."""
 
 
+PATIENCE = 2
+"""Looks at channels coming back before the rest is given up."""
+
+
 @dataclass(frozen=True, slots=True)
 class Snapshot:
     """One coherent vector.
@@ -57,6 +61,9 @@ class Assembler:
         self._window = round(window * NANOSECONDS)
         self._used: NDArray[np.int64] = np.full(size, NEVER, dtype=np.int64)
         self._published = NEVER
+        self._present: Mask = np.zeros(size, dtype=np.bool_)
+        self._returning = False
+        self._patience = PATIENCE
         self._awaited = 1
 
     def set_connected(self, index: int, up: bool) -> None:
@@ -67,6 +74,20 @@ class Assembler:
         """
         self.connected[index] = up
         self._awaited = 1
+        if not up and not self.connected.any():
+            self._returning, self._patience = True, PATIENCE
+
+    def look(self) -> None:
+        """Give up channels that have not come back with the others; call it every few seconds.
+
+        Channels of an IOC come back in waves. After an outage of all of them no vector is
+        complete until those of the last one are back, or until the second look at some of them:
+        else the first orbit after a restart would be one of a few BPMs.
+        """
+        if self._returning and self.connected.any():
+            self._patience -= 1
+            self._returning = self._patience > 0
+            self._awaited = 1
 
     def arrived(self) -> bool:
         """Count an event; its record has been written to `records` before.
@@ -93,6 +114,10 @@ class Assembler:
         if not present:
             return f"all {total} BPM channels are disconnected"
         away = f"; {total - present} disconnected" if present < total else ""
+        if self._returning:
+            return (
+                f"{present} of {total} BPMs are back after an outage of all; waiting for the rest"
+            )
         stamps = stamps_of(self.records)
         newest = int(stamps[connected].max())
         if newest <= 0:
@@ -127,6 +152,12 @@ class Assembler:
         if not present.size:
             self._awaited = 1
             return False
+        if self._returning:
+            missing = int(np.count_nonzero(self._present & ~connected))
+            if missing:
+                self._awaited = missing
+                return False
+            self._returning = False
         newest = int(present.max())
         late = int(np.count_nonzero(connected & ~self._fresh(stamps, newest)))
         if late or newest <= self._published:
@@ -135,6 +166,7 @@ class Assembler:
             return False
         self._published = newest
         self._used[connected] = present
+        self._present = connected.copy()
         self._awaited = present.size
         return True
 

@@ -195,7 +195,7 @@ class EpicsMachine:
         self._getter = Getter(context, self._setpoints, self._settings.answer_timeout)
         self._putter = Putter(context, self._setpoints)
         self._keeper = Keeper(
-            context, self._groups, self._settings.reconnect_period, self._refresh_limits
+            context, self._groups, self._settings.reconnect_period, self._after_look
         )
 
     def _open(self) -> None:
@@ -208,6 +208,11 @@ class EpicsMachine:
 
     def _setpoint_changed(self, _index: int, up: bool) -> None:
         self._limits_due |= up
+
+    def _after_look(self) -> None:
+        self._orbit_assembler.look()
+        self._readback_assembler.look()
+        self._refresh_limits()
 
     def _refresh_limits(self) -> None:
         if self._limits_due and self._setpoints.all_connected:
