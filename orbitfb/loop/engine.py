@@ -16,7 +16,7 @@ from orbitfb.loop import memory as remember
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.intake import Intake, await_orbit
 from orbitfb.loop.memory import Rules
-from orbitfb.loop.pacing import miss, take
+from orbitfb.loop.pacing import Pace, miss, take
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.states import Event
 from orbitfb.loop.tick import Checked, check, decide, ramp_gain, supervise, too_long
@@ -59,9 +59,7 @@ class Engine:
         patience = loop.patience
         if memory.state is LoopState.CLOSED:
             patience -= self._clock.monotonic() - memory.fresh
-        intake = await_orbit(self._machine, self._clock, patience, memory.pace, loop.period, stop)
-        self.memory = replace(memory, pace=intake.pace)
-        return intake
+        return await_orbit(self._machine, self._clock, patience, memory.pace, loop.period, stop)
 
     def take_policy(self) -> None:
         """Take the policy in force, with its initial state if it is a new one."""
@@ -84,30 +82,31 @@ class Engine:
             self._dither.restart()
         self.memory = after
 
-    def without_orbit(self, absence: str) -> int:
+    def without_orbit(self, intake: Intake) -> int:
         """Live through a tick to which no orbit came; return how many are missed by now."""
         now, loop = self._clock.monotonic(), self._rules.loop
-        missed, pace = miss(now, self.memory.pace, loop.period)
+        missed, pace = miss(now, intake.pace, loop.period)
         self.memory = replace(self.memory, pace=pace)
-        self.move(Event.ORBIT_MISSING, absence)
+        self.move(Event.ORBIT_MISSING, intake.absence)
         if self.memory.state is LoopState.HELD:
-            happening = too_long(self.memory, absence, now, loop)
+            happening = too_long(self.memory, intake.absence, now, loop)
             if happening.event:
                 self.move(happening.event, happening.reason)
         return missed
 
-    def check(self, reading: Reading, closing: bool) -> tuple[Checked, int]:
+    def check(self, reading: Reading, pace: Pace, closing: bool) -> tuple[Checked, int]:
         """Ask the interlocks, about setpoints that the machine states whenever in doubt.
 
         Args:
             reading: The orbit of this tick.
+            pace: Stream of orbits up to it.
             closing: Whether the loop is asked to close on it.
 
         Returns:
             The checked orbit, and how many orbits were missed before it.
         """
         stamp, loop = reading.orbit.time, self._rules.loop
-        missed, pace = take(stamp, reading.received, self.memory.pace, loop.period)
+        missed, pace = take(stamp, reading.received, pace, loop.period)
         self.memory = replace(self.memory, pace=pace)
         trouble = ""
         closed = self.memory.state is LoopState.CLOSED
@@ -186,7 +185,8 @@ class Engine:
         if self._write(work, reading, limited):
             self._dither.settle(limited.scale * dither)
             # A change that was shortened is not what the policy asked for: nothing winds up.
-            if gain == 1.0 and limited.scale == 1.0:
+            settled = gain == 1.0 and limited.scale == 1.0
+            if settled and policy_state is not memory.policy_state:
                 self.memory = replace(self.memory, policy_state=policy_state)
 
     def _write(self, work: Work, reading: Reading, limited: Limited) -> bool:

@@ -165,4 +165,4 @@ def note(memory: LoopMemory, reason: str, may_act: bool) -> LoopMemory:
         if may_act:
             return replace(memory, good=memory.good + 1)
         return replace(memory, good=0, reason=reason or memory.reason)
-    return replace(memory, reason=reason)
+    return memory if reason == memory.reason else replace(memory, reason=reason)

@@ -48,7 +48,8 @@ def see(stamp: float, pace: Pace, period: float) -> tuple[bool, Pace]:
     tolerance = min(interval, period) / 2
     # Not newer than the last tick: the clock of the machine stepped back, start afresh.
     is_due = not stamp > pace.acted or stamp >= pace.due - tolerance
-    return is_due, replace(pace, seen=stamp, interval=interval)
+    seen = Pace(pace.acted, pace.due, stamp, interval, pace.received, pace.counted)
+    return is_due, seen
 
 
 def take(stamp: float, received: float, pace: Pace, period: float) -> tuple[int, Pace]:

@@ -167,11 +167,11 @@ class Runner:
         engine.take_policy()
         self._obey()
         if intake.reading is None:
-            work.missed = engine.without_orbit(intake.absence)
+            work.missed = engine.without_orbit(intake)
             self._refuse_closing(intake.absence)
             return False
         work.reading = intake.reading
-        checked, work.missed = engine.check(intake.reading, bool(self._closing))
+        checked, work.missed = engine.check(intake.reading, intake.pace, bool(self._closing))
         work.setpoints = engine.memory.setpoints
         self._close(checked.verdict)
         engine.supervise(intake.reading, checked.verdict)

@@ -58,12 +58,16 @@ def limit(
         settings: The limits.
         names: The correctors, for the reason.
     """
-    refused = _refusal(change, setpoints, names)
-    if not refused.may_act:
-        none = np.zeros(change.shape, dtype=np.bool_)
-        return Limited(np.zeros_like(change), setpoints.copy(), 0.0, none, refused)
+    none = np.zeros(change.shape, dtype=np.bool_)
     size = np.abs(change)
     peak = float(size.max(initial=0.0))
+    if peak <= settings.change_per_tick:  # a NaN does not get through here, nor through the next
+        target = setpoints + change
+        if float(np.abs(target).max(initial=0.0)) <= settings.setpoint:
+            return Limited(change, target, 1.0, none, FINE)
+    refused = _refusal(change, setpoints, names)
+    if not refused.may_act:
+        return Limited(np.zeros_like(change), setpoints.copy(), 0.0, none, refused)
     step_scale = settings.change_per_tick / peak if peak > settings.change_per_tick else 1.0
     room = settings.setpoint - np.where(change < 0, -setpoints, setpoints)
     room = np.maximum(room, 0.0)
