@@ -1,0 +1,116 @@
+"""The table of PVs for the docs, made from the layout that serves them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from orbitfb.physics.places import Planes, Ring
+from orbitfb.sim.layout import (
+    CURRENT_PV,
+    KICK_PV,
+    RF_PV,
+    TICK_PV,
+    TRUE_RMS_PV,
+    PvSpec,
+    Range,
+    lay_out,
+)
+from orbitfb.sim.settings import SimSettings
+
+_SINGLE = {
+    CURRENT_PV: "stored current",
+    RF_PV: "RF frequency",
+    TRUE_RMS_PV: "rms of the true orbit (simulator only)",
+    TICK_PV: "count of ticks (simulator only)",
+    KICK_PV: "kick the beam: rms of a random orbit step (simulator only)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PvFamily:
+    """PVs of one kind.
+
+    Args:
+        meaning: What they are, in a few words.
+        specs: The PVs, in the order of the vectors.
+        written: Whether clients may write them.
+    """
+
+    meaning: str
+    specs: tuple[PvSpec, ...]
+    written: bool
+
+
+def pv_families(ring: Ring, planes: Planes, settings: SimSettings) -> tuple[PvFamily, ...]:
+    """Sort every PV that the soft IOC serves into families.
+
+    Args:
+        ring: The ring.
+        planes: `x`, `y` or `xy`.
+        settings: Of the soft IOC.
+    """
+    layout = lay_out(ring.channels(planes), settings)
+    bpms, correctors = len(ring.names("BPM")), len(ring.names("COR"))
+    families: list[PvFamily] = []
+    readings = list(layout.readings)
+    for plane in planes:
+        families.append(PvFamily(f"BPM reading, {plane}", tuple(readings[:bpms]), False))
+        del readings[:bpms]
+    for number, plane in enumerate(planes):
+        own = layout.setpoints[number * correctors : (number + 1) * correctors]
+        families.append(PvFamily(f"corrector setpoint, {plane}", own, True))
+    for plane in planes:
+        families.append(
+            PvFamily(f"corrector readback, {plane}", tuple(readings[:correctors]), False)
+        )
+        del readings[:correctors]
+    families += [PvFamily(_SINGLE[spec.name], (spec,), False) for spec in readings]
+    families.append(PvFamily(_SINGLE[layout.kick.name], (layout.kick,), True))
+    return tuple(families)
+
+
+def pv_table_markdown(ring: Ring, planes: Planes, settings: SimSettings) -> str:
+    """Write the families as a table.
+
+    Args:
+        ring: The ring.
+        planes: `x`, `y` or `xy`.
+        settings: Of the soft IOC.
+    """
+    rows = [
+        "| what | first PV | count | unit | digits | clients | writes allowed | "
+        "MINOR alarm | MAJOR alarm |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for family in pv_families(ring, planes, settings):
+        first = family.specs[0]
+        rows.append(
+            "| "
+            + " | ".join(
+                (
+                    family.meaning,
+                    f"`{first.name}`",
+                    str(len(family.specs)),
+                    first.units or "1",
+                    str(first.precision),
+                    "read, write" if family.written else "read",
+                    _between(first.drive) if family.written else "never",
+                    _beyond(first.warning),
+                    _beyond(first.alarm),
+                )
+            )
+            + " |"
+        )
+    return "\n".join(rows) + "\n"
+
+
+def count_pvs(families: Sequence[PvFamily]) -> int:
+    """Count the PVs of all families."""
+    return sum(len(family.specs) for family in families)
+
+
+def _between(limits: Range) -> str:
+    return f"{limits[0]:g} to {limits[1]:g}"
+
+
+def _beyond(limits: Range) -> str:
+    return "" if limits[0] == limits[1] else f"≤ {limits[0]:g}, ≥ {limits[1]:g}"
