@@ -29,5 +29,10 @@ def server_environment(plain: bool) -> dict[str, str]:
         "EPICS_CAS_BEACON_ADDR_LIST": "127.0.0.1",
         "EPICS_CAS_BEACON_PORT": "15065",
     }
-    # caproto holds updates back for 10 ms in the hope of more; for what it serves itself
-    return loopback if plain else loopback | {"CAPROTO_SERVER_HIGH_LOAD_TIMEOUT_SEC": "0.001"}
+    # for what it serves itself caproto holds updates back for 10 ms in the hope of more, and
+    # queues 10000 of them for a client that does not read
+    sooner = {
+        "CAPROTO_SERVER_HIGH_LOAD_TIMEOUT_SEC": "0.001",
+        "CAPROTO_MAX_TOTAL_SUBSCRIPTION_BACKLOG": "2000",
+    }
+    return loopback if plain else loopback | sooner

@@ -23,6 +23,9 @@ class RingServer:
     Args:
         ring: The simulated ring.
         settings: Rate, limits, kind of front.
+
+    Attributes:
+        failed: Fails when a tick does: a ring that stands still must not look alive.
     """
 
     def __init__(self, ring: SimulatedRing, settings: SimSettings) -> None:
@@ -32,6 +35,7 @@ class RingServer:
         kind = PlainFront if settings.plain else FastFront
         self.front: Front = kind(self.layout, self._kick)
         self._ticker: Ticker | None = None
+        self.failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def start(self) -> None:
         """Make the first tick and go on from there."""
@@ -48,11 +52,14 @@ class RingServer:
 
     def tick(self) -> None:
         """Advance the ring by one tick and publish it; left out while the last is under way."""
-        if self.front.busy:
+        if self.front.busy or self.failed.done():
             return
         stamp = now()
-        state = self._ring.step(self.front.setpoints)
-        self.front.show(self.layout.values(state, self._ring.tick), stamp)
+        try:
+            state = self._ring.step(self.front.setpoints)
+            self.front.show(self.layout.values(state, self._ring.tick), stamp)
+        except Exception as error:  # `serve` raises it; event loop and clients would swallow it
+            self.failed.set_exception(error)
 
     def _tick_if_complete(self) -> None:
         if self.front.complete and not self.front.busy:
@@ -98,13 +105,15 @@ async def serve(
             await asyncio.wait([running, waiting[0]], return_when=asyncio.FIRST_COMPLETED)
             if ready.is_set():
                 announce(sockets.port, len(server.layout))
-            await asyncio.wait([running, waiting[1]], return_when=asyncio.FIRST_COMPLETED)
+            ends = [running, waiting[1], server.failed]
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         finally:
             server.stop()
             for task in (*waiting, running):
                 task.cancel()
             await asyncio.wait([*waiting, running], timeout=_PATIENCE)
-        if running.done() and not running.cancelled() and (failure := running.exception()):
-            raise failure
+        for end in (running, server.failed):
+            if end.done() and not end.cancelled() and (failure := end.exception()):
+                raise failure
     finally:
         sockets.close()

@@ -21,7 +21,7 @@ CHANNELS = Ring.load().channels("x")
 TICK, RMS = "SR:SIM{Ring}Tick-I", "SR:SIM{Ring}Rms:True-I"
 CURRENT, KICK, RF = "SR:C03-BI{DCCT:1}I:Real-I", "SR:SIM{Ring}Kick-SP", "RF{Osc:1}Freq:SP"
 READINGS = (*CHANNELS.orbit_pvs, *CHANNELS.readback_pvs, CURRENT, RF, RMS, TICK)
-DOUBLE, TIME_DOUBLE = 6, 20
+DOUBLE, TIME_DOUBLE, CONTROL_DOUBLE = 6, 20, 34
 _HEADER = struct.Struct(">HHHHII")
 
 
@@ -173,8 +173,8 @@ class RawClient:
 
 
 def _event(name: str, message: Message) -> Event:
-    if message.data_type == DOUBLE:
-        return Event(name, struct.unpack(">d", message.payload)[0], 0, 0, (0, 0))
+    if message.data_type != TIME_DOUBLE:  # in every scalar double the value is last
+        return Event(name, struct.unpack(">d", message.payload[-8:])[0], 0, 0, (0, 0))
     status, severity, seconds, nanoseconds, value = struct.unpack(">HHIIxxxxd", message.payload)
     return Event(name, value, status, severity, (seconds, nanoseconds))
 

@@ -13,6 +13,7 @@ import pytest
 from ioc_clients import READINGS, TICK, RawClient, serving
 
 from orbitfb.core.errors import MachineError, OwnershipError
+from orbitfb.physics.places import Ring
 from orbitfb.sim.child import SimChild
 from orbitfb.sim.environment import client_environment
 from orbitfb.sim.job import SimJob
@@ -160,3 +161,13 @@ def test_a_wrong_job_is_refused(text):
     )
     assert done.returncode == 2 and not done.stdout
     assert "job" in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(("planes", "bpms"), [("y", 180), ("xy", 360)])
+def test_either_plane_or_both_are_served(planes, bpms):
+    job_of_planes = SimJob.model_validate({"planes": planes, "sim": {"port": 0}})
+    channels = Ring.load().channels(planes)
+    assert len(channels.orbit_pvs) == bpms
+    with SimChild(job_of_planes) as child, RawClient(child.port) as client:
+        client.create(*channels.orbit_pvs, *channels.setpoint_pvs, *channels.readback_pvs)
+        assert client.get(channels.orbit_pvs[-1]).value != 0.0

@@ -64,6 +64,19 @@ def test_setpoints_advance_the_ring_and_come_back_as_readbacks(stepped):
         assert readbacks == list(values.values())
 
 
+def test_an_orbit_does_not_wait_for_the_acknowledgement_of_setpoints(stepped):
+    """Nagle's delay would hold it back for 40 ms."""
+    stepped.subscribe(*READINGS, *SETPOINTS)
+    stepped.events(len(READINGS) + len(SETPOINTS))
+    times = []
+    for _ in range(20):
+        begin = time.perf_counter()
+        stepped.put(dict.fromkeys(SETPOINTS, 0.5))
+        assert len(stepped.frame()) == len(READINGS) + len(SETPOINTS)
+        times.append(time.perf_counter() - begin)
+    assert statistics.median(times) < 0.02
+
+
 def test_the_ring_stands_until_the_last_setpoint(stepped):
     stepped.put(dict.fromkeys(SETPOINTS[:-1], 1.0))
     assert stepped.get(TICK).value == 1

@@ -112,6 +112,22 @@ def test_what_is_refused_neither_changes_nor_counts(settings):
     asyncio.run(scenario())
 
 
+def test_a_ring_that_fails_stands_still_and_says_so(settings):
+    async def scenario():
+        ring = Ring()
+        server = RingServer(ring, settings)
+        server.start()
+        await asyncio.sleep(0)
+        ring.step = None
+        server.tick()
+        server.tick()
+        server.stop()
+        assert server.failed.done()
+        assert isinstance(server.failed.exception(), TypeError)
+
+    asyncio.run(scenario())
+
+
 def test_environments_keep_to_loopback_and_off_production():
     client = client_environment(15064)
     assert client["EPICS_CA_ADDR_LIST"] == "127.0.0.1"
