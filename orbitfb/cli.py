@@ -144,7 +144,8 @@ def ioc(
     ] = None,
 ) -> None:
     """Serve the simulated ring as a soft IOC until Ctrl-C."""
-    from orbitfb.service import run_ioc
+    from orbitfb.maintenance import sim_job
+    from orbitfb.sim.process import run_job
 
     settings = _configure(
         config_file,
@@ -157,7 +158,15 @@ def ioc(
         plant__drift__preset=drift,
         plant__drift__ticks=drift_ticks,
     )
-    run_ioc(settings)
+    where = settings.sim.interface
+
+    def announce(taken: int, pvs: int) -> None:
+        reach = "this computer only" if where.startswith("127.") else "the network"
+        print(f"serving {pvs} PVs on {where}, port {taken}, to {reach}; Ctrl-C stops", flush=True)
+        print(f"  EPICS_CA_ADDR_LIST={where} EPICS_CA_AUTO_ADDR_LIST=NO ", end="")
+        print(f"EPICS_CA_SERVER_PORT={taken}", flush=True)
+
+    run_job(sim_job(settings), announce)
 
 
 @app.command()

@@ -22,6 +22,7 @@ from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response
 from orbitfb.policies.store import PolicyStore
 from orbitfb.policies.svd import SvdPolicy
+from orbitfb.sim.job import SimJob
 
 REFIT_TIMEOUT = 60.0
 """How long the command line waits for a running service to refit [s]."""
@@ -42,6 +43,18 @@ def policy_builder(config: AppConfig) -> Callable[[Matrix, Matrix | None], Polic
 def baseline(config: AppConfig, ring: Ring) -> SvdPolicy:
     """Build the policy on the nominal response of the ring."""
     return SvdPolicy(response(ring, config.ring.planes), config.policy)
+
+
+def sim_job(config: AppConfig) -> SimJob:
+    """Return what the soft IOC's process must know."""
+    return SimJob(
+        places=config.ring.places,
+        parameters=config.ring.parameters,
+        planes=config.ring.planes,
+        seed=config.seed,
+        plant=config.plant,
+        sim=config.sim,
+    )
 
 
 def refit_online(config: AppConfig, activate: bool) -> dict[str, Any]:

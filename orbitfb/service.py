@@ -29,7 +29,7 @@ from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.maintenance import baseline, open_store, policy_builder
+from orbitfb.maintenance import baseline, open_store, policy_builder, sim_job
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
 from orbitfb.observe.logs import configure_logs
@@ -39,7 +39,6 @@ from orbitfb.observe.summary import write_summary
 from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import Surroundings
 from orbitfb.sim.child import SimChild
-from orbitfb.sim.job import SimJob
 from orbitfb.sim.layout import TRUE_RMS_PV
 
 _log = structlog.stdlib.get_logger("orbitfb.service")
@@ -282,16 +281,7 @@ class Service:
         if ioc != SIMULATED:
             host, port = _host_and_port(ioc, config.sim.port)
             return config.epics.model_copy(update={"address_list": host, "server_port": port})
-        child = SimChild(
-            SimJob(
-                places=config.ring.places,
-                parameters=config.ring.parameters,
-                planes=config.ring.planes,
-                seed=config.seed,
-                plant=config.plant,
-                sim=config.sim,
-            )
-        )
+        child = SimChild(sim_job(config))
         port = child.start()
         stack.callback(child.stop)
         true_rms = AuxiliarySettings(pv=TRUE_RMS_PV, scale=1e-3)
@@ -368,19 +358,3 @@ def _check_limits(config: AppConfig, drive_limits: np.ndarray, channels: Channel
             f"limits, {channels.setpoint_pvs[first]} for one: {drive_limits[first, 0]} to "
             f"{drive_limits[first, 1]} A; lower limits.setpoint"
         )
-
-
-def run_ioc(config: AppConfig) -> None:
-    """Serve the simulated ring in this process until a signal."""
-    from orbitfb.sim.server import serve_job
-
-    serve_job(
-        SimJob(
-            places=config.ring.places,
-            parameters=config.ring.parameters,
-            planes=config.ring.planes,
-            seed=config.seed,
-            plant=config.plant,
-            sim=config.sim,
-        )
-    )

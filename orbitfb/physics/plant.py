@@ -46,12 +46,6 @@ class PlantSettings(Settings):
     drift: DriftSettings = Field(
         default=DriftSettings(), description="Drift of the response from R1 to R2."
     )
-    corrector_limit: float = Field(
-        default=18.0,
-        gt=0,
-        description="Drive limit of every corrector, either sign [A]. The pipeline itself does "
-        "not clip; who serves the ring refuses setpoints beyond it.",
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

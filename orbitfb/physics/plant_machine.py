@@ -22,17 +22,25 @@ class PlantMachine:
         plant: The ring.
         clock: Virtual time; reads move it.
         period: Between two orbits [s].
+        corrector_limit: Setpoints beyond it, either sign, are refused [A].
 
     Attributes:
         current: Stored current that the machine reports [A]; set it to play a beam loss.
         true_orbit_rms: Of the orbit read last [m].
     """
 
-    def __init__(self, plant: Plant, clock: ManualClock, period: float = 0.1) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        clock: ManualClock,
+        period: float = 0.1,
+        corrector_limit: float = 18.0,
+    ) -> None:
         self.plant = plant
         self.current = _STORED_CURRENT
         self.true_orbit_rms = math.nan
         self._clock, self._period = clock, period
+        self._limit = corrector_limit
         self._start = clock.wall() - plant.tick * period
         self._setpoints = np.zeros(len(plant.channels.correctors))
         self._masked = np.zeros(len(plant.channels.bpms), dtype=np.bool_)
@@ -106,7 +114,7 @@ class PlantMachine:
                 f"setpoints of shape {setpoints.shape} for {len(self._setpoints)} correctors; "
                 "nothing was written"
             )
-        limit = self.plant.settings.corrector_limit
+        limit = self._limit
         refused = np.flatnonzero(~(np.abs(setpoints) <= limit))  # so that NaN is refused too
         if refused.size:
             which = ", ".join(
