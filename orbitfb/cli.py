@@ -4,7 +4,7 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -13,6 +13,9 @@ from orbitfb.core.errors import OrbitFeedbackError
 
 if TYPE_CHECKING:
     from orbitfb.config import AppConfig
+    from orbitfb.core.settings import Settings
+
+S = TypeVar("S", bound="Settings")
 
 app = typer.Typer(
     name="orbitfb",
@@ -56,6 +59,23 @@ def _configure(path: Path | None, **options: Any) -> "AppConfig":
     from orbitfb.config import load_config
 
     return load_config(path, {name.replace("__", "."): value for name, value in options.items()})
+
+
+def _validated(model: type[S], values: dict[str, Any]) -> S:
+    """Build settings of a command; what is wrong is named by its option."""
+    from pydantic import ValidationError
+
+    from orbitfb.core.errors import ConfigError
+
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        problems = [
+            f"--{'-'.join(str(part) for part in problem['loc'])}: {problem['msg']}, "
+            f"got {problem['input']!r}"
+            for problem in error.errors()
+        ]
+        raise ConfigError("; ".join(problems)) from None
 
 
 def _version(wanted: bool) -> None:
@@ -264,6 +284,55 @@ def policies_rollback(
 
     settings = _configure(config_file, data_directory=data, ring__planes=planes)
     _show(activate_policy(settings, None), as_json=False)
+
+
+@evaluate.command("refit")
+def evaluate_refit_command(
+    out: Annotated[Path, typer.Option(help="Directory for refit.json and refit.png.")],
+    drift: Drift = "none",
+    no_drift: Annotated[
+        bool, typer.Option("--no-drift", help="The same as --drift none, the default.")
+    ] = False,
+    ticks: Annotated[int, typer.Option(help="Length of each run [ticks].")] = 4000,
+    seed: Annotated[int, typer.Option(help="Seed of ring, noise and drift.")] = 1,
+    config_file: ConfigFile = None,
+) -> None:
+    """Refits of the learner beside naive ones, a frozen and a true response, in process."""
+    from orbitfb.evaluate.refit import RefitEvaluationSettings, evaluate_refit, write
+
+    settings = _configure(config_file)
+    asked = {"drift": "none" if no_drift else drift, "ticks": ticks, "seed": seed}
+    common = {"planes": settings.ring.planes, "policy": settings.policy, "learn": settings.learn}
+    result = evaluate_refit(_validated(RefitEvaluationSettings, {**asked, **common}))
+    write(result, out)
+    _show({**result.figures}, as_json=False)
+    print(f"written: {out / 'refit.json'}, {out / 'refit.png'}")
+
+
+@evaluate.command("live")
+def evaluate_live_command(
+    out: Annotated[Path, typer.Option(help="Directory for live.json and live.png.")],
+    drift: Drift = "strong",
+    ticks: Annotated[int, typer.Option(help="Length of each run [ticks].")] = 6000,
+    seed: Annotated[int, typer.Option(help="First seed of ring, noise and drift.")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds.")] = 3,
+    rate: Annotated[float, typer.Option(help="Ticks per second: an accelerated clock.")] = 100.0,
+    config_file: ConfigFile = None,
+) -> None:
+    """The learner in the real loop over Channel Access, on a drifting ring."""
+    from orbitfb.evaluate.live import LiveSettings, evaluate_live, figures
+    from orbitfb.evaluate.live_report import LiveResult, write
+
+    settings = _configure(config_file)
+    common = {"planes": settings.ring.planes, "policy": settings.policy, "learn": settings.learn}
+    results: list[LiveResult] = []
+    for number in range(seed, seed + seeds):
+        asked = {"drift": drift, "ticks": ticks, "seed": number, "rate_hz": rate}
+        live = _validated(LiveSettings, {**asked, **common})
+        results.append(LiveResult(live, evaluate_live(live, print)))
+        _show({"seed": number, **figures(results[-1].runs)}, as_json=False)
+        write(results, out)
+    print(f"written: {out / 'live.json'}, {out / 'live.png'}")
 
 
 @config.command("show")

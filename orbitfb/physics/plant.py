@@ -104,10 +104,14 @@ class Plant:
     @property
     def response(self) -> Matrix:
         """The true R_t that the next step will use, shape (n, m) [m/A]."""
+        return self.response_at(self._tick)
+
+    def response_at(self, tick: int) -> Matrix:
+        """Tell the true R_t of any tick, shape (n, m) [m/A]."""
         currents = np.eye(self._nominal.shape[1])
         orbit = self._nominal
         for effect in self.effects:
-            orbit = effect.respond(orbit, currents, self._tick)
+            orbit = effect.respond(orbit, currents, tick)
         return orbit.copy()
 
     def step(self, setpoints: Vector) -> PlantState:
