@@ -22,6 +22,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -153,13 +154,14 @@ class Session:
         ioc, metrics = free_ports(2)
         self.directory = directory
         self.ports = {"15064": str(ioc), "9180": str(metrics)}
-        (directory / "run").mkdir(mode=0o700)
+        # The path of a Unix socket is short, that of a test's directory may not be.
+        runtime = stack.enter_context(tempfile.TemporaryDirectory(prefix="docs-"))
         clean = {k: v for k, v in os.environ.items() if not k.startswith(("EPICS_", "ORBITFB_"))}
         self.environment = clean | {
             "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
             "ORBITFB_SIM__PORT": str(ioc),
             "ORBITFB_OBSERVE__PORT": str(metrics),
-            "XDG_RUNTIME_DIR": str(directory / "run"),
+            "XDG_RUNTIME_DIR": runtime,
             "PYTHONUNBUFFERED": "1",
         }
         self._stack = stack
