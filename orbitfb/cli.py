@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -22,6 +23,7 @@ app = typer.Typer(
     help="Adaptive orbit feedback for synchrotron light sources on an EPICS control network.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
 )
 policies = typer.Typer(help="Policies in the store of a data directory.", no_args_is_help=True)
 evaluate = typer.Typer(help="Measure what a method is worth.", no_args_is_help=True)
@@ -358,20 +360,26 @@ def config_schema() -> None:
     print(json.dumps(AppConfig.model_json_schema(), indent=2))
 
 
-def _show(answer: dict[str, Any], as_json: bool) -> None:
+def _show(answer: Mapping[str, Any], as_json: bool) -> None:
     if as_json:
         print(json.dumps(answer, indent=2))
-        return
-    width = max(map(len, answer), default=0)
-    for name, value in answer.items():
+    else:
+        _print_tree(answer, "")
+
+
+def _print_tree(tree: Mapping[str, Any], indent: str) -> None:
+    width = max(
+        (len(name) for name, value in tree.items() if not isinstance(value, dict)), default=0
+    )
+    for name, value in tree.items():
         if isinstance(value, dict):
-            print(f"{name}:")
-            inner = max(map(len, value), default=0)
-            for key, number in value.items():
-                print(f"  {key:<{inner}}  {_plain(number)}")
+            print(f"{indent}{name}:")
+            _print_tree(value, indent + "  ")
         else:
-            print(f"{name:<{width}}  {_plain(value)}")
+            print(f"{indent}{name:<{width}}  {_plain(value)}")
 
 
 def _plain(value: Any) -> str:
+    if value is None or value == "":
+        return "-"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

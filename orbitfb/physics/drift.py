@@ -28,8 +28,9 @@ PRESETS: Mapping[Preset, Mapping[str, float]] = {
         "beta_beat": 0.05,
         "bpm_gain_rms": 0.03,
         "corrector_gain_rms": 0.03,
-        # spectral norm 2.4 times the smallest singular value of the default ring's x plane
-        "matrix_noise": 1.6e-6,
+        # 0.06 m/rad per entry at the default ring's mean calibration of 5e-5 rad/A: spectral norm
+        # 4 times the smallest singular value, so that the weakest modes change their sign
+        "matrix_noise": 3.0e-6,
     },
 }
 """Values of the keys under a preset; a key that is given explicitly wins."""

@@ -136,7 +136,7 @@ def test_a_preset_fills_in_what_is_not_given():
     assert DriftSettings().ticks == 0
     assert DriftSettings(preset="mild").beta_beat == 0.03
     assert DriftSettings(preset="mild", beta_beat=0.04).beta_beat == 0.04
-    assert DriftSettings(preset="strong").matrix_noise == 1.6e-6
+    assert DriftSettings(preset="strong").matrix_noise == 3e-6
     strong = DriftSettings(preset="strong", ticks=5)
     assert DriftSettings.model_validate(strong.model_dump()) == strong
 
