@@ -1,0 +1,1 @@
+"""What the loop costs on Channel Access, measured; `make bench` writes `loop.json`."""

@@ -1,0 +1,111 @@
+"""The three servers: ours, ours by caproto's documented calls alone, EPICS base."""
+
+import os
+import selectors
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Literal
+
+from orbitfb.sim.job import SimJob
+from orbitfb.sim.settings import SimSettings
+
+Server = Literal["ours", "plain", "base"]
+LOCKSTEP_PATIENCE = 0.5
+"""After so long without a set of setpoints a ring in lockstep ticks by itself [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A server that serves: its process and its Channel Access port."""
+
+    pid: int
+    port: int
+
+
+def job_of(server: Server, rate_hz: float | None, seed: int) -> SimJob:
+    """Say what a server serves; no rate means lockstep."""
+    return SimJob(
+        seed=seed,
+        sim=SimSettings(
+            port=0,
+            rate_hz=rate_hz or 1.0 / LOCKSTEP_PATIENCE,
+            lockstep=rate_hz is None,
+            plain=server == "plain",
+        ),
+    )
+
+
+@contextmanager
+def serving(server: Server, job: SimJob, size: int | None = None) -> Iterator[Running]:
+    """Run a server in a process of its own.
+
+    Args:
+        server: Which.
+        job: What it serves.
+        size: A counting ring of so many BPMs and correctors instead of the job's ring.
+    """
+    port = _free_port() if server == "base" else 0
+    if server == "base":
+        command = ["-m", "benchmarks.base_ioc", str(port), str(size or 0)]
+    elif size is not None:
+        command = ["-m", "benchmarks.counting_ioc", str(size)]
+    else:
+        command = ["-m", "orbitfb.sim"]
+    process = subprocess.Popen(
+        [sys.executable, *command],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=os.environ | _base_environment(port),
+    )
+    try:
+        said = _start(process, job)
+        yield Running(process.pid, int(said.partition("port=")[2].split()[0]))
+    finally:
+        process.kill()
+        process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                pipe.close()
+
+
+def _start(process: subprocess.Popen[bytes], job: SimJob, timeout: float = 60.0) -> str:
+    if process.stdin is None or process.stdout is None:
+        raise RuntimeError("a server was started without its pipes")
+    process.stdin.write(job.model_dump_json().encode() + b"\n")
+    process.stdin.flush()
+    said, deadline = b"", time.monotonic() + timeout
+    with selectors.DefaultSelector() as selector:
+        selector.register(process.stdout, selectors.EVENT_READ)
+        while not (b"READY port=" in said and said.endswith(b"\n")):
+            left = deadline - time.monotonic()
+            piece = os.read(process.stdout.fileno(), 4096) if selector.select(left) else b""
+            if not piece:
+                raise RuntimeError(f"the server did not start: {said.decode()}")
+            said += piece
+    return said.decode()
+
+
+def _base_environment(port: int) -> dict[str, str]:
+    if not port:
+        return {}
+    return {
+        "EPICS_CAS_SERVER_PORT": str(port),
+        "EPICS_CAS_INTF_ADDR_LIST": "127.0.0.1",
+        "EPICS_CAS_AUTO_BEACON_ADDR_LIST": "NO",
+        "EPICS_CAS_BEACON_ADDR_LIST": "127.0.0.1",
+        "EPICS_CAS_BEACON_PORT": str(_free_port()),
+        "EPICS_CA_ADDR_LIST": "127.0.0.1",
+        "EPICS_CA_AUTO_ADDR_LIST": "NO",
+    }
+
+
+def _free_port() -> int:
+    from orbitfb.sim.listening import claim
+
+    sockets = claim("127.0.0.1", 0)
+    sockets.close()
+    return sockets.port
