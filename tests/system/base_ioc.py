@@ -2,9 +2,10 @@
 
     python base_ioc.py JOB.json
 
-JOB is `{orbit_pvs, setpoint_pvs, readback_pvs, auxiliary: {pv: value}, rate_hz, read_only}`.
-All readings of a tick carry the stamp of one record (TSEL). BPM i reads
-`(tick % 1000) * 1e-3 + i * 1e-6` mm, so that a torn orbit is seen in the values alone. Faults are
+JOB is `{orbit_pvs, setpoint_pvs, readback_pvs, auxiliary: {pv: value}, rate_hz, read_only,
+plant_seed}`. All readings of a tick carry the stamp of one record (TSEL). Without a plant BPM i
+reads `(tick % 1000) * 1e-3 + i * 1e-6` mm, so that a torn orbit is seen in the values alone; with
+a `plant_seed` the BPMs see the default ring of that seed, which answers the setpoints. Faults are
 switched on by PVs: TEST:SKIP, TEST:NAN, TEST:INVALID hold the index of a BPM or -1.
 Prints READY when it serves.
 """
@@ -16,8 +17,12 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 from epicscorelibs.ioc import dbCore
 from softioc import imports, softioc
+
+from orbitfb.physics.places import Ring
+from orbitfb.physics.plant import Plant
 
 DBR_DOUBLE = 6  # CA numbering
 DBF_DOUBLE = 10  # numbering of db_put_field_process
@@ -89,6 +94,7 @@ def run(job: dict) -> None:
         for readback, setpoint in zip(job["readback_pvs"], job["setpoint_pvs"], strict=True)
     ]
     stamp, faults = Field(STAMP), [Field(pv) for pv in FAULTS]
+    plant = None if job["plant_seed"] is None else Plant(Ring.load(), seed=job["plant_seed"])
     period, tick = 1.0 / job["rate_hz"], 0
     due = time.monotonic()
     while True:
@@ -96,14 +102,18 @@ def run(job: dict) -> None:
         time.sleep(max(0.0, due - time.monotonic()))
         tick += 1
         skip, nan, invalid = (int(fault.get()) for fault in faults)
+        setpoints = [setpoint.get() for _, setpoint in pairs]
+        if plant is None:
+            orbit = (tick % 1000) * 1e-3 + np.arange(len(bpms)) * 1e-6
+        else:
+            orbit = plant.step(np.array(setpoints)).reading * 1e3
         stamp.put(tick)
-        for index, bpm in enumerate(bpms):
+        for index, (bpm, value) in enumerate(zip(bpms, orbit, strict=True)):
             if index == skip:
                 continue
-            value = (tick % 1000) * 1e-3 + index * 1e-6
             bpm.put(float("nan") if index == nan else 1e9 if index == invalid else value)
-        for readback, setpoint in pairs:
-            readback.put(setpoint.get())
+        for (readback, _), value in zip(pairs, setpoints, strict=True):
+            readback.put(value)
 
 
 def main() -> None:

@@ -62,6 +62,7 @@ class BaseIoc:
         port: int | None = None,
         auxiliary: dict[str, float] | None = None,
         read_only: bool = False,
+        plant_seed: int | None = None,
     ) -> None:
         self.port = port or free_port()
         self._job = {
@@ -71,6 +72,7 @@ class BaseIoc:
             "auxiliary": AUXILIARY if auxiliary is None else auxiliary,
             "rate_hz": rate_hz,
             "read_only": read_only,
+            "plant_seed": plant_seed,
         }
         self._process: subprocess.Popen[bytes] | None = None
         self._folder = tempfile.TemporaryDirectory()
