@@ -63,8 +63,8 @@ def judge(
         candidate: K of the candidate, shape (m, n) [A/m].
         incumbent: K of the incumbent, shape (m, n) [A/m].
         model: The posterior of R and the noise.
-        nats: Log-likelihood of the rows under R̂ before they were used over that under the
-            incumbent's response, summed since the incumbent began.
+        nats: Log-likelihood of the rows since the last judgement under R̂, each before it was
+            used, over that under the incumbent's response.
         settings: Limits and margins.
         generator: For the responses; both laws see the same ones.
     """

@@ -118,7 +118,7 @@ class Learner:
                 gain_of(candidate, size),
                 gain_of(incumbent, size),
                 model,
-                since.nats,
+                since.take_nats(),
                 self.settings.judge,
                 self._generator,
             )
@@ -220,6 +220,11 @@ class _Since:
         self.dither_pull += absorbed.dither_pull
         self.dither_information += absorbed.dither_information
         self.chi2, self.chi2_incumbent = absorbed.chi2, absorbed.chi2_other
+
+    def take_nats(self) -> float:
+        """Give the evidence for R̂ since the last judgement, and begin anew."""
+        nats, self.nats = self.nats, 0.0
+        return nats
 
     def figures(self) -> dict[str, float]:
         dither = {}

@@ -8,6 +8,11 @@ tick, and is updated block by block in information form:
 
 with S the innovation variance. Rows move only along directions that were excited, the past is
 forgotten at the rate Q, and the covariance says what is not known.
+
+While R drifts under setpoints c that stay, the orbit creeps by (dR/dt) c per tick, and the loop
+answers with changes that creep as well. Without a term for it, R̂ of those changes would tend to
+zero, for together they move nothing. So every row has one more coefficient, the creep of its
+mode in metres per tick, whose regressor is 1.
 """
 
 from dataclasses import dataclass, replace
@@ -49,10 +54,18 @@ class IdentifySettings(Settings):
         default=0.02, ge=0.0, description="Error of the first R̂ relative to its size, rms [1]."
     )
     drift_entry: float = Field(
-        default=0.03e-6, ge=0.0, description="Drift of an element of R in √tick, rms [m/A]."
+        default=0.06e-6, ge=0.0, description="Drift of an element of R in √tick, rms [m/A]."
     )
     drift_relative: float = Field(
         default=1e-3, ge=0.0, description="Drift of R relative to its size in √tick, rms [1]."
+    )
+    creep: float = Field(
+        default=5e-9,
+        gt=0.0,
+        description="Creep of the orbit that a drift of R makes, rms per mode [m/tick].",
+    )
+    creep_memory: float = Field(
+        default=2000.0, gt=0.0, description="Ticks in which the creep is renewed [ticks]."
     )
     block: int = Field(default=100, ge=1, le=5000, description="Rows that one update takes in [1].")
     kick_chi2: float = Field(
@@ -72,7 +85,8 @@ class Absorbed:
         chi2: Mean squared normalised innovation, predicted before the rows were used; 1 when
             model, uncertainty and noise are right.
         chi2_other: The same for the response it was compared with, without uncertainty.
-        nats: Log-likelihood of the rows over that of the other response [nats per row].
+        nats: Log-likelihood of the rows over that under the other response, both with the
+            variance that noise and uncertainty of R̂ predict [nats per row].
         dither_pull: Correlation of the innovations with what R̂ says the dither does, each in
             units of the noise. The dither is an instrument: it owes nothing to the noise.
         dither_information: The same correlation if R were larger than R̂ by one; pull over
@@ -116,12 +130,14 @@ class Identifier:
                 "prior_entry and prior_relative are both 0: nothing can be learnt"
             )
         self._prior += 1e-12 * np.trace(self._prior) / columns * np.eye(columns)
+        self._prior = _bordered(self._prior, settings.creep**2)
+        self._drift = _bordered(self._drift, settings.creep**2 / settings.creep_memory)
         self._settings = settings
         self._modes = np.linalg.svd(response)[0]
-        self._rows = self._modes.T @ response
+        self._rows = _with_creep(self._modes.T @ response)
         self._covariances = np.repeat(self._prior[None], len(LADDER), axis=0)
         self._bank = PrefilterBank(LADDER)
-        self._carry = self._bank.start(columns + rows)
+        self._carry = self._bank.start(columns + 1 + rows)
         self._noise = NoiseEstimate(
             rows, settings.reading_noise, settings.ground, settings.noise_memory, 50.0
         )
@@ -136,10 +152,10 @@ class Identifier:
     def model(self) -> LinearModel:
         """The estimate as it stands, copied."""
         return LinearModel(
-            response=self._modes @ self._rows,
+            response=self._modes @ self._rows[:, :-1],
             modes=self._modes,
             levels=self._noise.levels.copy(),
-            covariances=self._covariances.copy(),
+            covariances=self._covariances[:, :-1, :-1].copy(),
             reading_variance=self._noise.reading_variance,
             ground_variances=self._noise.ground_variances,
         )
@@ -153,7 +169,9 @@ class Identifier:
         """
         if not len(rows):
             return Absorbed(0, 0, float("nan"), float("nan"), float("nan"))
-        other_rows = self._rows.copy() if other is None else self._modes.T @ other
+        other_rows = self._rows.copy()
+        if other is not None:
+            other_rows[:, :-1] = self._modes.T @ other
         starts = rows.starts.copy()
         starts[0] = self._last_tick is None or rows.tick[0] != self._last_tick + 1
         rows = replace(rows, starts=starts)
@@ -189,10 +207,11 @@ class Identifier:
 
     def _filter(self, rows: Rows) -> "_Block":
         """Filter a block and find its innovations before it has taught anything."""
-        columns = rows.change.shape[1]
-        expected = rows.change @ (self._modes @ self._rows).T
+        changes = np.column_stack([rows.change, np.ones(len(rows))])
+        columns = changes.shape[1]
+        expected = changes @ (self._modes @ self._rows).T
         difference = np.where(rows.valid, rows.difference, expected) @ self._modes
-        both = np.concatenate([rows.change, difference], axis=1)
+        both = np.concatenate([changes, difference], axis=1)
         filtered, weights, carry = self._bank.run(both, rows.starts, self._carry)
         filtered *= weights[:, :, None]
         regressors, responses = filtered[:, :, :columns], filtered[:, :, columns:]
@@ -219,15 +238,18 @@ class Identifier:
             theirs[members] = (
                 block.responses[level][:, members] - block.regressors[level] @ other[members].T
             ).T
+        constant = block.regressors[levels, :, -1]
+        theirs = _without_creep(theirs, constant)
+        own = _without_creep(block.own, constant)
         chi2_other = theirs**2 / variances[:, None]
-        ours = block.own**2 / block.total + np.log(block.total / variances[:, None])
-        moved = self._rows @ rows.dither.T
+        evidence = 0.5 * float(np.sum((theirs**2 - own**2) / block.total))
+        moved = self._rows[:, :-1] @ rows.dither.T
         return Absorbed(
             rows=len(rows),
             kicks=kicks,
             chi2=float(block.chi2.mean()),
             chi2_other=float(chi2_other.mean()),
-            nats=0.5 * float(np.sum(chi2_other - ours)) / max(len(rows), 1),
+            nats=evidence / max(len(rows), 1),
             dither_pull=float(np.sum(moved * block.own / variances[:, None])),
             dither_information=float(np.sum(moved**2 / variances[:, None])),
         )
@@ -261,6 +283,26 @@ class _Block:
     squares: Vector
     counted: float
     carry: Carry
+
+
+def _bordered(covariance: Vector, creep: float) -> Vector:
+    """Add the variance of the creep as the last coefficient."""
+    size = len(covariance)
+    whole = np.zeros((size + 1, size + 1))
+    whole[:size, :size] = covariance
+    whole[size, size] = creep
+    return whole
+
+
+def _with_creep(rows: Vector) -> Vector:
+    """Add a creep of zero to every row."""
+    return np.column_stack([rows, np.zeros(len(rows))])
+
+
+def _without_creep(innovations: Vector, constant: Vector) -> Vector:
+    """Take out of each mode's innovations, shape (n, T), what a creep of its own would explain."""
+    share = np.sum(innovations * constant, axis=1) / np.sum(constant**2, axis=1)
+    return innovations - share[:, None] * constant
 
 
 def _without(rows: Rows, index: int) -> Rows:

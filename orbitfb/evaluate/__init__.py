@@ -1,0 +1,1 @@
+"""Measurements of what the loop and the learner are worth, as commands."""
