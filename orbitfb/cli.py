@@ -3,7 +3,7 @@
 import json
 import os
 import sys
-from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -101,8 +101,9 @@ def run(
     ioc: Annotated[
         str,
         typer.Option(
-            help="sim: a simulated ring as a child process; HOST[:PORT]: an IOC that runs there; "
-            "env: what the EPICS_CA_… environment says."
+            help="sim: a simulated ring as a child process; HOST[:PORT]: an IOC that runs there "
+            "[port 15064]; env: what the EPICS_CA_… environment says; config: what [epics] of the "
+            "configuration says."
         ),
     ],
     config_file: ConfigFile = None,
@@ -142,7 +143,8 @@ def run(
         plant__drift__ticks=drift_ticks,
         observe__port=metrics_port,
     )
-    raise typer.Exit(run_service(settings, ioc, start, duration, summary))
+    announce = partial(print, flush=True)
+    raise typer.Exit(run_service(settings, ioc, start, duration, summary, announce))
 
 
 @app.command()
@@ -360,26 +362,7 @@ def config_schema() -> None:
     print(json.dumps(AppConfig.model_json_schema(), indent=2))
 
 
-def _show(answer: Mapping[str, Any], as_json: bool) -> None:
-    if as_json:
-        print(json.dumps(answer, indent=2))
-    else:
-        _print_tree(answer, "")
+def _show(answer: dict[str, Any], as_json: bool) -> None:
+    from orbitfb import tabulate
 
-
-def _print_tree(tree: Mapping[str, Any], indent: str) -> None:
-    width = max(
-        (len(name) for name, value in tree.items() if not isinstance(value, dict)), default=0
-    )
-    for name, value in tree.items():
-        if isinstance(value, dict):
-            print(f"{indent}{name}:")
-            _print_tree(value, indent + "  ")
-        else:
-            print(f"{indent}{name:<{width}}  {_plain(value)}")
-
-
-def _plain(value: Any) -> str:
-    if value is None or value == "":
-        return "-"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    print(tabulate.as_json(answer) if as_json else tabulate.as_text(answer))

@@ -62,7 +62,9 @@ class AppConfig(Settings):
     """Everything that can be configured."""
 
     data_directory: Path = Field(
-        default=Path("orbitfb-data"), description="Where policies, archive and log are kept."
+        default=Path("orbitfb-data"),
+        validate_default=False,  # it is a path already, where a file has text
+        description="Where policies, archive and log are kept.",
     )
     seed: int = Field(default=1, ge=0, description="Seed of the simulated ring and of the dither.")
     policy: SvdSettings = Field(
@@ -123,7 +125,8 @@ def load_config(
             _put(tree, dotted, value, "command line")
             origins[dotted] = "command line"
     try:
-        return AppConfig.model_validate(tree)
+        # As JSON, strictly: "10" is no number and 1 is no truth value, but text may be a path.
+        return AppConfig.model_validate_json(json.dumps(tree, default=str), strict=True)
     except ValidationError as error:
         problems = "\n".join(f"  {_explain(problem, origins)}" for problem in error.errors())
         raise ConfigError(

@@ -3,7 +3,7 @@
 A service owns its data directory and its ring by advisory file locks, which the kernel drops
 when the process dies however it dies. It listens on a Unix socket that only its user can open:
 one JSON object per line in, one out. Sockets and locks live in the user's run-time directory,
-because the path of a socket may have no more than about 100 characters.
+which is on a file system that knows both; a data directory may lie anywhere.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ import socket
 import stat
 import tempfile
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,6 +24,8 @@ from orbitfb.core.errors import ControlError, OrbitFeedbackError, OwnershipError
 MESSAGE_LIMIT = 1 << 20
 """Longest message that either side reads [bytes]."""
 
+_LONGEST_SOCKET_PATH = 100
+
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
@@ -31,12 +33,18 @@ def runtime_directory() -> Path:
     """Return this user's own directory for sockets and locks, made if need be.
 
     Raises:
-        OwnershipError: It exists and belongs to somebody else or is open to others.
+        OwnershipError: It cannot be made, belongs to somebody else, or is open to others.
     """
     base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
     path = Path(base) / f"orbitfb-{os.getuid()}"
-    path.mkdir(mode=0o700, parents=True, exist_ok=True)
-    status = path.lstat()
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = path.lstat()
+    except OSError as error:
+        raise OwnershipError(
+            f"{path}, for locks and the control socket, cannot be made ({error.strerror}); set "
+            "XDG_RUNTIME_DIR to a directory of your own, or unset it"
+        ) from None
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
         raise OwnershipError(
             f"{path} must be a directory of user {os.getuid()} alone (mode 700); remove it"
@@ -62,7 +70,12 @@ class Lock:
 
     def __init__(self, key: str, what: str, advice: str) -> None:
         path = runtime_directory() / f"{_digest(key)}.lock"
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise OwnershipError(
+                f"{what} cannot be locked: {path}: {error.strerror}; mend that directory"
+            ) from None
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -89,24 +102,47 @@ def _socket_path(data_directory: Path) -> Path:
     return runtime_directory() / f"{_digest(str(data_directory.resolve()))}.sock"
 
 
+@contextlib.contextmanager
+def _address(path: Path) -> Iterator[str]:
+    """Give a socket's path as the kernel takes it, through an open directory if it is long."""
+    if len(os.fsencode(path)) <= _LONGEST_SOCKET_PATH:
+        yield str(path)
+        return
+    directory = os.open(path.parent, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        yield f"/proc/self/fd/{directory}/{path.name}"
+    finally:
+        os.close(directory)
+
+
 class ControlServer:
     """Answers commands of this user's command lines, in a thread of its own.
 
     Args:
         data_directory: The service's data directory: its name to the outside.
-        handler: Gets each request, returns the answer; an `OrbitFeedbackError` that it raises
+        handler: Gets each request, returns the answer, made of what JSON knows; what it raises
             is told to the one who asked.
+
+    Raises:
+        OwnershipError: The socket cannot be made.
     """
 
     def __init__(self, data_directory: Path, handler: Handler) -> None:
         self._path = _socket_path(data_directory)
         self._handler = handler
-        with contextlib.suppress(FileNotFoundError):
-            self._path.unlink()
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._listener.bind(str(self._path))
-        self._path.chmod(0o600)
-        self._listener.listen(8)
+        try:
+            self._path.unlink(missing_ok=True)
+            with _address(self._path) as address:
+                self._listener.bind(address)
+            self._path.chmod(0o600)
+            self._listener.listen(8)
+        except OSError as error:
+            self._listener.close()
+            raise OwnershipError(
+                f"the control socket {self._path} cannot be made ({error.strerror or error}); "
+                "mend that directory, or set XDG_RUNTIME_DIR to another"
+            ) from None
         self._thread = threading.Thread(target=self._serve, name="control", daemon=True)
         self._thread.start()
 
@@ -128,6 +164,8 @@ class ControlServer:
                 answer = {"ok": True, **self._handler(_receive(connection))}
             except OrbitFeedbackError as error:
                 answer = {"ok": False, "error": str(error)}
+            except Exception as error:  # the outermost guard of this thread: the asker is told
+                answer = {"ok": False, "error": f"the service failed at this: {error!r}"}
             _send(connection, answer)
 
     def close(self) -> None:
@@ -142,8 +180,11 @@ class ControlServer:
 
 def is_running(data_directory: Path) -> bool:
     """Say whether a service answers for a data directory."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        return connection.connect_ex(str(_socket_path(data_directory))) == 0
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection,
+        _address(_socket_path(data_directory)) as address,
+    ):
+        return connection.connect_ex(address) == 0
 
 
 def ask(data_directory: Path, request: Mapping[str, Any], timeout: float = 30.0) -> dict[str, Any]:
@@ -161,11 +202,13 @@ def ask(data_directory: Path, request: Mapping[str, Any], timeout: float = 30.0)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
         connection.settimeout(timeout)
         try:
-            connection.connect(str(path))
+            with _address(path) as address:
+                connection.connect(address)
         except OSError:
             raise ControlError(
-                f"no service runs on {data_directory.resolve()}; start one with `orbitfb run`, or "
-                "name its directory with --data"
+                f"no service of this user runs on {data_directory.resolve()}; start one with "
+                f"`orbitfb run`, name its directory with --data, or give this shell the service's "
+                f"XDG_RUNTIME_DIR (here its socket would be in {path.parent})"
             ) from None
         try:
             _send(connection, request)
@@ -192,7 +235,7 @@ def _receive(connection: socket.socket) -> Mapping[str, Any]:
             raise ControlError(f"a message of more than {MESSAGE_LIMIT} bytes was refused")
     try:
         message = json.loads(data)
-    except ValueError:
+    except (ValueError, RecursionError):
         raise ControlError("the message is not JSON") from None
     if not isinstance(message, dict):
         raise ControlError("the message is not a JSON object")

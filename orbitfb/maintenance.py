@@ -18,6 +18,7 @@ from orbitfb.core.refit import Decision
 from orbitfb.core.transitions import Transitions
 from orbitfb.history.archive import read_archive
 from orbitfb.learn.learner import Learner
+from orbitfb.observe.plain import plain
 from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response
 from orbitfb.policies.store import PolicyStore
@@ -87,7 +88,7 @@ def refit_offline(config: AppConfig, archive: Path, activate: bool) -> dict[str,
     incumbent = baseline(config, ring) if active is None else store.load(active, channels)
     learner = Learner(incumbent.response, config.learn, policy_builder(config))
     report, candidate = learner.refit(transitions, incumbent, "on-demand")
-    answer = asdict(report)
+    answer: dict[str, Any] = plain(asdict(report))
     if candidate is not None and report.decision is Decision.PROMOTED:
         answer["stored"] = store.save(
             candidate,

@@ -7,6 +7,8 @@ from orbitfb.core.settings import Settings
 CURRENT_PV = "SR:C03-BI{DCCT:1}I:Real-I"
 RF_FREQUENCY_PV = "RF{Osc:1}Freq:SP"
 MILLIAMPERE = 1e-3
+LOWEST_PORT = 5001
+"""libca takes 5064 instead of a lower port, and says so on stderr alone."""
 
 
 class AuxiliarySettings(Settings):
@@ -36,7 +38,7 @@ class EpicsSettings(Settings):
     )
     server_port: int = Field(
         default=5064,
-        gt=0,
+        ge=LOWEST_PORT,
         lt=65536,
         description="Port on which the machine's IOCs listen (EPICS_CA_SERVER_PORT).",
     )

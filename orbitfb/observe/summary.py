@@ -1,6 +1,8 @@
 """What a run came to, as one JSON object."""
 
+import errno
 import os
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +77,32 @@ def summary(snapshot: LoopSnapshot) -> dict[str, Any]:
     return plain(figures)
 
 
+def check_place(path: Path) -> None:
+    """See that a summary can be written, before the run that it is about.
+
+    Args:
+        path: Where to; nothing is left there.
+
+    Raises:
+        OrbitFeedbackError: The file could not be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def _unwritable(path: Path, error: OSError) -> OrbitFeedbackError:
+    return OrbitFeedbackError(
+        f"the summary cannot be written to {path}: {error.strerror}; "
+        "name a file in a directory that can be written to"
+    )
+
+
 def write_summary(path: Path, snapshot: LoopSnapshot) -> None:
     """Write the summary of a run: the whole file or none.
 
@@ -97,7 +125,4 @@ def write_summary(path: Path, snapshot: LoopSnapshot) -> None:
         finally:
             part.unlink(missing_ok=True)
     except OSError as error:
-        raise OrbitFeedbackError(
-            f"the summary cannot be written to {path}: {error.strerror}; "
-            "name a file in a directory that can be written to"
-        ) from error
+        raise _unwritable(path, error) from error

@@ -1,8 +1,10 @@
 """What can be configured at the soft IOC."""
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from orbitfb.core.settings import Settings
+
+_LOWEST_PORT = 5001
 
 
 class SimSettings(Settings):
@@ -66,3 +68,13 @@ class SimSettings(Settings):
             "orbits instead of seeing old ones."
         ),
     )
+
+    @field_validator("port")
+    @classmethod
+    def _reachable(cls, port: int) -> int:
+        if 0 < port < _LOWEST_PORT:
+            raise ValueError(
+                f"clients that use libca take 5064 for any port below {_LOWEST_PORT}, so they "
+                "would go to the machine; choose 0 or a higher one"
+            )
+        return port

@@ -1,0 +1,98 @@
+"""What a running service does when a command line asks it over the control socket."""
+
+from collections.abc import Mapping
+from concurrent.futures import CancelledError
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from orbitfb.core.errors import ControlError
+from orbitfb.core.signals import Channels
+from orbitfb.learn.worker import LearnerThread
+from orbitfb.loop.runner import Runner
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.observe.plain import plain
+from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.observe.summary import summary
+from orbitfb.policies.store import PolicyStore
+
+COMMAND_TIMEOUT = 5.0
+"""How long a command may wait for the tick at which it takes effect [s]."""
+REFIT_TIMEOUT = 50.0
+"""How long a refit may take; whoever asked waits a little longer [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Remote:
+    """Answers requests; called from the control socket's threads.
+
+    Args:
+        runner: The loop.
+        statistics: Its figures.
+        slot: The policy in force.
+        store: The policies.
+        learner: The learner's thread; None when it is off.
+        channels: The ring.
+        archive: Where the archive lies, for advice.
+    """
+
+    runner: Runner
+    statistics: LoopStatistics
+    slot: PolicySlot
+    store: PolicyStore
+    learner: LearnerThread | None
+    channels: Channels
+    archive: Path
+
+    def __call__(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Carry out a request.
+
+        Raises:
+            ControlError: It is unknown, or refused.
+            StoreError: The policy is missing, damaged, or of another ring.
+        """
+        name = request.get("command")
+        if name == "status":
+            return summary(self.statistics.snapshot())
+        if name == "refit":
+            return self._refit(request.get("activate") is True)
+        if name == "activate":
+            return self._activate(request.get("policy"))
+        try:
+            state = self.runner.command(str(name)).result(COMMAND_TIMEOUT)
+        except TimeoutError:
+            raise ControlError(
+                f"{name}: no orbit on which to decide came within {COMMAND_TIMEOUT} s; the loop "
+                f"is {self.runner.state}: {self.runner.reason}"
+            ) from None
+        return {"state": state, "reason": self.runner.reason}
+
+    def _refit(self, activate: bool) -> Mapping[str, Any]:
+        if self.learner is None:
+            raise ControlError(
+                "the learner of this service is off (learn.enabled); refit from its archive: "
+                f"orbitfb refit --from {self.archive}"
+            )
+        try:
+            report = self.learner.request(activate).result(REFIT_TIMEOUT)
+        except TimeoutError:
+            raise ControlError(f"the refit is not done after {REFIT_TIMEOUT} s") from None
+        except CancelledError:
+            raise ControlError("the service stopped before the refit was made") from None
+        return plain(asdict(report))
+
+    def _activate(self, policy_id: object) -> Mapping[str, Any]:
+        back = policy_id is None
+        if back:
+            earlier = self.store.activations()[:-1]
+            # With none before it, the store says so.
+            policy_id = earlier[-1].id if earlier else self.store.rollback()
+        if not isinstance(policy_id, str):
+            raise ControlError(f"{policy_id!r} is no policy id")
+        policy = self.store.load(policy_id, self.channels)  # refused before anything changes
+        if back:
+            self.store.rollback()
+        else:
+            self.store.activate(policy_id)
+        before = self.slot.swap(policy)
+        return {"policy": policy_id, "before": before.policy_id}

@@ -1,0 +1,243 @@
+"""What is settled before the loop runs: where the ring is, who else uses it, what may not be."""
+
+import os
+import signal
+import socket
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.config import AppConfig
+from orbitfb.control import Lock
+from orbitfb.core.errors import ConfigError
+from orbitfb.core.signals import Channels, LoopState
+from orbitfb.epics.settings import LOWEST_PORT, EpicsSettings
+from orbitfb.loop.dither import DitherSettings
+
+SIMULATED = "sim"
+ENVIRONMENT = "env"
+CONFIGURED = "config"
+
+
+class StopSignals:
+    """Let SIGINT and SIGTERM stop the service.
+
+    Until `stop` is handed to a loop that heeds it, that is while the service starts, they end
+    the start at once: what is open is closed, the exit code says which signal it was. A second
+    signal while the loop stops ends the process there and then.
+    """
+
+    def __init__(self) -> None:
+        self.stop = threading.Event()
+        self.running = False
+
+    def _handle(self, number: int, _frame: object) -> None:
+        if not self.running:
+            raise SystemExit(128 + number)
+        if self.stop.is_set():
+            os._exit(128 + number)
+        self.stop.set()
+
+    def __enter__(self) -> Self:
+        """Take the signals."""
+        numbers = (signal.SIGINT, signal.SIGTERM)
+        self._before = {number: signal.signal(number, self._handle) for number in numbers}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Give them back."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+
+def start_state(start: str | None, ioc: str) -> LoopState:
+    """Turn `--start` into a state; without it, a simulated ring of our own is closed at once.
+
+    Raises:
+        ConfigError: A loop cannot start so.
+    """
+    if start is None:
+        return LoopState.CLOSED if ioc == SIMULATED else LoopState.OPEN
+    if start.lower() not in ("open", "shadow", "closed"):
+        raise ConfigError(f"--start {start}: choose open, shadow or closed")
+    return LoopState(start.upper())
+
+
+def check_duration(duration: float | None) -> None:
+    """Refuse a time that no timer can wait.
+
+    Raises:
+        ConfigError: It is not above 0, not finite, or beyond what the system's timers know.
+    """
+    if duration is not None and not 0 < duration < threading.TIMEOUT_MAX:
+        raise ConfigError(f"--duration {duration:g}: give a time above 0 s, or leave it out")
+
+
+def make_directory(directory: Path) -> None:
+    """Make the data directory if it is not there.
+
+    Raises:
+        ConfigError: It cannot be made, or cannot be written to.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        problem = "there is a file of that name"
+    except OSError as error:
+        problem = error.strerror
+    else:
+        if os.access(directory, os.W_OK | os.X_OK):
+            return
+        problem = "it may not be written to"
+    raise ConfigError(
+        f"data_directory {directory} cannot be used ({problem}); name another with --data"
+    )
+
+
+def find_ring(config: AppConfig, ioc: str) -> EpicsSettings:
+    """Say how to reach a ring that somebody else serves.
+
+    Args:
+        config: Gives what `ioc` does not say.
+        ioc: `env`, `config` or `HOST[:PORT]`; nothing is known yet of a ring of our own, `sim`.
+
+    Raises:
+        ConfigError: That is no address, or its host is not known.
+    """
+    if ioc == SIMULATED:
+        return config.epics
+    if ioc == ENVIRONMENT:
+        update = _from_environment(os.environ)
+    elif ioc == CONFIGURED:
+        update = {}
+    else:
+        host, colon, port = ioc.partition(":")
+        if not host or any(c.isspace() for c in host) or (colon and not port):
+            raise ConfigError(f"--ioc {ioc}: give sim, env, config, HOST or HOST:PORT")
+        number = _port(port, f"--ioc {ioc}") if port else config.sim.port
+        update = {"address_list": host, "auto_address_list": False, "server_port": number}
+    settings = config.epics.model_copy(update=update)
+    if not settings.address_list.split() and not settings.auto_address_list:
+        raise ConfigError(
+            f"--ioc {ioc}: there is nowhere to search for PVs: the address list is empty and "
+            "EPICS_CA_AUTO_ADDR_LIST is NO; set EPICS_CA_ADDR_LIST or epics.address_list"
+        )
+    _servers(settings)
+    return settings
+
+
+def _from_environment(environment: Mapping[str, str]) -> dict[str, object]:
+    """Take the network from the EPICS_CA_… variables, as any other client would."""
+    name = "EPICS_CA_SERVER_PORT"
+    return {
+        "address_list": environment.get("EPICS_CA_ADDR_LIST", ""),
+        "auto_address_list": environment.get("EPICS_CA_AUTO_ADDR_LIST", "YES").upper() != "NO",
+        "server_port": _port(environment.get(name, "5064"), f"environment variable {name}"),
+    }
+
+
+def _port(text: str, where: str) -> int:
+    if not (text.isascii() and text.isdigit() and LOWEST_PORT <= int(text) < 65536):
+        raise ConfigError(
+            f"{where}: {text!r} is no port for Channel Access; give one from {LOWEST_PORT} to "
+            f"65535 (libca would use {5064}, the usual one of a machine, for any other)"
+        )
+    return int(text)
+
+
+def _servers(settings: EpicsSettings) -> list[str]:
+    """Resolve the places where PVs are searched for, `ADDRESS:PORT` each.
+
+    Raises:
+        ConfigError: A host is not known; libca would go on without it.
+    """
+    servers = [f"any:{settings.server_port}"] if settings.auto_address_list else []
+    for word in settings.address_list.split():
+        host, _, port = word.partition(":")
+        try:
+            address = socket.gethostbyname(host)
+        except (OSError, UnicodeError):
+            raise ConfigError(
+                f"the host {host!r}, where PVs are to be searched for, is not known; give a name "
+                "that resolves, or an IPv4 address"
+            ) from None
+        servers.append(f"{address}:{port or settings.server_port}")
+    return servers
+
+
+def take_ring(settings: EpicsSettings, channels: Channels, stack: ExitStack) -> None:
+    """Be the only loop of this user that writes to a ring, each plane of it by itself.
+
+    Args:
+        settings: Where the ring is; names of one host are one host.
+        channels: What would be written.
+        stack: Holds the locks.
+
+    Raises:
+        OwnershipError: Another one writes to it.
+    """
+    first = channels.setpoint_pvs[:: len(channels.setpoint_pvs) // len(channels.planes)]
+    for server in _servers(settings):
+        for plane, pv in zip(channels.planes, first, strict=True):
+            stack.enter_context(
+                Lock(
+                    f"ring {server} {pv}",
+                    f"the ring at {settings.address_list}, port {settings.server_port}, plane "
+                    f"{plane}",
+                    "two loops on one ring fight each other; stop the other one first",
+                )
+            )
+
+
+def check_limits(config: AppConfig, drive_limits: NDArray[np.float64], channels: Channels) -> None:
+    """Refuse a limit of ours that lies beyond the drive limits of the machine.
+
+    Args:
+        config: Has the limit.
+        drive_limits: Of the machine, shape (m, 2), low and high [A]; NaN: none.
+        channels: Names of the correctors.
+
+    Raises:
+        ConfigError: It does; a write that the machine refuses would trip the loop later.
+    """
+    limit = config.limits.setpoint
+    beyond = np.flatnonzero((drive_limits[:, 0] > -limit) | (drive_limits[:, 1] < limit))
+    if not beyond.size:
+        return
+    first = int(beyond[0])
+    room = np.minimum(-drive_limits[:, 0], drive_limits[:, 1])
+    raise ConfigError(
+        f"limits.setpoint is {limit:g} A, but {beyond.size} correctors have narrower drive "
+        f"limits, {channels.setpoint_pvs[first]} for one: {drive_limits[first, 0]:g} to "
+        f"{drive_limits[first, 1]:g} A; set limits.setpoint to {np.nanmin(room):g} A or less"
+    )
+
+
+def dither_settings(config: AppConfig) -> DitherSettings:
+    """Give the dither the seed of the run, unless it has one of its own."""
+    own = "seed" in config.dither.model_fields_set
+    return config.dither if own else config.dither.model_copy(update={"seed": config.seed})
+
+
+def announcement(where: Mapping[str, object], simulated: bool) -> Iterator[str]:
+    """Say in a few lines what was started where.
+
+    Args:
+        where: `addresses` and `port` of the ring, address of the `metrics`, `data` directory.
+        simulated: Whether the ring is a simulated one of our own.
+    """
+    addresses, port = where["addresses"], where["port"]
+    if simulated:
+        local = str(addresses).startswith("127.")
+        reach = "this computer alone can reach it" if local else "open to the network"
+        yield f"simulated ring on {addresses}, port {port} ({reach}; production has 5064)"
+    else:
+        yield f"ring at {addresses or 'every network'}, port {port}"
+    if where["metrics"]:
+        yield f"metrics and health on {where['metrics']}"
+    yield f"archive, policies and log in {where['data']}"
