@@ -1,4 +1,4 @@
-"""One client of the fast front: puts taken from the byte stream, monitors from the feed."""
+"""One client of the fast front: puts and reads from the byte stream, monitors from the feed."""
 
 import asyncio
 from collections.abc import Coroutine
@@ -8,6 +8,7 @@ import caproto as ca
 import numpy as np
 from caproto.asyncio.server import VirtualCircuit
 from caproto.server.common import DisconnectedCircuit
+from numpy.typing import NDArray
 
 from orbitfb.sim.board import Board
 from orbitfb.sim.channels import BoardChannel, BoardSetpoint
@@ -16,6 +17,7 @@ from orbitfb.sim.feed import Feed
 from orbitfb.sim.frames import DOUBLE, TIME_DOUBLE, Monitor
 from orbitfb.sim.listening import Sockets
 from orbitfb.sim.puts import PUT, PUT_COMMAND, WRITES, leading_puts, message_end
+from orbitfb.sim.reads import READ, READ_COMMAND, answers, leading_reads
 
 if TYPE_CHECKING:
     from orbitfb.sim.fast import FastFront
@@ -66,10 +68,11 @@ class FastCircuit(VirtualCircuit):
         data = self._rest + data
         start = slow_from = 0
         while (end := message_end(data, start)) is not None:
-            fast = 0 if self._behind else self._take_puts(data, start)
-            if fast:
+            if not self._behind and (
+                fast := self._take_puts(data, start) or self._answer_reads(data, start)
+            ):
                 await self._hand_over(data[slow_from:start])
-                start = slow_from = start + fast * PUT.itemsize
+                start = slow_from = start + fast
                 continue
             if data[start + 1] in WRITES:  # what follows must not overtake this one
                 await self._hand_over(data[slow_from:end])
@@ -91,18 +94,36 @@ class FastCircuit(VirtualCircuit):
         return bool(self._queued) or self._running > 0
 
     def _take_puts(self, data: bytes, start: int) -> int:
-        """Apply the run of acceptable puts that begins at `start`, and count it."""
+        """Apply the run of acceptable puts that begins at `start`; give its length in bytes."""
         if data[start + 1] != PUT_COMMAND:
             return 0
         run = leading_puts(data, start)
-        channels = np.minimum(run["channel"].astype(np.intp), len(self._setpoint_of) - 1)
-        which = self._setpoint_of[channels]
+        which = self._setpoints_of(run)
         values = run["value"].astype(np.float64)
         refused = (which < 0) | ~self._board.allowed(which, values)
         count = int(refused.argmax()) if refused.any() else len(run)
         if count:
             self._front.take(which[:count], values[:count])
-        return count
+        return count * PUT.itemsize
+
+    def _answer_reads(self, data: bytes, start: int) -> int:
+        """Answer the run of reads of setpoints that begins at `start`; give its length in bytes."""
+        transport = self.client.writer.transport
+        if data[start + 1] != READ_COMMAND or transport.get_write_buffer_size():
+            return 0  # who does not take his answers waits for them as caproto has it
+        run = leading_reads(data, start)
+        which = self._setpoints_of(run)
+        unknown = which < 0
+        count = int(unknown.argmax()) if unknown.any() else len(run)
+        if count:
+            values = self._board.setpoints[which[:count]]
+            transport.write(answers(run["request"][:count], values))
+        return count * READ.itemsize
+
+    def _setpoints_of(self, run: NDArray[np.void]) -> NDArray[np.intp]:
+        """Give the setpoint that each message is about; -1 where it is about something else."""
+        channels = np.minimum(run["channel"].astype(np.intp), len(self._setpoint_of) - 1)
+        return self._setpoint_of[channels]
 
     async def _hand_over(self, data: bytes) -> None:
         """Let caproto parse and process whole messages."""
@@ -167,8 +188,12 @@ class FastCircuit(VirtualCircuit):
         for answer in response:
             if isinstance(answer, ca.CreateChanResponse):
                 entry = self.context[command.name]
-                if isinstance(entry, BoardSetpoint):
+                if isinstance(entry, BoardSetpoint) and self._is_plain(command.name, entry):
                     self._know(answer.sid, entry.index - self._board.readings)
+
+    def _is_plain(self, name: str, entry: BoardSetpoint) -> bool:
+        """Whether a channel was asked for without a filter."""
+        return name.removesuffix(".VAL") == self._board.names[entry.index]
 
     def _know(self, channel: int, setpoint: int) -> None:
         """Remember which setpoint a channel is; the last place of the table stays unknown."""
