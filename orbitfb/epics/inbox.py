@@ -1,10 +1,10 @@
 """Where libca's threads leave a complete orbit and the loop takes it, with its readbacks.
 
-Readbacks come after the reading that completes the orbit (an IOC sends its BPMs first). When the
-IOC stamps the readbacks of a tick like its orbit, the reader waits for them, at most
-`readback_wait`: then orbit and readback are of one tick, and the readback belongs to the
-setpoints in force at that orbit. An IOC that has not done so for some ticks is not waited for,
-until its readbacks are seen in step again; its last known readbacks are taken instead.
+Readbacks come before or after the reading that completes the orbit. When the IOC stamps the
+readbacks of a tick like its orbit, the reader waits for them, at most `readback_wait`: then orbit
+and readback are of one tick, and the readback belongs to the setpoints in force at that orbit. An
+IOC that has not done so for some ticks is not waited for, until its readbacks are seen in step
+again; its last known readbacks are taken instead.
 """
 
 import threading
@@ -93,7 +93,7 @@ class Inbox:
             late = self._clock.monotonic() - orbit.received > self._settings.readback_wait
             if not late:
                 self._in_step, self._misses = True, 0
-        self._wake.set()
+            self._wake.set()  # only for the reader that waits for these
 
     def close(self) -> None:
         """Send a waiting reader away."""
@@ -136,17 +136,18 @@ class Inbox:
         return ""
 
     def _readbacks_of(self, orbit: Arrival) -> Vector:
+        limit = orbit.received + (self._settings.readback_wait if self._in_step else 0.0)
+        while True:
+            self._wake.clear()
+            readbacks = self._readbacks
+            if readbacks is not None and self._matches(readbacks, orbit):
+                self._in_step, self._misses = True, 0
+                return readbacks.values
+            remaining = limit - self._clock.monotonic()
+            if remaining <= 0:
+                break
+            self._wake.wait(remaining)
         if self._in_step:
-            limit = orbit.received + self._settings.readback_wait
-            while True:
-                self._wake.clear()
-                readbacks = self._readbacks
-                if readbacks is not None and self._matches(readbacks, orbit):
-                    return readbacks.values
-                remaining = limit - self._clock.monotonic()
-                if remaining <= 0:
-                    break
-                self._wake.wait(remaining)
             self._misses += 1
             self._in_step = self._misses < MISSES_UNTIL_NOT_WAITED_FOR
         assembler = self._readback_assembler

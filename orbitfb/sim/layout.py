@@ -51,8 +51,9 @@ class Layout:
     """All PVs of a ring.
 
     Args:
-        readings: What every tick publishes, in the order in which clients see it: BPMs and
-            readbacks in the order of the channels, stored current, RF, true rms, tick.
+        readings: What every tick publishes, in the order in which clients see it: readbacks and
+            BPMs in the order of the channels, stored current, RF, true rms, tick. The last BPM
+            completes an orbit whose readbacks are there already: clients need not wait again.
         setpoints: Setpoints in the order of the channels [A].
         kick: The random kick [mm].
         constants: Stored current [mA] and RF frequency [Hz].
@@ -70,7 +71,7 @@ class Layout:
         """Give the values of `readings` at a tick, in the units of the PVs."""
         true_rms = float(np.sqrt(np.mean(np.square(state.true_orbit)))) * MILLI
         slow = (*self.constants, true_rms, float(tick))
-        return np.concatenate((state.reading * MILLI, state.readback, slow))
+        return np.concatenate((state.readback, state.reading * MILLI, slow))
 
 
 def lay_out(channels: Channels, settings: SimSettings) -> Layout:
@@ -106,7 +107,7 @@ def lay_out(channels: Channels, settings: SimSettings) -> Layout:
         PvSpec(TICK_PV, "", 0),
     )
     return Layout(
-        readings=(*bpms, *ammeters(channels.readback_pvs, NO_RANGE), *slow),
+        readings=(*ammeters(channels.readback_pvs, NO_RANGE), *bpms, *slow),
         setpoints=ammeters(channels.setpoint_pvs, drive),
         kick=PvSpec(KICK_PV, "mm", 3, drive=(0.0, settings.kick_limit * MILLI)),
         constants=(settings.stored_current * MILLI, settings.rf_frequency or 0.0),

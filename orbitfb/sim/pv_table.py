@@ -52,17 +52,15 @@ def pv_families(ring: Ring, planes: Planes, settings: SimSettings) -> tuple[PvFa
     bpms, correctors = len(ring.names("BPM")), len(ring.names("COR"))
     families: list[PvFamily] = []
     readings = list(layout.readings)
+    readbacks = list(_take(readings, correctors * len(planes)))
     for plane in planes:
-        families.append(PvFamily(f"BPM reading, {plane}", tuple(readings[:bpms]), False))
-        del readings[:bpms]
+        families.append(PvFamily(f"BPM reading, {plane}", _take(readings, bpms), False))
     for number, plane in enumerate(planes):
         own = layout.setpoints[number * correctors : (number + 1) * correctors]
         families.append(PvFamily(f"corrector setpoint, {plane}", own, True))
     for plane in planes:
-        families.append(
-            PvFamily(f"corrector readback, {plane}", tuple(readings[:correctors]), False)
-        )
-        del readings[:correctors]
+        own = _take(readbacks, correctors)
+        families.append(PvFamily(f"corrector readback, {plane}", own, False))
     families += [PvFamily(_SINGLE[spec.name], (spec,), False) for spec in readings]
     families.append(PvFamily(_SINGLE[layout.kick.name], (layout.kick,), True))
     return tuple(families)
@@ -101,6 +99,13 @@ def pv_table_markdown(ring: Ring, planes: Planes, settings: SimSettings) -> str:
             + " |"
         )
     return "\n".join(rows) + "\n"
+
+
+def _take(specs: list[PvSpec], count: int) -> tuple[PvSpec, ...]:
+    """Take the first ones off a list."""
+    taken = tuple(specs[:count])
+    del specs[:count]
+    return taken
 
 
 def count_pvs(families: Sequence[PvFamily]) -> int:

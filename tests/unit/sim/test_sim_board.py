@@ -35,8 +35,8 @@ def board():
 
 def test_the_layout_has_the_order_that_clients_see():
     assert [spec.name for spec in LAYOUT.readings] == [
-        *CHANNELS.orbit_pvs,
         *CHANNELS.readback_pvs,
+        *CHANNELS.orbit_pvs,
         CURRENT_PV,
         RF_PV,
         TRUE_RMS_PV,
@@ -54,7 +54,7 @@ def test_values_leave_in_the_units_of_the_pvs():
     )
     values = LAYOUT.values(state, 17)
     rms = 5.0 / np.sqrt(3.0)
-    np.testing.assert_allclose(values, [1.0, -2e-3, 0.0, 1.5, -2.5, 400.0, 5e8, rms, 17.0])
+    np.testing.assert_allclose(values, [1.5, -2.5, 1.0, -2e-3, 0.0, 400.0, 5e8, rms, 17.0])
 
 
 def test_all_readings_of_a_tick_carry_its_stamp(board):
