@@ -11,6 +11,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -197,14 +198,9 @@ def _put(tree: dict[str, Any], dotted: str, value: Any, origin: str) -> None:
 def _explain(problem: ErrorDetails, origins: Mapping[str, str]) -> str:
     location = [str(part) for part in problem["loc"]]
     dotted = ".".join(location) or "the configuration"
-    origin = next(
-        (
-            origins[key]
-            for end in range(len(location), 0, -1)
-            if (key := ".".join(location[:end])) in origins
-        ),
-        "default",
-    )
+    above = (".".join(location[:end]) for end in range(len(location), 0, -1))
+    below = (key for key in origins if key.startswith(f"{dotted}."))
+    origin = next((origins[key] for key in chain(above, below) if key in origins), "default")
     if problem["type"] == "extra_forbidden":
         return f"{dotted}: no such key ({origin}){_did_you_mean(location)}"
     return f"{dotted}: {problem['msg']}, got {problem['input']!r} ({origin})"

@@ -1,6 +1,5 @@
 """What EpicsMachine does when the IOC misbehaves, hangs, dies and comes back."""
 
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -124,10 +123,7 @@ def read_when_back(machine: EpicsMachine) -> float:
     raise AssertionError("the machine did not come back")
 
 
-slow = pytest.mark.skipif("ORBITFB_SLOW_TESTS" not in os.environ, reason="takes half a minute")
-
-
-@pytest.mark.parametrize("away", [1.0, pytest.param(30.0, marks=slow)])
+@pytest.mark.parametrize("away", [1.0, pytest.param(30.0, marks=pytest.mark.slow)])
 def test_back_soon_however_long_it_was_away(away: float, record_property):
     with (
         BaseIoc(RING, RATE_HZ) as ioc,

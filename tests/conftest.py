@@ -1,0 +1,133 @@
+"""For every test: EPICS on loopback, nothing beyond loopback, nothing left behind."""
+
+import os
+import shutil
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+PATIENCE = 2.0
+"""How long what a test has stopped may take to be gone [s]."""
+
+_LOOPBACK_EPICS = {
+    "EPICS_CA_ADDR_LIST": "127.0.0.1",
+    "EPICS_CA_AUTO_ADDR_LIST": "NO",
+    "EPICS_CA_SERVER_PORT": "59999",  # nobody; a test that needs a server names its port
+    "EPICS_CAS_INTF_ADDR_LIST": "127.0.0.1",
+    "EPICS_CAS_AUTO_BEACON_ADDR_LIST": "NO",
+    "EPICS_CAS_BEACON_ADDR_LIST": "127.0.0.1",
+    "EPICS_CAS_BEACON_PORT": "59998",
+    "EPICS_PVA_ADDR_LIST": "127.0.0.1",
+    "EPICS_PVA_AUTO_ADDR_LIST": "NO",
+    "EPICS_PVAS_INTF_ADDR_LIST": "127.0.0.1",
+}
+
+
+def _force_environment() -> None:
+    """Before any module is imported: libca and caproto read some of it only once."""
+    for name in tuple(os.environ):
+        if name.startswith(("EPICS_", "ORBITFB_")):
+            del os.environ[name]
+    os.environ.update(_LOOPBACK_EPICS)
+
+
+_force_environment()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_runtime_directory() -> Iterator[None]:
+    """Keep locks and control sockets of the tests away from those of the user."""
+    directory = tempfile.mkdtemp(prefix="orbitfb-test-")
+    os.environ["XDG_RUNTIME_DIR"] = directory
+    yield
+    shutil.rmtree(directory)
+
+
+def _is_loopback(address: object) -> bool:
+    if not isinstance(address, tuple):  # a Unix socket
+        return True
+    host = str(address[0])
+    return host in ("", "localhost", "::1", "0.0.0.0") or host.startswith("127.")
+
+
+def _loopback_only(original: Callable[..., object]) -> Callable[..., object]:
+    def guarded(self: socket.socket, *arguments: object) -> object:
+        address = arguments[-1]
+        if not _is_loopback(address):
+            raise AssertionError(f"a test tried to reach {address!r}, beyond loopback")
+        return original(self, *arguments)
+
+    return guarded
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _stay_on_loopback() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("connect", "connect_ex", "sendto"):
+            patch.setattr(socket.socket, name, _loopback_only(getattr(socket.socket, name)))
+        yield
+
+
+def _children() -> set[str]:
+    found: set[str] = set()
+    for child in psutil.Process().children(recursive=True):
+        try:
+            command = " ".join(child.cmdline())
+            if child.status() != psutil.STATUS_ZOMBIE and "resource_tracker" not in command:
+                found.add(f"process {child.pid}: {command or child.name()}")
+        except psutil.NoSuchProcess:
+            continue
+    return found
+
+
+def _threads() -> set[str]:
+    """Threads that Python started; those of libca live as long as the process."""
+    return {
+        f"thread {thread.ident}: {thread.name}"
+        for thread in threading.enumerate()
+        if not isinstance(thread, threading._DummyThread)
+    }
+
+
+def _listeners() -> set[str]:
+    """TCP ports on which this process listens."""
+    return {
+        f"listening port {connection.laddr.port}"
+        for connection in psutil.Process().net_connections("tcp")
+        if connection.status == psutil.CONN_LISTEN
+    }
+
+
+def _watch() -> Iterator[None]:
+    def present() -> set[str]:
+        return _children() | _threads() | _listeners()
+
+    before = present()
+    yield
+    deadline = time.monotonic() + PATIENCE
+    while left := present() - before:
+        if time.monotonic() > deadline:
+            pytest.fail("left behind: " + "; ".join(sorted(left)))
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _module_leaves_nothing_behind() -> Iterator[None]:
+    yield from _watch()
+
+
+@pytest.fixture(autouse=True)
+def _test_leaves_nothing_behind() -> Iterator[None]:
+    yield from _watch()
+
+
+@pytest.fixture
+def repository() -> Path:
+    """The root of the repository."""
+    return Path(__file__).parents[1]
