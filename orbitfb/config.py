@@ -68,6 +68,9 @@ class AppConfig(Settings):
         description="Where policies, archive and log are kept.",
     )
     seed: int = Field(default=1, ge=0, description="Seed of the simulated ring and of the dither.")
+    policies_kept: int = Field(
+        default=100, ge=2, description="Newest policies, and last ones in force, that are kept."
+    )
     policy: SvdSettings = Field(
         default=SvdSettings(), description="The baseline law, and that of every refit."
     )

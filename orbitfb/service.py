@@ -146,6 +146,7 @@ class Service:
         check_limits(config, self.machine.drive_limits, self.channels)
 
         self.store = open_store(config)
+        self._policies_kept = config.policies_kept
         nominal = baseline(config, ring)
         self.slot = PolicySlot(self._first_policy(nominal, ioc))
         self.statistics = LoopStatistics(self.channels, config.limits.setpoint, clock)
@@ -284,6 +285,7 @@ class Service:
                 policy, self.channels, parent=report.incumbent_id, figures=report.figures
             )
         self.store.activate(policy.policy_id)
+        self.store.prune(self._policies_kept)
 
     def _refitted(self, report: RefitReport) -> None:
         self.statistics.refitted(report)

@@ -87,6 +87,17 @@ def publish_directory(final: Path, files: Mapping[str, bytes]) -> None:
     _sync_directory(final.parent)
 
 
+def remove_directory(path: Path) -> None:
+    """Let a directory disappear at once, then free its space.
+
+    Raises:
+        OSError: It cannot be removed.
+    """
+    leaving = path.parent / f"{_UNFINISHED}{uuid.uuid4().hex}"
+    path.rename(leaving)
+    shutil.rmtree(leaving)
+
+
 def replace_file(path: Path, content: bytes) -> None:
     """Put new content in the place of a file: readers see the old or the new.
 

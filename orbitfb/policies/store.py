@@ -27,6 +27,7 @@ from orbitfb.policies.files import (
     SCHEMA_VERSION,
     publish_directory,
     read_json,
+    remove_directory,
     replace_file,
     sole_writer,
 )
@@ -226,6 +227,36 @@ class PolicyStore:
             self._check_whole(stack[-1].id)
             self._write_stack(stack)
             return stack[-1].id
+
+    def prune(self, keep: int) -> list[str]:
+        """Remove policies that are neither among the newest nor among those last in force.
+
+        Args:
+            keep: How many of each stay.
+
+        Returns:
+            The ids that were removed.
+
+        Raises:
+            StoreError: A directory cannot be removed.
+        """
+        with sole_writer(self.path):
+            stack = self.activations()[-keep:]
+            staying = {activation.id for activation in stack}
+            cards = self.cards(lambda _: None)  # a damaged one stays, to be looked at
+            staying |= {card.id for card in cards[-keep:]}
+            leaving = [card.id for card in cards if card.id not in staying]
+            if leaving:
+                self._write_stack(stack)  # first, so that no activation names what is gone
+            for identifier in leaving:
+                try:
+                    remove_directory(self.path / identifier)
+                except OSError as error:
+                    raise StoreError(
+                        f"{self.path / identifier} cannot be removed ({error.strerror}); mend the "
+                        "permissions"
+                    ) from error
+        return leaving
 
     def _check_whole(self, identifier: str) -> None:
         """See that a policy is there and unharmed, as far as that goes without its ring."""

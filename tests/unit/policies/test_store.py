@@ -288,3 +288,22 @@ def test_many_writers_at_once_lose_nothing(store):
     assert not failures
     assert {card.id for card in store.cards()} == set(identifiers)
     assert store.active() in identifiers
+
+
+def test_pruning_keeps_the_newest_and_those_last_in_force(tmp_path):
+    clock = ManualClock()
+    store = PolicyStore(tmp_path, clock)
+    ids = []
+    for seed in range(6):
+        ids.append(store.save(make_policy(seed), ring()))
+        clock.advance(1.0)
+    for identifier in (ids[3], ids[0], ids[1]):
+        store.activate(identifier)
+    assert store.prune(keep=2) == [ids[2], ids[3]]
+    assert [card.id for card in store.cards()] == [ids[0], ids[1], ids[4], ids[5]]
+    assert store.rollback() == ids[0]
+    with pytest.raises(StoreError, match="no policy was active before"):
+        store.rollback()
+    assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == sorted(
+        [ids[0], ids[1], ids[4], ids[5]]
+    )
