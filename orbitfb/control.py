@@ -159,14 +159,14 @@ class ControlServer:
     def _converse(self, connection: socket.socket) -> None:
         with connection, contextlib.suppress(OSError):
             connection.settimeout(30.0)
-            answer: Mapping[str, Any]
             try:
-                answer = {"ok": True, **self._handler(_receive(connection))}
+                answer = _encode({"ok": True, **self._handler(_receive(connection))})
             except OrbitFeedbackError as error:
-                answer = {"ok": False, "error": str(error)}
+                answer = _encode({"ok": False, "error": str(error)})
             except Exception as error:  # the outermost guard of this thread: the asker is told
-                answer = {"ok": False, "error": f"the service failed at this: {error!r}"}
-            _send(connection, answer)
+                problem = f"the service failed at this: {error!r}"
+                answer = _encode({"ok": False, "error": problem})
+            connection.sendall(answer)
 
     def close(self) -> None:
         """Stop listening."""
@@ -211,7 +211,7 @@ def ask(data_directory: Path, request: Mapping[str, Any], timeout: float = 30.0)
                 f"XDG_RUNTIME_DIR (here its socket would be in {path.parent})"
             ) from None
         try:
-            _send(connection, request)
+            connection.sendall(_encode(request))
             answer = dict(_receive(connection))
         except OSError as error:
             raise ControlError(f"the service did not answer within {timeout} s: {error}") from None
@@ -220,8 +220,8 @@ def ask(data_directory: Path, request: Mapping[str, Any], timeout: float = 30.0)
     return answer
 
 
-def _send(connection: socket.socket, message: Mapping[str, Any]) -> None:
-    connection.sendall(json.dumps(message, allow_nan=False).encode() + b"\n")
+def _encode(message: Mapping[str, Any]) -> bytes:
+    return json.dumps(message, allow_nan=False).encode() + b"\n"
 
 
 def _receive(connection: socket.socket) -> Mapping[str, Any]:
