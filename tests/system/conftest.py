@@ -1,0 +1,33 @@
+"""Fixtures of the tests that start real processes."""
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from service_process import Ioc
+
+
+@pytest.fixture
+def ioc(tmp_path: Path) -> Iterator[Ioc]:
+    """A simulated ring, `orbitfb ioc`, on a free port."""
+    with Ioc(tmp_path) as process:
+        yield process
+
+
+@pytest.fixture
+def taken_port() -> Iterator[int]:
+    """A TCP port of loopback on which somebody listens."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        yield listener.getsockname()[1]
+
+
+@pytest.fixture
+def dead_port() -> Iterator[int]:
+    """A port of loopback that nobody answers and nobody can take."""
+    with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
+        tcp.bind(("127.0.0.1", 0))
+        udp.bind(tcp.getsockname())
+        yield tcp.getsockname()[1]

@@ -1,0 +1,233 @@
+"""The program as its users start it: processes, commands, log, archive."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from ioc_clients import run_client
+
+from orbitfb.control import ask
+from orbitfb.core.errors import ControlError
+from orbitfb.core.transitions import Transitions
+from orbitfb.history.archive import read_archive
+from orbitfb.physics.places import Ring
+
+PROGRAM = (sys.executable, "-W", "error::ResourceWarning", "-m", "orbitfb")
+CHANNELS = Ring.load().channels("x")
+START = 30.0
+"""How long a start may take on a loaded computer [s]."""
+
+
+def orbitfb(*arguments: object, **environment: str | None) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end; a variable that is None is unset."""
+    variables = {k: v for k, v in (os.environ | environment).items() if v is not None}
+    return subprocess.run(
+        [*PROGRAM, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env=variables,
+    )
+
+
+def wait_for(what: str, look: Callable[[], Any], timeout: float = START) -> Any:
+    """Look again and again until there is something to see."""
+    deadline = time.monotonic() + timeout
+    while not (seen := look()):
+        assert time.monotonic() < deadline, f"no {what} within {timeout} s"
+        time.sleep(0.02)
+    return seen
+
+
+def read_log(data: Path) -> list[dict[str, Any]]:
+    """Every line of the log of a data directory; a line that is no JSON fails."""
+    file = data / "orbitfb.log.jsonl"
+    if not file.exists():
+        return []
+    text = file.read_text()
+    return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
+
+
+class Process:
+    """A process of the program that is never left behind.
+
+    Args:
+        arguments: What follows `orbitfb`.
+        directory: Where what it prints is kept.
+        name: Of the files there.
+    """
+
+    def __init__(self, arguments: Sequence[object], directory: Path, name: str) -> None:
+        self._out, self._err = directory / f"{name}.out", directory / f"{name}.err"
+        with self._out.open("w") as out, self._err.open("w") as err:
+            self.popen = subprocess.Popen(
+                [*PROGRAM, *map(str, arguments)], stdout=out, stderr=err, start_new_session=True
+            )
+
+    @property
+    def out(self) -> str:
+        """What it printed so far."""
+        return self._out.read_text()
+
+    @property
+    def err(self) -> str:
+        """What it said on standard error so far."""
+        return self._err.read_text()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.popen.pid, signal.SIGKILL)
+        self.popen.wait(10)
+
+    def kill(self) -> None:
+        """kill -9."""
+        self.popen.kill()
+        self.popen.wait(10)
+
+    def stop(self, number: int = signal.SIGINT) -> float:
+        """Send a signal, and give the time until it has ended [s]."""
+        begin = time.monotonic()
+        self.popen.send_signal(number)
+        self.popen.wait(20)
+        return time.monotonic() - begin
+
+    def check_alive(self) -> None:
+        assert self.popen.poll() is None, f"it ended: {self.out}\n{self.err}"
+
+
+class Ioc(Process):
+    """`orbitfb ioc`, once it serves.
+
+    Args:
+        directory: Where what it prints is kept.
+        port: Port; 0: any.
+        options: More options.
+    """
+
+    def __init__(self, directory: Path, port: int = 0, options: Sequence[object] = ()) -> None:
+        super().__init__(["ioc", "--port", port, *options], directory, "ioc")
+        wait_for("IOC", lambda: self.check_alive() or self.out.count("\n") == 2)
+        self.ready = time.time()
+        self.port = int(self.out.split("EPICS_CA_SERVER_PORT=")[1])
+
+
+class Service(Process):
+    """`orbitfb run`, once it has started.
+
+    Args:
+        data: Data directory.
+        ioc: Value of `--ioc`.
+        options: More options.
+    """
+
+    def __init__(self, data: Path, ioc: str, *options: object) -> None:
+        self.data = data
+        before = len(self.events("service_started"))
+        arguments = ["run", "--ioc", ioc, "--data", data, "--metrics-port", 0]
+        ring = ["--port", 0] if ioc == "sim" else []
+        super().__init__([*arguments, *ring, *options], data.parent, data.name)
+        self.began = time.monotonic()
+        self.where = wait_for("start", lambda: self.check_alive() or self._started(before))
+
+    def _started(self, before: int) -> dict[str, Any] | None:
+        found = self.events("service_started")[before:]
+        return found[0] if found else None
+
+    @property
+    def port(self) -> int:
+        """Port of the ring."""
+        return self.where["port"]
+
+    def events(self, name: str) -> list[dict[str, Any]]:
+        """Lines of the log about one event."""
+        return [line for line in read_log(self.data) if line["event"] == name]
+
+    def status(self) -> dict[str, Any]:
+        """Ask how it is."""
+        return ask(self.data, {"command": "status"})
+
+    def wait_status(self, what: str, look: Callable[[dict[str, Any]], Any], timeout: float) -> Any:
+        """Wait until its status shows something; gives that status."""
+
+        def once() -> dict[str, Any] | None:
+            self.check_alive()
+            try:
+                status = self.status()
+            except ControlError:
+                return None
+            return status if look(status) else None
+
+        return wait_for(what, once, timeout)
+
+    def wait_state(self, state: str, timeout: float = START) -> Any:
+        """Wait until it is in a state."""
+        return self.wait_status(state, lambda status: status["state"] == state, timeout)
+
+    def wait_below(self, micrometres: float, timeout: float = 15.0) -> None:
+        """Wait until it is closed and the last orbit, as Prometheus is told, is that good."""
+
+        def good(status: dict[str, Any]) -> bool:
+            return status["state"] == "CLOSED" and self.orbit_rms() < micrometres
+
+        self.wait_status(f"orbit below {micrometres} um", good, timeout)
+
+    def orbit_rms(self, plane: str = "x") -> float:
+        """Observed rms of the last orbit [µm]."""
+        return self.metric(f'orbitfb_orbit_rms_meters{{plane="{plane}"}}') * 1e6
+
+    def metrics(self) -> str:
+        """What Prometheus gets."""
+        return fetch(f"{self.where['metrics']}/metrics")
+
+    def metric(self, name: str) -> float:
+        """One sample, by its name with its labels."""
+        line = next(line for line in self.metrics().splitlines() if line.startswith(f"{name} "))
+        return float(line.split()[1])
+
+
+def fetch(url: str) -> str:
+    """GET over HTTP."""
+    with urllib.request.urlopen(url, timeout=5.0) as answer:
+        return answer.read().decode()
+
+
+def transitions(data: Path) -> Transitions:
+    """Read the archive of a data directory; whatever cannot be read fails."""
+    return read_archive(data / "archive")
+
+
+def rms(vectors: np.ndarray) -> np.ndarray:
+    """Rms of each row."""
+    return np.sqrt(np.mean(vectors**2, axis=1))
+
+
+def setpoints(port: int, channels: Any = CHANNELS) -> np.ndarray:
+    """Read the setpoints [A] with caproto's own client, in a process of its own."""
+    names = list(channels.setpoint_pvs)
+    return np.array(
+        run_client(
+            port,
+            f"""
+            import json
+            from caproto.threading.client import Context
+            context = Context()
+            pvs = context.get_pvs(*{names!r})
+            values = [float(pv.read(timeout=5.0).data[0]) for pv in pvs]
+            context.disconnect()
+            print(json.dumps(values))
+            """,
+        )
+    )
