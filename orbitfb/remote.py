@@ -16,10 +16,10 @@ from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.observe.summary import summary
 from orbitfb.policies.store import PolicyStore
 
-COMMAND_TIMEOUT = 5.0
-"""How long a command may wait for the tick at which it takes effect [s]."""
+LONGEST_PATIENCE = 25.0
+"""Whoever asks waits a little longer [s]."""
 REFIT_TIMEOUT = 50.0
-"""How long a refit may take; whoever asked waits a little longer [s]."""
+"""How long a refit may take; whoever asks waits a little longer [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +34,7 @@ class Remote:
         learner: The learner's thread; None when it is off.
         channels: The ring.
         archive: Where the archive lies, for advice.
+        period: Of the loop [s]; a command takes effect at a tick, so it waits for a few.
     """
 
     runner: Runner
@@ -43,6 +44,7 @@ class Remote:
     learner: LearnerThread | None
     channels: Channels
     archive: Path
+    period: float
 
     def __call__(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         """Carry out a request.
@@ -58,13 +60,21 @@ class Remote:
             return self._refit(request.get("activate") is True)
         if name == "activate":
             return self._activate(request.get("policy"))
+        return self._command(str(name))
+
+    def _command(self, name: str) -> Mapping[str, Any]:
+        patience = min(max(5.0, 3 * self.period), LONGEST_PATIENCE)
+        future = self.runner.command(name)
         try:
-            state = self.runner.command(str(name)).result(COMMAND_TIMEOUT)
+            state = future.result(patience)
         except TimeoutError:
-            raise ControlError(
-                f"{name}: no orbit on which to decide came within {COMMAND_TIMEOUT} s; the loop "
-                f"is {self.runner.state}: {self.runner.reason}"
-            ) from None
+            # A command that was told to have failed must not be carried out later.
+            if future.cancel():
+                raise ControlError(
+                    f"{name}: no tick came within {patience:g} s, the command is withdrawn; the "
+                    f"loop is {self.runner.state}: {self.runner.reason}"
+                ) from None
+            state = future.result(patience)
         return {"state": state, "reason": self.runner.reason}
 
     def _refit(self, activate: bool) -> Mapping[str, Any]:

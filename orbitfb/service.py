@@ -191,6 +191,7 @@ class Service:
             self.learner if config.learn.enabled else None,
             self.channels,
             directory.resolve() / "archive",
+            config.loop.period,
         )
         control = ControlServer(directory, remote)
         stack.callback(control.close)

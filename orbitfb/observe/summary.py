@@ -97,8 +97,10 @@ def check_place(path: Path) -> None:
 
 
 def _unwritable(path: Path, error: OSError) -> OrbitFeedbackError:
+    above_is_a_file = isinstance(error, FileExistsError)  # where a directory was to be made
+    problem = os.strerror(errno.ENOTDIR) if above_is_a_file else error.strerror
     return OrbitFeedbackError(
-        f"the summary cannot be written to {path}: {error.strerror}; "
+        f"the summary cannot be written to {path}: {problem}; "
         "name a file in a directory that can be written to"
     )
 

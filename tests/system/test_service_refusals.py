@@ -1,0 +1,441 @@
+"""What cannot be done is refused: what, where, what to do; no traceback, nothing left running."""
+
+import json
+import re
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from service_process import CHANNELS, PROGRAM, Ioc, Service, orbitfb, read_log
+
+from orbitfb.config import load_config
+from orbitfb.core.errors import ConfigError
+from orbitfb.physics.places import Ring
+from orbitfb.startup import find_ring
+
+pytestmark = pytest.mark.system
+
+RUN = ("run", "--metrics-port", 0, "--duration", 1)
+SIM = (*RUN, "--ioc", "sim", "--port", 0)
+
+
+def refused(*arguments: object, **environment: str | None) -> str:
+    """Run a command that must be refused; gives what it said, without the name of the program."""
+    done = orbitfb(*arguments, **environment)
+    assert done.returncode == 2, (done.returncode, done.stdout, done.stderr)
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    assert done.stderr.startswith("orbitfb: ") and done.stderr.endswith("\n")
+    return done.stderr.removeprefix("orbitfb: ").rstrip("\n")
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("refusals")
+
+
+@pytest.fixture(scope="module")
+def ring(directory: Path) -> Iterator[Ioc]:
+    with Ioc(directory) as ioc:
+        yield ioc
+
+
+@pytest.fixture(scope="module")
+def service(ring: Ioc, directory: Path) -> Iterator[Service]:
+    """A loop that is there first."""
+    with Service(directory / "first", f"127.0.0.1:{ring.port}") as first:
+        yield first
+
+
+OPTIONS = {
+    "negative duration": (
+        (*SIM, "--duration", -1),
+        "--duration -1: give a time above 0 s, or leave it out",
+    ),
+    "no duration": (
+        (*SIM, "--duration", 0),
+        "--duration 0: give a time above 0 s, or leave it out",
+    ),
+    "duration without end": (
+        (*SIM, "--duration", "inf"),
+        "--duration inf: give a time above 0 s, or leave it out",
+    ),
+    "duration nan": (
+        (*SIM, "--duration", "nan"),
+        "--duration nan: give a time above 0 s, or leave it out",
+    ),
+    "port beyond all ports": (
+        (*RUN, "--ioc", "host:99999"),
+        "--ioc host:99999: '99999' is no port for Channel Access; give one from 5001 to 65535 "
+        "(libca would use 5064, the usual one of a machine, for any other)",
+    ),
+    "port that libca does not take": (
+        (*RUN, "--ioc", "127.0.0.1:5000"),
+        "--ioc 127.0.0.1:5000: '5000' is no port for Channel Access; give one from 5001 to 65535 "
+        "(libca would use 5064, the usual one of a machine, for any other)",
+    ),
+    "no port after the colon": (
+        (*RUN, "--ioc", "127.0.0.1:"),
+        "--ioc 127.0.0.1:: give sim, env, config, HOST or HOST:PORT",
+    ),
+    "no address": ((*RUN, "--ioc", ""), "--ioc : give sim, env, config, HOST or HOST:PORT"),
+    "host that is no name": (
+        (*RUN, "--ioc", "no..host"),
+        "the host 'no..host', where PVs are to be searched for, is not known; give a name that "
+        "resolves, or an IPv4 address",
+    ),
+    "state in which no loop starts": (
+        (*SIM, "--start", "held"),
+        "--start held: choose open, shadow or closed",
+    ),
+    "no rate": (
+        (*SIM, "--rate", 0),
+        "the configuration is refused:\n"
+        "  loop.rate_hz: Input should be greater than 0, got 0.0 (command line)\n"
+        "  sim.rate_hz: Input should be greater than 0, got 0.0 (command line)\n"
+        "`orbitfb config show` prints every key with its value and meaning.",
+    ),
+    "unknown drift": (
+        (*SIM, "--drift", "papr"),
+        "the configuration is refused:\n  plant.drift.preset: Input should be 'none', 'paper', "
+        "'mild' or 'strong', got 'papr' (command line)\n"
+        "`orbitfb config show` prints every key with its value and meaning.",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_bad_option(name: str, tmp_path: Path):
+    arguments, message = OPTIONS[name]
+    assert refused(*arguments, "--data", tmp_path / "data") == message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nonsense_is_no_host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """In process, with a resolver of our own: no name server is asked."""
+
+    def resolve(host: str) -> str:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "gethostbyname", resolve)
+    with pytest.raises(ConfigError, match=r"the host 'nonsense', where PVs .* is not known"):
+        find_ring(load_config(environment={}), "nonsense")
+
+
+@pytest.mark.parametrize(
+    ("environment", "message"),
+    [
+        (
+            {"EPICS_CA_SERVER_PORT": "many"},
+            "environment variable EPICS_CA_SERVER_PORT: 'many' is no port for Channel Access; ",
+        ),
+        (
+            {"EPICS_CA_ADDR_LIST": ""},
+            "--ioc env: there is nowhere to search for PVs: the address list is empty and "
+            "EPICS_CA_AUTO_ADDR_LIST is NO; set EPICS_CA_ADDR_LIST or epics.address_list",
+        ),
+    ],
+)
+def test_bad_epics_environment(environment: dict[str, str], message: str, tmp_path: Path):
+    said = refused(*RUN, "--ioc", "env", "--data", tmp_path / "data", **environment)
+    assert said.startswith(message)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_port_of_the_ring_in_use(taken_port: int, tmp_path: Path):
+    data = ("--data", tmp_path / "data")
+    said = refused(*RUN, "--ioc", "sim", "--port", taken_port, *data)
+    assert said == (
+        f"the soft IOC did not start: port {taken_port} on 127.0.0.1 is in use, by another IOC "
+        "perhaps; stop that one or choose another sim.port (0 takes any free one)"
+    )
+    [line] = read_log(tmp_path / "data")
+    assert (line["event"], line["level"], line["problem"]) == ("start_failed", "error", said)
+
+
+def test_port_of_an_ioc_alone_in_use(taken_port: int):
+    said = refused("ioc", "--port", taken_port)
+    assert said.startswith(f"port {taken_port} on 127.0.0.1 is in use, by another IOC perhaps;")
+
+
+def test_port_of_the_metrics_in_use(taken_port: int, tmp_path: Path):
+    said = refused(*SIM[:1], *SIM[3:], "--metrics-port", taken_port, "--data", tmp_path / "data")
+    assert said == (
+        f"metrics and health: 127.0.0.1 port {taken_port} is in use: is another orbitfb running? "
+        "Set observe.host and observe.port (0 takes any free port), or observe.enabled = false"
+    )
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_a_second_loop_on_one_ring(service: Service, host: str, tmp_path: Path):
+    said = refused(*RUN, "--ioc", f"{host}:{service.port}", "--data", tmp_path / "data")
+    assert said == (
+        f"the ring at {host}, port {service.port}, plane x is held by another orbitfb (process "
+        f"{service.popen.pid}); two loops on one ring fight each other; stop the other one first"
+    )
+    assert service.status()["state"] == "OPEN"
+
+
+def test_a_second_loop_found_through_the_environment(service: Service, tmp_path: Path):
+    said = refused(
+        *(*RUN, "--ioc", "env", "--data", tmp_path / "data"),
+        EPICS_CA_ADDR_LIST="127.0.0.1",
+        EPICS_CA_SERVER_PORT=str(service.port),
+    )
+    assert f"is held by another orbitfb (process {service.popen.pid})" in said
+
+
+def test_a_second_loop_on_one_plane_of_two(tmp_path: Path):
+    """Whoever has both planes has each of them."""
+    with (
+        Ioc(tmp_path, 0, ("--planes", "xy")) as both,
+        Service(tmp_path / "xy", f"127.0.0.1:{both.port}", "--planes", "xy"),
+    ):
+        options = ("--planes", "y", "--data", tmp_path / "y")
+        said = refused(*RUN, "--ioc", f"127.0.0.1:{both.port}", *options)
+        assert f"the ring at 127.0.0.1, port {both.port}, plane y is held by another" in said
+
+
+def test_a_second_service_on_one_data_directory(service: Service, dead_port: int):
+    data = service.data
+    names = ((data, data), (data.parent / "x" / ".." / data.name, data))
+    for name, _ in names:
+        (data.parent / "x").mkdir(exist_ok=True)
+        said = refused(*RUN, "--ioc", f"127.0.0.1:{dead_port}", "--data", name)
+        assert said == (
+            f"the data directory {name} is held by another orbitfb (process {service.popen.pid}); "
+            "stop it, or name another directory with --data"
+        )
+    assert service.status()["state"] == "OPEN"
+
+
+def test_pvs_of_another_plane_are_listed_all_at_once(ring: Ioc, tmp_path: Path):
+    options = ("--planes", "y", "--data", tmp_path / "data")
+    first, *names, advice = refused(*RUN, "--ioc", f"127.0.0.1:{ring.port}", *options).splitlines()
+    assert first == "540 of 542 PVs did not connect within 5.0 s:"
+    y = Ring.load().channels("y")
+    assert [name.strip() for name in names] == [*y.orbit_pvs, *y.setpoint_pvs, *y.readback_pvs]
+    assert advice == (
+        f"Is the IOC running, and reachable at '127.0.0.1' port {ring.port}? Are the names those "
+        "of the places table?"
+    )
+
+
+def test_nobody_at_the_port(dead_port: int, tmp_path: Path):
+    begin = time.monotonic()
+    environment = {"ORBITFB_EPICS__CONNECT_TIMEOUT": "1.0"}
+    said = refused(
+        *RUN, "--ioc", f"127.0.0.1:{dead_port}", "--data", tmp_path / "data", **environment
+    )
+    assert said.startswith("542 of 542 PVs did not connect within 1.0 s:\n")
+    assert CHANNELS.setpoint_pvs[-1] in said
+    assert time.monotonic() - begin < 6.0
+    assert not (tmp_path / "data/policies").exists()
+
+
+def test_limit_above_the_drive_limit(tmp_path: Path):
+    said = refused(*SIM, "--data", tmp_path / "data", ORBITFB_LIMITS__SETPOINT="20")
+    assert said == (
+        "limits.setpoint is 20 A, but 180 correctors have narrower drive limits, "
+        f"{CHANNELS.setpoint_pvs[0]} for one: -18 to 18 A; set limits.setpoint to 18 A or less"
+    )
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_data_directory_is_a_file(tmp_path: Path, below: bool):
+    (tmp_path / "file").write_text("mine")
+    data = tmp_path / "file" / "data" if below else tmp_path / "file"
+    problem = "Not a directory" if below else "there is a file of that name"
+    assert refused(*SIM, "--data", data) == (
+        f"data_directory {data} cannot be used ({problem}); name another with --data"
+    )
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("place", "problem"),
+    [("file/summary.json", "Not a directory"), ("directory", "Is a directory")],
+)
+def test_summary_cannot_be_written(place: str, problem: str, tmp_path: Path):
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "directory").mkdir()
+    path = tmp_path / place
+    assert refused(*SIM, "--data", tmp_path / "data", "--summary", path) == (
+        f"the summary cannot be written to {path}: {problem}; name a file in a directory that can "
+        "be written to"
+    )
+    assert not (tmp_path / "data").exists()
+
+
+def test_run_time_directory_cannot_be_used(tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    for arguments in (SIM, ("command", "status"), ("policies", "activate", "x")):
+        said = refused(
+            *arguments, "--data", tmp_path / "data", XDG_RUNTIME_DIR=str(tmp_path / "file")
+        )
+        assert re.fullmatch(
+            rf"{tmp_path}/file/orbitfb-\d+, for locks and the control socket, cannot be made "
+            r"\(Not a directory\); set XDG_RUNTIME_DIR to a directory of your own, or unset it",
+            said,
+        )
+
+
+def test_it_runs_without_home_and_run_time_directory(tmp_path: Path):
+    done = orbitfb(
+        *(*SIM, "--data", tmp_path / "data"),
+        HOME=None,
+        XDG_RUNTIME_DIR=None,
+        TMPDIR=str(tmp_path),
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_places_table_is_refused_before_anything_starts(tmp_path: Path):
+    (tmp_path / "places.csv").write_text("name,kind\n")
+    (tmp_path / "c.toml").write_text(f'[ring]\nplaces = "{tmp_path}/places.csv"\n')
+    for arguments in (SIM, ("ioc", "--port", 0)):
+        data = ("--data", tmp_path / "data") if arguments is SIM else ()
+        said = refused(*arguments, *data, "--config", tmp_path / "c.toml")
+        assert said.startswith(f"{tmp_path}/places.csv, line 1: column s_m, beta_x_m, ")
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.fixture(scope="module")
+def recorded(directory: Path) -> Path:
+    """The data directory of a short run that is over."""
+    data = directory / "recorded"
+    options = ("--port", 0, "--metrics-port", 0, "--duration", 3)
+    done = orbitfb("run", "--ioc", "sim", "--data", data, *options)
+    assert done.returncode == 0
+    return data
+
+
+@pytest.fixture
+def data(recorded: Path, tmp_path: Path) -> Path:
+    """A copy of it to be damaged."""
+    subprocess.run(["cp", "-r", recorded, tmp_path / "data"], check=True)
+    return tmp_path / "data"
+
+
+def only_policy(data: Path) -> Path:
+    [policy] = [path for path in (data / "policies").iterdir() if path.is_dir()]
+    return policy
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ioc]:
+    """A ring that nobody has yet."""
+    with Ioc(tmp_path_factory.mktemp("other")) as ioc:
+        yield ioc
+
+
+@pytest.mark.parametrize("damage", ["flipped", "longer", "card", "gone"])
+def test_damaged_policy(damage: str, data: Path, other: Ioc):
+    policy = only_policy(data)
+    tensors = policy / "policy.safetensors"
+    content = bytearray(tensors.read_bytes())
+    if damage == "flipped":
+        content[len(content) // 2] ^= 1
+        tensors.write_bytes(content)
+    elif damage == "longer":
+        tensors.write_bytes(content + b"x")
+    elif damage == "card":
+        (policy / "card.json").write_text("{")
+    else:
+        tensors.unlink()
+    # A ring of its own is new and gets the baseline; one that goes on needs what was in force.
+    start = (*RUN, "--ioc", f"127.0.0.1:{other.port}")
+    for arguments in (("policies", "activate", policy.name), start):
+        said = refused(*arguments, "--data", data)
+        assert said.startswith(str(policy)), said
+        assert re.search(r"remove|refit|activate another", said)
+    assert json.loads((data / "policies/active.json").read_text())["activations"]
+
+
+def test_damaged_list_of_activations(data: Path):
+    (data / "policies/active.json").write_text('{"schema_version": 1, "activations": [')
+    for arguments in (("policies", "list"), ("policies", "rollback"), SIM):
+        said = refused(*arguments, "--data", data)
+        assert said.startswith(f"{data}/policies/active.json is not readable JSON (")
+        assert said.endswith(f"remove {data}/policies/active.json and activate a policy by name")
+
+
+@pytest.mark.parametrize("damage", ["random bytes", "no segment", "empty", "nothing there"])
+def test_corrupt_archive(damage: str, data: Path):
+    archive = data / "archive"
+    segment = sorted(archive.glob("*.h5"))[0]
+    if damage == "random bytes":
+        content = bytearray(segment.read_bytes())
+        content[2000:200_000] = bytes(range(256)) * 773 + bytes(112)
+        segment.write_bytes(content)
+    elif damage == "no segment":
+        segment.write_text("not an HDF5 file")
+    elif damage == "empty":
+        segment.unlink()
+    else:
+        archive = data / "nowhere"
+    said = refused("refit", "--from", archive, "--data", data, "--activate")
+    assert str(archive if damage in ("empty", "nothing there") else segment) in said
+    assert "; " in said
+    assert only_policy(data)  # nothing new was stored
+
+
+def test_archive_of_another_ring(data: Path):
+    said = refused("refit", "--from", data / "archive", "--data", data, "--planes", "y")
+    assert "is of another ring: its planes differ (x instead of y); name an archive of" in said
+
+
+def test_policy_of_another_ring(data: Path, tmp_path: Path):
+    with Ioc(tmp_path, 0, ("--planes", "y")) as ioc:
+        options = ("--planes", "y", "--data", data)
+        said = refused(*RUN, "--ioc", f"127.0.0.1:{ioc.port}", *options)
+    assert said.startswith(str(only_policy(data)))
+    assert "ring" in said or "planes" in said
+
+
+@pytest.mark.parametrize("name", ["open", "status"])
+def test_nobody_to_command(name: str, tmp_path: Path):
+    said = refused("command", name, "--data", tmp_path)
+    assert said.startswith(
+        f"no service of this user runs on {tmp_path}; start one with `orbitfb run`, name its "
+        "directory with --data, or give this shell the service's XDG_RUNTIME_DIR"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_refit_of_nobody(tmp_path: Path):
+    assert refused("refit", "--data", tmp_path).startswith("no service of this user runs on ")
+
+
+def test_a_closed_terminal_does_not_stop_the_loop(tmp_path: Path):
+    """`orbitfb run | head -1`: whoever read has gone."""
+    command = [*PROGRAM, *map(str, SIM[:3]), "--ioc", "sim", "--port", "0", "--duration", "2.5"]
+    summary = tmp_path / "s.json"
+    options = ["--data", str(tmp_path / "data"), "--summary", str(summary)]
+    with subprocess.Popen([*command, *options], stdout=subprocess.PIPE) as run:
+        assert run.stdout is not None
+        run.stdout.readline()
+        run.stdout.close()
+        run.wait(30)
+    assert json.loads(summary.read_text())["ticks"] > 15
+
+
+def test_a_hangup_leaves_no_child(tmp_path: Path):
+    """The window is closed: SIGHUP kills the service, and its ring goes with it."""
+    with Service(tmp_path / "data", "sim") as service:
+        [child] = psutil.Process(service.popen.pid).children()
+        service.popen.send_signal(signal.SIGHUP)
+        service.popen.wait(5.0)
+        child.wait(5.0)
+
+
+def test_ioc_alone_stops_cleanly(tmp_path: Path):
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with Ioc(tmp_path) as ioc:
+            assert ioc.stop(number) < 2.0
+            assert (ioc.popen.returncode, ioc.err) == (0, "")

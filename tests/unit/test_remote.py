@@ -1,0 +1,134 @@
+"""What a running service answers: refusals that need no machine, no thread and no socket."""
+
+from concurrent.futures import Future
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from orbitfb import remote
+from orbitfb.core.errors import ControlError, StoreError
+from orbitfb.core.refit import RefitReport
+from orbitfb.core.signals import LoopState
+from orbitfb.physics.places import Ring
+from orbitfb.physics.response import response
+from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.svd import SvdPolicy, SvdSettings
+from orbitfb.remote import Remote
+
+RING = Ring.load()
+NOMINAL = response(RING, "x")
+FIRST, SECOND, THIRD = (SvdPolicy(NOMINAL, SvdSettings(gain=gain)) for gain in (0.5, 0.4, 0.3))
+
+
+class Slot:
+    """The policy in force."""
+
+    def __init__(self) -> None:
+        self.current = SECOND
+
+    def swap(self, policy: SvdPolicy) -> SvdPolicy:
+        before, self.current = self.current, policy
+        return before
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> PolicyStore:
+    store = PolicyStore(tmp_path)
+    for policy in (FIRST, SECOND, THIRD):
+        store.save(policy, RING.channels("x"))
+    store.activate(FIRST.policy_id)
+    store.activate(SECOND.policy_id)
+    return store
+
+
+def served(
+    store: PolicyStore, learner: Any = None, planes: Any = "x", runner: Any = None
+) -> Remote:
+    parts = (runner, None, Slot(), store, learner, RING.channels(planes), Path("d/archive"), 0.1)
+    return Remote(*cast(Any, parts))
+
+
+def test_activate_stores_and_swaps(store: PolicyStore):
+    remote = served(store)
+    answer = remote({"command": "activate", "policy": THIRD.policy_id})
+    assert answer == {"policy": THIRD.policy_id, "before": SECOND.policy_id}
+    assert store.active() == remote.slot.current.policy_id == THIRD.policy_id
+
+
+def test_roll_back_stores_and_swaps(store: PolicyStore):
+    remote = served(store)
+    answer = remote({"command": "activate", "policy": None})
+    assert answer == {"policy": FIRST.policy_id, "before": SECOND.policy_id}
+    assert store.active() == remote.slot.current.policy_id == FIRST.policy_id
+    with pytest.raises(StoreError, match="no policy was active before"):
+        remote({"command": "activate", "policy": None})
+
+
+@pytest.mark.parametrize("policy", [7, "nobody", "../x", ["x"], THIRD.policy_id, None])
+def test_what_cannot_be_put_in_force_changes_nothing(store: PolicyStore, policy: object):
+    """The last two are there, but for another ring."""
+    remote = served(store, planes="y")
+    with pytest.raises((StoreError, ControlError)):
+        remote({"command": "activate", "policy": policy})
+    assert store.active() == SECOND.policy_id
+    assert remote.slot.current is SECOND
+
+
+def test_a_learner_that_is_off(store: PolicyStore):
+    with pytest.raises(ControlError) as caught:
+        served(store)({"command": "refit"})
+    assert str(caught.value) == (
+        "the learner of this service is off (learn.enabled); refit from its archive: orbitfb "
+        "refit --from d/archive"
+    )
+
+
+class Learner:
+    """Gives a future that somebody else fulfils."""
+
+    def __init__(self) -> None:
+        self.future: Future[RefitReport] = Future()
+        self.activate: bool | None = None
+
+    def request(self, activate: bool) -> Future[RefitReport]:
+        self.activate = activate
+        return self.future
+
+
+def test_a_service_that_stops_before_the_refit(store: PolicyStore):
+    learner = Learner()
+    learner.future.cancel()
+    with pytest.raises(ControlError, match="the service stopped before the refit was made"):
+        served(store, learner)({"command": "refit", "activate": "yes"})
+    assert learner.activate is False  # nothing but true says yes
+
+
+def test_a_refit_that_takes_too_long(store: PolicyStore, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(remote, "REFIT_TIMEOUT", 0.0)
+    with pytest.raises(ControlError, match=r"the refit is not done after 0.0 s"):
+        served(store, Learner())({"command": "refit"})
+
+
+def test_a_command_without_a_tick_is_withdrawn(store: PolicyStore, monkeypatch: pytest.MonkeyPatch):
+    """Told to have failed, it must not close the loop when the ticks come back."""
+    monkeypatch.setattr(remote, "LONGEST_PATIENCE", 0.0)
+    order: Future[LoopState] = Future()
+    runner = SimpleNamespace(
+        command=lambda name: order, state=LoopState.OPEN, reason="no orbit for 3 s"
+    )
+    with pytest.raises(ControlError) as caught:
+        served(store, runner=runner)({"command": "close"})
+    assert str(caught.value) == (
+        "close: no tick came within 0 s, the command is withdrawn; the loop is OPEN: no orbit for "
+        "3 s"
+    )
+    assert order.cancelled()
+
+
+def test_a_command_that_was_carried_out(store: PolicyStore):
+    order: Future[LoopState] = Future()
+    order.set_result(LoopState.CLOSED)
+    runner = SimpleNamespace(command=lambda name: order, reason="")
+    assert served(store, runner=runner)({"command": "close"})["state"] is LoopState.CLOSED
