@@ -118,33 +118,37 @@ def predict_loop(
 ) -> Prediction:
     """Predict the true orbit under a law by doubling the covariance recursion.
 
-    x' = (I − R K) x − R K v + w: the covariance after 2k ticks follows from that after k, so
-    that `horizon` ticks (rounded up to a power of two) cost log2(horizon) products.
+    x' = (I − R K) x − R K v + w + b, b the creep: mean and covariance after 2k ticks follow from
+    those after k, so that `horizon` ticks (rounded up to a power of two) cost log2(horizon)
+    products.
 
     Args:
         gain: K, shape (m, n) [A/m].
         responses: Responses to average over, each of shape (n, m) [m/A].
-        model: Reading noise and ground motion.
+        model: Reading noise, ground motion and creep.
         horizon: Ticks from a perfect orbit.
     """
     size = len(model.modes)
     ground = (model.modes * model.ground_variances) @ model.modes.T
+    creep = model.modes @ model.creep
     squares, growth = [], []
     for response in responses:
         answer = response @ gain
         transition = np.eye(size) - answer
         covariance = ground + model.reading_variance * (answer @ answer.T)
+        mean = creep
         norm = 0.0
         ticks = 1
         with np.errstate(over="ignore", invalid="ignore"):
             while ticks < horizon:
                 covariance = covariance + transition @ covariance @ transition.T
+                mean = mean + transition @ mean
                 norm = float(np.linalg.norm(transition))
                 transition = transition @ transition
                 ticks *= 2
             later = float(np.linalg.norm(transition))
         growth.append((later / norm) ** (2.0 / ticks) if np.isfinite(later) else np.inf)
-        square = float(np.trace(covariance)) / size
+        square = float(np.trace(covariance) + mean @ mean) / size
         squares.append(min(square, _WORST_RMS**2) if np.isfinite(square) else _WORST_RMS**2)
     return Prediction(float(np.sqrt(np.mean(squares))), max(growth))
 

@@ -158,6 +158,7 @@ class Identifier:
             covariances=self._covariances[:, :-1, :-1].copy(),
             reading_variance=self._noise.reading_variance,
             ground_variances=self._noise.ground_variances,
+            creep=self._rows[:, -1].copy(),
         )
 
     def absorb(self, rows: Rows, other: Vector | None = None) -> Absorbed:

@@ -22,6 +22,7 @@ class LinearModel:
         covariances: Covariance of a row of UᵀR at every level, shape (G, m, m) [(m/A)²].
         reading_variance: Variance of the reading noise of a BPM [m²].
         ground_variances: Variance of the orbit's random step in every mode, shape (n,) [m²].
+        creep: Steady motion of the orbit in every mode, shape (n,) [m/tick].
     """
 
     response: Vector
@@ -30,6 +31,7 @@ class LinearModel:
     covariances: Vector
     reading_variance: float
     ground_variances: Vector
+    creep: Vector
 
     def predict(self, orbit: Vector, change: Vector) -> Vector:
         """Predict the next orbit, shape (n,) [m], from an orbit [m] and a change (m,) [A]."""
