@@ -9,7 +9,7 @@ again; its last known readbacks are taken instead.
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,10 +25,17 @@ MISSES_UNTIL_NOT_WAITED_FOR = 5
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """An orbit and the moment in which it was complete, monotonic clock [s]."""
+    """An orbit, the moment in which it was complete, and its readbacks.
+
+    Args:
+        snapshot: The orbit.
+        received: Monotonic clock [s].
+        readbacks: Of the same tick, shape (m,); None while they are not there.
+    """
 
     snapshot: Snapshot
     received: float
+    readbacks: Vector | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +88,12 @@ class Inbox:
 
     def orbit_complete(self) -> None:
         """Take the orbit from the assembler; called on libca's thread."""
-        self._newest = Arrival(self._bpms.snapshot(), self._clock.monotonic())
+        orbit, known = self._bpms.snapshot(), self._readbacks
+        readbacks = None
+        if known is not None and self._matches(known, orbit):
+            readbacks = known.values
+            self._in_step, self._misses = True, 0
+        self._newest = Arrival(orbit, self._clock.monotonic(), readbacks)
         self._wake.set()
 
     def readbacks_complete(self) -> None:
@@ -89,11 +101,13 @@ class Inbox:
         snapshot = self._readback_assembler.snapshot()
         self._readbacks = snapshot
         orbit = self._newest
-        if orbit is not None and self._matches(snapshot, orbit):
-            late = self._clock.monotonic() - orbit.received > self._settings.readback_wait
-            if not late:
-                self._in_step, self._misses = True, 0
-            self._wake.set()  # only for the reader that waits for these
+        if orbit is None or not self._matches(snapshot, orbit.snapshot):
+            return
+        late = self._clock.monotonic() - orbit.received > self._settings.readback_wait
+        if not late:
+            self._in_step, self._misses = True, 0
+        self._newest = replace(orbit, readbacks=snapshot.values)
+        self._wake.set()
 
     def close(self) -> None:
         """Send a waiting reader away."""
@@ -139,12 +153,13 @@ class Inbox:
         limit = orbit.received + (self._settings.readback_wait if self._in_step else 0.0)
         while True:
             self._wake.clear()
-            readbacks = self._readbacks
-            if readbacks is not None and self._matches(readbacks, orbit):
-                self._in_step, self._misses = True, 0
-                return readbacks.values
+            newest = self._newest
+            if newest is not None and newest.snapshot is orbit.snapshot:
+                orbit = newest  # perhaps with its readbacks by now
+            if orbit.readbacks is not None:
+                return orbit.readbacks
             remaining = limit - self._clock.monotonic()
-            if remaining <= 0:
+            if remaining <= 0 or newest is None or newest.snapshot is not orbit.snapshot:
                 break
             self._wake.wait(remaining)
         if self._in_step:
@@ -154,6 +169,6 @@ class Inbox:
         known = assembler.connected & usable(assembler.records)
         return np.where(known, assembler.records["value"], np.nan)
 
-    def _matches(self, readbacks: Snapshot, orbit: Arrival) -> bool:
-        apart = abs(readbacks.time - orbit.snapshot.time)
-        return readbacks.stamp == orbit.snapshot.stamp or apart <= self._settings.stamp_window
+    def _matches(self, readbacks: Snapshot, orbit: Snapshot) -> bool:
+        apart = abs(readbacks.time - orbit.time)
+        return readbacks.stamp == orbit.stamp or apart <= self._settings.stamp_window

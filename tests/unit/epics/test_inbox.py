@@ -131,3 +131,15 @@ def test_silence_counts_from_the_last_complete_orbit():
     bench.orbit(1.0)
     bench.clock.advance(0.5)
     assert bench.inbox.silence == pytest.approx(0.5)
+
+
+def test_readbacks_that_come_before_their_orbit_stay_with_it():
+    """Also when those of the next tick are there before the reader comes."""
+    bench = Bench(readback_wait=1.0)
+    bench.readback(5.0)
+    bench.orbit(1.0)
+    bench.clock.advance(0.1)
+    bench.readback(6.0)
+    frame = bench.inbox.take(0.0)
+    assert frame.arrival.snapshot.values[0] == 1.0
+    np.testing.assert_array_equal(frame.readback, [5.0, 5.0])
