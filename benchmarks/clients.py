@@ -10,7 +10,7 @@ from typing import Any, Literal
 from benchmarks.servers import LOCKSTEP_PATIENCE, Running, Server, job_of, serving
 from orbitfb.sim.job import SimJob
 
-Client = Literal["ours", "service", "plain"]
+Client = Literal["ours", "service", "plain", "lean"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +20,8 @@ class Run:
     Args:
         server: Which server.
         client: `ours`: the loop alone; `service`: with every subscriber of the service, archive
-            and learner; `plain`: PV.callback and PV.put.
+            and learner; `plain`: PV.callback and PV.put; `lean`: the same, but told not to monitor
+            its correctors, which pyepics does by default.
         rate_hz: Of the ring; None: lockstep.
         seconds: Measured, after the warm-up.
         warmup: Not measured, once the loop is closed [s].
@@ -78,7 +79,7 @@ def measure(run: Run) -> dict[str, Any]:
 
 
 def _ask_client(job: ClientJob, server: Running) -> dict[str, Any]:
-    module = "plain_client" if job.run.client == "plain" else "our_client"
+    module = "plain_client" if job.run.client in ("plain", "lean") else "our_client"
     environment = {
         "EPICS_CA_ADDR_LIST": "127.0.0.1",
         "EPICS_CA_AUTO_ADDR_LIST": "NO",

@@ -75,7 +75,7 @@ def window_figures(
     return {
         "ticks": ticks,
         "seconds": round(seconds, 3),
-        "rate_hz": round((ticks - 1) / seconds, 2),
+        "measured_rate_hz": round((ticks - 1) / seconds, 2),
         "missed": missed,
         "torn": torn,
         "round_trip_ms": spread(round_trip),

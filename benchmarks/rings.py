@@ -10,14 +10,16 @@ from orbitfb.sim.settings import SimSettings
 
 STEP = 1e-9
 """How far the readings of neighbouring BPMs of a counting ring lie apart [m]."""
-_PERIOD = 1000
+_PATTERN = 1e-7 * (np.arange(10) * 7 % 10 - 4.5)
+"""Common part of the readings of ten ticks [m]: it never grows three times in a row."""
 
 
 class CountingRing:
     """A ring without physics: its readings count the ticks, so that a torn orbit shows.
 
-    BPM i reads `(tick mod 1000) * 1e-6 m + i * STEP`; readbacks are the setpoints. A step costs
-    two passes over a vector, so that what is measured on it is Channel Access.
+    BPM i reads the same as all others plus `i * STEP`, and every tick another value; readbacks are
+    the setpoints. A step costs two passes over a vector, so that what is measured on it is Channel
+    Access.
 
     Args:
         size: Count of BPMs, and of correctors.
@@ -29,7 +31,7 @@ class CountingRing:
         self._offsets = np.arange(size) * STEP
 
     def step(self, setpoints: Vector) -> PlantState:
-        reading = self._offsets + (self.tick % _PERIOD) * 1e-6
+        reading = self._offsets + _PATTERN[self.tick % len(_PATTERN)]
         self.tick += 1
         return PlantState(reading, reading, setpoints.copy())
 

@@ -59,6 +59,7 @@ def serving(server: Server, job: SimJob, size: int | None = None) -> Iterator[Ru
         [sys.executable, *command],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL if server == "base" else None,  # EPICS base greets there
         env=os.environ | _base_environment(port),
     )
     try:
