@@ -40,6 +40,16 @@ def orbitfb(*arguments: object, **environment: str | None) -> subprocess.Complet
     )
 
 
+def refused(*arguments: object, **environment: str | None) -> str:
+    """Run a command that must be refused; gives what it said, without the name of the program."""
+    done = orbitfb(*arguments, **environment)
+    assert done.returncode == 2, (done.returncode, done.stdout, done.stderr)
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    assert done.stderr.startswith("orbitfb: ") and done.stderr.endswith("\n")
+    return done.stderr.removeprefix("orbitfb: ").rstrip("\n")
+
+
 def wait_for(what: str, look: Callable[[], Any], timeout: float = START) -> Any:
     """Look again and again until there is something to see."""
     deadline = time.monotonic() + timeout

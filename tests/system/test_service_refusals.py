@@ -3,7 +3,6 @@
 import json
 import re
 import signal
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
@@ -11,27 +10,14 @@ from pathlib import Path
 
 import psutil
 import pytest
-from service_process import CHANNELS, PROGRAM, Ioc, Service, orbitfb, read_log
+from service_process import CHANNELS, PROGRAM, Ioc, Service, orbitfb, read_log, refused
 
-from orbitfb.config import load_config
-from orbitfb.core.errors import ConfigError
 from orbitfb.physics.places import Ring
-from orbitfb.startup import find_ring
 
 pytestmark = pytest.mark.system
 
 RUN = ("run", "--metrics-port", 0, "--duration", 1)
 SIM = (*RUN, "--ioc", "sim", "--port", 0)
-
-
-def refused(*arguments: object, **environment: str | None) -> str:
-    """Run a command that must be refused; gives what it said, without the name of the program."""
-    done = orbitfb(*arguments, **environment)
-    assert done.returncode == 2, (done.returncode, done.stdout, done.stderr)
-    assert done.stdout == ""
-    assert "Traceback" not in done.stderr
-    assert done.stderr.startswith("orbitfb: ") and done.stderr.endswith("\n")
-    return done.stderr.removeprefix("orbitfb: ").rstrip("\n")
 
 
 @pytest.fixture(scope="module")
@@ -50,101 +36,6 @@ def service(ring: Ioc, directory: Path) -> Iterator[Service]:
     """A loop that is there first."""
     with Service(directory / "first", f"127.0.0.1:{ring.port}") as first:
         yield first
-
-
-OPTIONS = {
-    "negative duration": (
-        (*SIM, "--duration", -1),
-        "--duration -1: give a time above 0 s, or leave it out",
-    ),
-    "no duration": (
-        (*SIM, "--duration", 0),
-        "--duration 0: give a time above 0 s, or leave it out",
-    ),
-    "duration without end": (
-        (*SIM, "--duration", "inf"),
-        "--duration inf: give a time above 0 s, or leave it out",
-    ),
-    "duration nan": (
-        (*SIM, "--duration", "nan"),
-        "--duration nan: give a time above 0 s, or leave it out",
-    ),
-    "port beyond all ports": (
-        (*RUN, "--ioc", "host:99999"),
-        "--ioc host:99999: '99999' is no port for Channel Access; give one from 5001 to 65535 "
-        "(libca would use 5064, the usual one of a machine, for any other)",
-    ),
-    "port that libca does not take": (
-        (*RUN, "--ioc", "127.0.0.1:5000"),
-        "--ioc 127.0.0.1:5000: '5000' is no port for Channel Access; give one from 5001 to 65535 "
-        "(libca would use 5064, the usual one of a machine, for any other)",
-    ),
-    "no port after the colon": (
-        (*RUN, "--ioc", "127.0.0.1:"),
-        "--ioc 127.0.0.1:: give sim, env, config, HOST or HOST:PORT",
-    ),
-    "no address": ((*RUN, "--ioc", ""), "--ioc : give sim, env, config, HOST or HOST:PORT"),
-    "host that is no name": (
-        (*RUN, "--ioc", "no..host"),
-        "the host 'no..host', where PVs are to be searched for, is not known; give a name that "
-        "resolves, or an IPv4 address",
-    ),
-    "state in which no loop starts": (
-        (*SIM, "--start", "held"),
-        "--start held: choose open, shadow or closed",
-    ),
-    "no rate": (
-        (*SIM, "--rate", 0),
-        "the configuration is refused:\n"
-        "  loop.rate_hz: Input should be greater than 0, got 0.0 (command line)\n"
-        "  sim.rate_hz: Input should be greater than 0, got 0.0 (command line)\n"
-        "`orbitfb config show` prints every key with its value and meaning.",
-    ),
-    "unknown drift": (
-        (*SIM, "--drift", "papr"),
-        "the configuration is refused:\n  plant.drift.preset: Input should be 'none', 'paper', "
-        "'mild' or 'strong', got 'papr' (command line)\n"
-        "`orbitfb config show` prints every key with its value and meaning.",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", OPTIONS)
-def test_bad_option(name: str, tmp_path: Path):
-    arguments, message = OPTIONS[name]
-    assert refused(*arguments, "--data", tmp_path / "data") == message
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_nonsense_is_no_host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """In process, with a resolver of our own: no name server is asked."""
-
-    def resolve(host: str) -> str:
-        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
-
-    monkeypatch.setattr(socket, "gethostbyname", resolve)
-    with pytest.raises(ConfigError, match=r"the host 'nonsense', where PVs .* is not known"):
-        find_ring(load_config(environment={}), "nonsense")
-
-
-@pytest.mark.parametrize(
-    ("environment", "message"),
-    [
-        (
-            {"EPICS_CA_SERVER_PORT": "many"},
-            "environment variable EPICS_CA_SERVER_PORT: 'many' is no port for Channel Access; ",
-        ),
-        (
-            {"EPICS_CA_ADDR_LIST": ""},
-            "--ioc env: there is nowhere to search for PVs: the address list is empty and "
-            "EPICS_CA_AUTO_ADDR_LIST is NO; set EPICS_CA_ADDR_LIST or epics.address_list",
-        ),
-    ],
-)
-def test_bad_epics_environment(environment: dict[str, str], message: str, tmp_path: Path):
-    said = refused(*RUN, "--ioc", "env", "--data", tmp_path / "data", **environment)
-    assert said.startswith(message)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_port_of_the_ring_in_use(taken_port: int, tmp_path: Path):
@@ -303,99 +194,6 @@ def test_places_table_is_refused_before_anything_starts(tmp_path: Path):
         said = refused(*arguments, *data, "--config", tmp_path / "c.toml")
         assert said.startswith(f"{tmp_path}/places.csv, line 1: column s_m, beta_x_m, ")
     assert not (tmp_path / "data").exists()
-
-
-@pytest.fixture(scope="module")
-def recorded(directory: Path) -> Path:
-    """The data directory of a short run that is over."""
-    data = directory / "recorded"
-    options = ("--port", 0, "--metrics-port", 0, "--duration", 3)
-    done = orbitfb("run", "--ioc", "sim", "--data", data, *options)
-    assert done.returncode == 0
-    return data
-
-
-@pytest.fixture
-def data(recorded: Path, tmp_path: Path) -> Path:
-    """A copy of it to be damaged."""
-    subprocess.run(["cp", "-r", recorded, tmp_path / "data"], check=True)
-    return tmp_path / "data"
-
-
-def only_policy(data: Path) -> Path:
-    [policy] = [path for path in (data / "policies").iterdir() if path.is_dir()]
-    return policy
-
-
-@pytest.fixture(scope="module")
-def other(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ioc]:
-    """A ring that nobody has yet."""
-    with Ioc(tmp_path_factory.mktemp("other")) as ioc:
-        yield ioc
-
-
-@pytest.mark.parametrize("damage", ["flipped", "longer", "card", "gone"])
-def test_damaged_policy(damage: str, data: Path, other: Ioc):
-    policy = only_policy(data)
-    tensors = policy / "policy.safetensors"
-    content = bytearray(tensors.read_bytes())
-    if damage == "flipped":
-        content[len(content) // 2] ^= 1
-        tensors.write_bytes(content)
-    elif damage == "longer":
-        tensors.write_bytes(content + b"x")
-    elif damage == "card":
-        (policy / "card.json").write_text("{")
-    else:
-        tensors.unlink()
-    # A ring of its own is new and gets the baseline; one that goes on needs what was in force.
-    start = (*RUN, "--ioc", f"127.0.0.1:{other.port}")
-    for arguments in (("policies", "activate", policy.name), start):
-        said = refused(*arguments, "--data", data)
-        assert said.startswith(str(policy)), said
-        assert re.search(r"remove|refit|activate another", said)
-    assert json.loads((data / "policies/active.json").read_text())["activations"]
-
-
-def test_damaged_list_of_activations(data: Path):
-    (data / "policies/active.json").write_text('{"schema_version": 1, "activations": [')
-    for arguments in (("policies", "list"), ("policies", "rollback"), SIM):
-        said = refused(*arguments, "--data", data)
-        assert said.startswith(f"{data}/policies/active.json is not readable JSON (")
-        assert said.endswith(f"remove {data}/policies/active.json and activate a policy by name")
-
-
-@pytest.mark.parametrize("damage", ["random bytes", "no segment", "empty", "nothing there"])
-def test_corrupt_archive(damage: str, data: Path):
-    archive = data / "archive"
-    segment = sorted(archive.glob("*.h5"))[0]
-    if damage == "random bytes":
-        content = bytearray(segment.read_bytes())
-        content[2000:200_000] = bytes(range(256)) * 773 + bytes(112)
-        segment.write_bytes(content)
-    elif damage == "no segment":
-        segment.write_text("not an HDF5 file")
-    elif damage == "empty":
-        segment.unlink()
-    else:
-        archive = data / "nowhere"
-    said = refused("refit", "--from", archive, "--data", data, "--activate")
-    assert str(archive if damage in ("empty", "nothing there") else segment) in said
-    assert "; " in said
-    assert only_policy(data)  # nothing new was stored
-
-
-def test_archive_of_another_ring(data: Path):
-    said = refused("refit", "--from", data / "archive", "--data", data, "--planes", "y")
-    assert "is of another ring: its planes differ (x instead of y); name an archive of" in said
-
-
-def test_policy_of_another_ring(data: Path, tmp_path: Path):
-    with Ioc(tmp_path, 0, ("--planes", "y")) as ioc:
-        options = ("--planes", "y", "--data", data)
-        said = refused(*RUN, "--ioc", f"127.0.0.1:{ioc.port}", *options)
-    assert said.startswith(str(only_policy(data)))
-    assert "ring" in said or "planes" in said
 
 
 @pytest.mark.parametrize("name", ["open", "status"])
