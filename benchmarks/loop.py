@@ -26,7 +26,7 @@ PAIRS: dict[float | None, list[Pair]] = {
     50.0: MAIN,
     100.0: MAIN,
 }
-SECONDS: dict[float | None, float] = {None: 3.0, 10.0: 6.0, 50.0: 4.0, 100.0: 4.0}
+SECONDS: dict[float | None, float] = {None: 2.0, 10.0: 5.0, 50.0: 3.0, 100.0: 3.0}
 SIZES = (180, 500, 1000, 2000)
 DISTURBANCES = ("nothing", "swaps", "refits")
 
@@ -41,11 +41,11 @@ def plan(repeats: int) -> Iterator[tuple[str, Run]]:
         yield "long_runs", Run("ours", "service", 100.0, 60.0, seed=seed)
         for size in SIZES:
             for server in ("ours", "base"):
-                yield "scaling", Run(server, "ours", None, 3.0, size=size)
+                yield "scaling", Run(server, "ours", None, 2.0, size=size)
         for disturb in DISTURBANCES:
             yield (
                 "disturbances",
-                Run("ours", "service", 10.0, 20.0, disturb=disturb, seed=seed),
+                Run("ours", "service", 10.0, 15.0, disturb=disturb, seed=seed),
             )
 
 

@@ -1,0 +1,222 @@
+"""Write docs/explanations/performance.md from loop.json: `python -m benchmarks.page`."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from benchmarks.page_text import HEAD, TAIL
+from benchmarks.summary import rate_name
+
+ROOT = Path(__file__).parents[1]
+FIGURES = ROOT / "benchmarks/loop.json"
+PAGE = ROOT / "docs/explanations/performance.md"
+
+SERVERS = {"ours": "our soft IOC", "plain": "our soft IOC, `--plain`", "base": "EPICS base"}
+CLIENTS = {
+    "service": "orbitfb, whole service",
+    "ours": "orbitfb, loop alone",
+    "plain": "PV.callback + PV.put",
+    "lean": "the same, correctors not monitored",
+}
+
+Result = Mapping[str, Any]
+
+
+def page(result: Result) -> str:
+    """Return the page.
+
+    Args:
+        result: What `benchmarks.loop` wrote.
+    """
+    parts = [HEAD, _circumstances(result["about"]), "\n## Targets\n\n", _targets(result)]
+    parts += ["\n## Every pair\n\n", LEGEND, _pairs(result["runs"])]
+    parts += ["\n## Sixty seconds at 100 Hz\n\n", _long(result["long_runs"])]
+    parts += ["\n## More PVs\n\n", SCALING, _scaling(result["scaling"], result["scaling_fit"])]
+    parts += ["\n## Beside a swap and a refit\n\n", ADDED, _added(result["added_by"])]
+    return "".join((*parts, TAIL))
+
+
+LEGEND = """Medians over the repeats, in ms. *Round trip*: in lockstep from one orbit to the next,
+which the ring shows as soon as the last setpoint of the one before is in force; at a fixed rate
+from the time stamp of the orbit to that of the last setpoint, as the server applied it. *Latency*:
+to the moment in which the client had sent the last setpoint. *Jitter*: 99th less 1st percentile of
+the time between two writes. *Missed*: of the orbits that were due, those never answered by
+setpoints, all repeats together. CPU per tick. A pair that falls behind has no meaningful latency:
+see what it missed.
+
+"""
+
+SCALING = """Lockstep against a ring without physics and a law whose cost is linear, so that what
+grows is Channel Access and the bookkeeping. Round trip p50, medians over the repeats.
+
+"""
+
+ADDED = """At 10 Hz, the whole service: the longest latency of any tick beside the disturbance, less
+the median latency without one. Swaps come every 0.35 s; refits run from scratch on 2,000 ticks, one
+after the other without a pause.
+
+"""
+
+
+def _circumstances(about: Result) -> str:
+    versions = ", ".join(f"{name} {number}" for name, number in about["packages"].items())
+    return (
+        f"Measured {about['date']} by `{about['command']}` at commit {about['commit']}: "
+        f"{about['repeats']} repeats, {about['cpus']} × {about['cpu']}, Linux {about['kernel']}, "
+        f"Python {about['python']}, {versions}. Load average (1, 5, 15 minutes) before "
+        f"{_list(about['load_before'])} and after {_list(about['load_after'])}; the benchmark "
+        "itself contributes 1 to 2.\n"
+    )
+
+
+def _list(values: list[float]) -> str:
+    return " / ".join(f"{value:g}" for value in values)
+
+
+def _targets(result: Result) -> str:
+    ratios, added = result["ratios"], result["added_by"]
+    base = ratios["our_ioc_over_base_our_loop"]
+    plain = ratios["plain_client_over_service_on_our_ioc"]
+    lean = ratios["lean_client_over_service_on_our_ioc"]
+    fit = result["scaling_fit"]["ours"]
+    rows = [
+        ("plain loop ÷ service, our IOC, lockstep, p50", plain["lockstep"], "≥ 30", 30),
+        ("the same, at 10 Hz", plain["10 Hz"], "", None),
+        ("the same, lockstep, correctors not monitored", lean["lockstep"], "", None),
+        ("missed in 60 s at 100 Hz, all repeats", result["missed_at_100hz"], "0", -0),
+        ("torn orbits there", result["torn_at_100hz"], "0", -0),
+        ("our IOC ÷ EPICS base, our loop, lockstep, p50", base["lockstep"], "≤ 1.0", -1.0),
+        ("the same, at 10 Hz", base["10 Hz"], "≤ 1.2", -1.2),
+        ("the same, at 100 Hz", base["100 Hz"], "≤ 1.2", -1.2),
+        ("µs per PV pair, largest ÷ smallest ring", _steepness(fit), "≤ 1", -1.0),
+        ("added by a swap [ms]", added["swaps"]["largest_added_ms"], "< 50", -50.0),
+        ("added by a running refit [ms]", added["refits"]["largest_added_ms"], "< 50", -50.0),
+    ]
+    lines = ["| what | measured | target | |", "|---|---|---|---|"]
+    for what, value, target, bound in rows:
+        shown = "–" if value is None else f"{value:g}"
+        lines.append(f"| {what} | {shown} | {target} | {_verdict(value, bound)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _steepness(fit: Result) -> float:
+    return round(fit["last_us_per_pair"] / fit["first_us_per_pair"], 3)
+
+
+def _verdict(value: float | None, bound: float | None) -> str:
+    """Judge; a bound that is not positive is an upper one."""
+    if bound is None:
+        return ""
+    if value is None:
+        return "not measured"
+    met = value >= bound if bound > 0 else value <= -bound
+    return "met" if met else "**missed**"
+
+
+def _pairs(rows: list[Result]) -> str:
+    lines = [
+        "| rate | server | client | round trip p50 | p99 | latency p50 | p99 | jitter | missed "
+        "| torn | CPU server | client |",
+        "|---" * 12 + "|",
+    ]
+    keys = dict.fromkeys((row["rate_hz"], row["server"], row["client"]) for row in rows)
+    order = list(SERVERS), list(CLIENTS)
+    ordered = sorted(
+        keys, key=lambda key: (key[0] or 0.0, order[0].index(key[1]), order[1].index(key[2]))
+    )
+    for key in ordered:
+        same = [row for row in rows if (row["rate_hz"], row["server"], row["client"]) == key]
+        due = sum(row["ticks"] for row in same)
+        missed = sum(row["missed"] or 0 for row in same)
+        cells = [
+            rate_name(key[0]),
+            SERVERS[key[1]],
+            CLIENTS[key[2]],
+            *(_median(same, "round_trip_ms", name) for name in ("p50", "p99")),
+            *(_median(same, "latency_ms", name) for name in ("p50", "p99")),
+            _jitter(same),
+            "" if key[0] is None else f"{missed} of {due + missed}" if missed else "0",
+            str(sum(row["torn"] for row in same)),
+            *(f"{median(r[n] for r in same):.2f}" for n in ("server_cpu_ms", "client_cpu_ms")),
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _median(rows: list[Result], value: str, name: str) -> str:
+    values = [row[value][name] for row in rows if row[value]]
+    return f"{median(values):.2f}" if values else "–"
+
+
+def _jitter(rows: list[Result]) -> str:
+    values = [row["write_interval_ms"] for row in rows if row["write_interval_ms"]]
+    return f"{median(v['p99'] - v['p1'] for v in values):.2f}" if values else "–"
+
+
+def _long(rows: list[Result]) -> str:
+    lines = [
+        "| repeat | load before | orbits | missed | torn | held | round trip p50 | p99 | max |",
+        "|---" * 9 + "|",
+    ]
+    for number, row in enumerate(rows, 1):
+        trip = row["round_trip_ms"] or {"p50": "–", "p99": "–", "max": "–"}
+        cells = [
+            number,
+            _list(row["load_before"]),
+            row["ticks"],
+            row["missed"],
+            row["torn"],
+            row["states"].get("HELD", 0),
+            trip["p50"],
+            trip["p99"],
+            trip["max"],
+        ]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _scaling(rows: list[Result], fit: Result) -> str:
+    lines = [
+        "| BPMs + correctors | our IOC [ms] | µs per pair | EPICS base [ms] | µs per pair |",
+        "|---" * 5 + "|",
+    ]
+    for size in sorted({row["size"] for row in rows}):
+        cells = [f"{size} + {size}"]
+        for server in ("ours", "base"):
+            p50 = median(
+                row["round_trip_ms"]["p50"]
+                for row in rows
+                if row["size"] == size and row["server"] == server
+            )
+            cells += [f"{p50:.2f}", f"{p50 / size * 1e3:.2f}"]
+        lines.append("| " + " | ".join(cells) + " |")
+    lines.append("")
+    for server in ("ours", "base"):
+        line = fit[server]
+        lines.append(
+            f"Straight line through the medians, {SERVERS[server]}: {line['fixed_ms']:.2f} ms + "
+            f"{line['us_per_pair']:.2f} µs per pair; largest residual "
+            f"{line['largest_residual_ms']:.2f} ms.\n"
+        )
+    return "\n".join(lines)
+
+
+def _added(added: Result) -> str:
+    words = {"nothing": "nothing", "swaps": "swaps of the policy", "refits": "refits"}
+    lines = ["| beside the loop | largest added [ms] | missed |", "|---|---|---|"]
+    lines += [
+        f"| {words[kind]} | {figures['largest_added_ms']:.1f} | {figures['missed']} |"
+        for kind, figures in added.items()
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    PAGE.write_text(page(json.loads(FIGURES.read_text(encoding="utf-8"))), encoding="utf-8")
+    print(PAGE.relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    main()
