@@ -198,7 +198,7 @@ class Service:
         terminal = Terminal(
             self.statistics.snapshot,
             config.observe.terminal,
-            Surroundings(http.address, duration),
+            Surroundings(http.address, duration, f"{epics.address_list}:{epics.server_port}"),
         )
         terminal.start()
         stack.callback(terminal.stop)
