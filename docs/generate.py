@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import typer
 from pydantic.fields import FieldInfo
 
-from orbitfb.cli import app
+from orbitfb.cli.app import app
 from orbitfb.config import AppConfig
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState

@@ -1,5 +1,5 @@
 """`python -m orbitfb` is the command line."""
 
-from orbitfb.cli import main
+from orbitfb.cli.app import main
 
 main()

@@ -78,8 +78,8 @@ def run_service(
         The exit code: 0, or 1 after FAULT.
 
     Raises:
-        OrbitFeedbackError: It could not start, or its simulated ring died; nothing is left
-            running.
+        OrbitFeedbackError: It could not start, or its simulated ring died and none came back;
+            nothing is left running.
     """
     state = start_state(start, ioc)
     check_duration(duration)
@@ -97,7 +97,7 @@ def run_service(
         service.run(signals.stop, duration)
     if summary_file is not None:
         write_summary(summary_file, service.final)
-    if service.ring_failure:
+    if service.ring_failure and service.runner.state is LoopState.HELD:
         raise MachineError(service.ring_failure)
     return 1 if service.runner.state is LoopState.FAULT else 0
 
@@ -245,15 +245,16 @@ class Service:
             _log.info("service_stopped", state=self.runner.state, reason=self.runner.reason)
 
     def _watch_child(self, stop: threading.Event) -> None:
-        """Stop when the simulated ring of our own has died: nobody else will bring it back."""
+        """Say it when the simulated ring of our own has died; the loop holds until one is back."""
         while self._child is not None and not stop.wait(CHILD_PERIOD):
             if not self._child.alive:
                 words = self._child.last_words() or "it said nothing"
                 self.ring_failure = (
-                    f"the simulated ring (process {self._child.pid}) died: {words}; start again"
+                    f"the simulated ring (process {self._child.pid}) died: {words}; "
+                    f"`orbitfb ioc --port {self._child.port}` brings one back"
                 )
                 _log.error("simulated_ring_died", problem=self.ring_failure)
-                stop.set()
+                return
 
     def _serve_ring(self, config: AppConfig, stack: ExitStack) -> EpicsSettings:
         """Start a simulated ring of our own and say how to reach it."""

@@ -12,6 +12,7 @@ import psutil
 import pytest
 from ioc_clients import KICK, run_client
 from service_process import (
+    Ioc,
     Process,
     Service,
     fetch,
@@ -20,6 +21,7 @@ from service_process import (
     rms,
     setpoints,
     transitions,
+    wait_for,
 )
 
 pytestmark = pytest.mark.system
@@ -239,17 +241,23 @@ def test_a_signal_during_the_start_ends_it_at_once(dead_port: int, tmp_path: Pat
         assert (process.popen.returncode, process.out, process.err) == (130, "", "")
 
 
-def test_a_ring_of_its_own_that_dies_ends_it(tmp_path: Path):
+def test_a_ring_of_its_own_that_dies_is_waited_for(tmp_path: Path):
     with Service(tmp_path / "data", "sim") as service:
         service.wait_state("CLOSED")
         [child] = psutil.Process(service.popen.pid).children()
         child.kill()
-        assert service.popen.wait(5.0) == 2
-        assert service.err == (
-            f"orbitfb: the simulated ring (process {child.pid}) died: it said nothing; start "
-            "again\n"
+        service.wait_state("HELD")
+        died = (
+            f"the simulated ring (process {child.pid}) died: it said nothing; "
+            f"`orbitfb ioc --port {service.port}` brings one back"
         )
-    assert service.events("service_stopped")[0]["state"] == "HELD"
+        wait_for("word of it", lambda: service.events("simulated_ring_died"))
+        assert [event["problem"] for event in service.events("simulated_ring_died")] == [died]
+        with Ioc(tmp_path, service.port):
+            service.wait_below(1.0)
+        service.wait_state("HELD")
+        service.stop()
+        assert (service.popen.returncode, service.err) == (2, f"orbitfb: {died}\n")
 
 
 def test_at_the_end_it_tells_what_it_came_to(run: Service):

@@ -5,7 +5,7 @@ import json
 import pytest
 import typer
 
-from orbitfb.cli import app
+from orbitfb.cli.app import app
 from orbitfb.config import AppConfig
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState

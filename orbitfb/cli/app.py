@@ -1,0 +1,53 @@
+"""The program `orbitfb`: all commands together, and how a known error ends it."""
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from orbitfb import __version__
+from orbitfb.cli.config import config
+from orbitfb.cli.evaluate import evaluate
+from orbitfb.cli.policies import policies
+from orbitfb.cli.service import command, ioc, refit, run
+from orbitfb.core.errors import OrbitFeedbackError
+
+app = typer.Typer(
+    name="orbitfb",
+    help="Adaptive orbit feedback for synchrotron light sources on an EPICS control network.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for _function in (run, ioc, refit, command):
+    app.command()(_function)
+app.add_typer(policies, name="policies")
+app.add_typer(evaluate, name="evaluate")
+app.add_typer(config, name="config")
+
+
+def main() -> None:
+    """Run the command line; a known error is printed without a traceback and exits with 2."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its spinning threads disturb the tick
+    try:
+        app()
+    except OrbitFeedbackError as error:
+        print(f"orbitfb: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version.", callback=_version, is_eager=True),
+    ] = False,
+) -> None:
+    """Take the options that stand before any command."""

@@ -1,0 +1,65 @@
+"""Commands that measure what a method is worth."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orbitfb.cli.options import (
+    ConfigFile,
+    Drift,
+    configure,
+    show,
+    validated,
+)
+
+evaluate = typer.Typer(help="Measure what a method is worth.", no_args_is_help=True)
+
+
+@evaluate.command("refit")
+def evaluate_refit_command(
+    out: Annotated[Path, typer.Option(help="Directory for refit.json and refit.png.")],
+    drift: Drift = "none",
+    no_drift: Annotated[
+        bool, typer.Option("--no-drift", help="The same as --drift none, the default.")
+    ] = False,
+    ticks: Annotated[int, typer.Option(help="Length of each run [ticks].")] = 4000,
+    seed: Annotated[int, typer.Option(help="Seed of ring, noise and drift.")] = 1,
+    config_file: ConfigFile = None,
+) -> None:
+    """Refits of the learner beside naive ones, a frozen and a true response, in process."""
+    from orbitfb.evaluate.refit import RefitEvaluationSettings, evaluate_refit, write
+
+    settings = configure(config_file)
+    asked = {"drift": "none" if no_drift else drift, "ticks": ticks, "seed": seed}
+    common = {"planes": settings.ring.planes, "policy": settings.policy, "learn": settings.learn}
+    result = evaluate_refit(validated(RefitEvaluationSettings, {**asked, **common}))
+    write(result, out)
+    show({**result.figures}, as_json=False)
+    print(f"written: {out / 'refit.json'}, {out / 'refit.png'}")
+
+
+@evaluate.command("live")
+def evaluate_live_command(
+    out: Annotated[Path, typer.Option(help="Directory for live.json and live.png.")],
+    drift: Drift = "strong",
+    ticks: Annotated[int, typer.Option(help="Length of each run [ticks].")] = 6000,
+    seed: Annotated[int, typer.Option(help="First seed of ring, noise and drift.")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds.")] = 3,
+    rate: Annotated[float, typer.Option(help="Ticks per second: an accelerated clock.")] = 100.0,
+    config_file: ConfigFile = None,
+) -> None:
+    """The learner in the real loop over Channel Access, on a drifting ring."""
+    from orbitfb.evaluate.live import LiveSettings, evaluate_live, figures
+    from orbitfb.evaluate.live_report import LiveResult, write
+
+    settings = configure(config_file)
+    common = {"planes": settings.ring.planes, "policy": settings.policy, "learn": settings.learn}
+    results: list[LiveResult] = []
+    for number in range(seed, seed + seeds):
+        asked = {"drift": drift, "ticks": ticks, "seed": number, "rate_hz": rate}
+        live = validated(LiveSettings, {**asked, **common})
+        results.append(LiveResult(live, evaluate_live(live, print)))
+        show({"seed": number, **figures(results[-1].runs)}, as_json=False)
+        write(results, out)
+    print(f"written: {out / 'live.json'}, {out / 'live.png'}")

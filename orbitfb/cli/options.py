@@ -1,0 +1,57 @@
+"""What the commands share: options, configuration, the way answers are printed."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+if TYPE_CHECKING:
+    from orbitfb.config import AppConfig
+    from orbitfb.core.settings import Settings
+
+S = TypeVar("S", bound="Settings")
+
+ConfigFile = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).")]
+DataDirectory = Annotated[
+    Path | None, typer.Option("--data", help="Data directory [orbitfb-data].")
+]
+Planes = Annotated[str | None, typer.Option(help="Planes under feedback: x, y or xy [x].")]
+Seed = Annotated[int | None, typer.Option(help="Seed of the simulated ring and of the dither.")]
+Rate = Annotated[float | None, typer.Option(help="Ticks per second, loop and soft IOC [10].")]
+Port = Annotated[int | None, typer.Option(help="Port of the soft IOC; 0: any free one [15064].")]
+Drift = Annotated[
+    str | None, typer.Option(help="Drift of the simulated ring: none, paper, mild, strong.")
+]
+DriftTicks = Annotated[int | None, typer.Option(help="Ticks that the drift takes.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+def configure(path: Path | None, **options: Any) -> "AppConfig":
+    """Compose the configuration; an option `loop__rate_hz` is the key `loop.rate_hz`."""
+    from orbitfb.config import load_config
+
+    return load_config(path, {name.replace("__", "."): value for name, value in options.items()})
+
+
+def validated(model: type[S], values: dict[str, Any]) -> S:
+    """Build settings of a command; what is wrong is named by its option."""
+    from pydantic import ValidationError
+
+    from orbitfb.core.errors import ConfigError
+
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        problems = [
+            f"--{'-'.join(str(part) for part in problem['loc'])}: {problem['msg']}, "
+            f"got {problem['input']!r}"
+            for problem in error.errors()
+        ]
+        raise ConfigError("; ".join(problems)) from None
+
+
+def show(answer: dict[str, Any], as_json: bool) -> None:
+    """Print an answer, for people or as JSON."""
+    from orbitfb import tabulate
+
+    print(tabulate.as_json(answer) if as_json else tabulate.as_text(answer))

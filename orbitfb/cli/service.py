@@ -1,0 +1,154 @@
+"""Commands around the service: run it, serve a ring to it, ask it."""
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orbitfb.cli.options import (
+    AsJson,
+    ConfigFile,
+    DataDirectory,
+    Drift,
+    DriftTicks,
+    Planes,
+    Port,
+    Rate,
+    Seed,
+    configure,
+    show,
+)
+
+
+def run(
+    ioc: Annotated[
+        str,
+        typer.Option(
+            help="sim: a simulated ring as a child process; HOST[:PORT]: an IOC that runs there "
+            "[port 15064]; env: what the EPICS_CA_… environment says; config: what [epics] of the "
+            "configuration says."
+        ),
+    ],
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    planes: Planes = None,
+    rate: Rate = None,
+    seed: Seed = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Stop after so many seconds [until Ctrl-C].")
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(help="State to start in: open, shadow or closed [sim: closed, else open]."),
+    ] = None,
+    summary: Annotated[
+        Path | None, typer.Option(help="Write a summary of the run to this file (JSON).")
+    ] = None,
+    port: Port = None,
+    drift: Drift = None,
+    drift_ticks: DriftTicks = None,
+    metrics_port: Annotated[
+        int | None, typer.Option(help="Port of /metrics; 0: any free one [9180].")
+    ] = None,
+) -> None:
+    """Close the loop: read the orbit, correct it, learn from it."""
+    from orbitfb.service import run_service
+
+    settings = configure(
+        config_file,
+        data_directory=data,
+        ring__planes=planes,
+        loop__rate_hz=rate,
+        sim__rate_hz=rate,
+        seed=seed,
+        sim__port=port,
+        plant__drift__preset=drift,
+        plant__drift__ticks=drift_ticks,
+        observe__port=metrics_port,
+    )
+    announce = partial(print, flush=True)
+    raise typer.Exit(run_service(settings, ioc, start, duration, summary, announce))
+
+
+def ioc(
+    config_file: ConfigFile = None,
+    planes: Planes = None,
+    rate: Rate = None,
+    seed: Seed = None,
+    port: Port = None,
+    drift: Drift = None,
+    drift_ticks: DriftTicks = None,
+    plain: Annotated[
+        bool | None,
+        typer.Option("--plain", help="Serve by caproto's documented calls alone (slow reference)."),
+    ] = None,
+    lockstep: Annotated[
+        bool | None,
+        typer.Option(
+            "--lockstep", help="Advance as soon as every setpoint was written (accelerated clock)."
+        ),
+    ] = None,
+) -> None:
+    """Serve the simulated ring as a soft IOC until Ctrl-C."""
+    from orbitfb.maintenance import sim_job
+    from orbitfb.sim.process import run_job
+
+    settings = configure(
+        config_file,
+        ring__planes=planes,
+        sim__rate_hz=rate,
+        seed=seed,
+        sim__port=port,
+        sim__plain=plain,
+        sim__lockstep=lockstep,
+        plant__drift__preset=drift,
+        plant__drift__ticks=drift_ticks,
+    )
+    where = settings.sim.interface
+
+    def announce(taken: int, pvs: int) -> None:
+        reach = "this computer only" if where.startswith("127.") else "the network"
+        print(f"serving {pvs} PVs on {where}, port {taken}, to {reach}; Ctrl-C stops", flush=True)
+        print(f"  EPICS_CA_ADDR_LIST={where} EPICS_CA_AUTO_ADDR_LIST=NO ", end="")
+        print(f"EPICS_CA_SERVER_PORT={taken}", flush=True)
+
+    run_job(sim_job(settings), announce)
+
+
+def refit(
+    archive: Annotated[
+        Path | None,
+        typer.Option("--from", help="Refit from this archive; without it, ask the service."),
+    ] = None,
+    activate: Annotated[
+        bool, typer.Option("--activate", help="Activate the candidate if the judge accepts it.")
+    ] = False,
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    planes: Planes = None,
+    as_json: AsJson = False,
+) -> None:
+    """Identify the response matrix anew, judge the policy built on it, print the decision."""
+    from orbitfb.maintenance import refit_offline, refit_online
+
+    settings = configure(config_file, data_directory=data, ring__planes=planes)
+    report = (
+        refit_online(settings, activate)
+        if archive is None
+        else refit_offline(settings, archive, activate)
+    )
+    show(report, as_json)
+
+
+def command(
+    name: Annotated[str, typer.Argument(help="open, shadow, close, reset or status.")],
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    as_json: AsJson = False,
+) -> None:
+    """Command the running service."""
+    from orbitfb.control import ask
+
+    settings = configure(config_file, data_directory=data)
+    show(ask(settings.data_directory, {"command": name}), as_json)
