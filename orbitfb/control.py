@@ -26,6 +26,9 @@ MESSAGE_LIMIT = 1 << 20
 
 _LONGEST_SOCKET_PATH = 100
 
+BACKLOG = 128
+"""Connections that may wait; beyond it the kernel turns a command line away at once."""
+
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
@@ -136,7 +139,7 @@ class ControlServer:
             with _address(self._path) as address:
                 self._listener.bind(address)
             self._path.chmod(0o600)
-            self._listener.listen(8)
+            self._listener.listen(BACKLOG)
         except OSError as error:
             self._listener.close()
             raise OwnershipError(
