@@ -92,7 +92,7 @@ class Learner:
             trigger: `periodic`, `on-demand` or `innovation`; goes into the report.
 
         Returns:
-            The report (PROMOTED: may be put in force; REFUSED) and the candidate; None when no
+            The report (ACCEPTED: may be put in force; REFUSED) and the candidate; None when no
             candidate was built.
 
         Raises:
@@ -128,7 +128,7 @@ class Learner:
             time=self._clock.wall(),
             trigger=trigger,
             rows=since.rows,
-            decision=Decision.PROMOTED if verdict.accepted else Decision.REFUSED,
+            decision=Decision.ACCEPTED if verdict.accepted else Decision.REFUSED,
             reason=verdict.reason,
             policy_id=incumbent.policy_id if candidate is None else candidate.policy_id,
             incumbent_id=incumbent.policy_id,

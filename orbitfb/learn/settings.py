@@ -3,14 +3,14 @@
 from pydantic import Field
 
 from orbitfb.core.settings import Settings
-from orbitfb.models.identify import IdentifySettings
+from orbitfb.models.settings import IdentifySettings
 
 
 class JudgeSettings(Settings):
     """What a candidate must show before it may act."""
 
     samples: int = Field(
-        default=4,
+        default=6,
         ge=1,
         le=64,
         description="Responses drawn from the posterior for the judgement [1].",
@@ -22,13 +22,13 @@ class JudgeSettings(Settings):
         description="Ticks ahead for which the orbit is predicted [ticks].",
     )
     margin: float = Field(
-        default=0.003,
+        default=0.002,
         ge=0.0,
         lt=1.0,
         description="Least predicted gain in true-orbit rms, a ratio [1].",
     )
     slowest_growth: float = Field(
-        default=1.001,
+        default=1.01,
         gt=0.0,
         description="Largest growth of the orbit per tick on any drawn response [1].",
     )

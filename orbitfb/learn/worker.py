@@ -47,6 +47,7 @@ Keep = Callable[[Policy, RefitReport], None]
 class _Watch:
     """A swap under observation."""
 
+    promoted: Policy
     former: Policy
     before: float
     since_tick: int
@@ -63,8 +64,8 @@ class LearnerThread(threading.Thread):
         history: The last transitions.
         slot: The policy in force.
         publish: Gets every report, in this thread; it must not raise.
-        keep: Stores a policy that was promoted with its report, before it is put in force; for
-            a roll-back, the policy restored; None: nothing is stored.
+        keep: Stores a policy that was accepted or promoted with its report, before it is put in
+            force; for a roll-back, the policy restored; None: nothing is stored.
         poll: How often to look for new ticks [s].
     """
 
@@ -92,8 +93,7 @@ class LearnerThread(threading.Thread):
         """Ask for a refit now.
 
         Args:
-            activate: Whether an accepted candidate is put in force; otherwise the report says
-                what would have been done, with the decision REFUSED.
+            activate: Whether an accepted candidate is put in force, or only kept.
 
         Returns:
             The report, when it is there.
@@ -164,10 +164,12 @@ class LearnerThread(threading.Thread):
         new = self._history.snapshot(since_tick=self._next_tick())
         self._refitted = int(new.tick[-1]) if len(new) else self._refitted
         report, candidate = self._learner.refit(new, incumbent, trigger)
-        if report.decision is Decision.PROMOTED and not activate:
-            report = _not_activated(report)
-        if report.decision is Decision.PROMOTED and candidate is not None:
-            self._promote(candidate, incumbent, report)
+        if report.decision is Decision.ACCEPTED and candidate is not None:
+            if activate:
+                report = replace(report, decision=Decision.PROMOTED)
+                self._promote(candidate, incumbent, report)
+            elif self._keep is not None:
+                self._keep(candidate, report)
         self._publish(report)
         return report
 
@@ -178,12 +180,15 @@ class LearnerThread(threading.Thread):
         self._slot.swap(candidate)
         newest = self._learner.last_tick or 0
         if before.size:
-            self._watch = _Watch(incumbent, float(np.median(before)), newest + 2)
+            self._watch = _Watch(candidate, incumbent, float(np.median(before)), newest + 2)
 
     def _watch_swap(self) -> None:
         """Go back to the former policy when the orbit has become worse since the swap."""
         watch, settings = self._watch, self._learner.settings
         if watch is None:
+            return
+        if self._slot.current is not watch.promoted:  # an operator chose another one meanwhile
+            self._watch = None
             return
         rms = self._observed_rms(self._history.snapshot(since_tick=watch.since_tick))
         limit = settings.rollback_factor * watch.before
@@ -225,9 +230,3 @@ class LearnerThread(threading.Thread):
         report = self._learner.failed(trigger, self._slot.current, reason)
         self._publish(report)
         return report
-
-
-def _not_activated(report: RefitReport) -> RefitReport:
-    return replace(
-        report, decision=Decision.REFUSED, reason=f"{report.reason}; not activated, as asked"
-    )

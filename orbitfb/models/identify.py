@@ -18,61 +18,17 @@ mode in metres per tick, whose regressor is 1.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field
 
 from orbitfb.core.errors import EstimationError
-from orbitfb.core.settings import Settings
-from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.signals import Vector
 from orbitfb.models.filter import Carry, PrefilterBank
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.noise import LADDER, NoiseEstimate
 from orbitfb.models.rows import Rows
+from orbitfb.models.settings import IdentifySettings
 
 _MANY_KICKS = 0.1
-
-
-class IdentifySettings(Settings):
-    """Configuration of the identification."""
-
-    reading_noise: float = Field(
-        default=0.2e-6, gt=0.0, description="BPM noise to believe before there are data, rms [m]."
-    )
-    ground: float = Field(
-        default=0.04e-6,
-        gt=0.0,
-        description="Orbit motion per tick to believe before there are data, rms [m].",
-    )
-    noise_memory: float = Field(
-        default=3000.0,
-        gt=0.0,
-        description="Rows after which an innovation counts 1/e for the noise [1].",
-    )
-    prior_entry: float = Field(
-        default=1e-6, ge=0.0, description="Error of an element of the first R̂, rms [m/A]."
-    )
-    prior_relative: float = Field(
-        default=0.02, ge=0.0, description="Error of the first R̂ relative to its size, rms [1]."
-    )
-    drift_entry: float = Field(
-        default=0.06e-6, ge=0.0, description="Drift of an element of R in √tick, rms [m/A]."
-    )
-    drift_relative: float = Field(
-        default=1e-3, ge=0.0, description="Drift of R relative to its size in √tick, rms [1]."
-    )
-    creep: float = Field(
-        default=5e-9,
-        gt=0.0,
-        description="Creep of the orbit that a drift of R makes, rms per mode [m/tick].",
-    )
-    creep_memory: float = Field(
-        default=2000.0, gt=0.0, description="Ticks in which the creep is renewed [ticks]."
-    )
-    block: int = Field(default=100, ge=1, le=5000, description="Rows that one update takes in [1].")
-    kick_chi2: float = Field(
-        default=25.0,
-        gt=1.0,
-        description="Mean squared normalised innovation of a row that is taken for a kick [1].",
-    )
+_WIDENINGS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,14 +146,13 @@ class Identifier:
         kicks, interrupted = 0, False
         block = self._filter(rows)
         while (kicked := block.chi2 > self._settings.kick_chi2).any():
-            worst = int(np.argmax(kicked))
             if kicks >= max(3.0, _MANY_KICKS * elapsed) or len(rows) == 1:
-                self._covariances += self._prior
-                block = self._filter(rows)
+                block = self._reopen(rows)
                 break
+            worst = int(np.argmax(kicked))
             kicks += 1
             interrupted = interrupted or worst + 1 == len(rows)
-            rows = _without(rows, worst)
+            rows = rows.without(worst)
             block = self._filter(rows)
         self._carry = Carry(block.carry.columns, 0) if interrupted else block.carry
         self._last_tick = last
@@ -205,6 +160,16 @@ class Identifier:
         self._noise.absorb(block.squares, block.counted)
         self._update(block)
         return absorbed
+
+    def _reopen(self, rows: Rows) -> "_Block":
+        """Widen the uncertainty until the rows are no surprise: R is not what it was."""
+        block = self._filter(rows)
+        for _ in range(_WIDENINGS):
+            if np.median(block.chi2) < self._settings.kick_chi2:
+                break
+            self._covariances *= 4.0
+            block = self._filter(rows)
+        return block
 
     def _filter(self, rows: Rows) -> "_Block":
         """Filter a block and find its innovations before it has taught anything."""
@@ -219,7 +184,11 @@ class Identifier:
         innovations = responses - regressors @ self._rows.T
         variances = self._noise.innovation_variances
         doubts = np.einsum("gtm,gtm->gt", regressors @ self._covariances, regressors)
-        certain = variances[:, None] / (variances[:, None] + doubts)
+        # The noise is learnt from rows that R̂ predicts well. The creep is left out of that: its
+        # prior is wide, and where nothing creeps it would explain a part of the noise.
+        known_part = regressors[:, :, :-1] @ self._covariances[:, :-1, :-1]
+        doubts_of_r = np.einsum("gtm,gtm->gt", known_part, regressors[:, :, :-1])
+        certain = variances[:, None] / (variances[:, None] + doubts_of_r)
         levels = self._noise.levels
         own = innovations[levels, :, np.arange(len(levels))]
         total = (variances[:, None] + doubts)[levels]
@@ -304,24 +273,6 @@ def _without_creep(innovations: Vector, constant: Vector) -> Vector:
     """Take out of each mode's innovations, shape (n, T), what a creep of its own would explain."""
     share = np.sum(innovations * constant, axis=1) / np.sum(constant**2, axis=1)
     return innovations - share[:, None] * constant
-
-
-def _without(rows: Rows, index: int) -> Rows:
-    """Drop one row; the next one begins a stretch."""
-    keep: Mask = np.arange(len(rows)) != index
-    starts = rows.starts.copy()
-    if index + 1 < len(rows):
-        starts[index + 1] = True
-    return replace(
-        rows,
-        tick=rows.tick[keep],
-        change=rows.change[keep],
-        dither=rows.dither[keep],
-        difference=rows.difference[keep],
-        valid=rows.valid[keep],
-        starts=starts[keep],
-        closed=rows.closed[keep],
-    )
 
 
 def _total(pieces: list[Absorbed]) -> Absorbed:

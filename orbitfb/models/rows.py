@@ -52,6 +52,23 @@ class Rows:
             self.left_out if begin == 0 else {},
         )
 
+    def without(self, index: int) -> "Rows":
+        """Drop one row; the next one begins a stretch."""
+        keep: Mask = np.arange(len(self)) != index
+        starts = self.starts.copy()
+        if index + 1 < len(self):
+            starts[index + 1] = True
+        return Rows(
+            self.tick[keep],
+            self.change[keep],
+            self.dither[keep],
+            self.difference[keep],
+            self.valid[keep],
+            starts[keep],
+            self.closed[keep],
+            self.left_out,
+        )
+
 
 def select_rows(transitions: Transitions, tolerance: float) -> Rows:
     """Leave out what would poison an estimate, and count it.

@@ -1,0 +1,49 @@
+"""Configuration of the identification."""
+
+from pydantic import Field
+
+from orbitfb.core.settings import Settings
+
+
+class IdentifySettings(Settings):
+    """Configuration of the identification."""
+
+    reading_noise: float = Field(
+        default=0.2e-6, gt=0.0, description="BPM noise to believe before there are data, rms [m]."
+    )
+    ground: float = Field(
+        default=0.04e-6,
+        gt=0.0,
+        description="Orbit motion per tick to believe before there are data, rms [m].",
+    )
+    noise_memory: float = Field(
+        default=3000.0,
+        gt=0.0,
+        description="Rows after which an innovation counts 1/e for the noise [1].",
+    )
+    prior_entry: float = Field(
+        default=1e-6, ge=0.0, description="Error of an element of the first R̂, rms [m/A]."
+    )
+    prior_relative: float = Field(
+        default=0.02, ge=0.0, description="Error of the first R̂ relative to its size, rms [1]."
+    )
+    drift_entry: float = Field(
+        default=0.08e-6, ge=0.0, description="Drift of an element of R in √tick, rms [m/A]."
+    )
+    drift_relative: float = Field(
+        default=1e-3, ge=0.0, description="Drift of R relative to its size in √tick, rms [1]."
+    )
+    creep: float = Field(
+        default=5e-9,
+        gt=0.0,
+        description="Creep of the orbit that a drift of R makes, rms per mode [m/tick].",
+    )
+    creep_memory: float = Field(
+        default=2000.0, gt=0.0, description="Ticks in which the creep is renewed [ticks]."
+    )
+    block: int = Field(default=100, ge=1, le=5000, description="Rows that one update takes in [1].")
+    kick_chi2: float = Field(
+        default=25.0,
+        gt=1.0,
+        description="Mean squared normalised innovation of a row that is taken for a kick [1].",
+    )
