@@ -89,7 +89,7 @@ def refit_offline(config: AppConfig, archive: Path, activate: bool) -> dict[str,
     learner = Learner(incumbent.response, config.learn, policy_builder(config))
     report, candidate = learner.refit(transitions, incumbent, "on-demand")
     answer: dict[str, Any] = plain(asdict(report))
-    if candidate is not None and report.decision is Decision.PROMOTED:
+    if candidate is not None and report.decision is Decision.ACCEPTED:
         answer["stored"] = store.save(
             candidate,
             channels,
@@ -99,6 +99,7 @@ def refit_offline(config: AppConfig, archive: Path, activate: bool) -> dict[str,
         )
         if activate:
             answer |= activate_policy(config, candidate.policy_id)
+            answer["decision"] = Decision.PROMOTED
     return answer
 
 

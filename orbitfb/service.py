@@ -281,12 +281,13 @@ class Service:
         return nominal
 
     def _keep(self, policy: Policy, report: RefitReport) -> None:
-        """Store a policy that the learner is about to put in force, or back in force."""
-        if report.decision is Decision.PROMOTED:
+        """Store a policy that the judge accepted; activate one that goes in or back in force."""
+        if report.decision is not Decision.ROLLED_BACK:
             self.store.save(
                 policy, self.channels, parent=report.incumbent_id, figures=report.figures
             )
-        self.store.activate(policy.policy_id)
+        if report.decision is not Decision.ACCEPTED:
+            self.store.activate(policy.policy_id)
         self.store.prune(self._policies_kept)
 
     def _refitted(self, report: RefitReport) -> None:

@@ -9,8 +9,13 @@ class Decision(StrEnum):
     """What became of a candidate policy."""
 
     PROMOTED = "promoted"
+    """The judge accepted it and it was put in force."""
+    ACCEPTED = "accepted"
+    """The judge accepted it; nobody asked to put it in force."""
     REFUSED = "refused"
+    """The judge refused it."""
     ROLLED_BACK = "rolled_back"
+    """It was in force, and made the loop worse."""
 
 
 @dataclass(frozen=True, slots=True)

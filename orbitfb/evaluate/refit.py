@@ -121,7 +121,7 @@ def evaluate_refit(settings: RefitEvaluationSettings) -> RefitResult:
     decisions = [report.decision for report in reports]
     figures |= {
         "refits": float(len(reports)),
-        "promoted": float(decisions.count(Decision.PROMOTED)),
+        "promoted": float(decisions.count(Decision.ACCEPTED)),
         "rolled_back": float(decisions.count(Decision.ROLLED_BACK)),
         "refit_seconds_max": max((report.duration for report in reports), default=0.0),
     }
@@ -226,7 +226,7 @@ class Supervision:
             new, loop.policy, "periodic" if due else "innovation"
         )
         self._reports.append(report)
-        return candidate if report.decision is Decision.PROMOTED else None
+        return candidate if report.decision is Decision.ACCEPTED else None
 
 
 def drift_settings(settings: RefitEvaluationSettings) -> DriftSettings:

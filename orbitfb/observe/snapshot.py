@@ -160,3 +160,8 @@ class LoopSnapshot:
     refits: Mapping[Decision, int]
     last_refit: RefitReport | None
     happenings: tuple[Happening, ...] = field(default=())
+
+    @property
+    def judged(self) -> int:
+        """Refits that came to a verdict: a roll-back is none."""
+        return sum(self.refits.values()) - self.refits[Decision.ROLLED_BACK]

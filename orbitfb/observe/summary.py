@@ -59,7 +59,7 @@ def summary(snapshot: LoopSnapshot) -> dict[str, Any]:
         },
         "policy": snapshot.policy_id or None,
         "swaps": snapshot.swaps,
-        "refits": refits[Decision.PROMOTED] + refits[Decision.REFUSED],
+        "refits": snapshot.judged,
         "promotions": refits[Decision.PROMOTED],
         "refusals": refits[Decision.REFUSED],
         "roll_backs": refits[Decision.ROLLED_BACK],

@@ -167,7 +167,7 @@ def _time(snapshot: LoopSnapshot, around: Surroundings) -> str:
 
 def line(snapshot: LoopSnapshot) -> str:
     """Write the status in one plain line."""
-    orbit, refits = snapshot.orbit, snapshot.refits
+    orbit = snapshot.orbit
     state = "starting" if snapshot.state is None else snapshot.state.value
     parts = [
         f"{clock_time(snapshot.duration)} {state:<8}",
@@ -179,7 +179,7 @@ def line(snapshot: LoopSnapshot) -> str:
         f"ticks {snapshot.ticks.ticks}",
         f"missed {snapshot.ticks.missed}",
         f"latency p50 {milliseconds(snapshot.latency.p50)}",
-        f"refits {refits[Decision.PROMOTED] + refits[Decision.REFUSED]}",
+        f"refits {snapshot.judged}",
         f"swaps {snapshot.swaps}",
         f"policy {snapshot.policy_id or UNKNOWN}",
     ]

@@ -50,20 +50,23 @@ def active(service: Service) -> str:
     return row["id"]
 
 
-def test_refit_tells_what_it_would_do_and_does_nothing(service: Service):
+def test_refit_keeps_what_the_judge_accepts_and_activates_nothing(service: Service):
     baseline = service.where["policy"]
     text = ask(service, "refit")
     assert re.search(r"^trigger +on-demand$", text, re.MULTILINE)
     assert re.search(
-        r"^reason +predicted true orbit \S+ um rms against \S+ um of the incumbent: .*"
-        r"not activated, as asked$",
+        r"^reason +predicted true orbit \S+ um rms against \S+ um of the incumbent: .*$",
         text,
         re.MULTILINE,
     )
     assert re.search(rf"^incumbent_id +{baseline}$", text, re.MULTILINE)
     for name in FIGURES:
         assert re.search(rf"^  {name} +\S+$", text, re.MULTILINE)
-    assert list(listed(service)) == [baseline]
+    [decision] = re.findall(r"^decision +(\S+)$", text, re.MULTILINE)
+    [candidate] = re.findall(r"^policy_id +(\S+)$", text, re.MULTILINE)
+    kept = {"accepted": {baseline, candidate}, "refused": {baseline}}
+    assert set(listed(service)) == kept[decision]
+    assert active(service) == baseline
     status = service.status()
     assert (status["policy"], status["swaps"], status["refits"]) == (baseline, 0, 1)
 
@@ -99,7 +102,7 @@ def test_there_is_nothing_before_the_first(service: Service):
 
 
 def test_activate_reaches_the_running_loop(service: Service):
-    [other] = set(listed(service)) - {service.where["policy"]}
+    other = max(set(listed(service)) - {service.where["policy"]})
     assert ask(service, "policies", "activate", other).split()[:2] == ["policy", other]
     service.wait_status("swap", lambda status: status["policy"] == other, 2.0)
     assert active(service) == other
@@ -147,7 +150,7 @@ def test_refit_from_the_archive_stores_and_does_not_activate(stopped: Service):
     report = json.loads(ask(stopped, "refit", "--from", archive(stopped), "--json"))
     assert report["incumbent_id"] == before
     assert report["rows"] > 300 and report["figures"].keys() >= FIGURES
-    assert ("stored" in report) == (report["decision"] == "promoted")
+    assert ("stored" in report) == (report["decision"] == "accepted")
     assert active(stopped) == before
 
 

@@ -132,6 +132,7 @@ def test_swaps_refits_and_limits(statistics):
     assert (shot.swaps, shot.policy_id, shot.correctors.limited) == (1, "refit-0001", 1)
     assert shot.refits == {
         Decision.PROMOTED: 1,
+        Decision.ACCEPTED: 0,
         Decision.REFUSED: 2,
         Decision.ROLLED_BACK: 0,
     }
