@@ -60,6 +60,12 @@ class ClosedLoop:
                     self.policy, self._state = policy, policy.initial_state()
         return self
 
+    def advance(self, ticks: int) -> None:
+        """Step a number of ticks, or until the orbit is lost."""
+        for _ in range(ticks):
+            if self.tick < len(self.true_rms) and not self.lost:
+                self._step()
+
     def transitions(self, since: int = 0) -> Transitions:
         """Give the transitions that begin at a tick or later."""
         begin, end = max(since, 0), self.tick - 1

@@ -73,7 +73,7 @@ def judge(
     responses = [model.sample(generator) for _ in range(settings.samples)]
     ours = predict_loop(candidate, responses, model, settings.horizon)
     theirs = predict_loop(incumbent, responses, model, settings.horizon)
-    change = settings.change_orbit * float(np.linalg.norm(candidate)) / np.sqrt(len(candidate))
+    change = settings.change_orbit * float(np.linalg.norm(candidate) / np.sqrt(len(candidate)))
     figures = {
         "predicted_rms_candidate": ours.rms,
         "predicted_rms_incumbent": theirs.rms,

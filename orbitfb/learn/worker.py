@@ -148,8 +148,11 @@ class LearnerThread(threading.Thread):
         if newest - self._checked < settings.check:
             return
         self._checked = newest
-        self._watch_swap()
+        rolled_back = self._watch_swap()
         absorbed = self._learner.absorb(new, self._slot.current)
+        if rolled_back:  # what led here is no ground for another candidate at once
+            self._refitted = newest
+            return
         surprised = absorbed.rows > 0 and absorbed.chi2_other > settings.chi2_trigger
         due = self._refitted is None or newest - self._refitted >= settings.every
         if settings.enabled and (due or surprised):
@@ -162,7 +165,8 @@ class LearnerThread(threading.Thread):
     def _refit(self, trigger: str, activate: bool) -> RefitReport:
         incumbent = self._slot.current
         new = self._history.snapshot(since_tick=self._next_tick())
-        self._refitted = int(new.tick[-1]) if len(new) else self._refitted
+        newest = int(new.tick[-1]) if len(new) else self._learner.last_tick
+        self._refitted = self._refitted if newest is None else newest
         report, candidate = self._learner.refit(new, incumbent, trigger)
         if report.decision is Decision.ACCEPTED and candidate is not None:
             if activate:
@@ -182,14 +186,14 @@ class LearnerThread(threading.Thread):
         if before.size:
             self._watch = _Watch(candidate, incumbent, float(np.median(before)), newest + 2)
 
-    def _watch_swap(self) -> None:
+    def _watch_swap(self) -> bool:
         """Go back to the former policy when the orbit has become worse since the swap."""
         watch, settings = self._watch, self._learner.settings
         if watch is None:
-            return
+            return False
         if self._slot.current is not watch.promoted:  # an operator chose another one meanwhile
             self._watch = None
-            return
+            return False
         rms = self._observed_rms(self._history.snapshot(since_tick=watch.since_tick))
         limit = settings.rollback_factor * watch.before
         bad = 0
@@ -197,9 +201,10 @@ class LearnerThread(threading.Thread):
             bad = bad + 1 if value > limit else 0
             if bad >= settings.rollback_ticks:
                 self._roll_back(watch, limit)
-                return
+                return True
         if rms.size >= settings.watch:
             self._watch = None
+        return False
 
     def _roll_back(self, watch: _Watch, limit: float) -> None:
         left = self._slot.swap(watch.former)

@@ -1,0 +1,111 @@
+"""The judge: what it predicts against a simulation, and each of its refusals."""
+
+import numpy as np
+import pytest
+
+from orbitfb.learn.judge import gain_of, judge, predict_loop
+from orbitfb.learn.settings import JudgeSettings
+from orbitfb.models.linear import LinearModel
+from orbitfb.policies.svd import SvdPolicy, SvdSettings
+
+READING = 0.2e-6
+GROUND = 0.05e-6
+
+
+def model(response, sigma=1e-9, creep=0.0):
+    n, m = response.shape
+    return LinearModel(
+        response=response,
+        modes=np.eye(n),
+        levels=np.zeros(n, dtype=np.intp),
+        covariances=sigma**2 * np.eye(m)[None],
+        reading_variance=READING**2,
+        ground_variances=np.full(n, GROUND**2),
+        creep=np.full(n, creep),
+    )
+
+
+RESPONSE = 1e-3 * np.diag([3.0, 1.0, 0.5, 0.2])
+GOOD = 0.5 * np.linalg.inv(RESPONSE)
+
+
+def verdict(candidate, incumbent, nats=0.0, settings=None, sigma=1e-9):
+    return judge(
+        candidate,
+        incumbent,
+        model(RESPONSE, sigma),
+        nats,
+        settings or JudgeSettings(),
+        np.random.default_rng(1),
+    )
+
+
+@pytest.mark.parametrize("creep", [0.0, 0.1e-6])
+def test_prediction_equals_simulation(creep):
+    generator = np.random.default_rng(2)
+    gain = GOOD * np.array([1.0, 0.8, 0.3, 0.1])[:, None]
+    orbit = np.zeros((4000, 4))
+    for _ in range(256):
+        reading = orbit + READING * generator.standard_normal(orbit.shape)
+        orbit = orbit - reading @ (RESPONSE @ gain).T
+        orbit += GROUND * generator.standard_normal(orbit.shape) + creep
+    predicted = predict_loop(gain, [RESPONSE], model(RESPONSE, creep=creep), 256)
+    assert predicted.rms == pytest.approx(np.sqrt(np.mean(orbit**2)), rel=0.02)
+
+
+def test_growth_is_the_spectral_radius():
+    gain = GOOD.copy()
+    gain[3, 3] *= -0.02
+    predicted = predict_loop(gain, [RESPONSE], model(RESPONSE), 512)
+    radius = np.max(np.abs(np.linalg.eigvals(np.eye(4) - RESPONSE @ gain)))
+    assert predicted.growth == pytest.approx(radius, rel=1e-3)
+    assert radius > 1
+
+
+def test_a_diverging_loop_is_predicted_finite():
+    predicted = predict_loop(-40 * GOOD, [RESPONSE], model(RESPONSE), 8192)
+    assert np.isfinite(predicted.rms)
+
+
+def test_accepts_what_is_better():
+    weak = 0.01 * GOOD
+    said = verdict(GOOD, weak)
+    assert said.accepted
+    assert "better by" in said.reason
+    assert said.figures["predicted_rms_candidate"] < said.figures["predicted_rms_incumbent"]
+
+
+@pytest.mark.parametrize(
+    ("candidate", "nats", "settings", "words"),
+    [
+        (GOOD, 0.0, JudgeSettings(), "not better"),
+        (0.01 * GOOD, 0.0, JudgeSettings(), "not better"),
+        (-GOOD, 0.0, JudgeSettings(), "would grow"),
+        (GOOD, -50.0, JudgeSettings(), "speak for the incumbent's response by 50.0 nats"),
+        (GOOD, 0.0, JudgeSettings(change_limit=1e-3), "would change the setpoints"),
+        (np.full((4, 4), np.nan), 0.0, JudgeSettings(), "not finite"),
+    ],
+)
+def test_refuses_with_a_reason(candidate, nats, settings, words):
+    said = verdict(candidate, GOOD, nats, settings)
+    assert not said.accepted
+    assert words in said.reason
+
+
+def test_what_is_not_known_counts_against_a_bold_law():
+    """With the weakest mode unknown, a law that trusts it loses to one that leaves it alone."""
+    timid = GOOD.copy()
+    timid[3, 3] = 0.0
+    assert verdict(GOOD, timid, sigma=1e-9).accepted
+    assert not verdict(GOOD, timid, sigma=0.4e-3).accepted
+
+
+def test_asks_a_policy_without_a_gain_matrix():
+    policy = SvdPolicy(RESPONSE, SvdSettings())
+
+    class Opaque:
+        policy_id = "opaque"
+        initial_state = policy.initial_state
+        act = policy.act
+
+    assert np.allclose(gain_of(Opaque(), 4), policy.gain_matrix)

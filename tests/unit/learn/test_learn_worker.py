@@ -1,0 +1,181 @@
+"""The learner's thread, stepped by hand: triggers, swap, watch, roll-back, failures."""
+
+import numpy as np
+import pytest
+
+from orbitfb.core.clock import ManualClock
+from orbitfb.core.refit import Decision
+from orbitfb.evaluate.simulate import ClosedLoop
+from orbitfb.learn.learner import Learner
+from orbitfb.learn.settings import LearnSettings
+from orbitfb.learn.worker import LearnerThread
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.physics.places import Ring
+from orbitfb.physics.plant import Plant
+from orbitfb.policies.svd import SvdPolicy, SvdSettings
+
+RING = Ring.load()
+
+
+def build(response, covariance):
+    return SvdPolicy(response, SvdSettings(), covariance=covariance)
+
+
+class Bench:
+    """A ring, a loop that obeys the slot, and the thread's work without the thread."""
+
+    def __init__(self, factor=1.0, ticks=2000, **settings):
+        plant = Plant(RING, seed=2)
+        truth = plant.response
+        self.slot = PolicySlot(build(factor * truth, None))
+        self.loop = ClosedLoop(plant, self.slot.current, ticks)
+        self.reports, self.kept = [], []
+        chosen = {"identify": {"prior_relative": 0.02 if factor == 1.0 else 1.0}} | settings
+        learner = Learner(factor * truth, LearnSettings(**chosen), build, ManualClock())
+        self.thread = LearnerThread(
+            learner, self, self.slot, self.reports.append, lambda *kept: self.kept.append(kept)
+        )
+
+    def snapshot(self, last=None, since_tick=None):
+        if last is not None:
+            return self.loop.transitions(self.loop.tick - 1 - last)
+        return self.loop.transitions(since_tick or 0)
+
+    def advance(self, ticks, every=20):
+        for _ in range(0, ticks, every):
+            self.loop.advance(every)
+            self.thread.step()
+            self.loop.policy = self.slot.current
+
+
+def test_periodic_refit_promotes_a_better_law_and_keeps_it():
+    bench = Bench(factor=0.4)
+    bench.advance(300)
+    promoted = [r for r in bench.reports if r.decision is Decision.PROMOTED]
+    assert promoted and promoted[0].policy_id == bench.kept[0][0].policy_id
+    assert bench.slot.swaps == len(promoted)
+    assert bench.slot.current.policy_id == promoted[-1].policy_id
+    assert {r.trigger for r in bench.reports} <= {"periodic", "innovation"}
+
+
+def test_refits_come_at_the_chosen_interval():
+    bench = Bench(every=100, chi2_trigger=50.0)
+    bench.advance(420)
+    assert [r.trigger for r in bench.reports] == ["periodic"] * 4
+
+
+def test_a_surprise_brings_the_refit_forward():
+    bench = Bench(every=10_000, check=20)
+    bench.advance(200)
+    assert bench.reports == []
+    bench.loop.plant.kick(0.0)
+    wrong = build(bench.loop.plant.response * 1.5, None)
+    bench.slot.swap(wrong)
+    bench.loop.policy = wrong
+    bench.loop.plant.kick(50e-6)
+    bench.advance(60)
+    assert bench.reports and bench.reports[0].trigger == "innovation"
+
+
+def test_on_demand_without_activation_changes_nothing():
+    bench = Bench(factor=0.4, every=10_000, chi2_trigger=1e6)
+    bench.advance(200)
+    before = bench.slot.current
+    future = bench.thread.request(activate=False)
+    bench.thread.step()
+    report = future.result(timeout=0)
+    assert report.decision is Decision.ACCEPTED
+    assert bench.kept[-1][0].policy_id == report.policy_id
+    assert bench.slot.current is before and bench.slot.swaps == 0
+    future = bench.thread.request()
+    bench.thread.step()
+    assert future.result(timeout=0).decision is Decision.PROMOTED
+    assert bench.slot.swaps == 1
+
+
+def test_rolls_back_when_the_orbit_gets_worse():
+    bench = Bench(factor=0.4, every=10_000, chi2_trigger=1e6, rollback_factor=1.5)
+    bench.advance(400)
+    before = bench.slot.current
+    bench.thread.request()
+    bench.thread.step()
+    assert bench.slot.current is not before
+    # What no judge can know: the promoted law meets a ring that it makes unstable.
+    bench.loop.policy = build(-bench.loop.plant.response, None)
+    bench.loop.advance(20)
+    bench.thread.step()
+    assert bench.slot.current is before
+    last = bench.reports[-1]
+    assert (last.decision, last.trigger) == (Decision.ROLLED_BACK, "watch")
+    assert last.incumbent_id == before.policy_id
+    assert bench.kept[-1][0] is before
+
+
+def test_does_not_roll_back_over_an_operators_choice():
+    bench = Bench(factor=0.4, every=10_000, chi2_trigger=1e30)
+    bench.advance(400)
+    bench.thread.request()
+    bench.thread.step()
+    chosen = build(-bench.loop.plant.response, None)
+    bench.slot.swap(chosen)
+    bench.loop.policy = chosen
+    bench.loop.advance(20)
+    bench.thread.step()
+    assert bench.slot.current is chosen
+
+
+def test_a_good_swap_is_kept():
+    bench = Bench(factor=0.4, every=100)
+    bench.advance(800)
+    assert Decision.ROLLED_BACK not in {r.decision for r in bench.reports}
+
+
+def test_a_failure_is_a_refused_report_and_not_the_end(monkeypatch):
+    bench = Bench(every=20)
+    learner = bench.thread._learner
+    monkeypatch.setattr(learner, "refit", lambda *_: 1 / 0)
+    bench.advance(100)
+    assert bench.reports[-1].decision is Decision.REFUSED
+    assert "ZeroDivisionError" in bench.reports[-1].reason
+    future = bench.thread.request()
+    bench.thread.step()
+    assert "ZeroDivisionError" in future.result(timeout=0).reason
+    monkeypatch.undo()
+    bench.advance(100)
+    assert "ZeroDivisionError" not in bench.reports[-1].reason
+
+
+def test_unusable_data_are_told_apart_from_a_fault():
+    bench = Bench()
+    bench.loop.advance(2)
+    future = bench.thread.request()
+    bench.thread.step()
+    assert "only 1 rows" in future.result(timeout=0).reason
+
+
+def test_thread_serves_requests_and_stops():
+    bench = Bench()
+    bench.loop.advance(100)
+    bench.thread.start()
+    report = bench.thread.request().result(timeout=30)
+    assert report.trigger == "on-demand"
+    bench.thread.stop(timeout=10)
+    assert not bench.thread.is_alive()
+
+
+def test_stop_cancels_what_waits():
+    bench = Bench()
+    future = bench.thread.request()
+    bench.thread.stop()
+    assert future.cancelled()
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_a_disabled_learner_refits_only_on_demand(enabled):
+    bench = Bench(enabled=enabled)
+    bench.advance(240)
+    assert bool(bench.reports) is enabled
+    bench.thread.request()
+    bench.thread.step()
+    assert bench.reports[-1].trigger == "on-demand"
+    assert np.isfinite(bench.reports[-1].figures["chi2"])
