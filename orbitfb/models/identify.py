@@ -183,12 +183,13 @@ class Identifier:
         regressors, responses = filtered[:, :, :columns], filtered[:, :, columns:]
         innovations = responses - regressors @ self._rows.T
         variances = self._noise.innovation_variances
+        constant, creeps = regressors[:, :, -1], self._covariances[:, -1, :]
         doubts = np.einsum("gtm,gtm->gt", regressors @ self._covariances, regressors)
         # The noise is learnt from rows that R̂ predicts well. The creep is left out of that: its
         # prior is wide, and where nothing creeps it would explain a part of the noise.
-        known_part = regressors[:, :, :-1] @ self._covariances[:, :-1, :-1]
-        doubts_of_r = np.einsum("gtm,gtm->gt", known_part, regressors[:, :, :-1])
-        certain = variances[:, None] / (variances[:, None] + doubts_of_r)
+        with_creep = 2.0 * (regressors @ creeps[:, :, None])[:, :, 0] * constant
+        doubts_of_r = doubts - with_creep + constant**2 * creeps[:, -1:]
+        certain = variances[:, None] / (variances[:, None] + np.maximum(doubts_of_r, 0.0))
         levels = self._noise.levels
         own = innovations[levels, :, np.arange(len(levels))]
         total = (variances[:, None] + doubts)[levels]
