@@ -6,8 +6,10 @@ alternate within a repeat, and the figures are medians over the repeats.
 
 import argparse
 import json
+import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +40,8 @@ def plan(repeats: int) -> Iterator[tuple[str, Run]]:
         for rate, pairs in PAIRS.items():
             for server, client in _turned(pairs, repeat):
                 yield "runs", Run(server, client, rate, SECONDS[rate], seed=seed)
-        yield "long_runs", Run("ours", "service", 100.0, 60.0, seed=seed)
+        for client in ("ours", "service"):
+            yield "long_runs", Run("ours", client, 100.0, 60.0, seed=seed)
         for size in SIZES:
             for server in ("ours", "base"):
                 yield "scaling", Run(server, "ours", None, 2.0, size=size)
@@ -53,7 +56,8 @@ def rehearsal() -> Iterator[tuple[str, Run]]:
     """Give one short run of every kind that the summary needs."""
     for server, client in MAIN:
         yield "runs", Run(server, client, None, 0.3, 0.2)
-    yield "long_runs", Run("ours", "service", 100.0, 0.3, 0.2)
+    for client in ("ours", "service"):
+        yield "long_runs", Run("ours", client, 100.0, 0.3, 0.2)
     for size in (20, 60):
         for server in ("ours", "base"):
             yield "scaling", Run(server, "ours", None, 0.3, 0.2, size=size)
@@ -73,10 +77,16 @@ def run_all(repeats: int, quick: bool, command: str) -> dict[str, Any]:
     sections: dict[str, list[dict[str, Any]]] = {
         name: [] for name in ("runs", "long_runs", "scaling", "disturbances")
     }
+    failed: list[dict[str, Any]] = []
     todo = list(rehearsal() if quick else plan(repeats))
     for number, (section, run) in enumerate(todo, 1):
         before = load()
-        figures = measure(run) | {"load_before": before}
+        try:
+            figures = measure(run) | {"load_before": before}
+        except (RuntimeError, subprocess.TimeoutExpired) as error:
+            failed.append({**asdict(run), "section": section, "error": str(error)[-500:]})
+            print(f"{number}/{len(todo)} {section} FAILED: {run}: {error}", flush=True)
+            continue
         sections[section].append(figures)
         trip = figures["round_trip_ms"]
         rate = f"{run.rate_hz:g} Hz" if run.rate_hz else "lockstep"
@@ -88,7 +98,7 @@ def run_all(repeats: int, quick: bool, command: str) -> dict[str, Any]:
             flush=True,
         )
     result["about"]["load_after"] = load()
-    return {**summarise(sections), **result, **sections}
+    return {**summarise(sections), "failed": failed, **result, **sections}
 
 
 def main() -> None:
@@ -104,6 +114,8 @@ def main() -> None:
     for name, value in result.items():
         if isinstance(value, int | float):
             print(f"{name}: {value}")
+    if result["failed"]:
+        sys.exit(f"{len(result['failed'])} runs failed; see `failed` in {options.out}")
 
 
 def dump(result: dict[str, Any]) -> str:

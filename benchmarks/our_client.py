@@ -32,7 +32,7 @@ from orbitfb.safety.limits import LimitSettings
 from orbitfb.sim.layout import TICK_PV
 
 LOCKSTEP_LOOP = LoopSettings(rate_hz=2000.0, hold_after=1000.0)
-"""Takes every orbit that comes up to 4 kHz, and waits for half a second."""
+"""Takes every orbit that comes up to 4 kHz, and waits longer than a ring in lockstep does."""
 
 
 class Diagonal:

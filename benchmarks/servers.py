@@ -14,7 +14,7 @@ from orbitfb.sim.job import SimJob
 from orbitfb.sim.settings import SimSettings
 
 Server = Literal["ours", "plain", "base"]
-LOCKSTEP_PATIENCE = 0.5
+LOCKSTEP_PATIENCE = 0.3
 """After so long without a set of setpoints a ring in lockstep ticks by itself [s]."""
 
 

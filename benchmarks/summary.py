@@ -40,11 +40,14 @@ def summarise(sections: Sections) -> dict[str, Any]:
     def ratios(above: tuple[str, str], below: tuple[str, str]) -> dict[str, float | None]:
         return {rate: ratio(rate, above, below) for rate in rates}
 
-    long = sections["long_runs"]
+    def counted(name: str, client: str) -> int:
+        return sum(row[name] for row in sections["long_runs"] if row["client"] == client)
+
     return {
         "ratio_plain_over_ours_p50": ratio("lockstep", ("ours", "plain"), ("ours", "service")),
-        "missed_at_100hz": sum(row["missed"] for row in long),
-        "torn_at_100hz": sum(row["torn"] for row in long),
+        "missed_at_100hz": counted("missed", "ours"),
+        "missed_at_100hz_service": counted("missed", "service"),
+        "torn_at_100hz": counted("torn", "ours") + counted("torn", "service"),
         "ratio_ours_ioc_over_base_p50": ratio("lockstep", ("ours", "ours"), ("base", "ours")),
         "ratios": {
             "plain_client_over_service_on_our_ioc": ratios(("ours", "plain"), ("ours", "service")),
