@@ -28,7 +28,7 @@ class Machine(Protocol):
         """Ask the machine for the absolute setpoints in force, shape (m,) [A].
 
         Raises:
-            MachineError: A setpoint cannot be read; all of them are named.
+            MachineError: A setpoint cannot be read; the message says how many, and which.
         """
         ...
 

@@ -168,9 +168,13 @@ class ChannelGroup:
 
     def _on_connection(self, arguments: ConnectionArguments) -> None:
         up = arguments.operation == OPERATION_UP
+        index = self._library.ca_puser(arguments.channel) - 1
         if up:
             keep_thread_state()
-        self._set_connected(self._library.ca_puser(arguments.channel) - 1, up)
+            # A circuit that answers again after a silence brings its channels back without an
+            # access event, though it took their rights away by one.
+            self.writable[index] = bool(self._library.ca_write_access(arguments.channel))
+        self._set_connected(index, up)
 
     def _on_access(self, arguments: AccessArguments) -> None:
         index = self._library.ca_puser(arguments.channel) - 1

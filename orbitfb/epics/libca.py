@@ -106,6 +106,7 @@ def bind(path: str) -> ctypes.CDLL:
     library.ca_clear_channel.argtypes = [pointer]
     library.ca_puser.argtypes = [pointer]
     library.ca_puser.restype = pointer
+    library.ca_write_access.argtypes = [pointer]
     library.ca_replace_access_rights_event.argtypes = [pointer, pointer]
     library.ca_create_subscription.argtypes = [
         ctypes.c_long, ctypes.c_ulong, pointer, ctypes.c_long, pointer, pointer, pointer

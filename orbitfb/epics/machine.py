@@ -22,6 +22,7 @@ from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.requests import Getter, Putter
 from orbitfb.epics.settings import EpicsSettings
+from orbitfb.safety.verdict import name_some
 
 MILLIMETRE = 1e-3
 
@@ -122,7 +123,7 @@ class EpicsMachine:
         """Ask the machine for the absolute setpoints in force, shape (m,) [A].
 
         Raises:
-            MachineError: A setpoint does not answer with a finite value; all of them are named.
+            MachineError: A setpoint does not answer with a finite value; the first are named.
         """
         self._refuse_if_closed(MachineError)
         return self._getter.values()
@@ -223,10 +224,13 @@ class EpicsMachine:
         expected = len(self._setpoints)
         if values.shape != (expected,):
             raise WriteError(f"{values.shape} setpoints instead of ({expected},); nothing was sent")
-        wrong = np.flatnonzero(~np.isfinite(values))
-        if wrong.size:
-            names = ", ".join(f"{self._setpoints.names[i]} = {values[i]}" for i in wrong)
-            raise WriteError(f"setpoints that are not finite: {names}; nothing was sent")
+        wrong = ~np.isfinite(values)
+        if wrong.any():
+            names = name_some(wrong, self._setpoints.names)
+            raise WriteError(
+                f"{np.count_nonzero(wrong)} of {expected} setpoints are not finite: {names}; "
+                "nothing was sent"
+            )
 
     def _refuse_if_closed(self, error: type[MachineError]) -> None:
         if self._closed:

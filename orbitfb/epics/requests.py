@@ -11,6 +11,7 @@ from orbitfb.core.errors import MachineError, WriteError
 from orbitfb.core.signals import Vector
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.libca import DBR_CTRL_DOUBLE, DBR_DOUBLE, ECA_NORMAL, ECA_TIMEOUT, Context
+from orbitfb.safety.verdict import name_some
 
 CONTROL_RECORD = np.dtype(
     {
@@ -42,13 +43,13 @@ class Getter:
         """Return the values of the group, shape (m,), in the unit of the PVs.
 
         Raises:
-            MachineError: Some did not answer with a finite value; all of them are named.
+            MachineError: Some did not answer with a finite value; the first are named.
         """
         values = np.full(len(self._group), np.nan)
         values = self._fetch(DBR_DOUBLE, values)
         silent = np.flatnonzero(~np.isfinite(values))
         if silent.size:
-            names = ", ".join(self._group.names[index] for index in silent)
+            names = name_some(~np.isfinite(values), self._group.names)
             raise MachineError(
                 f"{silent.size} of {len(self._group)} PVs did not answer with a finite value "
                 f"within {self._timeout:.1f} s: {names}; see whether their IOC runs"
@@ -136,11 +137,13 @@ class Putter:
         self._generation = self._group.generation
 
     def _refusal(self) -> str:
-        away, read_only = self._group.disconnected, self._group.read_only
+        group = self._group
+        away, read_only = ~group.connected, group.connected & ~group.writable
         parts = [
-            f"{len(names)} of {len(self._group)} setpoints are {what}: {', '.join(names)}"
-            for names, what in ((away, "disconnected"), (read_only, "read-only"))
-            if names
+            f"{np.count_nonzero(mask)} of {len(group)} setpoints are {what}: "
+            + name_some(mask, group.names)
+            for mask, what in ((away, "disconnected"), (read_only, "read-only"))
+            if mask.any()
         ]
         return "; ".join([*parts, "nothing was sent"])
 
