@@ -41,7 +41,8 @@ doubles, one PV per BPM and plane.
 - A write to a setpoint is in force from the next tick on; its readback shows it then.
 - Positions are mm, corrector currents A, the stored current mA; inside orbitfb everything is SI.
 - The simulated ring listens on 127.0.0.1, port 15064 (`sim.port`), not on the production port
-  5064. A write to the kick PV moves the orbit at the next tick and the step stays.
+  5064. A write to the kick PV moves the orbit at the next tick and the step stays; the stored
+  current is what was last written to `SR:SIM{Ring}Current-SP`, from the next tick on.
 
 """
 

@@ -1,6 +1,7 @@
 """The PVs as caproto knows them, and those whose truth is on the board."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 from caproto import (
@@ -13,7 +14,7 @@ from caproto import (
 )
 
 from orbitfb.sim.board import Board, Entry
-from orbitfb.sim.layout import PvSpec
+from orbitfb.sim.layout import Layout, PvSpec
 from orbitfb.sim.stamp import Stamp
 
 
@@ -57,22 +58,32 @@ class ReadOnlyChannel(ScalarChannel):
         return AccessRights.READ
 
 
-class KickChannel(ScalarChannel):
-    """A PV whose write kicks the beam.
+class KnobChannel(ScalarChannel):
+    """A PV whose write does something to the simulated ring.
 
     Args:
         spec: The PV.
-        kick: Called with what was written, in the PV's units.
+        turned: Called with what was written, in the PV's units.
     """
 
-    def __init__(self, spec: PvSpec, kick: Callable[[float], None]) -> None:
-        super().__init__(spec)
-        self._kick = kick
+    def __init__(self, spec: PvSpec, turned: Callable[[float], None]) -> None:
+        super().__init__(spec, spec.initial)
+        self._turned = turned
 
     async def write(self, value: Any, **options: Any) -> None:
-        """Take the value and kick; a value that is refused kicks nothing."""
+        """Take the value and act on it; a value that is refused does nothing."""
         await super().write(value, **options)
-        self._kick(float(self.value))
+        self._turned(float(self.value))
+
+
+def knob_channels(layout: Layout, turned: Callable[[str, float], None]) -> dict[str, KnobChannel]:
+    """Make the channels of all knobs, by name.
+
+    Args:
+        layout: Has the knobs.
+        turned: Called with the PV and what was written to it, in its units.
+    """
+    return {spec.name: KnobChannel(spec, partial(turned, spec.name)) for spec in layout.knobs}
 
 
 class Watcher(Protocol):

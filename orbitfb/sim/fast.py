@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.sim.board import Board
-from orbitfb.sim.channels import BoardChannel, BoardReading, BoardSetpoint, KickChannel
+from orbitfb.sim.channels import BoardChannel, BoardReading, BoardSetpoint, knob_channels
 from orbitfb.sim.circuit import FastContext
 from orbitfb.sim.feed import Feed
 from orbitfb.sim.layout import Layout
@@ -25,7 +25,7 @@ class FastFront:
 
     Args:
         layout: The PVs.
-        kick: What a write to the kick PV does, in its units.
+        turned: What a write to a knob does: its PV, and the value in its units.
 
     Attributes:
         board: Values, stamps and alarms.
@@ -33,7 +33,7 @@ class FastFront:
         on_written: Called when setpoints have been written.
     """
 
-    def __init__(self, layout: Layout, kick: Callable[[float], None]) -> None:
+    def __init__(self, layout: Layout, turned: Callable[[str, float], None]) -> None:
         self.board = Board(layout, now())
         self.feeds: set[Feed] = set()
         self.on_written: Callable[[], None] = lambda: None
@@ -44,8 +44,7 @@ class FastFront:
             )
             for index, spec in enumerate(specs)
         ]
-        self._kick = KickChannel(layout.kick, kick)
-        self._kick_name = layout.kick.name
+        self._knobs = knob_channels(layout, turned)
         self._taken = False
         self._watched: set[BoardChannel] = set()
         self._stale: set[BoardChannel] = set()
@@ -108,8 +107,7 @@ class FastFront:
     def context(self, sockets: Sockets) -> FastContext:
         """Make the caproto server that serves it."""
         pvdb: dict[str, Any] = dict(zip(self.board.names, self._channels, strict=True))
-        pvdb[self._kick_name] = self._kick
-        return FastContext(pvdb, sockets, self)
+        return FastContext(pvdb | self._knobs, sockets, self)
 
     def _tell_setpoints(self) -> None:
         for feed in self.feeds:

@@ -1,7 +1,7 @@
 """Which PVs there are, in which order, with which units and limits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,9 +14,12 @@ RF_PV = "RF{Osc:1}Freq:SP"
 TRUE_RMS_PV = "SR:SIM{Ring}Rms:True-I"
 TICK_PV = "SR:SIM{Ring}Tick-I"
 KICK_PV = "SR:SIM{Ring}Kick-SP"
+STORED_PV = "SR:SIM{Ring}Current-SP"
 
 MILLI = 1.0e3
 """From m to mm and from A to mA."""
+
+_MOST_CURRENT = 500.0
 
 Range = tuple[float, float]
 NO_RANGE: Range = (0.0, 0.0)
@@ -35,6 +38,7 @@ class PvSpec:
         warning: LOW and HIGH (MINOR).
         alarm: LOLO and HIHI (MAJOR).
         drive: Range outside which a write is refused.
+        initial: Value before anybody writes.
     """
 
     name: str
@@ -44,6 +48,7 @@ class PvSpec:
     warning: Range = NO_RANGE
     alarm: Range = NO_RANGE
     drive: Range = NO_RANGE
+    initial: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,21 +61,35 @@ class Layout:
             completes an orbit whose readbacks are there already: clients need not wait again.
         setpoints: Setpoints in the order of the channels [A].
         kick: The random kick [mm].
-        constants: Stored current [mA] and RF frequency [Hz].
+        stored: The stored current that the simulated ring is to have [mA].
+        rf_frequency: What the oscillator shows [Hz].
     """
 
     readings: tuple[PvSpec, ...]
     setpoints: tuple[PvSpec, ...]
     kick: PvSpec
-    constants: tuple[float, float] = field(default=(0.0, 0.0))
+    stored: PvSpec
+    rf_frequency: float
 
     def __len__(self) -> int:
-        return len(self.readings) + len(self.setpoints) + 1
+        return len(self.readings) + len(self.setpoints) + len(self.knobs)
 
-    def values(self, state: RingState, tick: int) -> Vector:
-        """Give the values of `readings` at a tick, in the units of the PVs."""
+    @property
+    def knobs(self) -> tuple[PvSpec, ...]:
+        """What a tester turns; no machine has them."""
+        return self.kick, self.stored
+
+    def values(self, state: RingState, tick: int, stored: float | None = None) -> Vector:
+        """Give the values of `readings` at a tick, in the units of the PVs.
+
+        Args:
+            state: Of the ring.
+            tick: Its number.
+            stored: Stored current [mA]; None: what it is at the start.
+        """
         true_rms = float(np.sqrt(np.mean(np.square(state.true_orbit)))) * MILLI
-        slow = (*self.constants, true_rms, float(tick))
+        current = self.stored.initial if stored is None else stored
+        slow = (current, self.rf_frequency, true_rms, float(tick))
         return np.concatenate((state.readback, state.reading * MILLI, slow))
 
 
@@ -82,6 +101,7 @@ def lay_out(channels: Channels, settings: SimSettings) -> Layout:
 
     drive = both(settings.corrector_limit)
     warning = both(settings.corrector_limit * settings.corrector_warning)
+    most = (0.0, max(_MOST_CURRENT, settings.stored_current * MILLI))
 
     def ammeters(names: Sequence[str], drive_range: Range) -> tuple[PvSpec, ...]:
         return tuple(
@@ -101,7 +121,7 @@ def lay_out(channels: Channels, settings: SimSettings) -> Layout:
         for name in channels.orbit_pvs
     )
     slow = (
-        PvSpec(CURRENT_PV, "mA", 3, display=(0.0, 500.0)),
+        PvSpec(CURRENT_PV, "mA", 3, display=most),
         PvSpec(RF_PV, "Hz", 1),
         PvSpec(TRUE_RMS_PV, "mm", 6, display=(0.0, 1.0)),
         PvSpec(TICK_PV, "", 0),
@@ -110,5 +130,8 @@ def lay_out(channels: Channels, settings: SimSettings) -> Layout:
         readings=(*ammeters(channels.readback_pvs, NO_RANGE), *bpms, *slow),
         setpoints=ammeters(channels.setpoint_pvs, drive),
         kick=PvSpec(KICK_PV, "mm", 3, drive=(0.0, settings.kick_limit * MILLI)),
-        constants=(settings.stored_current * MILLI, settings.rf_frequency or 0.0),
+        stored=PvSpec(
+            STORED_PV, "mA", 3, display=most, drive=most, initial=settings.stored_current * MILLI
+        ),
+        rf_frequency=settings.rf_frequency or 0.0,
     )

@@ -8,7 +8,7 @@ import numpy as np
 from caproto import AlarmSeverity, AlarmStatus
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.sim.channels import KickChannel, ReadOnlyChannel, ScalarChannel
+from orbitfb.sim.channels import ReadOnlyChannel, ScalarChannel, knob_channels
 from orbitfb.sim.context import ClaimedContext
 from orbitfb.sim.layout import Layout, PvSpec
 from orbitfb.sim.listening import Sockets
@@ -33,13 +33,13 @@ class PlainFront:
 
     Args:
         layout: The PVs.
-        kick: What a write to the kick PV does, in its units.
+        turned: What a write to a knob does: its PV, and the value in its units.
 
     Attributes:
         on_written: Called when a setpoint has been written.
     """
 
-    def __init__(self, layout: Layout, kick: Callable[[float], None]) -> None:
+    def __init__(self, layout: Layout, turned: Callable[[str, float], None]) -> None:
         self.on_written: Callable[[], None] = lambda: None
         self._names = layout
         self._readings = [ReadOnlyChannel(spec) for spec in layout.readings]
@@ -48,7 +48,7 @@ class PlainFront:
             PlainSetpoint(spec, lambda index=index: self._note(index))
             for index, spec in enumerate(layout.setpoints)
         ]
-        self._kick = KickChannel(layout.kick, kick)
+        self._knobs = knob_channels(layout, turned)
         self._publishing: asyncio.Task[None] | None = None
 
     @property
@@ -74,9 +74,9 @@ class PlainFront:
     def context(self, sockets: Sockets) -> ClaimedContext:
         """Make the caproto server that serves it."""
         layout = self._names
-        names = [spec.name for spec in (*layout.readings, *layout.setpoints, layout.kick)]
-        channels = [*self._readings, *self._setpoints, self._kick]
-        return ClaimedContext(dict(zip(names, channels, strict=True)), sockets)
+        names = [spec.name for spec in (*layout.readings, *layout.setpoints)]
+        pvdb: dict[str, Any] = dict(zip(names, [*self._readings, *self._setpoints], strict=True))
+        return ClaimedContext(pvdb | self._knobs, sockets)
 
     async def _publish(self, values: Vector, stamp: Stamp) -> None:
         for channel, value in zip(self._readings, values.tolist(), strict=True):

@@ -8,6 +8,7 @@ from orbitfb.sim.layout import (
     CURRENT_PV,
     KICK_PV,
     RF_PV,
+    STORED_PV,
     TICK_PV,
     TRUE_RMS_PV,
     PvSpec,
@@ -22,6 +23,7 @@ _SINGLE = {
     TRUE_RMS_PV: "rms of the true orbit (simulator only)",
     TICK_PV: "count of ticks (simulator only)",
     KICK_PV: "kick the beam: rms of a random orbit step (simulator only)",
+    STORED_PV: "stored current to have (simulator only)",
 }
 
 
@@ -62,7 +64,7 @@ def pv_families(ring: Ring, planes: Planes, settings: SimSettings) -> tuple[PvFa
         own = _take(readbacks, correctors)
         families.append(PvFamily(f"corrector readback, {plane}", own, False))
     families += [PvFamily(_SINGLE[spec.name], (spec,), False) for spec in readings]
-    families.append(PvFamily(_SINGLE[layout.kick.name], (layout.kick,), True))
+    families += [PvFamily(_SINGLE[spec.name], (spec,), True) for spec in layout.knobs]
     return tuple(families)
 
 

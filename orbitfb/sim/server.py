@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from orbitfb.sim.fast import FastFront
 from orbitfb.sim.front import Front
-from orbitfb.sim.layout import MILLI, lay_out
+from orbitfb.sim.layout import KICK_PV, MILLI, lay_out
 from orbitfb.sim.listening import claim
 from orbitfb.sim.plain import PlainFront
 from orbitfb.sim.ring import SimulatedRing
@@ -33,7 +33,8 @@ class RingServer:
         self._settings = settings
         self.layout = lay_out(ring.channels, settings)
         kind = PlainFront if settings.plain else FastFront
-        self.front: Front = kind(self.layout, self._kick)
+        self.front: Front = kind(self.layout, self._turned)
+        self._stored = self.layout.stored.initial
         self._ticker: Ticker | None = None
         self.failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
@@ -57,7 +58,8 @@ class RingServer:
         stamp = now()
         try:
             state = self._ring.step(self.front.setpoints)
-            self.front.show(self.layout.values(state, self._ring.tick), stamp)
+            values = self.layout.values(state, self._ring.tick, self._stored)
+            self.front.show(values, stamp)
         except Exception as error:  # `serve` raises it; event loop and clients would swallow it
             self.failed.set_exception(error)
 
@@ -67,8 +69,12 @@ class RingServer:
             if self._ticker is not None:
                 self._ticker.restart()
 
-    def _kick(self, rms: float) -> None:
-        self._ring.kick(rms / MILLI)
+    def _turned(self, pv: str, value: float) -> None:
+        """Do what a knob of the tester's says, in its units."""
+        if pv == KICK_PV:
+            self._ring.kick(value / MILLI)
+        else:
+            self._stored = value
 
 
 async def serve(

@@ -39,11 +39,11 @@ def test_every_generated_page_is_compared(generator):
 def test_families_hold_every_pv_once(planes):
     ring, settings = Ring.load(), SimSettings()
     layout = lay_out(ring.channels(planes), settings)
-    served = [*layout.readings, *layout.setpoints, layout.kick]
+    served = [*layout.readings, *layout.setpoints, *layout.knobs]
     families = pv_families(ring, planes, settings)
     assert sorted(s.name for f in families for s in f.specs) == sorted(s.name for s in served)
     written = {s.name for f in families if f.written for s in f.specs}
-    assert written == {s.name for s in (*layout.setpoints, layout.kick)}
+    assert written == {s.name for s in (*layout.setpoints, *layout.knobs)}
 
 
 @pytest.mark.parametrize("planes", ["x", "y", "xy"])

@@ -12,7 +12,16 @@ from hypothesis import strategies as st
 from orbitfb.core.signals import Channels
 from orbitfb.sim.board import AlarmLimits, Board, Entry
 from orbitfb.sim.channels import ScalarChannel
-from orbitfb.sim.layout import CURRENT_PV, KICK_PV, RF_PV, TICK_PV, TRUE_RMS_PV, PvSpec, lay_out
+from orbitfb.sim.layout import (
+    CURRENT_PV,
+    KICK_PV,
+    RF_PV,
+    STORED_PV,
+    TICK_PV,
+    TRUE_RMS_PV,
+    PvSpec,
+    lay_out,
+)
 from orbitfb.sim.settings import SimSettings
 from orbitfb.sim.stamp import Stamp
 
@@ -42,8 +51,8 @@ def test_the_layout_has_the_order_that_clients_see():
         TRUE_RMS_PV,
         TICK_PV,
     ]
-    assert LAYOUT.kick.name == KICK_PV
-    assert len(LAYOUT) == 3 + 2 + 2 + 4 + 1
+    assert [spec.name for spec in LAYOUT.knobs] == [KICK_PV, STORED_PV]
+    assert len(LAYOUT) == 3 + 2 + 2 + 4 + 2
 
 
 def test_values_leave_in_the_units_of_the_pvs():
@@ -52,9 +61,10 @@ def test_values_leave_in_the_units_of_the_pvs():
         true_orbit=np.array([3e-3, 4e-3, 0.0]),
         readback=np.array([1.5, -2.5]),
     )
-    values = LAYOUT.values(state, 17)
+    values = LAYOUT.values(state, 17, stored=300.0)
     rms = 5.0 / np.sqrt(3.0)
-    np.testing.assert_allclose(values, [1.5, -2.5, 1.0, -2e-3, 0.0, 400.0, 5e8, rms, 17.0])
+    np.testing.assert_allclose(values, [1.5, -2.5, 1.0, -2e-3, 0.0, 300.0, 5e8, rms, 17.0])
+    assert LAYOUT.values(state, 17)[5] == 400.0
 
 
 def test_all_readings_of_a_tick_carry_its_stamp(board):

@@ -53,7 +53,7 @@ def channels(server):
         specs = (*server.layout.readings, *server.layout.setpoints)
         names = [spec.name for spec in specs]
         found = dict(zip(names, [*front._readings, *front._setpoints], strict=True))
-    return found | {server.layout.kick.name: front._kick}
+    return found | front._knobs
 
 
 async def value(channel):
@@ -106,6 +106,12 @@ def test_what_is_refused_neither_changes_nor_counts(settings):
             assert ring.kicks == []
             await pvs["SR:SIM{Ring}Kick-SP"].write(0.25)
             assert ring.kicks == [0.25e-3]
+            with pytest.raises(ValueError, match="Cannot write"):
+                await pvs["SR:SIM{Ring}Current-SP"].write(500.1)
+            await pvs["SR:SIM{Ring}Current-SP"].write(4.0)
+            server.tick()
+            await asyncio.sleep(0)
+            assert await value(pvs["SR:C03-BI{DCCT:1}I:Real-I"]) == 4.0
         finally:
             server.stop()
 
