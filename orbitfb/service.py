@@ -29,7 +29,7 @@ from orbitfb.maintenance import baseline, open_store, policy_builder, sim_job
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
 from orbitfb.observe.logs import configure_logs
-from orbitfb.observe.metrics import ArchiveFigures, metrics_registry
+from orbitfb.observe.metrics import metrics_registry
 from orbitfb.observe.statistics import TRUE_RMS, LoopStatistics
 from orbitfb.observe.summary import check_place, write_summary
 from orbitfb.observe.terminal import Terminal
@@ -153,10 +153,9 @@ class Service:
         self.events = EventLog(self.channels, clock, config.observe.logs.quiet_time)
         self.history = History(self.channels, config.history.capacity)
         archive = ArchiveWriter(
-            directory / "archive", self.channels, config.history.archive, _archive_failed
+            directory / "archive", self.channels, config.history.archive, self._archive_failed
         )
         stack.callback(archive.close)
-        dither = Dither(dither_settings(config), nominal.response, config.policy.gain)
         self.runner = Runner(
             self.machine,
             self.slot,
@@ -165,7 +164,7 @@ class Service:
             config.interlocks,
             np.zeros(len(self.channels.bpms)),
             clock,
-            dither=dither,
+            dither=Dither(dither_settings(config), nominal.response, config.policy.gain),
             start=start,
             subscribers=(self.history, archive, self.statistics, self.events),
         )
@@ -176,10 +175,7 @@ class Service:
         if config.learn.enabled:
             self.learner.start()
             stack.callback(self.learner.stop)
-        registry = metrics_registry(
-            self.statistics.snapshot,
-            lambda: ArchiveFigures(archive.status().written, archive.status().dropped),
-        )
+        registry = metrics_registry(self.statistics.snapshot, archive.status)
         http = ObserveServer(config.observe, registry, self.statistics.snapshot)
         http.start()
         stack.callback(http.stop)
@@ -193,12 +189,16 @@ class Service:
             directory.resolve() / "archive",
             config.loop.period,
         )
-        control = ControlServer(directory, remote)
-        stack.callback(control.close)
+        stack.callback(ControlServer(directory, remote).close)
         terminal = Terminal(
             self.statistics.snapshot,
             config.observe.terminal,
-            Surroundings(http.address, duration, f"{epics.address_list}:{epics.server_port}"),
+            Surroundings(
+                metrics=http.address,
+                duration=duration,
+                ring=f"{epics.address_list}:{epics.server_port}",
+                trouble=lambda: self.ring_failure or archive.status().problem,
+            ),
         )
         terminal.start()
         stack.callback(terminal.stop)
@@ -254,6 +254,7 @@ class Service:
                     f"`orbitfb ioc --port {self._child.port}` brings one back"
                 )
                 _log.error("simulated_ring_died", problem=self.ring_failure)
+                self.statistics.happened("ring", self.ring_failure)
                 return
 
     def _serve_ring(self, config: AppConfig, stack: ExitStack) -> EpicsSettings:
@@ -294,6 +295,6 @@ class Service:
         self.statistics.refitted(report)
         self.events.refitted(report)
 
-
-def _archive_failed(error: ArchiveError) -> None:
-    _log.error("archive_failed", problem=str(error))
+    def _archive_failed(self, error: ArchiveError) -> None:
+        _log.error("archive_failed", problem=str(error))
+        self.statistics.happened("archive", str(error))

@@ -4,7 +4,6 @@ import dataclasses
 import math
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 
 from prometheus_client import CollectorRegistry
 from prometheus_client.core import (
@@ -19,25 +18,13 @@ from prometheus_client.registry import Collector
 
 from orbitfb import __version__
 from orbitfb.core.signals import LoopState
+from orbitfb.history.archive import ArchiveStatus
 from orbitfb.observe.metrics_table import METRICS, Metric
 from orbitfb.observe.snapshot import LoopSnapshot
 from orbitfb.observe.windows import LATENCY_BOUNDS
 
 Sample = tuple[tuple[str, ...], float]
 """Values of the labels, and the value."""
-
-
-@dataclass(frozen=True, slots=True)
-class ArchiveFigures:
-    """What the archive has done.
-
-    Args:
-        written: Transitions on disk.
-        dropped: Transitions that it could not take.
-    """
-
-    written: int
-    dropped: int
 
 
 class LoopCollector(Collector):
@@ -51,7 +38,7 @@ class LoopCollector(Collector):
     def __init__(
         self,
         snapshot: Callable[[], LoopSnapshot],
-        archive: Callable[[], ArchiveFigures] | None = None,
+        archive: Callable[[], ArchiveStatus] | None = None,
     ) -> None:
         self._snapshot = snapshot
         self._archive = archive
@@ -78,7 +65,7 @@ class LoopCollector(Collector):
 
 def metrics_registry(
     snapshot: Callable[[], LoopSnapshot],
-    archive: Callable[[], ArchiveFigures] | None = None,
+    archive: Callable[[], ArchiveStatus] | None = None,
 ) -> CollectorRegistry:
     """Return a registry that holds the metrics of `METRICS` and no other.
 
@@ -92,7 +79,7 @@ def metrics_registry(
 
 
 def _samples(
-    snapshot: LoopSnapshot, archive: ArchiveFigures | None
+    snapshot: LoopSnapshot, archive: ArchiveStatus | None
 ) -> Mapping[str, Iterable[Sample]]:
     """Return the samples of all gauges and counters by name of the metric."""
     orbit, ticks, correctors = snapshot.orbit, snapshot.ticks, snapshot.correctors
@@ -137,6 +124,7 @@ def _samples(
         ],
         "orbitfb_archive_rows_written_total": _one(archive.written) if archive else (),
         "orbitfb_archive_rows_dropped_total": _one(archive.dropped) if archive else (),
+        "orbitfb_archive_rows_waiting": _one(archive.waiting) if archive else (),
         "orbitfb_uptime_seconds": _one(snapshot.duration),
     }
 

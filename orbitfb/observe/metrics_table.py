@@ -220,6 +220,13 @@ SERVICE = (
         (),
         "Transitions that the archive could not take.",
     ),
+    Metric(
+        "orbitfb_archive_rows_waiting",
+        "gauge",
+        "",
+        (),
+        "Transitions that wait for the disk; many when it refuses.",
+    ),
     Metric("orbitfb_uptime_seconds", "gauge", "seconds", (), "Time since the service started."),
     Metric("orbitfb_build_info", "info", "", ("version", "python"), "What runs."),
 )

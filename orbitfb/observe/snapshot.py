@@ -113,7 +113,7 @@ class Happening:
     Args:
         number: Count since the start, from 1.
         time: Wall clock [s since the epoch].
-        kind: `state`, `policy` or `refit`.
+        kind: `state`, `policy`, `refit`, `archive` or `ring`.
         text: What happened, in a few words.
     """
 

@@ -110,7 +110,21 @@ class LoopStatistics:
             self._refits[report.decision] += 1
             self._last_refit = report
             word = report.decision.value.replace("_", " ")
-            self._happen("refit", f"{report.policy_id} {word}: {report.reason}")
+            self._note("refit", f"{report.policy_id} {word}: {report.reason}")
+
+    def happened(self, kind: str, text: str) -> None:
+        """Note something that people want to know; called from any thread.
+
+        Args:
+            kind: One word, such as `archive`.
+            text: What happened.
+        """
+        with self._lock:
+            self._note(kind, text)
+
+    def _note(self, kind: str, text: str) -> None:
+        self._happened += 1
+        self._happenings.append(Happening(self._happened, self._clock.wall(), kind, text))
 
     def snapshot(self) -> LoopSnapshot:
         """Return the figures of this moment; called from any thread."""
@@ -178,10 +192,10 @@ class LoopStatistics:
             self._entries[record.state] += 1
             self._state_since = self._clock.monotonic()
             because = f": {record.reason}" if record.reason else ""
-            self._happen("state", f"{record.state.value}{because}")
+            self._note("state", f"{record.state.value}{because}")
         if last is not None and last.policy_id != record.policy_id:
             self._swaps += 1
-            self._happen("policy", f"{record.policy_id} instead of {last.policy_id}")
+            self._note("policy", f"{record.policy_id} instead of {last.policy_id}")
 
     def _take_reading(self, record: TickRecord) -> None:
         reading = record.reading
@@ -218,10 +232,6 @@ class LoopStatistics:
             total += squares
             count += valid.size
         return total / count if count else math.nan
-
-    def _happen(self, kind: str, text: str) -> None:
-        self._happened += 1
-        self._happenings.append(Happening(self._happened, self._clock.wall(), kind, text))
 
     def _worst(self, last: TickRecord | None) -> tuple[float, str]:
         """Return the largest |error| of the last tick [m] and its BPM."""

@@ -1,7 +1,7 @@
 """The status as people see it: a panel for the terminal, a line for everything else."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from rich.panel import Panel
@@ -37,6 +37,11 @@ SHORT = 20
 """Below this height [lines] too."""
 
 
+def no_trouble() -> str:
+    """Say that nothing is wrong."""
+    return ""
+
+
 @dataclass(frozen=True, slots=True)
 class Surroundings:
     """What the panel says beside the figures.
@@ -45,11 +50,14 @@ class Surroundings:
         metrics: Address of the metrics; empty when they are not served.
         duration: How long the run shall last [s]; None runs until it is stopped.
         ring: What the loop is connected to, in a few words.
+        trouble: Says what is wrong beside the loop at present, with the archive for one; empty
+            when nothing is.
     """
 
     metrics: str = ""
     duration: float | None = None
     ring: str = ""
+    trouble: Callable[[], str] = no_trouble
 
 
 def panel(
@@ -73,6 +81,8 @@ def panel(
     rows.add_row("State", Text.assemble((state, style), f" for {clock_time(snapshot.in_state)}"))
     if snapshot.reason:
         rows.add_row("", Text(snapshot.reason, style="yellow", no_wrap=False))
+    if trouble := around.trouble():
+        rows.add_row("Trouble", Text(trouble, style="yellow", no_wrap=small))
     _orbit_rows(rows, snapshot, trend, width - LABEL_WIDTH - 6)
     if not small:
         rows.add_row("")

@@ -11,7 +11,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import LoopState
-from orbitfb.observe.metrics import ArchiveFigures, metrics_registry
+from orbitfb.history.archive import ArchiveStatus
+from orbitfb.observe.metrics import metrics_registry
 from orbitfb.observe.metrics_table import METRICS, metrics_table_markdown
 
 PAGE = Path(__file__).parents[3] / "docs/reference/metrics.md"
@@ -46,7 +47,7 @@ def scrape(statistics, archive=None):
 
 
 def archive():
-    return ArchiveFigures(written=120, dropped=3)
+    return ArchiveStatus(written=120, dropped=3, waiting=7, segment=None, problem="")
 
 
 def test_a_scrape_exposes_exactly_the_table(full):
@@ -97,6 +98,7 @@ def test_values_are_those_of_the_loop(full):
     assert values["orbitfb_last_refit_figure", (("figure", "model_change"),)] == 0.1
     assert values["orbitfb_policy_info", (("policy", "svd-1"),)] == 1
     assert values["orbitfb_archive_rows_dropped_total", ()] == 3
+    assert values["orbitfb_archive_rows_waiting", ()] == 7
     assert values["orbitfb_corrector_setpoint_max_amperes", ()] == 2.0
     assert values["orbitfb_stored_current_amperes", ()] == 0.4
 

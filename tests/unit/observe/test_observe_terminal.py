@@ -18,9 +18,9 @@ from orbitfb.observe.wording import clock_time, micrometres, milliseconds, trend
 AROUND = Surroundings("http://127.0.0.1:9180", 60.0, "simulated ring")
 
 
-def draw(snapshot, width=80, height=24, trend=()):
+def draw(snapshot, width=80, height=24, trend=(), around=AROUND):
     console = Console(width=width, height=height, file=io.StringIO(), force_terminal=False)
-    console.print(panel(snapshot, trend, AROUND, (width, height)))
+    console.print(panel(snapshot, trend, around, (width, height)))
     return console.file.getvalue()
 
 
@@ -63,6 +63,14 @@ def test_any_size_of_terminal_can_be_drawn(busy, width, height):
     assert "HELD" in text
 
 
+def test_trouble_beside_the_loop_is_seen_while_it_lasts(busy):
+    trouble = ["the archive takes nothing"]
+    around = Surroundings(trouble=lambda: "".join(trouble))
+    assert "Trouble     the archive takes nothing" in draw(busy.snapshot(), around=around)
+    trouble.clear()
+    assert "Trouble" not in draw(busy.snapshot(), around=around)
+
+
 def test_a_standard_terminal_holds_the_whole_panel(busy):
     assert len(draw(busy.snapshot(), 80, 24).splitlines()) <= 22
 
@@ -85,6 +93,7 @@ def test_every_state_has_a_colour():
 
 def test_plain_lines_tell_everything_that_happened(busy):
     busy(record(101, state=LoopState.HELD, reason="no orbit", policy_id="refit-0001", lost=True))
+    busy.happened("archive", "the disk is full")
     stream = io.StringIO()
     terminal = Terminal(busy.snapshot, TerminalSettings(rate=20.0), AROUND, stream)
     terminal.start()
@@ -93,6 +102,7 @@ def test_plain_lines_tell_everything_that_happened(busy):
     for expected in ("state: CLOSED\n", "state: HELD: no orbit\n", "policy: refit-0001 instead"):
         assert text.count(expected) == 1
     assert text.count("refit: refit-0002 refused: gains") == 1
+    assert text.count("archive: the disk is full\n") == 1
     assert text.splitlines()[-1] == line(busy.snapshot())
     assert "\x1b" not in text
 
