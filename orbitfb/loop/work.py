@@ -22,7 +22,6 @@ class Work:
         written: When the write had left [s since the epoch].
         latency: From the complete orbit to the last setpoint sent [s].
         missed: Orbits missed before this one.
-        acted: Whether the orbit was fit to be acted on.
     """
 
     clock: Clock
@@ -36,7 +35,6 @@ class Work:
     written: float = float("nan")
     latency: float = float("nan")
     missed: int = 0
-    acted: bool = False
     _marks: dict[str, float] = field(default_factory=dict[str, float])
     _mark: float = field(init=False)
 
