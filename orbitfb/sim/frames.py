@@ -19,6 +19,8 @@ _EVENT_ADD = 1
 _NORMAL = 1
 _PAYLOAD_WORDS = {DOUBLE: 1, TIME_DOUBLE: 3}
 _HEADER_WORDS = 2
+UPDATE_SIZE = 8 * (_HEADER_WORDS + _PAYLOAD_WORDS[TIME_DOUBLE])
+"""Length of a time-stamped update [bytes]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable
 
 from orbitfb.sim.fast import FastFront
+from orbitfb.sim.frames import UPDATE_SIZE
 from orbitfb.sim.front import Front
 from orbitfb.sim.layout import KICK_PV, MILLI, lay_out
 from orbitfb.sim.listening import claim
@@ -77,6 +78,13 @@ class RingServer:
             self._stored = value
 
 
+def send_buffer(ring: SimulatedRing, settings: SimSettings) -> int | None:
+    """Make room for a whole tick: the rest of a longer one waits 40 ms for an acknowledgement."""
+    if settings.plain:
+        return None
+    return max(settings.send_buffer, len(lay_out(ring.channels, settings).readings) * UPDATE_SIZE)
+
+
 async def serve(
     ring: SimulatedRing,
     settings: SimSettings,
@@ -94,8 +102,7 @@ async def serve(
     Raises:
         OwnershipError: Somebody else has the port.
     """
-    send_buffer = None if settings.plain else settings.send_buffer
-    sockets = claim(settings.interface, settings.port, send_buffer)
+    sockets = claim(settings.interface, settings.port, send_buffer(ring, settings))
     try:
         server = RingServer(ring, settings)
         context = server.front.context(sockets)

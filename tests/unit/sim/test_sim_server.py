@@ -1,7 +1,7 @@
 """The ring behind both fronts, without a network."""
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from test_sim_board import CHANNELS
 
 from orbitfb.sim.environment import client_environment, server_environment
 from orbitfb.sim.job import SimJob
-from orbitfb.sim.server import RingServer
+from orbitfb.sim.server import RingServer, send_buffer
 from orbitfb.sim.settings import SimSettings
 
 
@@ -132,6 +132,18 @@ def test_a_ring_that_fails_stands_still_and_says_so(settings):
         assert isinstance(server.failed.exception(), TypeError)
 
     asyncio.run(scenario())
+
+
+def test_a_tick_fits_into_the_send_buffer_but_caproto_has_its_own():
+    """Of a tick that does not fit the rest waits for the client's delayed acknowledgement."""
+
+    class Large(Ring):
+        channels = replace(CHANNELS, orbit_pvs=tuple(f"P{i}" for i in range(2000)))
+
+    readings = 2000 + 2 + 4  # BPMs, readbacks, slow ones
+    assert send_buffer(Large(), SimSettings()) == readings * 40 > 32768
+    assert send_buffer(Ring(), SimSettings()) == 32768
+    assert send_buffer(Large(), SimSettings(plain=True)) is None
 
 
 def test_environments_keep_to_loopback_and_off_production():
