@@ -7,7 +7,7 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from benchmarks.servers import LOCKSTEP_PATIENCE, Running, Server, job_of, serving
+from benchmarks.servers import Running, Server, job_of, serving
 from orbitfb.sim.job import SimJob
 
 Client = Literal["ours", "service", "plain", "lean"]
@@ -87,7 +87,7 @@ def _ask_client(job: ClientJob, server: Running) -> dict[str, Any]:
         "EPICS_CA_REPEATER_PORT": str(server.port + 1 if server.port < 65535 else 65534),
         "OPENBLAS_NUM_THREADS": "1",
     }
-    limit = 120.0 + job.run.seconds + 200 * LOCKSTEP_PATIENCE
+    limit = 60.0 + 2.0 * job.run.seconds
     done = subprocess.run(
         [sys.executable, "-m", f"benchmarks.{module}"],
         input=job.dump().encode(),

@@ -81,12 +81,10 @@ def run_all(repeats: int, quick: bool, command: str) -> dict[str, Any]:
     todo = list(rehearsal() if quick else plan(repeats))
     for number, (section, run) in enumerate(todo, 1):
         before = load()
-        try:
-            figures = measure(run) | {"load_before": before}
-        except (RuntimeError, subprocess.TimeoutExpired) as error:
-            failed.append({**asdict(run), "section": section, "error": str(error)[-500:]})
-            print(f"{number}/{len(todo)} {section} FAILED: {run}: {error}", flush=True)
+        figures = _measured(run, failed)
+        if figures is None:
             continue
+        figures["load_before"] = before
         sections[section].append(figures)
         trip = figures["round_trip_ms"]
         rate = f"{run.rate_hz:g} Hz" if run.rate_hz else "lockstep"
@@ -99,6 +97,17 @@ def run_all(repeats: int, quick: bool, command: str) -> dict[str, Any]:
         )
     result["about"]["load_after"] = load()
     return {**summarise(sections), "failed": failed, **result, **sections}
+
+
+def _measured(run: Run, failed: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Measure, once more if it fails; every failure is kept for the file."""
+    for attempt in range(2):
+        try:
+            return measure(run)
+        except (RuntimeError, subprocess.TimeoutExpired) as error:
+            failed.append({**asdict(run), "attempt": attempt, "error": str(error)[-500:]})
+            print(f"FAILED: {run}: {error}", flush=True)
+    return None
 
 
 def main() -> None:

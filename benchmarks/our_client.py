@@ -15,7 +15,6 @@ from benchmarks.clients import ClientJob
 from benchmarks.disturbance import disturbed
 from benchmarks.recorder import Recorder
 from benchmarks.rings import build_ring
-from benchmarks.surroundings import Surroundings
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.ports import Subscriber
 from orbitfb.core.signals import LoopState
@@ -73,6 +72,8 @@ def main() -> None:
         slot = PolicySlot(policy)
         subscribers: tuple[Subscriber, ...] = ()
         if run.client == "service":
+            from benchmarks.surroundings import Surroundings  # much that the loop needs not
+
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             surroundings = Surroundings(channels, policy.response, slot, folder, clock, stack)
             subscribers = surroundings.subscribers

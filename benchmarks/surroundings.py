@@ -17,7 +17,7 @@ from orbitfb.maintenance import policy_builder
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
 from orbitfb.observe.logs import configure_logs
-from orbitfb.observe.metrics import ArchiveFigures, metrics_registry
+from orbitfb.observe.metrics import metrics_registry
 from orbitfb.observe.statistics import LoopStatistics
 
 
@@ -57,10 +57,7 @@ class Surroundings:
         )
         learner.start()
         stack.callback(learner.stop)
-        registry = metrics_registry(
-            statistics.snapshot,
-            lambda: ArchiveFigures(archive.status().written, archive.status().dropped),
-        )
+        registry = metrics_registry(statistics.snapshot, archive.status)
         observe = config.observe.model_copy(update={"port": 0})
         http = ObserveServer(observe, registry, statistics.snapshot)
         http.start()
