@@ -93,7 +93,7 @@ def run_service(
                 _log.error("start_failed", problem=str(error))
             raise
         service.announce(announce)
-        signals.running = True
+        signals.hand_over()
         service.run(signals.stop, duration)
     if summary_file is not None:
         write_summary(summary_file, service.final)

@@ -28,17 +28,33 @@ class StopSignals:
     """Let SIGINT and SIGTERM stop the service.
 
     Until `stop` is handed to a loop that heeds it, that is while the service starts, they end
-    the start at once: what is open is closed, the exit code says which signal it was. A second
+    the start at once: what is open is closed, the exit code says which signal it was. A library
+    may swallow that end or take it for a failure of its own, so it is remembered. A second
     signal while the loop stops ends the process there and then.
     """
 
     def __init__(self) -> None:
         self.stop = threading.Event()
-        self.running = False
+        self._running = False
+        self._ended_by = 0
+
+    def hand_over(self) -> None:
+        """Let the signals set `stop` from now on: a loop heeds it.
+
+        Raises:
+            SystemExit: One came during the start, and nobody noticed.
+        """
+        self._end()
+        self._running = True
+
+    def _end(self) -> None:
+        if self._ended_by and not self._running:
+            raise SystemExit(128 + self._ended_by)
 
     def _handle(self, number: int, _frame: object) -> None:
-        if not self.running:
-            raise SystemExit(128 + number)
+        if not self._running:
+            self._ended_by = number
+            self._end()
         if self.stop.is_set():
             os._exit(128 + number)
         self.stop.set()
@@ -53,6 +69,7 @@ class StopSignals:
         """Give them back."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
+        self._end()
 
 
 def start_state(start: str | None, ioc: str) -> LoopState:
