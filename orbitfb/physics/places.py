@@ -57,7 +57,8 @@ class Ring:
             if found != wanted:
                 raise RingError(
                     f"{places_file}: {found} places of kind {kind}, but {ring_file} says that the "
-                    f"ring has {wanted}; restore the missing rows, or correct `counts`"
+                    f"ring has {wanted}; restore the missing rows, or "
+                    "give the ring its own file of parameters with its `counts` (ring.parameters)"
                 )
 
     def places(self, kind: Kind) -> Indices:

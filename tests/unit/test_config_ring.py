@@ -88,7 +88,8 @@ BAD_PLACES: dict[str, tuple[Change, str]] = {
     "wrong count": (
         lambda rows: rows.pop(BPM_1),
         "FILE: 179 places of kind BPM, but orbitfb/data/ring.json says that the ring has 180; "
-        "restore the missing rows, or correct `counts`",
+        "restore the missing rows, or give the ring its own file of parameters with its "
+        "`counts` (ring.parameters)",
     ),
     "not a number": (
         put(QUAD, "beta_y_m", "1,5"),
