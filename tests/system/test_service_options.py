@@ -4,7 +4,7 @@ import socket
 from pathlib import Path
 
 import pytest
-from service_process import refused
+from service_process import orbitfb, refused
 
 from orbitfb.config import load_config
 from orbitfb.core.errors import ConfigError
@@ -108,3 +108,9 @@ def test_bad_epics_environment(environment: dict[str, str], message: str, tmp_pa
     said = refused(*RUN, "--ioc", "env", "--data", tmp_path / "data", **environment)
     assert said.startswith(message)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_terminal_that_knows_no_greek_gets_question_marks():
+    done = orbitfb("config", "show", PYTHONIOENCODING="ascii")
+    assert done.returncode == 0
+    assert "# Tikhonov ?, compared with" in done.stdout
