@@ -3,7 +3,8 @@
 - `told`: told the true R_t, the bound;
 - `frozen`: keeps the R that it began with;
 - `naive`: puts the naive least squares in force again and again;
-- `ours`: the learner of this package, with its judge and its roll-back.
+- `ours`: the learner of this package with its judge; its roll-back belongs to the thread, which
+  `orbitfb.evaluate.live` runs.
 
 All have the same gain and λ. Without drift, `told` and `frozen` are one loop when they begin with
 the true R.
@@ -99,7 +100,7 @@ def evaluate_refit(settings: RefitEvaluationSettings) -> RefitResult:
       1 + g/2 with g the mean diagonal of RK (`loop_gain`); the same bias seen by the loop;
     - `normalised_error_ours`: rms error of R̂ in units of its stated standard deviation;
       `within_two_sigma_ours`: share of the errors below two of them (0.954 if they are right);
-    - `refits`, `promoted`, `rolled_back`, `refit_seconds_max` of the loop `ours`.
+    - `refits`, `promoted`, `refit_seconds_max` of the loop `ours`.
 
     Args:
         settings: What to run.
@@ -122,7 +123,6 @@ def evaluate_refit(settings: RefitEvaluationSettings) -> RefitResult:
     figures |= {
         "refits": float(len(reports)),
         "promoted": float(decisions.count(Decision.ACCEPTED)),
-        "rolled_back": float(decisions.count(Decision.ROLLED_BACK)),
         "refit_seconds_max": max((report.duration for report in reports), default=0.0),
     }
     true_rms = {law: loops[law].true_rms for law in LAWS}

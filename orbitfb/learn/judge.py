@@ -91,7 +91,7 @@ def _decide(
 ) -> tuple[bool, str]:
     if change > settings.change_limit:
         return False, (
-            f"an orbit error of {settings.change_orbit * _UM:.0f} um would change the setpoints "
+            f"an orbit error of {settings.change_orbit * _UM:.0f} µm would change the setpoints "
             f"by {change:.3g} A rms, more than {settings.change_limit:.3g} A"
         )
     if ours.growth > settings.slowest_growth and ours.growth >= theirs.growth:
@@ -105,12 +105,16 @@ def _decide(
             f"(limit {settings.evidence:.1f})"
         )
     compared = (
-        f"predicted true orbit {ours.rms * _UM:.4f} um rms against {theirs.rms * _UM:.4f} um "
-        "of the incumbent"
+        f"predicted true orbit {_in_words(ours.rms)} against {_in_words(theirs.rms)} of the "
+        "incumbent"
     )
     if ours.rms > theirs.rms * (1.0 - settings.margin):
         return False, f"{compared}: not better by {100 * settings.margin:.1f} %"
     return True, f"{compared}: better by {100 * (1 - ours.rms / theirs.rms):.1f} %"
+
+
+def _in_words(rms: float) -> str:
+    return "without bound" if rms >= _WORST_RMS else f"{rms * _UM:.4f} µm rms"
 
 
 def predict_loop(

@@ -212,7 +212,7 @@ class LearnerThread(threading.Thread):
         report = self._learner.rolled_back(
             left,
             watch.former,
-            f"after the swap the observed orbit stayed above {limit * 1e6:.3g} um rms "
+            f"after the swap the observed orbit stayed above {limit * 1e6:.3g} µm rms "
             f"({self._learner.settings.rollback_factor:.1f} x what it was) for "
             f"{self._learner.settings.rollback_ticks} ticks",
         )

@@ -55,7 +55,7 @@ def test_refit_keeps_what_the_judge_accepts_and_activates_nothing(service: Servi
     text = ask(service, "refit")
     assert re.search(r"^trigger +on-demand$", text, re.MULTILINE)
     assert re.search(
-        r"^reason +predicted true orbit \S+ um rms against \S+ um of the incumbent: .*$",
+        r"^reason +predicted true orbit \S+ µm rms against \S+ µm rms of the incumbent: .*$",
         text,
         re.MULTILINE,
     )
