@@ -17,17 +17,27 @@ def cpu_time(pid: int) -> float:
 
 def spread(seconds: Samples | Sequence[float]) -> dict[str, Any] | None:
     """Sum up durations: percentiles in ms, and all percents from 0 to 100 in µs."""
+    figures = brief(seconds)
+    if figures is not None:
+        samples = np.asarray(seconds, dtype=np.float64)
+        percents = np.percentile(samples[np.isfinite(samples)], np.arange(101))
+        figures["percents_us"] = [round(value * 1e6) for value in percents.tolist()]
+    return figures
+
+
+def brief(seconds: Samples | Sequence[float]) -> dict[str, Any] | None:
+    """Sum up durations in a few percentiles [ms]."""
     samples = np.asarray(seconds, dtype=np.float64)
     samples = samples[np.isfinite(samples)]
     if not samples.size:
         return None
-    percents = np.percentile(samples, np.arange(101))
-    p = {f"p{k}": round(float(percents[k]) * 1e3, 4) for k in (1, 50, 90, 99)}
+    percentiles = {
+        f"p{k}": round(float(np.percentile(samples, k)) * 1e3, 4) for k in (1, 50, 90, 99)
+    }
     return {
         "count": int(samples.size),
-        **p,
+        **percentiles,
         "max": round(float(samples.max()) * 1e3, 4),
-        "percents_us": [round(value * 1e6) for value in percents.tolist()],
     }
 
 
@@ -80,8 +90,8 @@ def window_figures(
         "torn": torn,
         "round_trip_ms": spread(round_trip),
         "latency_ms": spread(put_until - stamps),
-        "orbit_interval_ms": spread(np.diff(stamps)),
-        "write_interval_ms": spread(np.diff(put_until)),
+        "orbit_interval_ms": brief(np.diff(stamps)),
+        "write_interval_ms": brief(np.diff(put_until)),
         "server_cpu_ms": round(server_cpu / ticks * 1e3, 4),
         "client_cpu_ms": round(client_cpu / ticks * 1e3, 4),
     }

@@ -67,7 +67,7 @@ def _circumstances(about: Result) -> str:
         f"{about['repeats']} repeats, {about['cpus']} × {about['cpu']}, Linux {about['kernel']}, "
         f"Python {about['python']}, {versions}. Load average (1, 5, 15 minutes) before "
         f"{_list(about['load_before'])} and after {_list(about['load_after'])}; the benchmark "
-        "itself contributes 1 to 2.\n"
+        "itself contributes about 1.\n"
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.clients import ClientJob
-from benchmarks.measure import cpu_time, spread, window_figures
+from benchmarks.measure import brief, cpu_time, window_figures
 from benchmarks.rings import STEP
 from orbitfb.core.ports import Clock
 from orbitfb.core.signals import LoopState, Reading, TickRecord
@@ -125,8 +125,8 @@ class Recorder:
             "states": self._states,
             "reasons": dict(self._reasons.most_common(5)),
             "policies": len(self._policies),
-            "phases_ms": {name: spread(times[name]) for name in _PHASES},
-            "loop_latency_ms": spread(times["latency"]),
+            "phases_ms": {name: brief(times[name]) for name in _PHASES},
+            "loop_latency_ms": brief(times["latency"]),
         }
 
     def _differing(self) -> int:
