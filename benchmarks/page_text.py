@@ -35,9 +35,9 @@ turns from repeat to repeat. Ratios are of medians over the repeats of the p50 o
 A fixed rate is slower than lockstep: between two ticks the caches go cold. No process has real-time
 priority. In the runs at 100 Hz that missed orbits, server or client stood still for about 40 ms
 (see the longest round trip); the loop then holds, and closes again after three good orbits, which
-are counted as missed too. The cause was not found: the collector pauses for at most 16 ms, and after
-a client that was stopped on purpose the stream goes on at once. A virtual machine whose processor
-is shared, as here, is the likeliest.
+are counted as missed too. The cause was not found: the collector pauses for at most 16 ms, and
+after a client that was stopped on purpose the stream goes on at once. A virtual machine whose
+processor is shared, as here, is the likeliest.
 
 ## What makes it fast
 
