@@ -122,9 +122,12 @@ def test_no_tick_was_lost_by_any_swap(service: Service):
     swapped = np.flatnonzero(archived.policy_id[1:] != archived.policy_id[:-1]) + 1
     assert len(swapped) == 3
     assert (np.diff(archived.tick) == 1).all()
-    # Whoever decided, decided on the very next orbit (or the one after, if the computer stalled).
+    # Whoever decided, decided on the very next orbit (or the one after, if the computer stalled;
+    # a longer stall leaves a tick without an orbit, which has no time).
     gaps = archived.next_time[swapped] - archived.time[swapped]
-    assert gaps.max() < 2.5 / RATE_HZ
+    seen = gaps[np.isfinite(gaps)]
+    assert len(seen) >= 2
+    assert seen.max() < 2.5 / RATE_HZ
 
 
 def test_list_stars_the_active_one(service: Service):
