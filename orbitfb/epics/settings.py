@@ -2,10 +2,9 @@
 
 from pydantic import Field
 
+from orbitfb.core.names import CURRENT_PV, RF_PV
 from orbitfb.core.settings import Settings
 
-CURRENT_PV = "SR:C03-BI{DCCT:1}I:Real-I"
-RF_FREQUENCY_PV = "RF{Osc:1}Freq:SP"
 MILLIAMPERE = 1e-3
 LOWEST_PORT = 5001
 """libca takes 5064 instead of a lower port, and says so on stderr alone."""
@@ -21,7 +20,7 @@ class AuxiliarySettings(Settings):
 def _default_auxiliary() -> dict[str, AuxiliarySettings]:
     return {
         "current": AuxiliarySettings(pv=CURRENT_PV, scale=MILLIAMPERE),
-        "rf_frequency": AuxiliarySettings(pv=RF_FREQUENCY_PV),
+        "rf_frequency": AuxiliarySettings(pv=RF_PV),
     }
 
 

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.names import CURRENT_PV, RF_PV
 from orbitfb.core.signals import Channels, Vector
 from orbitfb.sim.ring import RingState
 from orbitfb.sim.settings import SimSettings
 
-CURRENT_PV = "SR:C03-BI{DCCT:1}I:Real-I"
-RF_PV = "RF{Osc:1}Freq:SP"
 TRUE_RMS_PV = "SR:SIM{Ring}Rms:True-I"
 TICK_PV = "SR:SIM{Ring}Tick-I"
 KICK_PV = "SR:SIM{Ring}Kick-SP"

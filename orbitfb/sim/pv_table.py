@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from orbitfb.core.names import CURRENT_PV, RF_PV
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.sim.layout import (
-    CURRENT_PV,
     KICK_PV,
-    RF_PV,
     STORED_PV,
     TICK_PV,
     TRUE_RMS_PV,

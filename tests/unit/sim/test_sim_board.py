@@ -9,13 +9,12 @@ from caproto import AlarmStatus
 from hypothesis import given
 from hypothesis import strategies as st
 
+from orbitfb.core.names import CURRENT_PV, RF_PV
 from orbitfb.core.signals import Channels
 from orbitfb.sim.board import AlarmLimits, Board, Entry
 from orbitfb.sim.channels import ScalarChannel
 from orbitfb.sim.layout import (
-    CURRENT_PV,
     KICK_PV,
-    RF_PV,
     STORED_PV,
     TICK_PV,
     TRUE_RMS_PV,

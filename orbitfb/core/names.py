@@ -1,0 +1,7 @@
+"""Names of PVs that no table holds: the two slow channels of the machine that the loop watches."""
+
+CURRENT_PV = "SR:C03-BI{DCCT:1}I:Real-I"
+"""Stored current [mA]."""
+
+RF_PV = "RF{Osc:1}Freq:SP"
+"""RF frequency [Hz]."""
