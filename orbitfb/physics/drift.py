@@ -92,19 +92,9 @@ class Drift(Effect):
         self, ring: Ring, planes: Planes, settings: DriftSettings, rng: np.random.Generator
     ) -> None:
         nominal = response(ring, planes)
-        seed = int(rng.integers(2**32))
-        optics = nominal
-        if settings.beta_beat > 0:
-            errors = seeded_gradient_errors(ring, settings.beta_beat, seed)
-            optics = response(ring, planes, errors)
-        bpm_gain = 1 + settings.bpm_gain_rms * _normal(rng, len(nominal))
-        corrector_gain = 1 + settings.corrector_gain_rms * _normal(rng, nominal.shape[1])
-        drifted: Matrix = bpm_gain[:, None] * optics * corrector_gain
-        # Planes stay uncoupled: only the entries that the optics fill are uncertain.
-        noise = settings.matrix_noise * (nominal != 0)
-        self._start_change: Matrix = noise * _normal(rng, *nominal.shape)
-        drifted = drifted + noise * _normal(rng, *nominal.shape)
-        self._drift: Matrix = drifted - (nominal + self._start_change)
+        start, end = drift_pair(ring, planes, settings, rng)
+        self._start_change: Matrix = start - nominal
+        self._drift: Matrix = end - start
         self._noisy = settings.matrix_noise > 0
         self._ticks = settings.ticks
 
@@ -113,6 +103,35 @@ class Drift(Effect):
         progress = min(1.0, tick / self._ticks) if self._ticks else 0.0
         moved = orbit + self._drift @ (progress * currents)
         return moved + self._start_change @ currents if self._noisy else moved
+
+
+def drift_pair(
+    ring: Ring, planes: Planes, settings: DriftSettings, rng: np.random.Generator
+) -> tuple[Matrix, Matrix]:
+    """Draw the response at the beginning and at the end of a drift.
+
+    Args:
+        ring: The ring.
+        planes: `x`, `y` or `xy`.
+        settings: What drifts, and how far.
+        rng: Random numbers of the errors.
+
+    Returns:
+        R1 and R2, each of shape (n, m) [m/A].
+    """
+    nominal = response(ring, planes)
+    seed = int(rng.integers(2**32))
+    optics = nominal
+    if settings.beta_beat > 0:
+        errors = seeded_gradient_errors(ring, settings.beta_beat, seed)
+        optics = response(ring, planes, errors)
+    bpm_gain = 1 + settings.bpm_gain_rms * _normal(rng, len(nominal))
+    corrector_gain = 1 + settings.corrector_gain_rms * _normal(rng, nominal.shape[1])
+    drifted: Matrix = bpm_gain[:, None] * optics * corrector_gain
+    # Planes stay uncoupled: only the entries that the optics fill are uncertain.
+    noise = settings.matrix_noise * (nominal != 0)
+    start: Matrix = nominal + noise * _normal(rng, *nominal.shape)
+    return start, drifted + noise * _normal(rng, *nominal.shape)
 
 
 def _normal(rng: np.random.Generator, *shape: int) -> Matrix:
