@@ -16,19 +16,20 @@ expected square of the next orbit over what is not known about R,
 solved within the modes that are kept, so that P = 0 gives the law above exactly.
 """
 
-import hashlib
-import threading
-from collections import OrderedDict
-
 import numpy as np
 from pydantic import Field
 
-from orbitfb.core.errors import ConfigError, RingError
+from orbitfb.core.errors import ConfigError
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
-
-_MASKS_KEPT = 8
-_SMALLEST = np.finfo(np.float64).eps
+from orbitfb.policies.inverse import (
+    checked_covariance,
+    checked_response,
+    content_hash,
+    frozen,
+    regularised_inverse,
+)
+from orbitfb.policies.recent import Recent
 
 
 class SvdSettings(Settings):
@@ -90,8 +91,9 @@ class SvdPolicy:
         policy_id: str | None = None,
         covariance: Vector | None = None,
     ) -> None:
-        self.response = _checked_response(response)
-        self.covariance = None if covariance is None else _checked(covariance, self.response)
+        self.response = checked_response(response)
+        columns = self.response.shape[1]
+        self.covariance = None if covariance is None else checked_covariance(covariance, columns)
         self.settings = settings
         modes = min(self.response.shape)
         if settings.singular_values is not None and settings.singular_values > modes:
@@ -99,13 +101,12 @@ class SvdPolicy:
                 f"singular_values is {settings.singular_values}, but a response matrix of shape "
                 f"{self.response.shape} has only {modes}; lower it or leave it unset"
             )
-        self._policy_id = policy_id or "svd-" + _content_hash(
-            self.response, self.covariance, settings
+        self._policy_id = policy_id or "svd-" + content_hash(
+            settings, self.response, self.covariance
         )
         self.gain_matrix = self._solve(self.response)
         self._integral_ratio = settings.integral_gain / settings.gain
-        self._masked: OrderedDict[bytes, Vector] = OrderedDict()
-        self._lock = threading.Lock()
+        self._masked = Recent(lambda valid: self._solve(self.response[valid]))
 
     @property
     def policy_id(self) -> str:
@@ -138,7 +139,7 @@ class SvdPolicy:
         if valid.all():
             proportional = self.gain_matrix @ error
         else:
-            proportional = self._gain_for(valid) @ error[valid]
+            proportional = self._masked.get(valid) @ error[valid]
         if self._integral_ratio == 0.0:
             return -proportional, state
         integral = state + self._integral_ratio * proportional
@@ -147,89 +148,30 @@ class SvdPolicy:
             integral *= self.settings.integral_limit / rms
         return -(proportional + integral), integral
 
-    def _gain_for(self, valid: Mask) -> Vector:
-        """Give K for the valid rows alone, shape (m, valid.sum()) [A/m]."""
-        key = valid.tobytes()
-        with self._lock:
-            gain = self._masked.get(key)
-            if gain is not None:
-                self._masked.move_to_end(key)
-                return gain
-        gain = self._solve(self.response[valid])
-        with self._lock:
-            self._masked[key] = gain
-            while len(self._masked) > _MASKS_KEPT:
-                self._masked.popitem(last=False)
-        return gain
+    def changes(self, errors: Vector) -> Vector:
+        """Decide on many orbits at once, all BPMs valid, by the proportional law.
+
+        Args:
+            errors: Orbit − reference, shape (..., n) [m].
+
+        Returns:
+            The changes of setpoints, shape (..., m) [A].
+
+        Raises:
+            ConfigError: The law has an integral: what it does depends on what was before.
+        """
+        if self._integral_ratio != 0.0:
+            raise ConfigError(
+                f"policy {self._policy_id} has integral_gain "
+                f"{self.settings.integral_gain:g}, so its changes depend on the orbits before; "
+                "ask act tick by tick, or set it to 0"
+            )
+        return -(errors @ self.gain_matrix.T)
 
     def _solve(self, response: Vector) -> Vector:
         """Invert a response matrix, shape (rows, m), into K, shape (m, rows)."""
-        rows, columns = response.shape
-        if rows == 0:
-            return np.zeros((columns, 0))
-        u, sigma, vt = np.linalg.svd(response, full_matrices=False)
-        kept = int(np.sum(sigma > _SMALLEST * max(rows, columns) * sigma[0]))
-        if self.settings.singular_values is not None:
-            kept = min(kept, self.settings.singular_values)
-        u, sigma, vt = u[:, :kept], sigma[:kept], vt[:kept]
-        damping = sigma**2 + self.settings.regularisation**2
-        if self.covariance is None:
-            inverse = (vt.T * (sigma / damping)) @ u.T
-        else:
-            doubt = rows * (vt @ self.covariance @ vt.T)
-            inverse = vt.T @ np.linalg.solve(np.diag(damping) + doubt, sigma[:, None] * u.T)
-        return _frozen(self.settings.gain * inverse)
-
-
-def _frozen(matrix: Vector) -> Vector:
-    """Copy into contiguous memory that nobody can write."""
-    copy = np.array(matrix, dtype=np.float64, order="C")
-    copy.setflags(write=False)
-    return copy
-
-
-def _checked_response(response: Vector) -> Vector:
-    matrix = np.asarray(response)
-    if matrix.ndim != 2 or 0 in matrix.shape:
-        raise RingError(
-            f"the response matrix has shape {matrix.shape}; a policy needs (BPMs, correctors)"
+        settings = self.settings
+        inverse = regularised_inverse(
+            response, settings.regularisation, self.covariance, settings.singular_values
         )
-    if not np.issubdtype(matrix.dtype, np.floating):
-        raise RingError(f"the response matrix is of {matrix.dtype}; real numbers [m/A] are needed")
-    finite = np.isfinite(matrix)
-    if not finite.all():
-        row, column = np.argwhere(~finite)[0]
-        raise RingError(
-            f"{np.sum(~finite)} elements of the response matrix are not finite, the first in row "
-            f"{row} (BPM), column {column} (corrector); measure or compute it again"
-        )
-    if not np.any(matrix):
-        raise RingError("the response matrix is all zeros; measure or compute it again")
-    return _frozen(matrix)
-
-
-def _checked(covariance: Vector, response: Vector) -> Vector:
-    matrix = np.asarray(covariance, dtype=np.float64)
-    columns = response.shape[1]
-    if matrix.shape != (columns, columns):
-        raise RingError(
-            f"the covariance has shape {matrix.shape}; with {columns} correctors it must be "
-            f"({columns}, {columns})"
-        )
-    if not np.isfinite(matrix).all():
-        raise RingError("the covariance of the response matrix is not finite; refit it")
-    scale = float(np.max(np.abs(matrix)))
-    if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9 * scale) or np.any(
-        np.diag(matrix) < 0.0
-    ):
-        raise RingError("the covariance of the response matrix is no covariance; refit it")
-    return _frozen(0.5 * (matrix + matrix.T))
-
-
-def _content_hash(response: Vector, covariance: Vector | None, settings: SvdSettings) -> str:
-    digest = hashlib.sha256(settings.model_dump_json().encode())
-    digest.update(repr(response.shape).encode())
-    digest.update(response.astype("<f8").tobytes())
-    if covariance is not None:
-        digest.update(covariance.astype("<f8").tobytes())
-    return digest.hexdigest()[:12]
+        return frozen(settings.gain * inverse)
