@@ -4,12 +4,16 @@ The published environment, taken literally (R1 known exactly, nothing moves the 
 by one step of R1's inverse and a low gain ever after. So it is one scenario of several:
 
 - E1: the paper's; the controller starts from R1;
-- E2: as E1, but it starts from R1 with measurement errors whose spectral norm is 0.8 σ_min(R1);
-- E2h: as E2 with 0.02 m/rad per element, so that the sign of the weakest modes is unknown;
+- E2: as E1, but it starts from R1 with measurement errors whose spectral norm is 0.8 σ_min of
+  the optics;
+- E2h: as E2 with 0.02 m/rad per element, so that the sign of more of the weakest modes is unknown;
+- E2-clean: as E2, but R1 is that of the optics, without near-null modes;
 - s1, s2, s3: physical. Setpoints accumulate, s = R_t c + d, so that the drift of R moves the
-  orbit; ground motion d walks at random; the drift is mild, strong, strong and ill-conditioned;
-- paper-like: R1 and R2 carry independent errors, as two measured matrices do, so that near-null
-  modes change their sign on the way (Dong, Tian, Sun, figure 2 and Table 1).
+  orbit; ground motion d walks at random; the drift is mild, strong, strong and ill-conditioned.
+
+In E1, E2 and E2h the pair is like the paper's: R1 and R2 carry independent errors, as two
+measured matrices do, so that near-null modes change their sign on the way (Dong, Tian, Sun,
+figure 2 and Table 1).
 
 Matrices are in m/rad here: actions are kicks, as in the paper.
 """
@@ -25,8 +29,8 @@ from orbitfb.core.signals import Vector
 from orbitfb.physics.drift import DriftSettings, drift_pair
 from orbitfb.physics.places import Plane, Ring
 
-Name = Literal["E1", "E2", "E2h", "s1", "s2", "s3", "paper-like"]
-NAMES: tuple[Name, ...] = ("E1", "E2", "E2h", "s1", "s2", "s3", "paper-like")
+Name = Literal["E1", "E2", "E2h", "E2-clean", "s1", "s2", "s3"]
+NAMES: tuple[Name, ...] = ("E1", "E2", "E2h", "E2-clean", "s1", "s2", "s3")
 
 _MICRO = 1e-6
 
@@ -94,13 +98,13 @@ class _Recipe:
 
 
 _RECIPES: dict[str, _Recipe] = {
-    "E1": _Recipe(0.03, 0.02, end_noise=0.134, known="exact"),
-    "E2": _Recipe(0.03, 0.02, end_noise=0.134),
-    "E2h": _Recipe(0.03, 0.02, end_noise=0.134, known="entry"),
+    "E1": _Recipe(0.03, 0.02, start_noise=0.134, end_noise=0.134, known="exact"),
+    "E2": _Recipe(0.03, 0.02, start_noise=0.134, end_noise=0.134),
+    "E2h": _Recipe(0.03, 0.02, start_noise=0.134, end_noise=0.134, known="entry"),
+    "E2-clean": _Recipe(0.03, 0.02, end_noise=0.134),
     "s1": _Recipe(0.03, 0.01, physical=True),
     "s2": _Recipe(0.08, 0.03, physical=True),
     "s3": _Recipe(0.05, 0.03, start_noise=0.088, end_noise=0.088, physical=True),
-    "paper-like": _Recipe(0.03, 0.02, start_noise=0.134, end_noise=0.134, known="exact"),
 }
 _SHARE_OF_SMALLEST = 0.8
 _HARD_ENTRY = 0.02
