@@ -11,6 +11,8 @@
     ├── ArchiveError         a segment of the archive cannot be read or written
     ├── StoreError           a policy or model file is missing, corrupt or not ours
     ├── EstimationError      data from which no response can be identified
+    ├── TrainingError        a training whose loss is no longer a number
+    ├── CampaignError        tasks of a campaign failed; the results of the others are kept
     └── ControlError         a running service refused a command or cannot be asked
 
 A message says what was wrong, where, and what to do. The command line prints it without a
@@ -18,6 +20,7 @@ traceback and exits with 2.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 
 class OrbitFeedbackError(Exception):
@@ -71,6 +74,32 @@ class StoreError(OrbitFeedbackError):
 
 class EstimationError(OrbitFeedbackError):
     """Data from which no response can be identified."""
+
+
+class TrainingError(OrbitFeedbackError):
+    """A training whose loss is no longer a number."""
+
+
+class CampaignError(OrbitFeedbackError):
+    """Tasks of a campaign failed; the results of the others are kept.
+
+    Args:
+        failures: Of every task that failed: what it was, what went wrong, where (may be empty).
+        results: Of all the tasks, in their order; None where one failed.
+    """
+
+    def __init__(
+        self,
+        failures: Sequence[tuple[str, str, str]],
+        results: Sequence[dict[str, Any] | None] = (),
+    ) -> None:
+        self.failures = tuple(failures)
+        self.results = tuple(results)
+        told = "\n".join(f"  {task}: {error}\n{trace}" for task, error, trace in self.failures)
+        super().__init__(
+            f"{len(self.failures)} of {len(self.results)} tasks failed; the results of the others "
+            f"are kept:\n{told}"
+        )
 
 
 class ControlError(OrbitFeedbackError):
