@@ -108,7 +108,8 @@ def start_scheduler(stack, directory):
     process = stack.enter_context(
         ended(
             "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
-            "--no-dashboard", "--dashboard-address", "127.0.0.1:0", "--scheduler-file", str(file), directory=directory,
+            "--no-dashboard", "--dashboard-address", "127.0.0.1:0", "--scheduler-file", str(file),
+            directory=directory,
         )
     )  # fmt: skip
     wait_for(lambda: file.exists() and file.read_text().endswith("}"))
