@@ -1,23 +1,41 @@
-"""How a policy works on when BPMs are masked.
+"""Masks: how every policy works on without some BPMs or some correctors.
 
-A law that is linear in the response drops the rows of the masked BPMs and is solved again. A
-law that is not, or that needs whole modes, fills the gaps in: given the valid readings e_v, the
-missing ones are expected to be
+**BPMs.** A law that is linear in the response drops the rows of the masked BPMs and is solved
+again. A law that is not, or that needs whole modes, fills the gaps in: given the valid readings
+e_v, the missing ones are expected to be
 
-    E[e_w | e_v] = C_wv C_vv⁻¹ e_v,   C = c (R Rᵀ / t + f I),   t = tr(R Rᵀ) / n,
+    E[e_w | e_v] = C_wv C_vv⁻¹ e_v,   C = c (R Rᵀ + f t I),   t = tr(R Rᵀ) / n,
 
 the conditional mean of a normal orbit with covariance C. R Rᵀ is the covariance of orbits that
 independent kicks at the correctors make; kicks of the quadrupoles give nearly the same. The
 floor f stands for what no corrector makes, reading noise above all, and keeps the inverse well
 conditioned.
 
+**Correctors.** A masked corrector does not move, and what it was asked to do is handed to the
+others by least squares: with M the masked and F the free ones, H = RᵀR + λ² I + n P,
+
+    a_F ← a_F + H_FF⁻¹ H_FM a_M,   a_M ← 0.
+
+For a linear law a = −K e with K = H⁻¹ Rᵀ this is exactly the law that is solved without the
+columns M (block elimination in the normal equations), so that nothing is lost against solving
+it anew; for a network it is the best that its own answer allows.
+
 Source: the conditional normal distribution, e.g. Rasmussen and Williams, Gaussian Processes for
-Machine Learning, appendix A.2.
+Machine Learning, appendix A.2; the Schur complement of the normal equations.
 """
 
-import numpy as np
+import difflib
+from collections.abc import Sequence
+from typing import Any
 
-from orbitfb.core.signals import Mask, Vector
+import numpy as np
+from pydantic import Field
+
+from orbitfb.core.errors import ConfigError, RingError
+from orbitfb.core.ports import Policy
+from orbitfb.core.settings import Settings
+from orbitfb.core.signals import Channels, Mask, Vector
+from orbitfb.policies.inverse import frozen
 from orbitfb.policies.recent import Recent
 
 FLOOR = 1e-4
@@ -61,3 +79,160 @@ class Infill:
         among = known @ known.T + self._floor * scale * np.eye(len(known))
         across = known @ self._response[~valid].T
         return np.asarray(np.linalg.solve(among, across).T, dtype=np.float64)
+
+
+class MaskedPolicy:
+    """Any policy, with some correctors that do not move.
+
+    It keeps the name of the policy inside: that is the one which is stored and can be put in
+    force again; which correctors were masked stands in the configuration.
+
+    Args:
+        policy: The policy inside.
+        response: R, shape (n, m) [m/A].
+        movable: Correctors that may move, shape (m,), at least one.
+        regularisation: λ [m/A] of the least squares; None: that of the policy's settings, if
+            it has one, else 0.
+        covariance: P of every row of R, shape (m, m) [(m/A)²]; None: the policy's, if any.
+
+    Attributes:
+        policy: The policy inside.
+        response: R, shape (n, m) [m/A].
+        movable: Correctors that may move, shape (m,).
+
+    Raises:
+        RingError: The mask has another length than R has columns, or leaves no corrector.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        response: Vector,
+        movable: Mask,
+        regularisation: float | None = None,
+        covariance: Vector | None = None,
+    ) -> None:
+        m = response.shape[1]
+        if movable.shape != (m,) or not movable.any():
+            raise RingError(
+                f"a mask of shape {movable.shape} that leaves {np.count_nonzero(movable)} "
+                f"correctors does not fit {m} correctors; leave at least one to move"
+            )
+        if regularisation is None:
+            regularisation = getattr(getattr(policy, "settings", None), "regularisation", 0.0)
+        if covariance is None:
+            covariance = getattr(policy, "covariance", None)
+        self.policy, self.response = policy, response
+        self.movable = movable.copy()
+        self.movable.setflags(write=False)
+        self._share = _share(response, movable, float(regularisation or 0.0), covariance)
+
+    @property
+    def policy_id(self) -> str:
+        """Name of the policy inside."""
+        return self.policy.policy_id
+
+    def initial_state(self) -> Any:
+        """State of the policy inside."""
+        return self.policy.initial_state()
+
+    def act(self, error: Vector, valid: Mask, state: Any) -> tuple[Vector, Any]:
+        """Decide.
+
+        Args:
+            error: Orbit − reference, shape (n,) [m]; elements that are not valid are ignored.
+            valid: BPMs that count, shape (n,).
+            state: Of the policy inside.
+
+        Returns:
+            The change of setpoints, shape (m,) [A], zero where masked, and the new state.
+        """
+        change, after = self.policy.act(error, valid, state)
+        return self._share @ change, after
+
+    def changes(self, errors: Vector) -> Vector:
+        """Decide on many orbits at once, (..., n) [m], if the policy inside can: (..., m) [A]."""
+        inside: Any = self.policy
+        return inside.changes(errors) @ self._share.T
+
+    @property
+    def gain_matrix(self) -> Vector:
+        """Slope at zero, shape (m, n) [A/m], of a policy inside that has one."""
+        inside: Any = self.policy
+        return self._share @ inside.gain_matrix
+
+
+def _share(
+    response: Vector, movable: Mask, regularisation: float, covariance: Vector | None
+) -> Vector:
+    """Give the matrix that takes a change to the one without masked correctors, (m, m)."""
+    n, m = response.shape
+    square = response.T @ response + regularisation**2 * np.eye(m)
+    if covariance is not None:
+        square = square + n * covariance
+    free, still = np.flatnonzero(movable), np.flatnonzero(~movable)
+    share = np.zeros((m, m))
+    share[free, free] = 1.0
+    if len(still):  # by least squares: without λ the equations may have no unique solution
+        among, across = square[np.ix_(free, free)], square[np.ix_(free, still)]
+        share[np.ix_(free, still)] = np.linalg.lstsq(among, across, rcond=None)[0]
+    return frozen(share)
+
+
+class MaskSettings(Settings):
+    """BPMs that are not used and correctors that do not move."""
+
+    bpms: tuple[str, ...] = Field(
+        default=(),
+        description="Masked BPMs, names of the places table; NAME:x or NAME:y masks one plane.",
+    )
+    correctors: tuple[str, ...] = Field(
+        default=(),
+        description="Correctors that are not moved, names as for bpms.",
+    )
+
+
+def mask_of(channels: Channels, settings: MaskSettings) -> tuple[Mask, Mask]:
+    """Turn names into masks.
+
+    Args:
+        channels: Names behind the vectors.
+        settings: Names that are masked.
+
+    Returns:
+        BPMs that count, shape (n,), and correctors that may move, shape (m,).
+
+    Raises:
+        ConfigError: A name that the ring does not have (all of them at once, with the nearest
+            known ones), or nothing is left.
+    """
+    return (
+        _unmasked(channels.bpms, channels.planes, settings.bpms, "masks.bpms"),
+        _unmasked(channels.correctors, channels.planes, settings.correctors, "masks.correctors"),
+    )
+
+
+def _unmasked(names: Sequence[str], planes: str, masked: Sequence[str], key: str) -> Mask:
+    per_plane = len(names) // len(planes)
+    where: dict[str, list[int]] = {}
+    for index, name in enumerate(names):
+        where.setdefault(name, []).append(index)
+        where.setdefault(f"{name}:{planes[index // per_plane]}", []).append(index)
+    unknown = [name for name in masked if name not in where]
+    if unknown:
+        problems = "; ".join(f"{name!r}{_nearest(name, where)}" for name in unknown)
+        raise ConfigError(
+            f"{key} names {len(unknown)} that the ring does not have in planes {planes}: "
+            f"{problems}; use the names of the places table"
+        )
+    unmasked = np.ones(len(names), dtype=np.bool_)
+    for name in masked:
+        unmasked[where[name]] = False
+    if not unmasked.any():
+        raise ConfigError(f"{key} masks all {len(names)} of them; leave at least one")
+    return unmasked
+
+
+def _nearest(name: str, known: dict[str, list[int]]) -> str:
+    close = difflib.get_close_matches(name, known, n=3)
+    return f" (did you mean {', '.join(close)}?)" if close else ""

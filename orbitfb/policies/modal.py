@@ -116,16 +116,18 @@ class ModalPolicy:
             settings, self.response, self.modes, self.gains, self.thresholds, self.covariance
         )
         self.inverse = regularised_inverse(self.response, settings.regularisation, self.covariance)
-        # f_i(z) = far_i (z − bend_i tanh(z / δ_i)), where far_i goes into the matrix.
+        # In units of its threshold, y = z / δ, a bent mode is δ (y − (1 − L) tanh y): the units
+        # go into the matrices on both sides, and a mode that is linear all over is one of them.
         bent = np.isfinite(self.thresholds) & (self.thresholds > 0.0) & (self.gains < 1.0)
+        units = np.where(bent, self.thresholds, settings.reading_noise)
         far = np.where(np.isinf(self.thresholds), self.gains, 1.0)
-        slopes = np.where(self.thresholds == 0.0, 1.0, self.gains)
-        self._decompose = frozen(self.modes.T)
-        self._compose = frozen(-(self.inverse @ self.modes) * far)
-        self._scale = np.divide(1.0, self.thresholds, out=np.zeros(n), where=bent)
-        self._bend = np.where(bent, (1.0 - self.gains) * np.where(bent, self.thresholds, 0), 0.0)
+        steered = self.inverse @ self.modes
+        self._inward = frozen(self.modes.T / units[:, None])
+        self._outward = frozen(-steered * (far * units))
+        self._bend = frozen(np.where(bent, 1.0 - self.gains, 0.0))
         self._linear = not bent.any()
-        self.gain_matrix = frozen((self.inverse @ self.modes) * slopes @ self.modes.T)
+        slopes = np.where(self.thresholds == 0.0, 1.0, self.gains)
+        self.gain_matrix = frozen(steered * slopes @ self.modes.T)
         self._infill = Infill(self.response)
 
     @property
@@ -152,9 +154,9 @@ class ModalPolicy:
             error = self._infill.fill(error, valid)
         if self._linear:
             return -(self.gain_matrix @ error), None
-        amplitudes = self._decompose @ error
-        amplitudes -= self._bend * np.tanh(amplitudes * self._scale)
-        return self._compose @ amplitudes, None
+        amplitudes = self._inward @ error
+        amplitudes -= self._bend * np.tanh(amplitudes)
+        return self._outward @ amplitudes, None
 
     def changes(self, errors: Vector) -> Vector:
         """Decide on many orbits at once, all BPMs valid.
@@ -167,9 +169,9 @@ class ModalPolicy:
         """
         if self._linear:
             return -(errors @ self.gain_matrix.T)
-        amplitudes = errors @ self.modes
-        amplitudes -= self._bend * np.tanh(amplitudes * self._scale)
-        return amplitudes @ self._compose.T
+        amplitudes = errors @ self._inward.T
+        amplitudes -= self._bend * np.tanh(amplitudes)
+        return amplitudes @ self._outward.T
 
 
 def left_modes(response: Vector) -> Vector:

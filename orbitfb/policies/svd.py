@@ -6,7 +6,8 @@ With R = U Σ Vᵀ (rows BPMs, columns correctors, [m/A]) the change of the setp
 
 over the first `singular_values` modes. The setpoints accumulate the changes, so this
 proportional law leaves a constant error only behind a disturbance that keeps moving; the
-integral term (PI in mode space) takes that away as well.
+integral term takes that away as well, and a derivative term damps or anticipates: P, PI and
+PID in mode space (`policies.pid`).
 
 With a covariance P of the rows of R [(m/A)²] the law becomes *cautious*: it minimises the
 expected square of the next orbit over what is not known about R,
@@ -16,11 +17,9 @@ expected square of the next orbit over what is not known about R,
 solved within the modes that are kept, so that P = 0 gives the law above exactly.
 """
 
-import numpy as np
 from pydantic import Field
 
 from orbitfb.core.errors import ConfigError
-from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.policies.inverse import (
     checked_covariance,
@@ -29,18 +28,13 @@ from orbitfb.policies.inverse import (
     frozen,
     regularised_inverse,
 )
+from orbitfb.policies.pid import PidSettings, PidState, first_state, step
 from orbitfb.policies.recent import Recent
 
 
-class SvdSettings(Settings):
+class SvdSettings(PidSettings):
     """Configuration of the SVD policy."""
 
-    gain: float = Field(
-        default=0.5,
-        gt=0.0,
-        le=2.0,
-        description="Proportional gain: share of the error per tick [1].",
-    )
     regularisation: float = Field(
         default=70e-6, ge=0.0, description="Tikhonov λ, compared with the singular values [m/A]."
     )
@@ -48,15 +42,6 @@ class SvdSettings(Settings):
         default=None,
         ge=1,
         description="Number of modes that are corrected [1]; unset: all of them.",
-    )
-    integral_gain: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1.0,
-        description="Gain of the summed error per tick [1]; 0: no integral.",
-    )
-    integral_limit: float = Field(
-        default=0.01, gt=0.0, description="Largest rms of the integral's share of one change [A]."
     )
 
 
@@ -105,7 +90,7 @@ class SvdPolicy:
             settings, self.response, self.covariance
         )
         self.gain_matrix = self._solve(self.response)
-        self._integral_ratio = settings.integral_gain / settings.gain
+        self._memoryless = settings.is_memoryless
         self._masked = Recent(lambda valid: self._solve(self.response[valid]))
 
     @property
@@ -113,25 +98,24 @@ class SvdPolicy:
         """Name under which the store and every record know it."""
         return self._policy_id
 
-    def initial_state(self) -> Vector:
-        """Begin without an integral: zeros of shape (m,) [A]."""
-        return np.zeros(self.response.shape[1])
+    def initial_state(self) -> PidState:
+        """Begin without an integral and without a derivative."""
+        return first_state(self.response.shape[1])
 
-    def act(self, error: Vector, valid: Mask, state: Vector) -> tuple[Vector, Vector]:
+    def act(self, error: Vector, valid: Mask, state: PidState) -> tuple[Vector, PidState]:
         """Decide.
 
-        The state is the integral's share of the change, kept at the correctors and not in the
-        modes: all modes have one gain, so it is the same sum, and it keeps its meaning when a
-        mask changes the modes. Its rms is limited, and it is handed in and out, so a caller
-        whose change was shortened or not written hands the old state in again and nothing
-        winds up.
+        Integral and derivative are kept at the correctors and not in the modes: all modes have
+        one gain, so it is the same sum, and it keeps its meaning when a mask changes the modes.
+        A caller whose change was shortened or not written hands the old state in again and
+        nothing winds up (`policies.pid`).
 
         A mask that is new costs one decomposition (about 5 ms for 180 by 180).
 
         Args:
             error: Orbit − reference, shape (n,) [m]; elements that are not valid are ignored.
             valid: BPMs that count, shape (n,).
-            state: Integral's share of the last change, shape (m,) [A].
+            state: What the last call returned, or `initial_state()`.
 
         Returns:
             The change of setpoints, shape (m,) [A], and the new state.
@@ -140,16 +124,13 @@ class SvdPolicy:
             proportional = self.gain_matrix @ error
         else:
             proportional = self._masked.get(valid) @ error[valid]
-        if self._integral_ratio == 0.0:
+        if self._memoryless:
             return -proportional, state
-        integral = state + self._integral_ratio * proportional
-        rms = float(np.sqrt(np.mean(integral**2)))
-        if rms > self.settings.integral_limit:
-            integral *= self.settings.integral_limit / rms
-        return -(proportional + integral), integral
+        correction = proportional / self.settings.gain
+        return step(self.settings, correction, valid.tobytes(), state)
 
     def changes(self, errors: Vector) -> Vector:
-        """Decide on many orbits at once, all BPMs valid, by the proportional law.
+        """Decide on many orbits at once, all BPMs valid.
 
         Args:
             errors: Orbit − reference, shape (..., n) [m].
@@ -158,13 +139,13 @@ class SvdPolicy:
             The changes of setpoints, shape (..., m) [A].
 
         Raises:
-            ConfigError: The law has an integral: what it does depends on what was before.
+            ConfigError: With an integral or a derivative, changes depend on earlier orbits.
         """
-        if self._integral_ratio != 0.0:
+        if not self._memoryless:
             raise ConfigError(
-                f"policy {self._policy_id} has integral_gain "
-                f"{self.settings.integral_gain:g}, so its changes depend on the orbits before; "
-                "ask act tick by tick, or set it to 0"
+                f"policy {self._policy_id} has integral_gain {self.settings.integral_gain:g} and "
+                f"derivative_gain {self.settings.derivative_gain:g}, so its changes depend on "
+                "earlier orbits; ask act tick by tick, or set both to 0"
             )
         return -(errors @ self.gain_matrix.T)
 
