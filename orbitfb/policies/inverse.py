@@ -10,8 +10,10 @@ inverse; a large P in a direction keeps the law from acting there.
 """
 
 import hashlib
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orbitfb.core.errors import RingError
 from orbitfb.core.settings import Settings
@@ -131,7 +133,7 @@ def checked_covariance(covariance: Vector, columns: int) -> Vector:
     return frozen(0.5 * (matrix + matrix.T))
 
 
-def content_hash(settings: Settings, *tensors: Vector | None) -> str:
+def content_hash(settings: Settings, *tensors: NDArray[np.floating[Any]] | None) -> str:
     """Name a policy by its content: 12 hexadecimal digits of its settings and tensors."""
     digest = hashlib.sha256(settings.model_dump_json().encode())
     for tensor in tensors:
