@@ -49,6 +49,9 @@ class RefitEvaluationSettings(Settings):
     ticks: int = Field(default=4000, ge=600, description="Length of each run [ticks].")
     seed: int = Field(default=1, ge=0, description="Seed of ring, noise and drift.")
     planes: Literal["x", "y", "xy"] = Field(default="x", description="Planes under feedback.")
+    bpm_noise: float = Field(
+        default=0.2e-6, ge=0, description="White noise of every BPM reading, rms [m]."
+    )
     start: Literal["true", "nominal", "drawn"] = Field(
         default="true",
         description="R̂ that all but `told` begin with: the true one, that of the optics, or the "
@@ -159,7 +162,7 @@ def _run(
 ) -> tuple[dict[str, ClosedLoop], Learner, list[RefitReport]]:
     """Run the loops one after another, each on a plant of its own with the same seed."""
     ring = Ring.load()
-    plant_settings = PlantSettings(drift=drift_settings(settings))
+    plant_settings = PlantSettings(drift=drift_settings(settings), bpm_noise_rms=settings.bpm_noise)
 
     def plant() -> Plant:
         return Plant(ring, settings.planes, plant_settings, settings.seed)
