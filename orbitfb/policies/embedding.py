@@ -110,8 +110,9 @@ def _first(law: ModalPolicy, settings: NetworkSettings, linear_range: float) -> 
 def _last(law: ModalPolicy, settings: NetworkSettings, linear_range: float) -> NDArray[np.float32]:
     n = len(law.gains)
     reached = law.inverse @ law.modes
-    far = np.where(np.isinf(law.thresholds), law.gains, 1.0)
-    bend = np.where(np.isinf(law.thresholds), 0.0, (1.0 - law.gains) * law.thresholds)
+    linear = np.isinf(law.thresholds)
+    far = np.where(linear, law.gains, 1.0)
+    bend = (1.0 - law.gains) * np.where(linear, 0.0, law.thresholds)
     last = np.zeros((len(reached), hidden_width(n)), dtype=np.float32)
     last[:, :n] = -reached * (far * settings.input_scale / linear_range)
     last[:, n : 2 * n] = reached * (bend / linear_range)
