@@ -63,3 +63,57 @@ def evaluate_live_command(
         show({"seed": number, **figures(results[-1].runs)}, as_json=False)
         write(results, out)
     print(f"written: {out / 'live.json'}, {out / 'live.png'}")
+
+
+@evaluate.command("campaign")
+def evaluate_campaign_command(
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Directory for campaign.json, campaign.md, campaign.png and the result of every "
+            "point; the same command there goes on where it was interrupted."
+        ),
+    ],
+    seed: Annotated[int, typer.Option(help="First seed of ring, noise and drift.")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds.")] = 3,
+    drift: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Drift: none, paper, mild or strong; may be given again [mild and strong]."
+        ),
+    ] = None,
+    noise: Annotated[
+        list[float] | None,
+        typer.Option(help="BPM noise, rms [m]; may be given again [0.2e-6]."),
+    ] = None,
+    ticks: Annotated[
+        list[int] | None,
+        typer.Option(help="Length of each run [ticks]; may be given again [2000]."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Local processes; 1: this one [one for each core].")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Address of a Dask scheduler whose workers run the points [local]."),
+    ] = None,
+    config_file: ConfigFile = None,
+) -> None:
+    """Refits in process over all combinations of seeds, drifts, noises and horizons."""
+    from orbitfb.evaluate.grid import GridSettings, evaluate_grid
+    from orbitfb.evaluate.grid_report import table, write
+
+    settings = configure(config_file)
+    given = {"drifts": drift, "noises": noise, "horizons": ticks}
+    asked = {name: tuple(values) for name, values in given.items() if values}
+    common = {"planes": settings.ring.planes, "policy": settings.policy, "learn": settings.learn}
+    numbers = tuple(range(seed, seed + seeds))
+    grid = validated(GridSettings, {"seeds": numbers, **asked, **common})
+    rows = evaluate_grid(grid, out / "points", workers, scheduler, _tell)
+    write(grid, rows, out)
+    print(table(grid, rows))
+    print(f"written: {out / 'campaign.json'}, {out / 'campaign.md'}, {out / 'campaign.png'}")
+
+
+def _tell(done: int, total: int) -> None:
+    print(f"{done} of {total} points done", flush=True)
