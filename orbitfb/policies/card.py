@@ -1,6 +1,8 @@
 """The card beside a stored policy: what it is, where it comes from, which ring it is for."""
 
+import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +23,13 @@ class PolicyCard(Settings):
     Args:
         schema_version: Version of the files of the store.
         id: Name of the policy and of its directory.
-        kind: Which class it is: `svd`.
+        kind: Which class it is: `svd`, `modal` or `network` (`policies.kinds`).
         created: When it was stored [s since the epoch].
         parent: Policy that it was refitted from, if any.
         data_hash: Hash of the data that it was fitted to, if any.
         settings: Settings of its class.
         figures: Judged figures by name, SI; null where one was not finite.
+        training: How it was trained, if it was: method, settings, seeds, figures.
         planes: Planes of the ring's channels.
         bpms: Names of the BPMs, in the order of the rows of the response matrix.
         correctors: Names of the correctors, in the order of its columns.
@@ -42,11 +45,23 @@ class PolicyCard(Settings):
     data_hash: str | None
     settings: dict[str, Any]
     figures: dict[str, float | None]
+    training: dict[str, Any] | None = None
     planes: str
     bpms: tuple[str, ...]
     correctors: tuple[str, ...]
     tensor_bytes: int
     tensor_sha256: str
+
+
+def finite(content: Any) -> Any:
+    """Put null in the place of every number that JSON cannot say; mappings become dicts."""
+    if isinstance(content, Mapping):
+        return {str(key): finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [finite(value) for value in content]
+    if isinstance(content, float):
+        return float(content) if math.isfinite(content) else None
+    return content
 
 
 def check_identifier(identifier: str) -> str:

@@ -13,8 +13,11 @@ from typing import Any
 
 from orbitfb.core.errors import StoreError
 
-SCHEMA_VERSION = 1
-"""Version of the files of the store; another one is refused."""
+SCHEMA_VERSION = 2
+"""Version of the files of the store that is written. 2: cards tell the training."""
+
+READABLE = (1, 2)
+"""Versions that are read; another one is refused."""
 
 _UNFINISHED = ".unfinished-"
 _LOCK_WAIT = 10.0
@@ -60,10 +63,11 @@ def read_json(path: Path, largest: int, advice: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise StoreError(f"{path} holds no JSON object; {advice}")
     version = content.get("schema_version")
-    if version != SCHEMA_VERSION:
+    if version not in READABLE:
         raise StoreError(
-            f"{path} has schema_version {version!r}, this program reads {SCHEMA_VERSION}; use the "
-            "version of orbitfb that wrote it, or refit"
+            f"{path} has schema_version {version!r}, this program reads "
+            f"{' and '.join(map(str, READABLE))}; use the version of orbitfb that wrote it, or "
+            "refit"
         )
     return content
 

@@ -1,6 +1,6 @@
 """A directory of policies: tensors in safetensors, a JSON card beside them, one of them active.
 
-    STORE/<id>/policy.safetensors     response matrix, covariance
+    STORE/<id>/policy.safetensors     response matrix, weights and what else its kind needs
     STORE/<id>/card.json              see `policies.card`
     STORE/active.json                 stack of activations; the last one is in force
     STORE/.lock                       held while anything is written
@@ -14,6 +14,7 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -22,7 +23,7 @@ from orbitfb.core.errors import StoreError
 from orbitfb.core.ports import Clock, Policy
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Channels
-from orbitfb.policies.card import PolicyCard, check_identifier, check_ring, read_card
+from orbitfb.policies.card import PolicyCard, check_identifier, check_ring, finite, read_card
 from orbitfb.policies.files import (
     SCHEMA_VERSION,
     publish_directory,
@@ -31,8 +32,8 @@ from orbitfb.policies.files import (
     replace_file,
     sole_writer,
 )
-from orbitfb.policies.svd import SvdPolicy
-from orbitfb.policies.tensors import SVD_KIND, decode, encode
+from orbitfb.policies.kinds import StoredPolicy, kind_of
+from orbitfb.policies.tensors import decode, encode, is_same
 
 _TENSORS = "policy.safetensors"
 _LARGEST_ACTIVE = 2**20
@@ -75,15 +76,18 @@ class PolicyStore:
         parent: str | None = None,
         data_hash: str | None = None,
         figures: Mapping[str, float] | None = None,
+        training: Mapping[str, Any] | None = None,
     ) -> str:
         """Store a policy; one that is there already stays as it is, with its first card.
 
         Args:
-            policy: What to store.
+            policy: What to store; when correctors are masked, the policy inside is stored.
             channels: The ring that it is for.
             parent: Policy that it was refitted from.
             data_hash: Hash of the data that it was fitted to.
             figures: Judged figures by name, SI.
+            training: How it was trained: method, settings, seeds, figures; only what JSON
+                can say.
 
         Returns:
             Its id.
@@ -92,25 +96,25 @@ class PolicyStore:
             StoreError: It cannot be written, is of a kind that cannot be stored, or another
                 policy has its id.
         """
-        if not isinstance(policy, SvdPolicy):
-            raise StoreError(f"a {type(policy).__name__} cannot be stored; only SVD policies can")
+        kind, inside = kind_of(policy)
         shape = (len(channels.bpms), len(channels.correctors))
-        if policy.response.shape != shape:
+        if inside.response.shape != shape:
             raise StoreError(
-                f"policy {policy.policy_id} has a response of shape {policy.response.shape}, the "
+                f"policy {inside.policy_id} has a response of shape {inside.response.shape}, the "
                 f"ring has {shape[0]} BPMs and {shape[1]} correctors; nothing was stored"
             )
-        identifier = check_identifier(policy.policy_id)
-        content = encode(policy)
+        identifier = check_identifier(inside.policy_id)
+        content = encode(kind, inside)
         card = PolicyCard(
             schema_version=SCHEMA_VERSION,
             id=identifier,
-            kind=SVD_KIND,
+            kind=kind.word,
             created=self._clock.wall(),
             parent=parent,
             data_hash=data_hash,
-            settings=policy.settings.model_dump(mode="json"),
+            settings=inside.settings.model_dump(mode="json"),
             figures={k: v if math.isfinite(v) else None for k, v in (figures or {}).items()},
+            training=None if training is None else finite(training),
             planes=channels.planes,
             bpms=channels.bpms,
             correctors=channels.correctors,
@@ -121,7 +125,7 @@ class PolicyStore:
             self._publish(card, content)
         return identifier
 
-    def load(self, identifier: str, channels: Channels) -> SvdPolicy:
+    def load(self, identifier: str, channels: Channels) -> StoredPolicy:
         """Load a policy for a ring.
 
         Raises:
@@ -267,7 +271,7 @@ class PolicyStore:
         final = self.path / card.id
         if final.exists():
             stored = self.card(card.id)
-            if stored.tensor_sha256 != card.tensor_sha256 or stored.settings != card.settings:
+            if not is_same(stored, card):
                 raise StoreError(
                     f"{final} holds another policy of the same id; store this one under another"
                 )

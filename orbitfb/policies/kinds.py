@@ -1,0 +1,206 @@
+"""The kinds of policies that can be stored: their tensors, their settings, how they are made.
+
+A new kind is one more entry of `KINDS`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.errors import StoreError
+from orbitfb.core.ports import Policy
+from orbitfb.core.settings import Settings
+from orbitfb.policies.masking import MaskedPolicy
+from orbitfb.policies.modal import ModalPolicy, ModalSettings
+from orbitfb.policies.network import LAYERS, NetworkPolicy, NetworkSettings, hidden_width
+from orbitfb.policies.svd import SvdPolicy, SvdSettings
+
+Tensors = Mapping[str, NDArray[Any]]
+StoredPolicy = SvdPolicy | ModalPolicy | NetworkPolicy
+"""What the store takes and gives."""
+
+_WIDEST = 4
+"""How many times wider than the paper's a network may be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tensor:
+    """What one tensor must look like.
+
+    Args:
+        dtype: Its numbers.
+        shape: `n` BPMs, `m` correctors, `h` hidden units (as many as the first one says).
+        optional: Whether it may be absent.
+    """
+
+    dtype: type[np.floating[Any]]
+    shape: str
+    optional: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One class of policies.
+
+    Args:
+        word: What the card calls it.
+        policy: The class.
+        settings: Class of its settings.
+        layout: Its tensors by name.
+        take: Takes the tensors out of a policy.
+        make: Makes a policy from tensors, settings and its name.
+    """
+
+    word: str
+    policy: type[StoredPolicy]
+    settings: type[Settings]
+    layout: Mapping[str, Tensor]
+    take: Callable[[Any], dict[str, NDArray[Any] | None]]
+    make: Callable[[Tensors, Any, str], StoredPolicy]
+
+    def largest(self, n: int, m: int) -> int:
+        """Bound the size of all tensors together [bytes].
+
+        Args:
+            n: BPMs.
+            m: Correctors.
+        """
+        widths = {"n": n, "m": m, "h": _WIDEST * hidden_width(n)}
+        return sum(
+            np.dtype(tensor.dtype).itemsize * int(np.prod([widths[c] for c in tensor.shape]))
+            for tensor in self.layout.values()
+        )
+
+    def mismatch(self, tensors: Tensors, n: int, m: int) -> str:
+        """Say what is wrong with the names, types and shapes of tensors; "" when nothing is.
+
+        Args:
+            tensors: By name.
+            n: BPMs.
+            m: Correctors.
+        """
+        widths = {"n": n, "m": m}
+        for name, expected in self.layout.items():
+            if name not in tensors:
+                if expected.optional:
+                    continue
+                return f"no {name!r}"
+            tensor = tensors[name]
+            if "h" not in widths and "h" in expected.shape and tensor.ndim == len(expected.shape):
+                width = tensor.shape[expected.shape.index("h")]
+                widths["h"] = min(width, _WIDEST * hidden_width(n))
+            shape = tuple(widths.get(letter, -1) for letter in expected.shape)
+            if tensor.dtype != expected.dtype or tensor.shape != shape:
+                return (
+                    f"{name!r} of {tensor.dtype} {tensor.shape}, expected were "
+                    f"{np.dtype(expected.dtype)} {shape}"
+                )
+        unknown = sorted(set(tensors) - set(self.layout))
+        return (
+            f"{unknown[0]!r}, which a policy of kind {self.word} does not have" if unknown else ""
+        )
+
+
+def _svd_tensors(policy: SvdPolicy) -> dict[str, NDArray[Any] | None]:
+    return {"response": policy.response, "covariance": policy.covariance}
+
+
+def _svd(tensors: Tensors, settings: SvdSettings, name: str) -> SvdPolicy:
+    return SvdPolicy(tensors["response"], settings, name, tensors.get("covariance"))
+
+
+def _modal_tensors(policy: ModalPolicy) -> dict[str, NDArray[Any] | None]:
+    return {
+        "response": policy.response,
+        "modes": policy.modes,
+        "gains": policy.gains,
+        "thresholds": policy.thresholds,
+        "covariance": policy.covariance,
+    }
+
+
+def _modal(tensors: Tensors, settings: ModalSettings, name: str) -> ModalPolicy:
+    return ModalPolicy(
+        tensors["response"],
+        settings,
+        tensors["modes"],
+        tensors["gains"],
+        tensors["thresholds"],
+        tensors.get("covariance"),
+        name,
+    )
+
+
+def _network_tensors(policy: NetworkPolicy) -> dict[str, NDArray[Any] | None]:
+    weights = {f"weight_{number}": weight for number, weight in enumerate(policy.weights, 1)}
+    return {"response": policy.response, **weights}
+
+
+def _network(tensors: Tensors, settings: NetworkSettings, name: str) -> NetworkPolicy:
+    weights = [tensors[f"weight_{number}"] for number in range(1, LAYERS + 1)]
+    return NetworkPolicy(weights, tensors["response"], settings, name)
+
+
+_RESPONSE = {"response": Tensor(np.float64, "nm")}
+_COVARIANCE = {"covariance": Tensor(np.float64, "mm", optional=True)}
+
+KINDS = (
+    Kind("svd", SvdPolicy, SvdSettings, _RESPONSE | _COVARIANCE, _svd_tensors, _svd),
+    Kind(
+        "modal",
+        ModalPolicy,
+        ModalSettings,
+        _RESPONSE
+        | {
+            "modes": Tensor(np.float64, "nn"),
+            "gains": Tensor(np.float64, "n"),
+            "thresholds": Tensor(np.float64, "n"),
+        }
+        | _COVARIANCE,
+        _modal_tensors,
+        _modal,
+    ),
+    Kind(
+        "network",
+        NetworkPolicy,
+        NetworkSettings,
+        _RESPONSE
+        | {
+            "weight_1": Tensor(np.float32, "hn"),
+            "weight_2": Tensor(np.float32, "hh"),
+            "weight_3": Tensor(np.float32, "hh"),
+            "weight_4": Tensor(np.float32, "mh"),
+        },
+        _network_tensors,
+        _network,
+    ),
+)
+
+
+def kind_of(policy: Policy) -> tuple[Kind, StoredPolicy]:
+    """Find the kind of a policy, that of the policy inside when correctors are masked.
+
+    Returns:
+        The kind, and the policy that is to be stored.
+
+    Raises:
+        StoreError: It is of none of them.
+    """
+    inside = policy
+    while isinstance(inside, MaskedPolicy):
+        inside = inside.policy
+    for kind in KINDS:
+        if isinstance(inside, kind.policy):
+            return kind, inside
+    raise StoreError(
+        f"a {type(inside).__name__} cannot be stored; policies of the kinds "
+        f"{', '.join(kind.word for kind in KINDS)} can"
+    )
+
+
+def kind_named(word: str) -> Kind | None:
+    """Find a kind by the word on a card; None: this version does not know it."""
+    return next((kind for kind in KINDS if kind.word == word), None)

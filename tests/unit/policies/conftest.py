@@ -1,0 +1,11 @@
+"""A policy store in a directory of its own."""
+
+import pytest
+
+from orbitfb.core.clock import ManualClock
+from orbitfb.policies.store import PolicyStore
+
+
+@pytest.fixture
+def store(tmp_path):
+    return PolicyStore(tmp_path / "policies", ManualClock())
