@@ -14,7 +14,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.evaluate.paper.scenarios import Scenario
 
 _CHUNK = 20
-_KNOWN, _INITIAL, _READING, _MOTION, _AGAIN = range(5)
+_INITIAL, _READING, _MOTION, _AGAIN = range(1, 5)
 _LOST = 5e-3
 
 
@@ -46,7 +46,7 @@ class Environment:
         self._motions = [scenario.generator(t, _MOTION) for t in trajectories]
         self._kicks = [scenario.generator(t, _AGAIN) for t in trajectories]
         first = [scenario.generator(t, _INITIAL).standard_normal(n) for t in trajectories]
-        self._free = scenario.initial * np.array(first)
+        self._free = _scaled(np.array(first), scenario.initial)
         self._setpoints = np.zeros((len(first), m))
         self._noise = self._motion = np.empty((0, 0, 0))
         self.true = self._free.copy()
@@ -73,7 +73,8 @@ class Environment:
     def kick(self) -> None:
         """Add the white re-kick to every orbit."""
         n = self.true.shape[1]
-        kick = self.scenario.initial * np.array([g.standard_normal(n) for g in self._kicks])
+        drawn = np.array([g.standard_normal(n) for g in self._kicks])
+        kick = _scaled(drawn, self.scenario.initial)
         self._free += kick
         self.true = self.true + kick
 
@@ -93,6 +94,11 @@ class Environment:
         width = n + (0 if scenario.walk is None else scenario.walk.shape[1])
         if scenario.walk is not None or scenario.white:
             self._motion = np.array([g.standard_normal((_CHUNK, width)) for g in self._motions])
+
+
+def _scaled(orbits: Vector, rms: float) -> Vector:
+    """Scale every orbit to an rms."""
+    return orbits * (rms / np.sqrt(np.mean(orbits**2, axis=1, keepdims=True)))
 
 
 @dataclass(frozen=True, slots=True)
