@@ -125,7 +125,11 @@ class MaskedPolicy:
         self.policy, self.response = policy, response
         self.movable = movable.copy()
         self.movable.setflags(write=False)
-        self._share = _share(response, movable, float(regularisation or 0.0), covariance)
+        strength = float(regularisation or 0.0)
+        self._share = _share(response, movable, strength, covariance)
+        self._shares = Recent(
+            lambda valid: _share(response[valid], self.movable, strength, covariance)
+        )
 
     @property
     def policy_id(self) -> str:
@@ -137,7 +141,7 @@ class MaskedPolicy:
         return self.policy.initial_state()
 
     def act(self, error: Vector, valid: Mask, state: Any) -> tuple[Vector, Any]:
-        """Decide.
+        """Decide; what is handed on counts at the valid BPMs alone.
 
         Args:
             error: Orbit − reference, shape (n,) [m]; elements that are not valid are ignored.
@@ -148,7 +152,8 @@ class MaskedPolicy:
             The change of setpoints, shape (m,) [A], zero where masked, and the new state.
         """
         change, after = self.policy.act(error, valid, state)
-        return self._share @ change, after
+        share = self._share if valid.all() else self._shares.get(valid)
+        return share @ change, after
 
     def changes(self, errors: Vector) -> Vector:
         """Decide on many orbits at once, (..., n) [m], if the policy inside can: (..., m) [A]."""

@@ -6,8 +6,8 @@ With R = U Σ Vᵀ (rows BPMs, columns correctors, [m/A]) the change of the setp
 
 over the first `singular_values` modes. The setpoints accumulate the changes, so this
 proportional law leaves a constant error only behind a disturbance that keeps moving; the
-integral term takes that away as well, and a derivative term damps or anticipates: P, PI and
-PID in mode space (`policies.pid`).
+integral term takes that away as well, and a little derivative quickens a loop whose changes
+act late: P, PI and PID in mode space (`policies.pid`).
 
 With a covariance P of the rows of R [(m/A)²] the law becomes *cautious*: it minimises the
 expected square of the next orbit over what is not known about R,
