@@ -7,6 +7,9 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 
+_TOLERANCE = 1.01
+"""How much higher a figure may be that must not become worse [1]."""
+
 
 class Memoryless(Protocol):
     """A policy without a state, for many orbits at once."""
@@ -62,6 +65,38 @@ def rehearse(policy: Memoryless, responses: Vector, rehearsal: Rehearsal) -> Vec
                 break
             curve[step] = rms
     return curve
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a policy came to in closed loop on the samples.
+
+    Args:
+        score: Mean over steps and samples of log(rms / first rms) [1]; lower is better.
+        floor: Rms of the true orbit over the last half, samples in squares [m].
+        worst: Largest rms of the true orbit after the first step [m].
+    """
+
+    score: float
+    floor: float
+    worst: float
+
+    def better_than(self, other: "Verdict") -> bool:
+        """Better over all, no worse at the floor, and no higher than before."""
+        return (
+            self.score < other.score
+            and self.floor <= _TOLERANCE * other.floor
+            and self.worst <= _TOLERANCE * other.worst
+        )
+
+
+def judge(policy: Memoryless, responses: Vector, trial: Rehearsal) -> Verdict:
+    """Run a policy in closed loop on responses, shape (S, n, m) [m/A], and sum up."""
+    curve = rehearse(policy, responses, trial)
+    late = curve[len(curve) // 2 :]
+    with np.errstate(divide="ignore"):
+        score = float(np.mean(np.log(curve[1:] / curve[0])))
+    return Verdict(score, float(np.sqrt(np.mean(late**2))), float(np.max(curve[1:])))
 
 
 def spectral_radius(gain_matrix: Vector, response: Vector) -> float:

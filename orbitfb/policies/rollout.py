@@ -31,6 +31,7 @@ ModelAt = Callable[[int], tuple[Model, int]]
 """Model of an iteration, and the number that its batch must be a multiple of."""
 
 _TINY = 1e-30
+_DRAWS = 0x6472
 
 
 class LinearResponses:
@@ -151,6 +152,24 @@ class TrajectoryLoss:
     def _normal(self, *shape: int) -> Tensor:
         # Drawn on the CPU whatever the device, so that a seed means the same everywhere.
         return torch.randn(*shape, generator=self._generator).to(self._device)
+
+
+def drawn(
+    draw: Draw | None, fixed: Model, settings: RolloutSettings, seed: int, device: torch.device
+) -> ModelAt:
+    """Give the model of every iteration: the fixed one, or responses drawn anew.
+
+    What is drawn depends on seed and iteration alone, so a resumed training sees the same.
+    """
+
+    def model_at(iteration: int) -> tuple[Model, int]:
+        if draw is None:
+            return fixed, 1
+        rng = np.random.default_rng([seed, iteration, _DRAWS])
+        responses = LinearResponses(draw(rng)[: settings.batch], device)
+        return responses, responses.count
+
+    return model_at
 
 
 def _rms(vectors: Tensor) -> Tensor:

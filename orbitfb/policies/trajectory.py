@@ -46,12 +46,11 @@ from orbitfb.policies.rollout import (
     Model,
     ModelAt,
     TrajectoryLoss,
+    drawn,
     learning_rate,
 )
 from orbitfb.policies.training_result import TrainingResult
 from orbitfb.policies.trajectory_settings import NetworkDescentSettings, TrajectorySettings
-
-_DRAWS = 0x6472
 
 
 def train_trajectory(
@@ -64,7 +63,7 @@ def train_trajectory(
     device: str = "auto",
     progress: Progress | None = None,
     checkpoint: Path | None = None,
-) -> TrainingResult:
+) -> TrainingResult[NetworkPolicy]:
     """Train a network through the system model.
 
     Args:
@@ -94,14 +93,7 @@ def train_trajectory(
         raise ConfigError("give either a model or a draw of response matrices, not both")
     network = build(response, settings, start, settings.hidden).to(target)
     fixed = model or LinearResponses(response, target)
-
-    def model_at(iteration: int) -> tuple[Model, int]:
-        if draw is None:
-            return fixed, 1
-        rng = np.random.default_rng([settings.seed, iteration, _DRAWS])
-        drawn = LinearResponses(draw(rng)[: settings.batch], target)
-        return drawn, drawn.count
-
+    model_at = drawn(draw, fixed, settings, settings.seed, target)
     purpose = {
         "settings": settings.model_dump(mode="json"),
         "response": content_hash(settings, response),

@@ -15,6 +15,8 @@ Loss = Literal["rms", "relative", "log"]
 Trained = Literal["all", "last", "output", "spare"]
 """What is trained: every matrix; the last; the changes' mixing behind it; only unused units."""
 
+PerMode = Literal["far", "floor", "threshold"]
+
 
 class RolloutSettings(Settings):
     """The trajectories that a policy is trained on, and what they cost."""
@@ -180,7 +182,7 @@ class FineTuneSettings(NetworkDescentSettings):
         "it stays.",
     )
     trained: Trained = Field(
-        default="output", description="What is trained: all, last, output or spare."
+        default="last", description="What is trained: all, last, output or spare."
     )
     reading_noise: float = Field(
         default=0.2e-6, ge=0.0, description="Noise of the readings that the policy sees, rms [m]."
@@ -211,6 +213,11 @@ class StructuredSettings(DescentSettings):
         gt=0.0,
         description="Learning rate of the last iteration, reached along half a cosine [1]; unset: "
         "it stays.",
+    )
+    trained: tuple[PerMode, ...] = Field(
+        default=("far", "floor", "threshold"),
+        description="Which numbers of a mode are trained: far (gain far from zero), floor (gain "
+        "at the noise floor), threshold (amplitude between them).",
     )
 
 
