@@ -21,6 +21,8 @@ import numpy as np
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
+from orbitfb.models.absorbed import Absorbed, total
+from orbitfb.models.comparison import Comparison, Contrast
 from orbitfb.models.filter import Carry, PrefilterBank
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.noise import LADDER, NoiseEstimate
@@ -29,33 +31,6 @@ from orbitfb.models.settings import IdentifySettings
 
 _MANY_KICKS = 0.1
 _WIDENINGS = 12
-
-
-@dataclass(frozen=True, slots=True)
-class Absorbed:
-    """What taking in rows came to.
-
-    Args:
-        rows: Rows that taught.
-        kicks: Rows taken for a kick of the orbit.
-        chi2: Mean squared normalised innovation, predicted before the rows were used; 1 when
-            model, uncertainty and noise are right.
-        chi2_other: The same for the response it was compared with, without uncertainty.
-        nats: Log-likelihood of the rows over that under the other response, both with the
-            variance that noise and uncertainty of R̂ predict [nats per row].
-        dither_pull: Correlation of the innovations with what R̂ says the dither does, each in
-            units of the noise. The dither is an instrument: it owes nothing to the noise.
-        dither_information: The same correlation if R were larger than R̂ by one; pull over
-            information is the share by which R exceeds R̂, known to 1/√information.
-    """
-
-    rows: int
-    kicks: int
-    chi2: float
-    chi2_other: float
-    nats: float
-    dither_pull: float = 0.0
-    dither_information: float = 0.0
 
 
 class Identifier:
@@ -98,6 +73,7 @@ class Identifier:
             rows, settings.reading_noise, settings.ground, settings.noise_memory, 50.0
         )
         self._last_tick: int | None = None
+        self._comparison: Comparison | None = None
 
     @property
     def last_tick(self) -> int | None:
@@ -129,6 +105,7 @@ class Identifier:
         other_rows = self._rows.copy()
         if other is not None:
             other_rows[:, :-1] = self._modes.T @ other
+        self._compare_with(None if other is None else other_rows[:, :-1])
         starts = rows.starts.copy()
         starts[0] = self._last_tick is None or rows.tick[0] != self._last_tick + 1
         rows = replace(rows, starts=starts)
@@ -137,7 +114,14 @@ class Identifier:
             self._absorb_block(rows.take(begin, begin + size), other_rows)
             for begin in range(0, len(rows), size)
         ]
-        return _total(pieces)
+        return total(pieces)
+
+    def _compare_with(self, other: Vector | None) -> None:
+        """Begin a comparison with another response; one that goes on keeps what it has learnt."""
+        if other is None:
+            self._comparison = None
+        elif self._comparison is None or not np.array_equal(self._comparison.response, other):
+            self._comparison = Comparison(other, self._settings, self._comparison)
 
     def _absorb_block(self, rows: Rows, other: Vector) -> Absorbed:
         first, last = int(rows.tick[0]), int(rows.tick[-1])
@@ -223,7 +207,13 @@ class Identifier:
             nats=evidence / max(len(rows), 1),
             dither_pull=float(np.sum(moved * block.own / variances[:, None])),
             dither_information=float(np.sum(moved**2 / variances[:, None])),
+            contrasts=self._contrast(block),
         )
+
+    def _contrast(self, block: "_Block") -> tuple[Contrast, ...]:
+        if self._comparison is None:
+            return ()
+        return (self._comparison.absorb(block.regressors[:, :, :-1], block.responses),)
 
     def _update(self, block: "_Block") -> None:
         levels = self._noise.levels
@@ -274,17 +264,3 @@ def _without_creep(innovations: Vector, constant: Vector) -> Vector:
     """Take out of each mode's innovations, shape (n, T), what a creep of its own would explain."""
     share = np.sum(innovations * constant, axis=1) / np.sum(constant**2, axis=1)
     return innovations - share[:, None] * constant
-
-
-def _total(pieces: list[Absorbed]) -> Absorbed:
-    weights = np.array([piece.rows for piece in pieces], dtype=np.float64)
-    share = weights / max(weights.sum(), 1.0)
-    return Absorbed(
-        rows=int(weights.sum()),
-        kicks=sum(piece.kicks for piece in pieces),
-        chi2=float(share @ [piece.chi2 for piece in pieces]),
-        chi2_other=float(share @ [piece.chi2_other for piece in pieces]),
-        nats=float(share @ [piece.nats for piece in pieces]),
-        dither_pull=sum(piece.dither_pull for piece in pieces),
-        dither_information=sum(piece.dither_information for piece in pieces),
-    )

@@ -47,3 +47,13 @@ class IdentifySettings(Settings):
         gt=1.0,
         description="Mean squared normalised innovation of a row that is taken for a kick [1].",
     )
+    change_entry: float = Field(
+        default=0.3e-6,
+        gt=0.0,
+        description="Change of an element of R that the change detector expects, rms [m/A].",
+    )
+    change_memory: float = Field(
+        default=3000.0,
+        gt=0.0,
+        description="Rows after which a row counts 1/e for the change that is expected [1].",
+    )
