@@ -1,6 +1,7 @@
 """Commands about stored policies."""
 
 import json
+import sys
 from typing import Annotated
 
 import typer
@@ -9,9 +10,11 @@ from orbitfb.cli.options import (
     AsJson,
     ConfigFile,
     DataDirectory,
+    Drift,
     Planes,
     configure,
     show,
+    validated,
 )
 
 policies = typer.Typer(help="Policies in the store of a data directory.", no_args_is_help=True)
@@ -72,3 +75,64 @@ def policies_rollback(
 
     settings = configure(config_file, data_directory=data, ring__planes=planes)
     show(activate_policy(settings, None), as_json=False)
+
+
+@policies.command("compare")
+def policies_compare(
+    ids: Annotated[
+        list[str] | None, typer.Argument(help="Ids of stored policies [the active one].")
+    ] = None,
+    baseline: Annotated[
+        bool, typer.Option(help="Whether the policy of the configuration runs beside them.")
+    ] = True,
+    ticks: Annotated[int, typer.Option(help="Length of each run [ticks].")] = 1000,
+    seed: Annotated[int, typer.Option(help="First seed of ring, noise and drift.")] = 1,
+    seeds: Annotated[int, typer.Option(help="How many seeds.")] = 4,
+    drift: Drift = None,
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    planes: Planes = None,
+    as_json: AsJson = False,
+) -> None:
+    """Run policies on the same simulated ring, with the same noise, and set them side by side.
+
+    The simulated ring is that of the configuration (`plant`); a drift takes the whole run.
+    """
+    from orbitfb import maintenance
+    from orbitfb.core.ports import Policy
+    from orbitfb.evaluate.compare import CompareSettings, as_rows, as_table, compare
+    from orbitfb.policies.masking import MaskedPolicy, mask_of
+
+    config = configure(
+        config_file,
+        data_directory=data,
+        ring__planes=planes,
+        plant__drift__preset=drift,
+        plant__drift__ticks=None if drift is None else ticks,
+    )
+    settings = validated(
+        CompareSettings,
+        {
+            "ticks": ticks,
+            "seed": seed,
+            "seeds": seeds,
+            "planes": config.ring.planes,
+            "plant": config.plant,
+        },
+    )
+    ring = config.ring.load()
+    channels = ring.channels(config.ring.planes)
+    valid, movable = mask_of(channels, config.masks)
+    store = maintenance.open_store(config)
+    active = store.active()
+    compared: dict[str, Policy] = {}
+    for policy_id in ids or ([active] if active else []):
+        policy = store.load(policy_id, channels)
+        compared[policy_id] = (
+            policy if movable.all() else MaskedPolicy(policy, policy.response, movable)
+        )
+    if baseline:
+        first = maintenance.baseline(config, ring)
+        compared.setdefault(first.policy_id, first)
+    rows = compare(compared, settings, ring, valid, lambda line: print(line, file=sys.stderr))
+    print(json.dumps(as_rows(rows), indent=2) if as_json else as_table(rows))

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from orbitfb.core.ports import Policy
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.transitions import Transitions
 from orbitfb.physics.plant import Plant
 
@@ -23,6 +23,7 @@ class ClosedLoop:
         policy: The policy to begin with.
         ticks: For how long records are kept [ticks].
         ramp: Ticks over which the gain grows to 1 at the start.
+        valid: BPMs that count, shape (n,); None: all.
 
     Attributes:
         policy: In force.
@@ -32,7 +33,14 @@ class ClosedLoop:
         observed_rms: Of the reading by tick, shape (ticks,) [m].
     """
 
-    def __init__(self, plant: Plant, policy: Policy, ticks: int, ramp: int = 10) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        policy: Policy,
+        ticks: int,
+        ramp: int = 10,
+        valid: Mask | None = None,
+    ) -> None:
         n, m = plant.nominal_response.shape
         self.plant, self.policy, self.tick, self.lost = plant, policy, 0, False
         self.true_rms = np.full(ticks, _LOST)
@@ -42,7 +50,7 @@ class ClosedLoop:
         self._orbit = np.zeros((ticks, n))
         self._applied = np.zeros((ticks, m))
         self._policy_id = np.zeros(ticks, dtype="U64")
-        self._valid = np.ones(n, dtype=np.bool_)
+        self._valid = np.ones(n, dtype=np.bool_) if valid is None else valid
         self._state = policy.initial_state()
 
     def run(self, supervisor: Supervisor | None = None, every: int = 20) -> "ClosedLoop":
@@ -81,7 +89,7 @@ class ClosedLoop:
             orbit=self._orbit[rows],
             next_orbit=self._orbit[rows.start + 1 : rows.stop + 1],
             reference=np.zeros((count, n)),
-            valid=np.ones((count, n), dtype=np.bool_),
+            valid=np.tile(self._valid, (count, 1)),
             requested=self._applied[rows],
             applied=self._applied[rows],
             dither=np.zeros((count, m)),
