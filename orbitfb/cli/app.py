@@ -10,6 +10,7 @@ import typer
 from orbitfb import __version__
 from orbitfb.cli.config import config
 from orbitfb.cli.evaluate import evaluate
+from orbitfb.cli.kick import evaluate_kick_command
 from orbitfb.cli.policies import policies
 from orbitfb.cli.service import command, ioc, refit, run
 from orbitfb.core.errors import OrbitFeedbackError
@@ -23,6 +24,7 @@ app = typer.Typer(
 )
 for _function in (run, ioc, refit, command):
     app.command()(_function)
+evaluate.command("kick")(evaluate_kick_command)
 app.add_typer(policies, name="policies")
 app.add_typer(evaluate, name="evaluate")
 app.add_typer(config, name="config")

@@ -1,0 +1,199 @@
+"""Random kicks on the simulated ring, through Channel Access: the paper's machine experiment.
+
+Soft IOC in a child process, runner, learner: the real loop, on a clock faster than the machine's.
+The response of the ring differs from the controllers' by a stated amount. Every law gets a ring
+of its own, with the same seed and so the same kicks; they are written to the ring's kick PV.
+"""
+
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.clock import SystemClock
+from orbitfb.core.refit import Decision, RefitReport
+from orbitfb.core.signals import LoopState, TickRecord, Vector
+from orbitfb.epics.knob import Knob
+from orbitfb.epics.machine import EpicsMachine
+from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
+from orbitfb.evaluate.kick_figures import LATEST, Recovery, recoveries, recovery_figures
+from orbitfb.evaluate.kick_laws import opening_policy, start_learner
+from orbitfb.evaluate.kick_settings import KickSettings, Law, Responses, responses
+from orbitfb.history.buffer import History
+from orbitfb.loop.runner import Runner
+from orbitfb.loop.settings import LoopSettings
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.physics.places import Ring
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.limits import LimitSettings
+from orbitfb.sim.child import SimChild
+from orbitfb.sim.job import SimJob
+from orbitfb.sim.layout import KICK_PV, TICK_PV, TRUE_RMS_PV
+from orbitfb.sim.settings import SimSettings
+
+_SLACK = 0.3
+"""How long the loop waits for an orbit before it holds [s]: the clock is the computer's own."""
+_MILLI = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class KickRun:
+    """One law on its ring.
+
+    Args:
+        true_rms: Of the true orbit by tick of the ring, shape (ticks,) [m]; NaN where the loop
+            did not see the tick.
+        recoveries: What followed every kick.
+        missed: Orbits that the loop did not see.
+        limited: Ticks whose change was shortened by the limits.
+        state: State of the loop at the end.
+        reason: Why.
+        reports: What the learner did.
+    """
+
+    true_rms: Vector
+    recoveries: tuple[Recovery, ...]
+    missed: int
+    limited: int
+    state: LoopState
+    reason: str
+    reports: tuple[RefitReport, ...]
+
+    def figures(self, planned: int) -> dict[str, float]:
+        """Sum it up; see `orbitfb.evaluate.kick_figures.recovery_figures`.
+
+        Args:
+            planned: How many kicks there should have been.
+        """
+        decisions = [report.decision for report in self.reports]
+        return (
+            recovery_figures(self.recoveries, planned)
+            | {"missed": float(self.missed), "limited": float(self.limited)}
+            | {str(decision): float(decisions.count(decision)) for decision in Decision}
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class KickResult:
+    """What came out.
+
+    Args:
+        settings: What was run.
+        wrong: How wrong the controllers' response is.
+        runs: By law.
+    """
+
+    settings: KickSettings
+    wrong: Mapping[str, float]
+    runs: Mapping[Law, KickRun]
+
+
+def evaluate_kick(
+    settings: KickSettings, progress: Callable[[str], None] = lambda _: None
+) -> KickResult:
+    """Run every law.
+
+    Args:
+        settings: What to run.
+        progress: Told what begins.
+
+    Raises:
+        OrbitFeedbackError: The soft IOC could not be started or reached.
+    """
+    known = responses(settings)
+    runs: dict[Law, KickRun] = {}
+    for law in settings.laws:
+        progress(f"{law}: {settings.ticks} ticks at {settings.rate_hz:g} Hz")
+        with ExitStack() as stack:
+            runs[law] = _Experiment(settings, known, law, stack).run()
+    return KickResult(settings, known.figures(settings.policy.svd), runs)
+
+
+class _Experiment:
+    """Ring, loop and learner of one law."""
+
+    def __init__(
+        self, settings: KickSettings, known: Responses, law: Law, stack: ExitStack
+    ) -> None:
+        self._settings = settings
+        self._done = threading.Event()
+        self._missed = self._limited = 0
+        self._asked: list[int] = []
+        self._true_rms = np.full(settings.ticks, np.nan)
+        self._reports: list[RefitReport] = []
+        child = stack.enter_context(SimChild(_job(settings)))
+        network, clock = _network(child.port), SystemClock()
+        channels = Ring.load().channels(settings.planes)
+        machine = stack.enter_context(EpicsMachine(channels, network, clock))
+        self._knob = stack.enter_context(Knob(KICK_PV, network))
+        slot = PolicySlot(opening_policy(law, settings, known))
+        history = History(channels, 4000)
+        self._runner = Runner(
+            machine,
+            slot,
+            LoopSettings(rate_hz=settings.rate_hz, hold_after=max(1.9, _SLACK * settings.rate_hz)),
+            LimitSettings(),
+            InterlockSettings(),
+            np.zeros(len(channels.bpms)),
+            clock,
+            start=LoopState.CLOSED,
+            subscribers=(history, self._note),
+        )
+        start_learner(
+            law, settings, known, history, slot, self._reports.append, self._tripped, stack
+        )
+
+    def run(self) -> KickRun:
+        self._runner.run(self._done)
+        found = recoveries(self._true_rms, self._asked, self._settings.window - LATEST)
+        return KickRun(
+            self._true_rms,
+            tuple(found),
+            self._missed,
+            self._limited,
+            self._runner.state,
+            self._runner.reason,
+            tuple(self._reports),
+        )
+
+    def _tripped(self) -> bool:
+        return self._runner.state is LoopState.TRIPPED
+
+    def _note(self, record: TickRecord) -> None:
+        """Take a record; kicks when it is time, ends the run when the ring has made its ticks."""
+        self._missed += record.missed
+        if record.state is LoopState.TRIPPED:  # the beam is as good as lost: no use in more kicks
+            self._done.set()
+            return
+        self._limited += record.scale < 1.0
+        if record.reading is None or not np.isfinite(record.reading.auxiliary["tick"]):
+            return
+        tick = int(record.reading.auxiliary["tick"])
+        if tick >= len(self._true_rms):
+            self._done.set()
+            return
+        self._true_rms[tick] = record.reading.auxiliary["true_orbit_rms"]
+        settings, number = self._settings, len(self._asked)
+        if number < settings.kicks and tick >= settings.settle + number * settings.window:
+            self._asked.append(tick)
+            self._knob.turn(settings.kick_rms * _MILLI)
+
+
+def _job(settings: KickSettings) -> SimJob:
+    return SimJob(
+        planes=settings.planes,
+        seed=settings.seed,
+        plant=settings.plant(),
+        sim=SimSettings(port=0, rate_hz=settings.rate_hz),
+    )
+
+
+def _network(port: int) -> EpicsSettings:
+    settings = EpicsSettings(server_port=port)
+    simulated = {
+        "true_orbit_rms": AuxiliarySettings(pv=TRUE_RMS_PV, scale=1e-3),
+        "tick": AuxiliarySettings(pv=TICK_PV),
+    }
+    return settings.model_copy(update={"auxiliary": {**settings.auxiliary, **simulated}})
