@@ -34,12 +34,15 @@ class Environment:
         trajectories: Numbers of the trajectories, from 0.
 
     Attributes:
+        scenario: What happens.
+        trajectories: Their numbers.
         true: The true orbits, shape (N, n) [m].
         tick: Number of the present tick.
     """
 
     def __init__(self, scenario: Scenario, trajectories: Sequence[int]) -> None:
         self.scenario = scenario
+        self.trajectories = tuple(trajectories)
         n, m = scenario.start.shape
         self.tick = 0
         self._readings = [scenario.generator(t, _READING) for t in trajectories]

@@ -1,0 +1,98 @@
+"""The methods of the paper's experiment, by name."""
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from orbitfb.core.errors import ConfigError
+from orbitfb.evaluate.paper.environment import Controller, Environment
+
+_PAPER = "orbitfb.evaluate.paper"
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """One way of control.
+
+    Args:
+        title: What it is, for people.
+        control: `module:function` of `orbitfb.evaluate.paper`; it takes the environment, by name
+            the options, and `device` where it computes on one, and gives the controller.
+        static: Whether it stays as it is while it runs; then many trajectories are cheap.
+        quick: Whether it is part of `--quick`.
+        whole: Whether all trajectories are run at once, because most of the work is common.
+        cost: About how long 32 trajectories take, to start the longest first [s].
+        on_device: Whether the function takes `device`.
+    """
+
+    title: str
+    control: str
+    static: bool
+    quick: bool = True
+    whole: bool = False
+    cost: float = 10.0
+    on_device: bool = False
+
+    def controller(
+        self, environment: Environment, options: Mapping[str, Any], device: str
+    ) -> Controller:
+        """Make the controller.
+
+        Args:
+            environment: The trajectories.
+            options: Of the function, by name.
+            device: `auto`, `cpu` or `cuda`.
+        """
+        module, _, name = self.control.partition(":")
+        function = getattr(importlib.import_module(f"{_PAPER}.{module}"), name)
+        return function(environment, **options, **({"device": device} if self.on_device else {}))
+
+
+METHODS: Mapping[str, Method] = {
+    "svd": Method("SVD, the paper's λ", "laws:svd", static=True),
+    "svd-best": Method("SVD, λ and gain the best in hindsight", "laws:svd", static=True),
+    "modal-linear": Method("linear, Kalman gain of every mode", "laws:modal_linear", static=True),
+    "modal": Method("Kalman gains at the floor, 1 far from it", "laws:modal", static=True),
+    "supervised": Method(
+        "network, supervised, the paper's budget",
+        "trained:supervised",
+        static=True,
+        whole=True,
+        cost=40.0,
+        on_device=True,
+    ),
+    "supervised-right": Method(
+        "network, supervised, done right",
+        "trained:supervised_right",
+        static=True,
+        whole=True,
+        cost=45.0,
+        on_device=True,
+    ),
+    "true-response": Method(
+        "knows R_t: the bound", "bound:TrueResponse", static=False, whole=True, cost=25.0
+    ),
+}
+"""In the order of the table."""
+
+HINDSIGHT = "svd-best"
+"""Not run as it stands: the options with the best end over `GRID` are found first."""
+
+GRID: tuple[Mapping[str, float], ...] = tuple(
+    {"regularisation": regularisation, "gain": gain}
+    for gain in (1.0, 0.3, 0.05)
+    for regularisation in (1e-3, 1e-2, 0.1, 1.0, 3.0, 10.0, 33.6, 100.0, 1000.0)
+)
+"""λ [(m/rad)²] and gain [1] among which the best is looked for."""
+
+
+def find_method(name: str) -> Method:
+    """Look up a method.
+
+    Raises:
+        ConfigError: There is none of this name.
+    """
+    if name not in METHODS:
+        raise ConfigError(f"there is no method {name!r}: choose from {', '.join(METHODS)}")
+    return METHODS[name]
