@@ -12,8 +12,10 @@ from orbitfb.cli.options import (
     show,
     validated,
 )
+from orbitfb.cli.paper import evaluate_paper_command
 
 evaluate = typer.Typer(help="Measure what a method is worth.", no_args_is_help=True)
+evaluate.command("paper")(evaluate_paper_command)
 
 
 @evaluate.command("refit")
