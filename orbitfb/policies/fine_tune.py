@@ -85,7 +85,7 @@ def fine_tune(
         candidate = None
     if candidate is not None:
         after = judge(candidate, judged, trial)
-        if after.better_than(before):
+        if after.better_than(before, settings.floor_tolerance):
             kept = candidate
     improved = kept is not incumbent
     figures = {

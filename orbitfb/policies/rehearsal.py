@@ -7,9 +7,6 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 
-_TOLERANCE = 1.01
-"""How much higher a figure may be that must not become worse [1]."""
-
 
 class Memoryless(Protocol):
     """A policy without a state, for many orbits at once."""
@@ -81,12 +78,12 @@ class Verdict:
     floor: float
     worst: float
 
-    def better_than(self, other: "Verdict") -> bool:
-        """Better over all, no worse at the floor, and no higher than before."""
+    def better_than(self, other: "Verdict", tolerance: float) -> bool:
+        """Better over all, and floor and worst at most `tolerance` times those of the other."""
         return (
             self.score < other.score
-            and self.floor <= _TOLERANCE * other.floor
-            and self.worst <= _TOLERANCE * other.worst
+            and self.floor <= tolerance * other.floor
+            and self.worst <= tolerance * other.worst
         )
 
 

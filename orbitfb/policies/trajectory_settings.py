@@ -190,6 +190,12 @@ class FineTuneSettings(NetworkDescentSettings):
     samples_per_iteration: int = Field(
         default=4, ge=1, description="Response matrices that an iteration sees, in turn [1]."
     )
+    floor_tolerance: float = Field(
+        default=1.01,
+        ge=1.0,
+        description="By what factor the noise floor, and the largest orbit, may grow at most for "
+        "the trained network to be taken [1].",
+    )
     judged_samples: int = Field(
         default=8, ge=1, description="Response matrices of the comparison, before and after [1]."
     )
