@@ -237,3 +237,34 @@ def test_other_modes_or_thresholds_are_not_reembedded():
 def test_a_linear_range_that_is_none_is_refused(linear_range):
     with pytest.raises(ConfigError, match="linear_range"):
         embed(some_law(make_response()), linear_range=linear_range)
+
+
+def test_units_that_carry_nothing_are_only_left_out():
+    weights = make_weights()
+    width = len(weights[1])
+    rng = np.random.default_rng(4)
+    for number in (1, 2):
+        weights[number] = np.diag(rng.choice([0.0, 0.5, 1.0], width)).astype(np.float32)
+    weights[0][3:9] = 0.0
+    weights[3][:, 20:] = 0.0
+    policy = NetworkPolicy(weights, make_response())
+    error = 1e-4 * rng.normal(size=12)
+    expected = by_formula(weights, error)
+    assert expected.any()
+    for change in (policy.act(error, valid_all(policy), None)[0], policy.changes(error)):
+        np.testing.assert_allclose(change, expected, atol=3e-6 * np.linalg.norm(expected))
+
+
+@pytest.mark.parametrize("diagonal", [False, True])
+def test_widths_need_not_be_equal(diagonal):
+    rng = np.random.default_rng(0)
+    shapes = [(20, 12), (31, 20), (17, 31), (9, 17)]
+    weights = [rng.normal(size=shape).astype(np.float32) / 5 for shape in shapes]
+    if diagonal:
+        weights[1], weights[2] = (np.eye(*shape, dtype=np.float32) for shape in shapes[1:3])
+    error = 1e-5 * rng.normal(size=12)
+    policy = NetworkPolicy(weights, make_response())
+    expected = by_formula(weights, error)
+    np.testing.assert_allclose(
+        policy.changes(error), expected, atol=3e-6 * np.linalg.norm(expected)
+    )
