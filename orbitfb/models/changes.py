@@ -12,7 +12,8 @@ units of √I, its mean μ = −√I/2, the threshold with the overshoot b = h/�
     blocks between false alarms = (exp(2|μ|b) − 1 − 2|μ|b) / (2μ²),
 
 which has a minimum over I: h is solved for the worst case, I that gives the fewest blocks, each
-block as short as one tick. No figure of ring or noise enters.
+block as short as one tick, and a tenth more blocks (drawn walks pass up to a tenth more often than
+the approximation says). No figure of ring or noise enters.
 
 Three things keep it honest where the noise model is not exact. A noise that is misjudged is
 divided out: the mean squared innovation since the last swap (never below 1) is the reference.
@@ -34,6 +35,7 @@ from orbitfb.models.comparison import Contrast
 _DAY = 86_400.0
 _OVERSHOOT = 1.166
 _MOST_NATS = 500.0
+_APPROXIMATION = 1.1
 
 
 class ChangeSettings(Settings):
@@ -181,7 +183,7 @@ def threshold_for(blocks: float) -> float:
     """
 
     def excess(threshold: float) -> float:
-        return math.log(fewest_blocks(threshold)[0]) - math.log(max(blocks, 2.0))
+        return math.log(fewest_blocks(threshold)[0]) - math.log(max(_APPROXIMATION * blocks, 2.0))
 
     if excess(0.1) >= 0.0:
         return 0.1
