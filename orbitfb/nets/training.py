@@ -58,7 +58,7 @@ def train(
         StoreError: The checkpoint is damaged or of another training.
     """
     parameters = [p for module in modules.values() for p in module.parameters() if p.requires_grad]
-    optimiser = torch.optim.Adam(parameters, lr=1e-3)
+    optimiser = torch.optim.Adam(parameters, lr=1e-3, fused=True)
     first, curve = 0, list[float]()
     if checkpoint is not None and checkpoint.exists():
         first, curve = checkpoint.load(modules, optimiser, generator)
