@@ -11,10 +11,10 @@ from orbitfb.core.clock import ManualClock
 from orbitfb.core.signals import LoopState
 from orbitfb.core.transitions import Transitions
 from orbitfb.history.buffer import History
+from orbitfb.learn.builders import builder
 from orbitfb.learn.learner import Learner
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.maintenance import policy_builder
 from orbitfb.physics.plant_machine import PlantMachine
 from orbitfb.policies.svd import SvdPolicy
 from orbitfb.sim.job import SimJob
@@ -65,7 +65,7 @@ def _refitting(slot: PolicySlot, job: SimJob, over: threading.Event) -> Iterator
     transitions = _taught(job, incumbent)
     yield
     while not over.is_set():
-        learner = Learner(incumbent.response, config.learn, policy_builder(config))
+        learner = Learner(incumbent.response, config.learn, builder(config.policy))
         learner.refit(transitions, incumbent, "on-demand")
 
 

@@ -10,10 +10,9 @@ from orbitfb.core.ports import Clock, Subscriber
 from orbitfb.core.signals import Channels
 from orbitfb.history.archive import ArchiveWriter
 from orbitfb.history.buffer import History
-from orbitfb.learn.learner import Learner
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.maintenance import policy_builder
+from orbitfb.maintenance import trainer
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
 from orbitfb.observe.logs import configure_logs
@@ -50,7 +49,7 @@ class Surroundings:
         archive = ArchiveWriter(folder / "archive", channels, config.history.archive)
         stack.callback(archive.close)
         learner = LearnerThread(
-            Learner(response, config.learn, policy_builder(config)),
+            trainer(config, response, np.ones(len(channels.correctors), dtype=np.bool_)),
             history,
             slot,
             statistics.refitted,

@@ -127,6 +127,8 @@ def _type_name(kind: Any) -> str:
         return f"table of {_type_name(key)} to {_type_name(value)}"
     if isinstance(kind, type) and issubclass(kind, Settings):
         return "{ " + ", ".join(kind.model_fields) + " }"
+    if get_origin(kind) is tuple:
+        return f"list of {_type_name(get_args(kind)[0])}"
     members = [member for member in get_args(kind) if member is not NoneType]
     if members:
         return " or ".join(_type_name(member) for member in members)

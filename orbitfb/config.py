@@ -28,7 +28,8 @@ from orbitfb.loop.settings import LoopSettings
 from orbitfb.observe.settings import ObserveSettings
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import PlantSettings
-from orbitfb.policies.svd import SvdSettings
+from orbitfb.policies.masking import MaskSettings
+from orbitfb.policies.settings import PolicySettings
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.sim.settings import SimSettings
@@ -71,8 +72,11 @@ class AppConfig(Settings):
     policies_kept: int = Field(
         default=100, ge=2, description="Newest policies, and last ones in force, that are kept."
     )
-    policy: SvdSettings = Field(
-        default=SvdSettings(), description="The baseline law, and that of every refit."
+    policy: PolicySettings = Field(
+        default=PolicySettings(), description="The law that runs, and that of every refit."
+    )
+    masks: MaskSettings = Field(
+        default=MaskSettings(), description="BPMs that do not count, correctors that do not move."
     )
     ring: RingSettings = Field(default=RingSettings(), description="The ring.")
     loop: LoopSettings = Field(default=LoopSettings(), description="The loop.")

@@ -1,34 +1,34 @@
 """What the command line does to policies and archives, with a service running or without."""
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orbitfb.config import AppConfig
 from orbitfb.control import ask, is_running
 from orbitfb.core.errors import StoreError
-from orbitfb.core.ports import Policy
 from orbitfb.core.refit import Decision
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.transitions import Transitions
 from orbitfb.history.archive import read_archive
+from orbitfb.learn.builders import ResponsePolicy, builder, first_policy, masked
 from orbitfb.learn.learner import Learner
+from orbitfb.learn.messages import TrainerJob, learner_of
+from orbitfb.learn.process import ProcessTrainer
+from orbitfb.learn.trainer import InlineTrainer, Trainer
 from orbitfb.observe.plain import plain
 from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response
+from orbitfb.policies.masking import mask_of
 from orbitfb.policies.store import PolicyStore
-from orbitfb.policies.svd import SvdPolicy
 from orbitfb.sim.job import SimJob
 
 REFIT_TIMEOUT = 60.0
 """How long the command line waits for a running service to refit [s]."""
-
-Matrix = NDArray[np.float64]
 
 
 def open_store(config: AppConfig) -> PolicyStore:
@@ -36,14 +36,32 @@ def open_store(config: AppConfig) -> PolicyStore:
     return PolicyStore(config.data_directory / "policies")
 
 
-def policy_builder(config: AppConfig) -> Callable[[Matrix, Matrix | None], Policy]:
-    """Return how a policy is made from R̂ (n, m) [m/A] and its covariance."""
-    return lambda matrix, covariance: SvdPolicy(matrix, config.policy, covariance=covariance)
+def movable(config: AppConfig, ring: Ring) -> Mask | None:
+    """Say which correctors may move, shape (m,); None: all.
+
+    Raises:
+        ConfigError: A masked name is not of this ring.
+    """
+    mask = mask_of(ring.channels(config.ring.planes), config.masks)[1]
+    return None if mask.all() else mask
 
 
-def baseline(config: AppConfig, ring: Ring) -> SvdPolicy:
+def baseline(config: AppConfig, ring: Ring) -> ResponsePolicy:
     """Build the policy on the nominal response of the ring."""
-    return SvdPolicy(response(ring, config.ring.planes), config.policy)
+    matrix = response(ring, config.ring.planes)
+    return first_policy(matrix, config.policy, movable(config, ring))
+
+
+def trainer(config: AppConfig, matrix: Vector, mask: Mask) -> Trainer:
+    """Start whoever does the learner's arithmetic.
+
+    Args:
+        config: Says whether in a process of its own.
+        matrix: R̂ to begin with, shape (n, m) [m/A].
+        mask: Correctors that may move, shape (m,).
+    """
+    job = TrainerJob(config.learn, config.policy, matrix, mask, config.seed)
+    return ProcessTrainer(job) if config.learn.process else InlineTrainer(learner_of(job))
 
 
 def sim_job(config: AppConfig) -> SimJob:
@@ -85,8 +103,12 @@ def refit_offline(config: AppConfig, archive: Path, activate: bool) -> dict[str,
     transitions = read_archive(archive, channels)
     store = open_store(config)
     active = store.active()
-    incumbent = baseline(config, ring) if active is None else store.load(active, channels)
-    learner = Learner(incumbent.response, config.learn, policy_builder(config))
+    mask = movable(config, ring)
+    if active is None:
+        incumbent = baseline(config, ring)
+    else:
+        incumbent = masked(store.load(active, channels), mask)
+    learner = Learner(incumbent.response, config.learn, builder(config.policy, mask, config.seed))
     report, candidate = learner.refit(transitions, incumbent, "on-demand")
     answer: dict[str, Any] = plain(asdict(report))
     if candidate is not None and report.decision is Decision.ACCEPTED:

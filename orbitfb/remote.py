@@ -1,12 +1,13 @@
 """What a running service does when a command line asks it over the control socket."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from orbitfb.core.errors import ControlError
+from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Channels
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.runner import Runner
@@ -14,6 +15,7 @@ from orbitfb.loop.slot import PolicySlot
 from orbitfb.observe.plain import plain
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.observe.summary import summary
+from orbitfb.policies.kinds import StoredPolicy
 from orbitfb.policies.store import PolicyStore
 
 LONGEST_PATIENCE = 25.0
@@ -35,6 +37,7 @@ class Remote:
         channels: The ring.
         archive: Where the archive lies, for advice.
         period: Of the loop [s]; a command takes effect at a tick, so it waits for a few.
+        dress: Makes of a stored policy the one that may act: masked correctors do not move.
     """
 
     runner: Runner
@@ -45,6 +48,7 @@ class Remote:
     channels: Channels
     archive: Path
     period: float
+    dress: Callable[[StoredPolicy], Policy] = lambda policy: policy
 
     def __call__(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         """Carry out a request.
@@ -104,5 +108,5 @@ class Remote:
             self.store.rollback()
         else:
             self.store.activate(policy_id)
-        before = self.slot.swap(policy)
+        before = self.slot.swap(self.dress(policy))
         return {"policy": policy_id, "before": before.policy_id}

@@ -13,19 +13,20 @@ from orbitfb.config import AppConfig
 from orbitfb.control import ControlServer, Lock
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ArchiveError, MachineError, OrbitFeedbackError
-from orbitfb.core.ports import Policy
-from orbitfb.core.refit import Decision, RefitReport
+from orbitfb.core.ports import Machine, Policy
+from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.signals import LoopState
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 from orbitfb.history.archive import ArchiveWriter
 from orbitfb.history.buffer import History
-from orbitfb.learn.learner import Learner
+from orbitfb.learn.builders import ResponsePolicy, loop_gain, masked
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.dither import Dither
+from orbitfb.loop.masked import MaskedMachine
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.maintenance import baseline, open_store, policy_builder, sim_job
+from orbitfb.maintenance import baseline, open_store, sim_job, trainer
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
 from orbitfb.observe.logs import configure_logs
@@ -34,6 +35,7 @@ from orbitfb.observe.statistics import TRUE_RMS, LoopStatistics
 from orbitfb.observe.summary import check_place, write_summary
 from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import Surroundings
+from orbitfb.policies.masking import mask_of
 from orbitfb.remote import Remote
 from orbitfb.sim.child import SimChild
 from orbitfb.sim.layout import TRUE_RMS_PV
@@ -52,6 +54,8 @@ from orbitfb.startup import (
 
 _log = structlog.stdlib.get_logger("orbitfb.service")
 
+SHORTEST_POLL, LONGEST_POLL = 0.02, 0.2
+"""Bounds of how often the learner looks for new ticks [s]."""
 CHILD_PERIOD = 0.5
 """How often to look whether the simulated ring of our own is alive [s]."""
 
@@ -145,10 +149,16 @@ class Service:
         stack.callback(self.machine.close)
         check_limits(config, self.machine.drive_limits, self.channels)
 
+        counting, movable = mask_of(self.channels, config.masks)
+        machine: Machine = self.machine
+        if not counting.all():
+            machine = MaskedMachine(machine, counting)
+        self._movable = movable
         self.store = open_store(config)
         self._policies_kept = config.policies_kept
         nominal = baseline(config, ring)
-        self.slot = PolicySlot(self._first_policy(nominal, ioc))
+        first = self._first_policy(nominal, ioc)
+        self.slot = PolicySlot(first)
         self.statistics = LoopStatistics(self.channels, config.limits.setpoint, clock)
         self.events = EventLog(self.channels, clock, config.observe.logs.quiet_time)
         self.history = History(self.channels, config.history.capacity)
@@ -157,22 +167,31 @@ class Service:
         )
         stack.callback(archive.close)
         self.runner = Runner(
-            self.machine,
+            machine,
             self.slot,
             config.loop,
             config.limits,
             config.interlocks,
             np.zeros(len(self.channels.bpms)),
             clock,
-            dither=Dither(dither_settings(config), nominal.response, config.policy.gain),
+            dither=Dither(dither_settings(config), nominal.response, loop_gain(nominal), movable),
             start=start,
             subscribers=(self.history, archive, self.statistics, self.events),
         )
-        learner = Learner(nominal.response, config.learn, policy_builder(config))
-        self.learner = LearnerThread(
-            learner, self.history, self.slot, self._refitted, keep=self._keep
-        )
+        self.learner: LearnerThread | None = None
         if config.learn.enabled:
+            self.learner = LearnerThread(
+                trainer(config, first.response, movable),
+                self.history,
+                self.slot,
+                self._refitted,
+                keep=self._keep,
+                poll=min(LONGEST_POLL, max(SHORTEST_POLL, 2.0 * config.loop.period)),
+                limits=config.limits,
+                alarmed=self._alarmed,
+                tripped=lambda: self.runner.state is LoopState.TRIPPED,
+                clock=clock,
+            )
             self.learner.start()
             stack.callback(self.learner.stop)
         registry = metrics_registry(self.statistics.snapshot, archive.status)
@@ -184,10 +203,11 @@ class Service:
             self.statistics,
             self.slot,
             self.store,
-            self.learner if config.learn.enabled else None,
+            self.learner,
             self.channels,
             directory.resolve() / "archive",
             config.loop.period,
+            lambda policy: masked(policy, movable),
         )
         stack.callback(ControlServer(directory, remote).close)
         terminal = Terminal(
@@ -272,11 +292,11 @@ class Service:
             }
         )
 
-    def _first_policy(self, nominal: Policy, ioc: str) -> Policy:
+    def _first_policy(self, nominal: ResponsePolicy, ioc: str) -> ResponsePolicy:
         """Take up the stored policy; a simulated ring of our own is new and gets the baseline."""
         active = self.store.active()
         if ioc != SIMULATED and active is not None:
-            return self.store.load(active, self.channels)
+            return masked(self.store.load(active, self.channels), self._movable)
         self.store.save(nominal, self.channels)
         self.store.activate(nominal.policy_id)
         return nominal
@@ -294,6 +314,10 @@ class Service:
     def _refitted(self, report: RefitReport) -> None:
         self.statistics.refitted(report)
         self.events.refitted(report)
+
+    def _alarmed(self, alarm: Alarm) -> None:
+        self.statistics.alarmed(alarm)
+        self.events.alarmed(alarm)
 
     def _archive_failed(self, error: ArchiveError) -> None:
         _log.error("archive_failed", problem=str(error))

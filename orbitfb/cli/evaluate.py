@@ -34,7 +34,11 @@ def evaluate_refit_command(
 
     settings = configure(config_file)
     asked = {"drift": "none" if no_drift else drift, "ticks": ticks, "seed": seed}
-    common = {"planes": settings.ring.planes, "policy": settings.policy, "learn": settings.learn}
+    common = {
+        "planes": settings.ring.planes,
+        "policy": settings.policy.svd,
+        "learn": settings.learn,
+    }
     result = evaluate_refit(validated(RefitEvaluationSettings, {**asked, **common}))
     write(result, out)
     show({**result.figures}, as_json=False)
@@ -56,7 +60,11 @@ def evaluate_live_command(
     from orbitfb.evaluate.live_report import LiveResult, write
 
     settings = configure(config_file)
-    common = {"planes": settings.ring.planes, "policy": settings.policy, "learn": settings.learn}
+    common = {
+        "planes": settings.ring.planes,
+        "policy": settings.policy.svd,
+        "learn": settings.learn,
+    }
     results: list[LiveResult] = []
     for number in range(seed, seed + seeds):
         asked = {"drift": drift, "ticks": ticks, "seed": number, "rate_hz": rate}
@@ -108,7 +116,11 @@ def evaluate_campaign_command(
     settings = configure(config_file)
     given = {"drifts": drift, "noises": noise, "horizons": ticks}
     asked = {name: tuple(values) for name, values in given.items() if values}
-    common = {"planes": settings.ring.planes, "policy": settings.policy, "learn": settings.learn}
+    common = {
+        "planes": settings.ring.planes,
+        "policy": settings.policy.svd,
+        "learn": settings.learn,
+    }
     numbers = tuple(range(seed, seed + seeds))
     grid = validated(GridSettings, {"seeds": numbers, **asked, **common})
     rows = evaluate_grid(grid, out / "points", workers, scheduler, _tell)

@@ -23,8 +23,10 @@ from orbitfb.core.signals import LoopState, TickRecord, Vector
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 from orbitfb.history.buffer import History
+from orbitfb.learn.builders import builder
 from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
+from orbitfb.learn.trainer import InlineTrainer
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
@@ -32,6 +34,7 @@ from orbitfb.loop.slot import PolicySlot
 from orbitfb.physics.drift import DriftSettings, Preset
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import Plant, PlantSettings
+from orbitfb.policies.settings import PolicySettings
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
@@ -142,7 +145,7 @@ class _Live:
         child = stack.enter_context(SimChild(job))
         channels, clock = self._twin.channels, SystemClock()
         machine = stack.enter_context(EpicsMachine(channels, _network(child.port), clock))
-        self._slot = PolicySlot(self._build(self._twin.response_at(0), None))
+        self._slot = PolicySlot(self._build(self._twin.response_at(0)))
         history = History(channels, 4000)
         period = 1.0 / settings.rate_hz
         self._runner = Runner(
@@ -158,10 +161,11 @@ class _Live:
         )
         self._reports: list[RefitReport] = []
         if law == "ours":
-            learner = Learner(
-                self._twin.response_at(0), settings.learn, self._build, seed=settings.seed
+            build = builder(PolicySettings(svd=settings.policy))
+            learner = Learner(self._twin.response_at(0), settings.learn, build, seed=settings.seed)
+            thread = LearnerThread(
+                InlineTrainer(learner), history, self._slot, self._reports.append, poll=_POLL
             )
-            thread = LearnerThread(learner, history, self._slot, self._reports.append, poll=_POLL)
             thread.start()
             stack.callback(thread.stop)
         elif law == "told":
@@ -177,8 +181,8 @@ class _Live:
             self._true_rms, self._missed, runner.state, runner.reason, tuple(self._reports)
         )
 
-    def _build(self, response: Vector, covariance: Vector | None) -> SvdPolicy:
-        return SvdPolicy(response, self._settings.policy, covariance=covariance)
+    def _build(self, response: Vector) -> SvdPolicy:
+        return SvdPolicy(response, self._settings.policy)
 
     def _note(self, record: TickRecord) -> None:
         """Take a record; ends the run when the ring has made all its ticks."""
@@ -200,7 +204,7 @@ class _Live:
         while not self._done.wait(_POLL):
             if self._tick - told >= _TOLD_EVERY:
                 told = self._tick
-                self._slot.swap(self._build(self._twin.response_at(told), None))
+                self._slot.swap(self._build(self._twin.response_at(told)))
 
 
 def _network(port: int) -> EpicsSettings:

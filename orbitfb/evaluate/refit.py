@@ -24,6 +24,7 @@ from orbitfb.core.refit import Decision, RefitReport
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Vector
 from orbitfb.evaluate.simulate import ClosedLoop
+from orbitfb.learn.builders import builder
 from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.models.identify import Identifier
@@ -33,6 +34,7 @@ from orbitfb.models.rows import select_rows
 from orbitfb.physics.drift import DriftSettings
 from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import Plant, PlantSettings
+from orbitfb.policies.settings import PolicySettings
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 LAWS = ("told", "frozen", "naive", "ours")
@@ -170,8 +172,8 @@ def _run(
     def begin(policy: Policy) -> ClosedLoop:
         return ClosedLoop(plant(), policy, settings.ticks)
 
-    def law(response: Vector, covariance: Vector | None = None) -> SvdPolicy:
-        return SvdPolicy(response, settings.policy, covariance=covariance)
+    def law(response: Vector) -> SvdPolicy:
+        return SvdPolicy(response, settings.policy)
 
     truth = law(plant().response)
     baseline = law(_first_response(settings, plant()))
@@ -188,7 +190,8 @@ def _run(
         return law(naive_least_squares(select_rows(recent, _TOLERANCE)))
 
     loops["naive"] = begin(baseline).run(naive, settings.naive_every)
-    learner = Learner(baseline.response, settings.learn, law, seed=settings.seed)
+    build = builder(PolicySettings(svd=settings.policy))
+    learner = Learner(baseline.response, settings.learn, build, seed=settings.seed)
     reports: list[RefitReport] = []
     loops["ours"] = begin(baseline).run(Supervision(learner, reports), settings.learn.check)
     return loops, learner, reports
@@ -226,7 +229,7 @@ class Supervision:
             return None
         self._refitted = loop.tick
         report, candidate = self._learner.refit(
-            new, loop.policy, "periodic" if due else "innovation"
+            new, loop.policy, "periodic" if due else "degradation"
         )
         self._reports.append(report)
         return candidate if report.decision is Decision.ACCEPTED else None

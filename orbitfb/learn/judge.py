@@ -1,4 +1,4 @@
-"""Judge a candidate against the incumbent: a pure function of both laws and of the model.
+"""Judge a candidate against the incumbent: a function of both laws and of the model.
 
 The one-step prediction error on the loop's own log is no criterion here: the reading noise sits
 in both the orbit and the change that answers it, so that it falls even for a refit that is wrong
@@ -8,17 +8,21 @@ rows, before they were used, were likelier under R̂ than under the incumbent's 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Vector
 from orbitfb.learn.settings import JudgeSettings
+from orbitfb.learn.simulation import BatchPolicy, Outcome, Scene, simulate
 from orbitfb.models.linear import LinearModel
 
 _WORST_RMS = 1.0
 _UM = 1e6
+_PROBES = 8
+_ROUNDING = 1e-6
+"""A law whose change differs by more from that of its gain is not linear."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,46 +54,126 @@ class Prediction:
 
 
 def judge(
-    candidate: Vector,
-    incumbent: Vector,
+    candidate: Policy,
+    incumbent: Policy,
     model: LinearModel,
     nats: float,
     settings: JudgeSettings,
     generator: np.random.Generator,
 ) -> Verdict:
-    """Compare two proportional laws a = −K e.
+    """Compare two laws.
+
+    Two proportional laws a = −K e are compared by the recursion of covariances. If one of them
+    is not linear, both are simulated; their gain at zero still tells the growth.
 
     Args:
-        candidate: K of the candidate, shape (m, n) [A/m].
-        incumbent: K of the incumbent, shape (m, n) [A/m].
+        candidate: The law that may act.
+        incumbent: The law to beat.
         model: The posterior of R and the noise.
         nats: Log-likelihood of the rows since the last judgement under R̂, each before it was
             used, over that under the incumbent's response.
         settings: Limits and margins.
-        generator: For the responses; both laws see the same ones.
+        generator: For the responses and the noise; both laws see the same ones.
     """
-    if not np.isfinite(candidate).all():
+    size = len(model.modes)
+    ours_gain, theirs_gain = gain_of(candidate, size), gain_of(incumbent, size)
+    if not np.isfinite(ours_gain).all():
         return Verdict(False, "the candidate's gain matrix is not finite", {})
     responses = [model.sample(generator) for _ in range(settings.samples)]
-    ours = predict_loop(candidate, responses, model, settings.horizon)
-    theirs = predict_loop(incumbent, responses, model, settings.horizon)
-    change = settings.change_orbit * float(np.linalg.norm(candidate) / np.sqrt(len(candidate)))
-    figures = {
+    ours = predict_loop(ours_gain, responses, model, settings.horizon)
+    theirs = predict_loop(theirs_gain, responses, model, settings.horizon)
+    figures = {"growth_candidate": ours.growth, "growth_incumbent": theirs.growth}
+    obstacle = None
+    at = settings.change_orbit
+    if not (is_linear(candidate, ours_gain, at) and is_linear(incumbent, theirs_gain, at)):
+        scene = Scene(
+            np.stack(responses),
+            model,
+            settings.simulated_ticks,
+            settings.change_orbit,
+            settings.recovery_ticks,
+            int(generator.integers(2**32)),
+        )
+        mine = simulate(_in_batches(candidate, ours_gain), scene)
+        others = simulate(_in_batches(incumbent, theirs_gain), scene)
+        ours, theirs = replace(ours, rms=mine.rms), replace(theirs, rms=others.rms)
+        figures |= {
+            "recovery_candidate": mine.left,
+            "recovery_incumbent": others.left,
+            "peak_candidate": mine.peak,
+        }
+        obstacle = _recovery(mine, others, settings)
+    change = _change_rms(candidate, ours_gain, settings, generator)
+    figures |= {
         "predicted_rms_candidate": ours.rms,
         "predicted_rms_incumbent": theirs.rms,
-        "growth_candidate": ours.growth,
-        "growth_incumbent": theirs.growth,
         "evidence": nats,
         "change_rms": change,
     }
+    if obstacle is not None:
+        return Verdict(False, obstacle, figures)
     accepted, reason = _decide(ours, theirs, change, nats, settings)
     return Verdict(accepted, reason, figures)
+
+
+def is_linear(policy: Policy, gain: Vector, amplitude: float) -> bool:
+    """Say whether a policy is its gain matrix, up to an amplitude.
+
+    Args:
+        policy: One that cannot decide in batches counts as linear.
+        gain: Its gain at zero, shape (m, n) [A/m].
+        amplitude: White orbit error at which it is asked, rms [m].
+    """
+    if not isinstance(policy, BatchPolicy):
+        return True
+    errors = amplitude * np.random.default_rng(0).standard_normal((_PROBES, gain.shape[1]))
+    expected = -(errors @ gain.T)
+    off = float(np.linalg.norm(policy.changes(errors) - expected))
+    return off <= _ROUNDING * float(np.linalg.norm(expected))
+
+
+def _in_batches(policy: Policy, gain: Vector) -> BatchPolicy:
+    return policy if isinstance(policy, BatchPolicy) else _Proportional(gain)
+
+
+@dataclass(frozen=True, slots=True)
+class _Proportional:
+    gain: Vector
+
+    def changes(self, errors: Vector) -> Vector:
+        return -(errors @ self.gain.T)
+
+
+def _change_rms(
+    policy: Policy, gain: Vector, settings: JudgeSettings, generator: np.random.Generator
+) -> float:
+    """Give the change that a white orbit error of `change_orbit` makes, rms [A]."""
+    if not isinstance(policy, BatchPolicy):
+        return settings.change_orbit * float(np.linalg.norm(gain) / np.sqrt(len(gain)))
+    errors = settings.change_orbit * generator.standard_normal((_PROBES, gain.shape[1]))
+    return float(np.sqrt(np.mean(_in_batches(policy, gain).changes(errors) ** 2)))
+
+
+def _recovery(ours: Outcome, theirs: Outcome, settings: JudgeSettings) -> str | None:
+    """Say why the candidate may not answer a kick; None: it may."""
+    kick = f"a kick of {settings.change_orbit * _UM:.0f} µm"
+    if ours.peak > settings.highest_peak and ours.peak > theirs.peak:
+        return (
+            f"after {kick} the orbit would grow to {ours.peak:.3g} times the kick on a response "
+            f"that the data allow (incumbent {theirs.peak:.3g}, limit {settings.highest_peak:.3g})"
+        )
+    if ours.left > settings.slowest_recovery and ours.left > theirs.left:
+        return (
+            f"{settings.recovery_ticks} ticks after {kick} {ours.left:.3g} of it would be left "
+            f"(incumbent {theirs.left:.3g}, limit {settings.slowest_recovery:.3g})"
+        )
+    return None
 
 
 def _decide(
     ours: Prediction, theirs: Prediction, change: float, nats: float, settings: JudgeSettings
 ) -> tuple[bool, str]:
-    if change > settings.change_limit:
+    if not change <= settings.change_limit:
         return False, (
             f"an orbit error of {settings.change_orbit * _UM:.0f} µm would change the setpoints "
             f"by {change:.3g} A rms, more than {settings.change_limit:.3g} A"
@@ -108,7 +192,7 @@ def _decide(
         f"predicted true orbit {_in_words(ours.rms)} against {_in_words(theirs.rms)} of the "
         "incumbent"
     )
-    if ours.rms > theirs.rms * (1.0 - settings.margin):
+    if not ours.rms <= theirs.rms * (1.0 - settings.margin):
         return False, f"{compared}: not better by {100 * settings.margin:.1f} %"
     return True, f"{compared}: better by {100 * (1 - ours.rms / theirs.rms):.1f} %"
 

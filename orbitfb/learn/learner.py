@@ -8,17 +8,17 @@ import numpy as np
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.ports import Clock, Policy
-from orbitfb.core.refit import Decision, RefitReport
+from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
-from orbitfb.learn.judge import Verdict, gain_of, judge
+from orbitfb.learn.judge import Verdict, judge
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.models.identify import Absorbed, Identifier
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.rows import Rows, select_rows
 
-Build = Callable[[Vector, Vector | None], Policy]
-"""Makes a policy of a response, shape (n, m) [m/A], and the covariance of its rows, (m, m)."""
+Build = Callable[[LinearModel, Policy], Policy]
+"""Makes a candidate of the posterior and of the incumbent."""
 
 
 class Learner:
@@ -29,7 +29,7 @@ class Learner:
     Args:
         response: R̂ to begin with, shape (n, m) [m/A].
         settings: How to identify and to judge.
-        build: Makes a candidate; gets the covariance when `cautious`, else None.
+        build: Makes a candidate.
         clock: For the reports.
         seed: Of the responses that the judge draws.
     """
@@ -50,6 +50,8 @@ class Learner:
         self._generator = np.random.default_rng(seed)
         self._number = 0
         self._since = _Since(None)
+        self._alarm: Alarm | None = None
+        self._degraded = False
 
     @property
     def model(self) -> LinearModel:
@@ -73,13 +75,42 @@ class Learner:
         """
         if self._since.policy_id != incumbent.policy_id:
             self._since = _Since(incumbent.policy_id)
+            self.watch_afresh()
         rows = select_rows(transitions, self.settings.tolerance)
         if self.last_tick is not None:
             known = int(np.searchsorted(rows.tick, self.last_tick, side="right"))
             rows = replace(rows.take(known), left_out=rows.left_out)
         absorbed = self._identifier.absorb(rows, self._response_of(incumbent))
         self._since.add(rows, absorbed)
+        self._look(absorbed)
         return absorbed
+
+    @property
+    def degraded(self) -> bool:
+        """Whether the incumbent's response is not the ring's, and there is enough to refit from."""
+        return self._degraded and self._obstacle(self._since) is None
+
+    def take_alarm(self) -> Alarm | None:
+        """Give a new alarm once."""
+        alarm, self._alarm = self._alarm, None
+        return alarm
+
+    def watch_afresh(self) -> None:
+        """Begin the watch for a degradation anew."""
+        self._degraded = False
+
+    def _look(self, absorbed: Absorbed) -> None:
+        limit = self.settings.chi2_trigger
+        if absorbed.rows == 0 or self._degraded or not absorbed.chi2_other > limit:
+            return
+        self._degraded = True
+        self._alarm = Alarm(
+            self.last_tick or 0,
+            AlarmCause.SURPRISE,
+            float(absorbed.rows),
+            absorbed.chi2_other,
+            limit,
+        )
 
     def refit(
         self, transitions: Transitions, incumbent: Policy, trigger: str
@@ -89,7 +120,7 @@ class Learner:
         Args:
             transitions: May begin with rows that were taken in before.
             incumbent: The policy to beat.
-            trigger: `periodic`, `on-demand` or `innovation`; goes into the report.
+            trigger: `periodic`, `on-demand` or `degradation`; goes into the report.
 
         Returns:
             The report (ACCEPTED: may be put in force; REFUSED) and the candidate; None when no
@@ -100,10 +131,27 @@ class Learner:
         """
         began = self._clock.monotonic()
         self.absorb(transitions, incumbent)
+        return self.conclude(incumbent, trigger, began)
+
+    def conclude(
+        self, incumbent: Policy, trigger: str, began: float | None = None
+    ) -> tuple[RefitReport, Policy | None]:
+        """Build a candidate from what was taken in and judge it; see `refit`.
+
+        Args:
+            incumbent: The policy to beat.
+            trigger: Goes into the report.
+            began: When the work began, monotonic [s]; None: now.
+
+        Raises:
+            EstimationError: No row has ever been fit to learn from; says why.
+        """
+        began = self._clock.monotonic() if began is None else began
         since = self._since
+        self._degraded = False
         if self.last_tick is None:
             raise EstimationError(
-                f"none of {len(transitions)} transitions can be used to identify the response "
+                "none of the transitions can be used to identify the response "
                 f"({_counts(since.left_out)}); record with the loop CLOSED and readbacks that "
                 "follow the setpoints"
             )
@@ -111,12 +159,10 @@ class Learner:
         candidate, verdict = None, self._obstacle(since)
         if verdict is None:
             model = self.model
-            covariance = model.row_covariance if self.settings.cautious else None
-            candidate = self._build(model.response, covariance)
-            size = len(model.modes)
+            candidate = self._build(model, incumbent)
             verdict = judge(
-                gain_of(candidate, size),
-                gain_of(incumbent, size),
+                candidate,
+                incumbent,
                 model,
                 since.take_nats(),
                 self.settings.judge,
@@ -136,27 +182,6 @@ class Learner:
             duration=self._clock.monotonic() - began,
         )
         return report, candidate
-
-    def rolled_back(self, left: Policy, restored: Policy, reason: str) -> RefitReport:
-        """Report that a promoted policy was taken out of force again."""
-        self._number += 1
-        return RefitReport(
-            number=self._number,
-            time=self._clock.wall(),
-            trigger="watch",
-            rows=self._since.rows,
-            decision=Decision.ROLLED_BACK,
-            reason=reason,
-            policy_id=left.policy_id,
-            incumbent_id=restored.policy_id,
-            figures={},
-            duration=0.0,
-        )
-
-    def failed(self, trigger: str, incumbent: Policy, reason: str) -> RefitReport:
-        """Report a refit that came to nothing."""
-        refused = self.rolled_back(incumbent, incumbent, reason)
-        return replace(refused, trigger=trigger, decision=Decision.REFUSED)
 
     def _obstacle(self, since: "_Since") -> Verdict | None:
         if since.rows < self.settings.minimum_rows:

@@ -21,6 +21,30 @@ class JudgeSettings(Settings):
         le=8192,
         description="Ticks ahead for which the orbit is predicted [ticks].",
     )
+    simulated_ticks: int = Field(
+        default=160,
+        ge=16,
+        le=8192,
+        description="Ticks at rest for which a law that is not linear is simulated [ticks].",
+    )
+    recovery_ticks: int = Field(
+        default=12,
+        ge=1,
+        le=1024,
+        description="Ticks after a kick for which a law that is not linear is simulated [ticks].",
+    )
+    slowest_recovery: float = Field(
+        default=0.5,
+        gt=0.0,
+        description="Largest part of a kick that may be left after `recovery_ticks`, unless the "
+        "incumbent leaves more [1].",
+    )
+    highest_peak: float = Field(
+        default=2.0,
+        gt=0.0,
+        description="Largest orbit after a kick over the kick, unless the incumbent makes a "
+        "larger one [1].",
+    )
     margin: float = Field(
         default=0.002,
         ge=0.0,
@@ -43,7 +67,29 @@ class JudgeSettings(Settings):
     change_orbit: float = Field(
         default=100e-6,
         gt=0.0,
-        description="White orbit error at which `change_limit` holds, rms [m].",
+        description="White orbit error at which `change_limit` holds; also the kick of the "
+        "simulation, rms [m].",
+    )
+
+
+class ShadowSettings(Settings):
+    """What a candidate must show beside the incumbent, on live orbits, before it acts."""
+
+    ticks: int = Field(
+        default=20,
+        ge=0,
+        description="Closed ticks for which an accepted candidate runs in shadow [ticks]; 0: none.",
+    )
+    margin: float = Field(
+        default=0.05,
+        ge=0.0,
+        description="By how much the orbit that it would have made may be larger than that of the "
+        "incumbent, rms, a ratio [1].",
+    )
+    patience: float = Field(
+        default=20.0,
+        gt=0.0,
+        description="How long a candidate waits for the next closed tick before it is dropped [s].",
     )
 
 
@@ -66,8 +112,10 @@ class LearnSettings(Settings):
         description="Mean squared normalised innovation of the running policy's response that "
         "brings a refit forward [1].",
     )
-    cautious: bool = Field(
-        default=True, description="Whether the uncertainty of R̂ lowers the gain of the candidate."
+    process: bool = Field(
+        default=True,
+        description="Whether the arithmetic has a process of its own, so that it cannot disturb "
+        "the tick.",
     )
     tolerance: float = Field(
         default=0.05,
@@ -91,3 +139,6 @@ class LearnSettings(Settings):
         default=IdentifySettings(), description="Identification of R̂: prior, drift, noise."
     )
     judge: JudgeSettings = Field(default=JudgeSettings(), description="Acceptance of candidates.")
+    shadow: ShadowSettings = Field(
+        default=ShadowSettings(), description="Trial of accepted candidates on live orbits."
+    )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from orbitfb.core.settings import Settings
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 
 
 class DitherKind(StrEnum):
@@ -50,10 +50,15 @@ class Dither:
         settings: Cost, kind, seed.
         response: R, shape (n, m) [m/A].
         gain: Of the feedback, 0 to below 2.
+        movable: Correctors that it may move, shape (m,); None: all.
     """
 
     def __init__(
-        self, settings: DitherSettings, response: NDArray[np.float64], gain: float = 0.0
+        self,
+        settings: DitherSettings,
+        response: NDArray[np.float64],
+        gain: float = 0.0,
+        movable: Mask | None = None,
     ) -> None:
         n, m = response.shape
         per_ampere = float(np.linalg.norm(response)) / np.sqrt(n)
@@ -61,6 +66,7 @@ class Dither:
         self._amplitude = settings.orbit_cost / per_ampere * float(np.sqrt(1.0 - gain / 2.0))
         self._random = np.random.default_rng(settings.seed)
         self._excursion = np.zeros(m)
+        self._movable = np.ones(m, dtype=np.bool_) if movable is None else movable
 
     @classmethod
     def off(cls, correctors: int) -> Self:
@@ -90,7 +96,7 @@ class Dither:
             aim = self._amplitude * self._random.standard_normal(m)
         else:
             aim = self._amplitude * (2.0 * self._random.integers(0, 2, m) - 1.0)
-        return aim - self._excursion
+        return self._movable * aim - self._excursion
 
     def settle(self, change: Vector) -> None:
         """Note the part of a proposed change that was written, shape (m,) [A]."""

@@ -6,7 +6,7 @@ import numpy as np
 import structlog
 
 from orbitfb.core.ports import Clock
-from orbitfb.core.refit import Decision, RefitReport
+from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.signals import Channels, LoopState, Mask, TickRecord
 
 SEVERITY = {
@@ -97,7 +97,19 @@ class EventLog:
             incumbent=report.incumbent_id,
             rows=report.rows,
             duration=report.duration,
+            stage=report.stage,
             figures=dict(report.figures),
+        )
+
+    def alarmed(self, alarm: Alarm) -> None:
+        """Take an alarm of the learner; called in the learner's thread."""
+        self._learner_log.warning(
+            "model_degraded",
+            tick=alarm.tick,
+            cause=alarm.cause,
+            delay=alarm.delay,
+            statistic=alarm.statistic,
+            threshold=alarm.threshold,
         )
 
     def _log_state(self, record: TickRecord) -> None:

@@ -84,6 +84,7 @@ def _samples(
     """Return the samples of all gauges and counters by name of the metric."""
     orbit, ticks, correctors = snapshot.orbit, snapshot.ticks, snapshot.correctors
     auxiliary, refit = snapshot.auxiliary, snapshot.last_refit
+    alarm = snapshot.last_alarm
     return {
         "orbitfb_loop_state": [
             ((state.value,), float(state is snapshot.state)) for state in LoopState
@@ -116,6 +117,10 @@ def _samples(
         "orbitfb_refits_total": [
             ((decision.value,), count) for decision, count in snapshot.refits.items()
         ],
+        "orbitfb_alarms_total": [
+            ((cause.value,), count) for cause, count in snapshot.alarms.items()
+        ],
+        "orbitfb_last_alarm_delay_ticks": _one(alarm.delay) if alarm else (),
         "orbitfb_last_refit_timestamp_seconds": _one(refit.time) if refit else (),
         "orbitfb_last_refit_duration_seconds": _one(refit.duration) if refit else (),
         "orbitfb_last_refit_rows": _one(refit.rows) if refit else (),

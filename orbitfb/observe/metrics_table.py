@@ -179,6 +179,20 @@ LEARNING = (
         "Candidates by what became of them: promoted, refused, rolled_back.",
     ),
     Metric(
+        "orbitfb_alarms_total",
+        "counter",
+        "",
+        ("cause",),
+        "How often the running model no longer explained the orbits, by cause.",
+    ),
+    Metric(
+        "orbitfb_last_alarm_delay_ticks",
+        "gauge",
+        "ticks",
+        (),
+        "Ticks from the change to the last such alarm, as far as its statistic can tell.",
+    ),
+    Metric(
         "orbitfb_last_refit_timestamp_seconds",
         "gauge",
         "seconds",

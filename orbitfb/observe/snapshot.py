@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from orbitfb.core.refit import Decision, RefitReport
+from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.core.signals import LoopState, Phases
 
 
@@ -113,7 +113,7 @@ class Happening:
     Args:
         number: Count since the start, from 1.
         time: Wall clock [s since the epoch].
-        kind: `state`, `policy`, `refit`, `archive` or `ring`.
+        kind: `state`, `policy`, `refit`, `alarm`, `archive` or `ring`.
         text: What happened, in a few words.
     """
 
@@ -142,6 +142,8 @@ class LoopSnapshot:
         swaps: How often the policy changed.
         refits: Reports by decision.
         last_refit: The last report, if there was one.
+        alarms: Alarms of the learner by cause.
+        last_alarm: The last one, if there was one.
         happenings: The last few, oldest first.
     """
 
@@ -159,6 +161,8 @@ class LoopSnapshot:
     swaps: int
     refits: Mapping[Decision, int]
     last_refit: RefitReport | None
+    alarms: Mapping[AlarmCause, int]
+    last_alarm: Alarm | None
     happenings: tuple[Happening, ...] = field(default=())
 
     @property

@@ -7,7 +7,7 @@ from collections import Counter, deque
 import numpy as np
 
 from orbitfb.core.ports import Clock
-from orbitfb.core.refit import Decision, RefitReport
+from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, TickRecord, Vector
 from orbitfb.observe.snapshot import (
     CorrectorFigures,
@@ -87,6 +87,8 @@ class LoopStatistics:
 
         self._refits: Counter[Decision] = Counter()
         self._last_refit: RefitReport | None = None
+        self._alarms: Counter[AlarmCause] = Counter()
+        self._last_alarm: Alarm | None = None
         self._happenings: deque[Happening] = deque(maxlen=KEPT_HAPPENINGS)
         self._happened = 0
 
@@ -111,6 +113,13 @@ class LoopStatistics:
             self._last_refit = report
             word = report.decision.value.replace("_", " ")
             self._note("refit", f"{report.policy_id} {word}: {report.reason}")
+
+    def alarmed(self, alarm: Alarm) -> None:
+        """Take an alarm of the learner; called in the learner's thread."""
+        with self._lock:
+            self._alarms[alarm.cause] += 1
+            self._last_alarm = alarm
+            self._note("alarm", f"{alarm.cause}: {alarm.statistic:.3g} above {alarm.threshold:.3g}")
 
     def happened(self, kind: str, text: str) -> None:
         """Note something that people want to know; called from any thread.
@@ -146,6 +155,8 @@ class LoopStatistics:
             age, in_state = monotonic - self._last_monotonic, monotonic - self._state_since
             wall, stamp = self._last_wall, self._stamp
             last_refit, happenings = self._last_refit, tuple(self._happenings)
+            alarms = {cause: self._alarms[cause] for cause in AlarmCause}
+            last_alarm = self._last_alarm
         period, jitter = mean_and_deviation(intervals)
         p50, p99 = percentiles(latencies, 50.0, 99.0)
         worst, worst_bpm = self._worst(last)
@@ -175,6 +186,8 @@ class LoopStatistics:
             swaps=swaps,
             refits={decision: refits.get(decision, 0) for decision in Decision},
             last_refit=last_refit,
+            alarms=alarms,
+            last_alarm=last_alarm,
             happenings=happenings,
         )
 

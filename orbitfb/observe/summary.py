@@ -63,6 +63,7 @@ def summary(snapshot: LoopSnapshot) -> dict[str, Any]:
         "promotions": refits[Decision.PROMOTED],
         "refusals": refits[Decision.REFUSED],
         "roll_backs": refits[Decision.ROLLED_BACK],
+        "alarms": snapshot.alarms,
         "last_refit": None
         if snapshot.last_refit is None
         else {

@@ -226,7 +226,7 @@ def test_what_is_shown_is_accepted_and_says_the_same(changed: bool, tmp_path: Pa
         "ORBITFB_SEED": "7",
         "ORBITFB_RING__PLACES": 'a "quoted" \\ µ.csv',
         "ORBITFB_LOOP__TRIP_AFTER": "3.5",
-        "ORBITFB_POLICY__REGULARISATION": "1e-300",
+        "ORBITFB_POLICY__SVD__REGULARISATION": "1e-300",
         "ORBITFB_EPICS__AUXILIARY": '{ "a b" = { pv = "X:{Y}", scale = -2.5e-3 } }',
         "ORBITFB_OBSERVE__ENABLED": "false",
         "ORBITFB_PLANT__DRIFT__PRESET": "paper",

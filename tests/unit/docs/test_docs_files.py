@@ -122,7 +122,7 @@ def test_summary(tables):
     made = summary(statistics.snapshot())
     keys = set()
     for name, value in made.items():
-        deep = isinstance(value, dict) and name not in ("last_refit", "state_entries")
+        deep = isinstance(value, dict) and name not in ("last_refit", "alarms", "state_entries")
         keys |= {f"{name}.{inner}" for inner in value} if deep else {name}
     assert set(tables["Summary"]["key"]) == keys
     last = set(re.findall(r"`(\w+)`", tables["Summary"]["key"]["last_refit"][0]))
@@ -172,7 +172,7 @@ def test_refit_report_and_its_figures(tables):
     learner = Learner(
         RESPONSE,
         LearnSettings(),
-        lambda response, covariance: SvdPolicy(response, SvdSettings(), covariance=covariance),
+        lambda model, _: SvdPolicy(model.response, SvdSettings(), covariance=model.row_covariance),
     )
     made, _ = learner.refit(transitions(), policy, "on-demand")
     assert set(tables["Refit report"]["key"]) == set(asdict(made))

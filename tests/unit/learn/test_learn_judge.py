@@ -29,10 +29,17 @@ RESPONSE = 1e-3 * np.diag([3.0, 1.0, 0.5, 0.2])
 GOOD = 0.5 * np.linalg.inv(RESPONSE)
 
 
+class Proportional:
+    policy_id = "proportional"
+
+    def __init__(self, gain):
+        self.gain_matrix = gain
+
+
 def verdict(candidate, incumbent, nats=0.0, settings=None, sigma=1e-9):
     return judge(
-        candidate,
-        incumbent,
+        Proportional(candidate),
+        Proportional(incumbent),
         model(RESPONSE, sigma),
         nats,
         settings or JudgeSettings(),

@@ -18,8 +18,12 @@ from orbitfb.policies.svd import SvdPolicy, SvdSettings
 RING = Ring.load()
 
 
-def build(response, covariance):
-    return SvdPolicy(response, SvdSettings(), covariance=covariance)
+def law(response):
+    return SvdPolicy(response, SvdSettings())
+
+
+def build(model, incumbent):
+    return SvdPolicy(model.response, SvdSettings(), covariance=model.row_covariance)
 
 
 def learner_from(response, **settings):
@@ -33,13 +37,13 @@ def truth():
 
 @pytest.fixture(scope="module")
 def right(truth):
-    return ClosedLoop(Plant(RING, seed=1), build(truth, None), 400).run()
+    return ClosedLoop(Plant(RING, seed=1), law(truth), 400).run()
 
 
 @pytest.fixture(scope="module")
 def wrong(truth):
     """A loop whose response is far too small, so that it overshoots."""
-    return ClosedLoop(Plant(RING, seed=1), build(0.4 * truth, None), 400).run()
+    return ClosedLoop(Plant(RING, seed=1), law(0.4 * truth), 400).run()
 
 
 def test_the_right_law_is_not_replaced_by_a_worse_one(truth, right):

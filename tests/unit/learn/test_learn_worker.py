@@ -8,6 +8,7 @@ from orbitfb.core.refit import Decision
 from orbitfb.evaluate.simulate import ClosedLoop
 from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
+from orbitfb.learn.trainer import InlineTrainer
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.physics.places import Ring
@@ -17,8 +18,12 @@ from orbitfb.policies.svd import SvdPolicy, SvdSettings
 RING = Ring.load()
 
 
-def build(response, covariance):
-    return SvdPolicy(response, SvdSettings(), covariance=covariance)
+def law(response):
+    return SvdPolicy(response, SvdSettings())
+
+
+def build(model, incumbent):
+    return SvdPolicy(model.response, SvdSettings(), covariance=model.row_covariance)
 
 
 class Bench:
@@ -27,13 +32,23 @@ class Bench:
     def __init__(self, factor=1.0, ticks=2000, **settings):
         plant = Plant(RING, seed=2)
         truth = plant.response
-        self.slot = PolicySlot(build(factor * truth, None))
+        self.slot = PolicySlot(law(factor * truth))
         self.loop = ClosedLoop(plant, self.slot.current, ticks)
         self.reports, self.kept = [], []
-        chosen = {"identify": {"prior_relative": 0.02 if factor == 1.0 else 1.0}} | settings
-        learner = Learner(factor * truth, LearnSettings(**chosen), build, ManualClock())
+        chosen = {
+            "identify": {"prior_relative": 0.02 if factor == 1.0 else 1.0},
+            "shadow": {"ticks": 0},
+        }
+        settings = LearnSettings(**chosen | settings)
+        self.learner = Learner(factor * truth, settings, build, ManualClock())
+        self.clock = ManualClock()
         self.thread = LearnerThread(
-            learner, self, self.slot, self.reports.append, lambda *kept: self.kept.append(kept)
+            InlineTrainer(self.learner),
+            self,
+            self.slot,
+            self.reports.append,
+            lambda *kept: self.kept.append(kept),
+            clock=self.clock,
         )
 
     def snapshot(self, last=None, since_tick=None):
@@ -55,7 +70,7 @@ def test_periodic_refit_promotes_a_better_law_and_keeps_it():
     assert promoted and promoted[0].policy_id == bench.kept[0][0].policy_id
     assert bench.slot.swaps == len(promoted)
     assert bench.slot.current.policy_id == promoted[-1].policy_id
-    assert {r.trigger for r in bench.reports} <= {"periodic", "innovation"}
+    assert {r.trigger for r in bench.reports} <= {"periodic", "degradation"}
 
 
 def test_refits_come_at_the_chosen_interval():
@@ -69,12 +84,12 @@ def test_a_surprise_brings_the_refit_forward():
     bench.advance(200)
     assert bench.reports == []
     bench.loop.plant.kick(0.0)
-    wrong = build(bench.loop.plant.response * 1.5, None)
+    wrong = law(bench.loop.plant.response * 1.5)
     bench.slot.swap(wrong)
     bench.loop.policy = wrong
     bench.loop.plant.kick(50e-6)
     bench.advance(60)
-    assert bench.reports and bench.reports[0].trigger == "innovation"
+    assert bench.reports and bench.reports[0].trigger == "degradation"
 
 
 def test_on_demand_without_activation_changes_nothing():
@@ -101,7 +116,7 @@ def test_rolls_back_when_the_orbit_gets_worse():
     bench.thread.step()
     assert bench.slot.current is not before
     # What no judge can know: the promoted law meets a ring that it makes unstable.
-    bench.loop.policy = build(-bench.loop.plant.response, None)
+    bench.loop.policy = law(-bench.loop.plant.response)
     bench.loop.advance(20)
     bench.thread.step()
     assert bench.slot.current is before
@@ -116,7 +131,7 @@ def test_does_not_roll_back_over_an_operators_choice():
     bench.advance(400)
     bench.thread.request()
     bench.thread.step()
-    chosen = build(-bench.loop.plant.response, None)
+    chosen = law(-bench.loop.plant.response)
     bench.slot.swap(chosen)
     bench.loop.policy = chosen
     bench.loop.advance(20)
@@ -132,8 +147,7 @@ def test_a_good_swap_is_kept():
 
 def test_a_failure_is_a_refused_report_and_not_the_end(monkeypatch):
     bench = Bench(every=20)
-    learner = bench.thread._learner
-    monkeypatch.setattr(learner, "refit", lambda *_: 1 / 0)
+    monkeypatch.setattr(bench.learner, "conclude", lambda *_: 1 / 0)
     bench.advance(100)
     assert bench.reports[-1].decision is Decision.REFUSED
     assert "ZeroDivisionError" in bench.reports[-1].reason

@@ -9,7 +9,7 @@ from prometheus_client.exposition import choose_encoder
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as open_families
 from prometheus_client.parser import text_string_to_metric_families
 
-from orbitfb.core.refit import Decision
+from orbitfb.core.refit import Alarm, AlarmCause, Decision
 from orbitfb.core.signals import LoopState
 from orbitfb.history.archive import ArchiveStatus
 from orbitfb.observe.metrics import metrics_registry
@@ -31,6 +31,7 @@ def full(statistics, clock):
         auxiliary={"current": 0.4, "rf_frequency": 499.68e6},
     )
     statistics.refitted(report(Decision.PROMOTED, model_change=0.1))
+    statistics.alarmed(Alarm(20, AlarmCause.DRIFT, 7.0, 20.0, 15.0))
     return statistics
 
 

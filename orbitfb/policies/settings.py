@@ -1,0 +1,34 @@
+"""Configuration of the policy that runs and of the candidates of every refit."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from orbitfb.core.settings import Settings
+from orbitfb.policies.modal import ModalSettings
+from orbitfb.policies.network import NetworkSettings
+from orbitfb.policies.svd import SvdSettings
+from orbitfb.policies.trajectory_settings import FineTuneSettings
+
+PolicyKind = Literal["svd", "modal", "network", "supervised", "trajectory"]
+
+
+class PolicySettings(Settings):
+    """Which law runs, and of which refits make candidates."""
+
+    kind: PolicyKind = Field(
+        default="svd",
+        description="svd: the linear baseline; modal: a gain for every mode from its noise; "
+        "network: the same law in the paper's network; supervised: the network, trained on the "
+        "answers of that law; trajectory: the network, improved by trajectory optimisation.",
+    )
+    cautious: bool = Field(
+        default=True, description="Whether the uncertainty of R̂ lowers the gain of a candidate."
+    )
+    svd: SvdSettings = Field(default=SvdSettings(), description="The linear baseline.")
+    modal: ModalSettings = Field(default=ModalSettings(), description="The noise-aware law.")
+    network: NetworkSettings = Field(default=NetworkSettings(), description="The network.")
+    fine_tune: FineTuneSettings = Field(
+        default=FineTuneSettings(),
+        description="Trajectory optimisation of a candidate from the incumbent's weights.",
+    )
