@@ -92,4 +92,4 @@ def evaluate_paper_command(
     result = evaluate_paper(settings, out / "parts", workers, scheduler, tell)
     write(result, out)
     print((out / "table.md").read_text(encoding="utf-8"))
-    print(f"written: {out / 'table.json'}, {out / 'table.md'}")
+    print(f"written: {out / 'table.json'}, {out / 'table.md'}, {out / 'index.html'}")

@@ -70,6 +70,21 @@ METHODS: Mapping[str, Method] = {
         cost=45.0,
         on_device=True,
     ),
+    "naive-refit": Method(
+        "SVD law on naive least squares, every 500 ticks",
+        "naive:NaiveRefit",
+        static=False,
+        quick=False,
+        cost=80.0,
+    ),
+    "model-based-rl-verbatim": Method(
+        "network, Algorithm 1 and naive least squares, verbatim",
+        "naive:Verbatim",
+        static=False,
+        quick=False,
+        cost=600.0,
+        on_device=True,
+    ),
     "true-response": Method(
         "knows R_t: the bound", "bound:TrueResponse", static=False, whole=True, cost=25.0
     ),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from orbitfb.evaluate.campaign import run_tasks
+from orbitfb.evaluate.paper.bias import GAINS
 from orbitfb.evaluate.paper.environment import Controller, Environment, simulate
 from orbitfb.evaluate.paper.methods import GRID, HINDSIGHT, METHODS, find_method
 from orbitfb.evaluate.paper.metrics import Summary, combine, figures, summarise
@@ -18,6 +19,7 @@ from orbitfb.evaluate.pool.task import Task
 _SMALLEST_PART = 16
 _PARTS = 8
 _SEARCHED = 8
+_BIAS_TICKS = 5000
 
 Progress = Callable[[str, int, int], None]
 """Told what is done, how many tasks of it, of how many."""
@@ -46,11 +48,13 @@ class PaperResult:
         settings: What was asked for.
         scenarios: By name, in the order of the table.
         methods: By scenario and method.
+        bias: `bias.naive_bias` for every gain.
     """
 
     settings: PaperSettings
     scenarios: Mapping[str, Scenario]
     methods: Mapping[str, Mapping[str, MethodResult]]
+    bias: Sequence[Mapping[str, float]]
 
 
 def evaluate_paper(
@@ -92,7 +96,9 @@ def evaluate_paper(
         )
 
     parts: dict[tuple[str, str], list[dict[str, Any]]] = {cell: [] for cell in cells}
-    for cell, part in zip(owners, run("runs", tasks), strict=True):
+    done = run("runs", [*tasks, *(_bias_task(settings, gain) for gain in GAINS)])
+    bias = done[len(tasks) :]
+    for cell, part in zip(owners, done, strict=False):
         parts[cell].append(part)
     options = {
         cell: _best(scenarios[cell[0]], parts[cell]) for cell in cells if cell[1] == HINDSIGHT
@@ -108,7 +114,7 @@ def evaluate_paper(
     for scenario, method in cells:
         cell = (scenario, method)
         methods[scenario][method] = _result(scenarios[scenario], parts[cell], options.get(cell, {}))
-    return PaperResult(settings, scenarios, methods)
+    return PaperResult(settings, scenarios, methods, bias)
 
 
 def run_part(
@@ -189,6 +195,16 @@ def _parts(
     size = total if chosen.whole else max(_SMALLEST_PART, -(-total // _PARTS))
     cuts = [(first, min(size, total - first)) for first in range(0, total, size)]
     return [_task(settings, scenario, method, cut, options) for cut in cuts]
+
+
+def _bias_task(settings: PaperSettings, gain: float) -> Task:
+    arguments = {
+        "gain": gain,
+        "plane": settings.plane,
+        "seed": settings.seed,
+        "ticks": min(_BIAS_TICKS, settings.steps),
+    }
+    return Task("orbitfb.evaluate.paper.bias:naive_bias", arguments)
 
 
 def _search(settings: PaperSettings, scenario: str) -> list[Task]:

@@ -23,6 +23,9 @@ PAPER: Mapping[str, Mapping[str, float | None]] = {
 
 OURS = "model-based-rl"
 
+BIAS = "naive refit"
+"""Stands for a scenario: what the naive estimate makes of a loop at its noise floor."""
+
 Found = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """Figures by scenario and method."""
 
@@ -94,7 +97,10 @@ TARGETS: tuple[Target, ...] = (
     Target("E1", "supervised-right", "min_rms_mm", 1.1, over="svd"),
     Target("E1", "supervised-right", "final_rms_mm", 1.1, over="svd"),
     Target("E1", "supervised-right", "steps_to_0p05", 1.1, over="svd"),
+    Target(BIAS, "gain 1", "bias", 1.1, 0.9),
+    Target(BIAS, "gain 0.3", "bias", 1.1, 0.9),
     Target("s3", "model-based-rl-verbatim", "diverged", smallest=1),
+    Target("s3", "naive-refit", "diverged", smallest=1),
     *_floor("E1", final_true_rms_mm=0.035e-3, steps_to_0p05=1),
     Target("E1", f"{OURS}-memoryless", "final_true_rms_mm", 0.05e-3),
     *_floor("E2", final_true_rms_mm=0.035e-3, steps_to_0p05=2, steps_to_0p05_worst=4),

@@ -1,12 +1,18 @@
-"""What the experiment leaves behind: `table.json`, `table.md`."""
+"""What the experiment leaves behind: table, figures and page."""
 
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from orbitfb.core.errors import ConfigError
+from orbitfb.evaluate.paper.modes_picture import draw_modes
+from orbitfb.evaluate.paper.page import page
+from orbitfb.evaluate.paper.pictures import draw_orbits, draw_training
 from orbitfb.evaluate.paper.run import PaperResult
 from orbitfb.evaluate.paper.table import document, markdown
+
+_SHORT = 500
 
 
 def prepare(directory: Path) -> None:
@@ -27,7 +33,7 @@ def prepare(directory: Path) -> None:
 
 
 def write(result: PaperResult, directory: Path) -> dict[str, Any]:
-    """Write everything.
+    """Write `table.json`, `table.md`, the figures and `index.html`.
 
     Args:
         result: What was run.
@@ -40,4 +46,44 @@ def write(result: PaperResult, directory: Path) -> dict[str, Any]:
     text = json.dumps(table, indent=1, allow_nan=False)
     (directory / "table.json").write_text(text + "\n", encoding="utf-8")
     (directory / "table.md").write_text(markdown(table), encoding="utf-8")
+    pictures = _draw(result, directory)
+    (directory / "index.html").write_text(page(table, pictures), encoding="utf-8")
     return table
+
+
+def _draw(result: PaperResult, directory: Path) -> dict[str, Path]:
+    """Draw all figures; a caption begins with the scenario that it belongs to."""
+    pictures: dict[str, Path] = {}
+
+    def add(caption: str, name: str, draw: Callable[[Path], None]) -> None:
+        path = directory / name
+        draw(path)
+        pictures[caption] = path
+
+    for name, methods in result.methods.items():
+        scenario = result.scenarios[name]
+        add(
+            f"{name}: the first {min(_SHORT, scenario.steps)} ticks",
+            f"{name}-short.png",
+            lambda path, s=scenario, m=methods: draw_orbits(s, m, _SHORT, path),
+        )
+        add(
+            f"{name}: the whole drift and the re-kick",
+            f"{name}-long.png",
+            lambda path, s=scenario, m=methods: draw_orbits(s, m, None, path),
+        )
+        if "svd" in methods and not scenario.physical:
+            add(
+                f"{name}: modes that the static law loses",
+                f"{name}-modes.png",
+                lambda path, s=scenario: draw_modes(s, path),
+            )
+    curves: dict[str, Sequence[float]] = {
+        f"{method}, {name}": one.training["curve"]
+        for name, methods in result.methods.items()
+        for method, one in methods.items()
+        if one.training.get("curve")
+    }
+    if curves:
+        add("Trainings", "training.png", lambda path: draw_training(curves, path))
+    return pictures
