@@ -82,9 +82,9 @@ def policies_compare(
     ids: Annotated[
         list[str] | None, typer.Argument(help="Ids of stored policies [the active one].")
     ] = None,
-    baseline: Annotated[
-        bool, typer.Option(help="Whether the policy of the configuration runs beside them.")
-    ] = True,
+    no_baseline: Annotated[
+        bool, typer.Option("--no-baseline", help="Leave out the policy of the configuration.")
+    ] = False,
     ticks: Annotated[int, typer.Option(help="Length of each run [ticks].")] = 1000,
     seed: Annotated[int, typer.Option(help="First seed of ring, noise and drift.")] = 1,
     seeds: Annotated[int, typer.Option(help="How many seeds.")] = 4,
@@ -131,7 +131,7 @@ def policies_compare(
         compared[policy_id] = (
             policy if movable.all() else MaskedPolicy(policy, policy.response, movable)
         )
-    if baseline:
+    if not no_baseline:
         first = maintenance.baseline(config, ring)
         compared.setdefault(first.policy_id, first)
     rows = compare(compared, settings, ring, valid, lambda line: print(line, file=sys.stderr))
