@@ -16,7 +16,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.evaluate.paper.pictures import new_figure
 from orbitfb.evaluate.paper.scenarios import PAPER_LAMBDA, Scenario
 
-_LOOKS = 41
+_LOOKS = 31
 _EVERY = 20
 _TRAJECTORIES = 16
 _SHOWN = 6

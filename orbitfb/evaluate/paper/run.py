@@ -19,7 +19,7 @@ from orbitfb.evaluate.pool.task import Task
 _SMALLEST_PART = 16
 _PARTS = 8
 _SEARCHED = 8
-_BIAS_TICKS = 5000
+_SHORTEST_BIAS, _BIAS_TICKS = 500, 5000
 
 Progress = Callable[[str, int, int], None]
 """Told what is done, how many tasks of it, of how many."""
@@ -202,7 +202,7 @@ def _bias_task(settings: PaperSettings, gain: float) -> Task:
         "gain": gain,
         "plane": settings.plane,
         "seed": settings.seed,
-        "ticks": min(_BIAS_TICKS, settings.steps),
+        "ticks": max(_SHORTEST_BIAS, min(_BIAS_TICKS, settings.steps)),
     }
     return Task("orbitfb.evaluate.paper.bias:naive_bias", arguments)
 
