@@ -1,7 +1,7 @@
 """Which transitions may teach: the integrity screen before any statistics."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,8 @@ class Rows:
         starts: Whether a row does not continue the one before it, shape (T,).
         closed: Whether the loop was closed, shape (T,).
         left_out: How many rows were left out, by reason.
+        orbit: s_n − reference, shape (T, n) [m]; 0 where not valid; None: not kept.
+        policy_id: Who decided, shape (T,), strings; None: not kept.
     """
 
     tick: np.ndarray
@@ -34,23 +36,16 @@ class Rows:
     starts: Mask
     closed: Mask
     left_out: Mapping[str, int]
+    orbit: Vector | None = None
+    policy_id: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.tick)
 
     def take(self, begin: int, end: int | None = None) -> "Rows":
         """Give the rows of a range; what was left out counts on with the first."""
-        piece = slice(begin, end)
-        return Rows(
-            self.tick[piece],
-            self.change[piece],
-            self.dither[piece],
-            self.difference[piece],
-            self.valid[piece],
-            self.starts[piece],
-            self.closed[piece],
-            self.left_out if begin == 0 else {},
-        )
+        left_out = self.left_out if begin == 0 else {}
+        return replace(self._at(slice(begin, end)), left_out=left_out)
 
     def without(self, index: int) -> "Rows":
         """Drop one row; the next one begins a stretch."""
@@ -58,15 +53,20 @@ class Rows:
         starts = self.starts.copy()
         if index + 1 < len(self):
             starts[index + 1] = True
+        return replace(self._at(keep), starts=starts[keep])
+
+    def _at(self, index: slice | Mask) -> "Rows":
         return Rows(
-            self.tick[keep],
-            self.change[keep],
-            self.dither[keep],
-            self.difference[keep],
-            self.valid[keep],
-            starts[keep],
-            self.closed[keep],
+            self.tick[index],
+            self.change[index],
+            self.dither[index],
+            self.difference[index],
+            self.valid[index],
+            self.starts[index],
+            self.closed[index],
             self.left_out,
+            None if self.orbit is None else self.orbit[index],
+            None if self.policy_id is None else self.policy_id[index],
         )
 
 
@@ -125,4 +125,6 @@ def select_rows(transitions: Transitions, tolerance: float) -> Rows:
         starts[keep],
         transitions.closed[keep],
         left_out,
+        np.where(valid, transitions.orbit - transitions.reference, 0.0)[keep],
+        transitions.policy_id[keep],
     )
