@@ -30,6 +30,8 @@ from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import PlantSettings
 from orbitfb.policies.masking import MaskSettings
 from orbitfb.policies.settings import PolicySettings
+from orbitfb.policies.supervised_settings import SupervisedSettings
+from orbitfb.policies.trajectory_settings import StructuredSettings, TrajectorySettings
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.sim.settings import SimSettings
@@ -51,6 +53,26 @@ class RingSettings(Settings):
     def load(self) -> Ring:
         """Read the ring that these settings name."""
         return Ring.load(self.places, self.parameters)
+
+
+class TrainSettings(Settings):
+    """How `orbitfb train` trains."""
+
+    samples: int = Field(
+        default=8,
+        ge=0,
+        description="Response matrices drawn from the posterior for an iteration, when an archive "
+        "is given [1]; 0: R̂ alone.",
+    )
+    supervised: SupervisedSettings = Field(
+        default=SupervisedSettings(), description="Training on labels."
+    )
+    trajectory: TrajectorySettings = Field(
+        default=TrajectorySettings(), description="Training of a network through the model."
+    )
+    structured: StructuredSettings = Field(
+        default=StructuredSettings(), description="Training of the modal law through the model."
+    )
 
 
 class HistorySettings(Settings):
@@ -86,6 +108,7 @@ class AppConfig(Settings):
         default=InterlockSettings(), description="What holds or trips the loop."
     )
     learn: LearnSettings = Field(default=LearnSettings(), description="The learner.")
+    train: TrainSettings = Field(default=TrainSettings(), description="The command train.")
     history: HistorySettings = Field(
         default=HistorySettings(), description="Transitions in memory and on disk."
     )

@@ -13,6 +13,7 @@ from orbitfb.cli.evaluate import evaluate
 from orbitfb.cli.kick import evaluate_kick_command
 from orbitfb.cli.policies import policies
 from orbitfb.cli.service import command, ioc, refit, run
+from orbitfb.cli.train import train
 from orbitfb.core.errors import OrbitFeedbackError
 
 app = typer.Typer(
@@ -22,7 +23,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _function in (run, ioc, refit, command):
+for _function in (run, ioc, train, refit, command):
     app.command()(_function)
 evaluate.command("kick")(evaluate_kick_command)
 app.add_typer(policies, name="policies")

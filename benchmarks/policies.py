@@ -1,0 +1,134 @@
+"""Every policy against the SVD baseline, for its page: `python -m benchmarks.policies`.
+
+All close the loop on the simulated ring from 250 µm, with its default noise and ground motion,
+over the same seeds; nothing drifts and nothing learns. Writes benchmarks/policies.json, the
+pictures of docs/explanations/policies and the table of measured.md there.
+"""
+
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from orbitfb.evaluate.compare import NEAR
+from orbitfb.evaluate.simulate import ClosedLoop
+from orbitfb.physics.places import Ring
+from orbitfb.physics.plant import Plant, PlantSettings
+from orbitfb.physics.response import response
+from orbitfb.policies.embedding import embed
+from orbitfb.policies.modal import ModalPolicy, ModalSettings
+from orbitfb.policies.supervised import train_supervised
+from orbitfb.policies.supervised_settings import SupervisedSettings
+from orbitfb.policies.svd import SvdPolicy, SvdSettings
+from orbitfb.policies.trajectory import train_trajectory
+from orbitfb.policies.trajectory_settings import TrajectorySettings
+
+ROOT = Path(__file__).parents[1]
+PAGES = ROOT / "docs/explanations/policies"
+FIGURES = ROOT / "benchmarks/policies.json"
+
+TICKS, SEEDS = 600, (1, 2, 3, 4)
+_UM = 1e6
+
+NOTE = "This page is written by `python -m benchmarks.policies`.\n"
+HEAD = f"""# Policies, measured side by side
+
+{NOTE}
+Closed loop on the simulated ring (x plane, default noise and ground motion, no drift) from
+250 µm rms, {TICKS} ticks, seeds {SEEDS[0]} to {SEEDS[-1]}; nothing learns meanwhile. *Floor*: rms of
+the true and of the observed orbit over the second half and all seeds. *Steps*: median of the ticks
+until the true orbit is within 0.05 mm rms. *Worst*: largest true orbit of any tick and seed.
+*Training*: seconds on one core of the machine that made the page.
+
+| policy | true floor [µm] | observed floor [µm] | steps to 0.05 mm | worst [µm] | training [s] |
+|---|---|---|---|---|---|
+"""
+
+
+def policies() -> dict[str, tuple[Any, float]]:
+    """Make every policy; the seconds are those of its training."""
+    matrix = response(Ring.load(), "x")
+    svd = SvdPolicy(matrix, SvdSettings())
+    modal = ModalPolicy(matrix, ModalSettings())
+    began = time.perf_counter()
+    clone = train_supervised(matrix, SupervisedSettings(), teacher=svd, device="cpu")
+    between = time.perf_counter()
+    trained = train_trajectory(matrix, TrajectorySettings(), device="cpu")
+    ended = time.perf_counter()
+    return {
+        "svd": (svd, 0.0),
+        "modal": (modal, 0.0),
+        "network": (embed(modal), 0.0),
+        "supervised": (clone.policy, between - began),
+        "trajectory": (trained.policy, ended - between),
+    }
+
+
+def run(policy: Any) -> dict[str, Any]:
+    """Close the loop over all seeds."""
+    loops = [
+        ClosedLoop(Plant(Ring.load(), "x", PlantSettings(), seed), policy, TICKS, ramp=1).run()
+        for seed in SEEDS
+    ]
+    true = np.array([loop.true_rms for loop in loops])
+    observed = np.array([loop.observed_rms for loop in loops])
+    steps = [int(np.argmax(row <= NEAR)) if (row <= NEAR).any() else None for row in true]
+    return {
+        "true_floor_m": float(np.sqrt(np.mean(true[:, TICKS // 2 :] ** 2))),
+        "observed_floor_m": float(np.sqrt(np.mean(observed[:, TICKS // 2 :] ** 2))),
+        "steps": steps,
+        "worst_m": float(true.max()),
+        "true_rms_m": np.sqrt(np.mean(true**2, axis=0)).tolist(),
+    }
+
+
+def draw(name: str, results: Mapping[str, Any], path: Path) -> None:
+    """Draw one policy beside the baseline."""
+    figure = Figure(figsize=(8, 3.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    start, whole = figure.subplots(1, 2, width_ratios=(1, 1.6), sharey=True)
+    for law, colour in (("svd", "tab:grey"), (name, "tab:green")):
+        curve = np.array(results[law]["true_rms_m"]) * _UM
+        start.semilogy(np.arange(30), curve[:30], ".-", color=colour, lw=1)
+        whole.semilogy(np.arange(TICKS), curve, color=colour, lw=1, label=law)
+    start.set_ylabel("true orbit, rms over seeds and BPMs [µm]")
+    start.set_xlabel("tick")
+    whole.set_xlabel("tick")
+    whole.legend()
+    whole.set_title(f"{name} against svd, seeds {SEEDS[0]}–{SEEDS[-1]}")
+    figure.savefig(path, dpi=90)
+
+
+def table(results: Mapping[str, Any]) -> str:
+    """Write the page."""
+    lines = []
+    for name, row in results.items():
+        steps = [np.inf if step is None else step for step in row["steps"]]
+        lines.append(
+            f"| [{name}]({name}.md) | {row['true_floor_m'] * _UM:.4f} "
+            f"| {row['observed_floor_m'] * _UM:.4f} | {np.median(steps):g} "
+            f"| {row['worst_m'] * _UM:.1f} | {row['training_seconds']:.1f} |\n"
+        )
+    return HEAD + "".join(lines)
+
+
+def main() -> None:
+    """Measure, draw, write."""
+    results: dict[str, Any] = {}
+    for name, (policy, seconds) in policies().items():
+        results[name] = run(policy) | {"training_seconds": seconds}
+        print(name, {k: v for k, v in results[name].items() if not k.startswith("true_rms")})
+    FIGURES.write_text(json.dumps(results, indent=1) + "\n")
+    PAGES.mkdir(exist_ok=True)
+    for name in results:
+        draw(name, results, PAGES / f"{name}.png")
+    (PAGES / "measured.md").write_text(table(results))
+
+
+if __name__ == "__main__":
+    main()

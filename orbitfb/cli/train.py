@@ -1,0 +1,100 @@
+"""The command that trains."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from orbitfb.cli.options import AsJson, ConfigFile, DataDirectory, Planes, configure, show
+
+if TYPE_CHECKING:
+    from orbitfb.training import Progress
+
+
+def train(
+    method: Annotated[
+        str,
+        typer.Argument(
+            help="svd, modal, network (computed from the response); structured, supervised, "
+            "trajectory (trained)."
+        ),
+    ],
+    start: Annotated[
+        str,
+        typer.Option(
+            help="Response to begin from: nominal (that of the optics), or the id of a stored "
+            "policy."
+        ),
+    ] = "nominal",
+    archive: Annotated[
+        Path | None,
+        typer.Option(
+            "--from", help="Archive to identify the response from; labels of supervised training."
+        ),
+    ] = None,
+    published: Annotated[
+        bool, typer.Option("--published", help="Train as the paper does, not as configured.")
+    ] = False,
+    warm: Annotated[
+        bool, typer.Option("--warm", help="Begin with the weights of the stored policy --start.")
+    ] = False,
+    iterations: Annotated[
+        int | None, typer.Option(help="Iterations [those of the configuration].")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed [that of the configuration].")] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Begin anew instead of resuming what was interrupted.")
+    ] = False,
+    activate: Annotated[
+        bool, typer.Option("--activate", help="Put the policy in force when it is trained.")
+    ] = False,
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    planes: Planes = None,
+    as_json: AsJson = False,
+) -> None:
+    """Train a policy and store it with its card; Ctrl-C keeps what is done for the next time."""
+    from orbitfb.training import TrainingRequest, train_policy
+
+    settings = configure(config_file, data_directory=data, ring__planes=planes)
+    request = TrainingRequest(
+        method, start, archive, published, warm, iterations, seed, device, fresh, activate
+    )
+    with _progress(as_json) as progress:
+        try:
+            answer = train_policy(settings, request, progress)
+        except KeyboardInterrupt:
+            print("interrupted: the same command goes on from here, --fresh begins anew")
+            raise typer.Exit(130) from None
+    show(answer, as_json)
+
+
+@contextmanager
+def _progress(quiet: bool) -> "Iterator[Progress]":
+    """Draw a bar on standard error while a training runs."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("training"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("loss {task.fields[loss]:.3g}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet) as bar:
+        task = bar.add_task("training", total=None, loss=float("nan"), visible=False)
+
+        def progress(done: int, total: int, loss: float) -> None:
+            bar.update(task, completed=done, total=total, loss=loss, visible=True)
+
+        yield progress

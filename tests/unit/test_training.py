@@ -1,0 +1,122 @@
+"""What `orbitfb train` does, without its command line."""
+
+import json
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orbitfb.config import AppConfig, load_config
+from orbitfb.core.errors import ConfigError, StoreError
+from orbitfb.maintenance import open_store
+from orbitfb.training import METHODS, TrainingRequest, train_policy
+
+QUICK = {
+    "train.supervised.batch": 4,
+    "train.trajectory.batch": 2,
+    "train.trajectory.horizon": 2,
+    "train.structured.batch": 2,
+    "train.structured.horizon": 2,
+}
+DESCENDING = ("structured", "supervised", "trajectory")
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> AppConfig:
+    return load_config(None, {"data_directory": str(tmp_path), **QUICK}, {})
+
+
+def request_for(method: str, **options) -> TrainingRequest:
+    iterations = 3 if method in DESCENDING else None
+    return TrainingRequest(method, iterations=iterations, device="cpu", **options)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_ends_in_the_store_with_its_card(config, method):
+    answer = train_policy(config, request_for(method))
+    card = open_store(config).card(answer["stored"])
+    assert card.training is not None
+    assert card.training["method"] == method
+    if method in DESCENDING:
+        assert len(card.training["curve"]) == 3
+        assert card.training["settings"]["iterations"] == 3
+        assert np.isfinite(answer["loss_last"])
+
+
+def test_it_may_be_put_in_force(config):
+    answer = train_policy(config, request_for("modal", activate=True))
+    assert open_store(config).active() == answer["stored"]
+
+
+def test_progress_says_how_many_of_how_many(config):
+    told = []
+    train_policy(config, request_for("trajectory"), lambda *said: told.append(said))
+    assert [done for done, _, _ in told] == [1, 2, 3]
+    assert {total for _, total, _ in told} == {3}
+
+
+def test_an_interrupted_training_goes_on_to_the_same_weights(config, tmp_path):
+    def stop(done: int, _total: int, _loss: float) -> None:
+        if done == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    request = TrainingRequest("trajectory", iterations=6, device="cpu")
+    whole = train_policy(config, request)
+    other = config.model_copy(update={"data_directory": tmp_path / "other"})
+    with pytest.raises(KeyboardInterrupt):
+        train_policy(other, request, stop)
+    told = []
+    resumed = train_policy(other, request, lambda done, *_: told.append(done))
+    assert told == [4, 5, 6]
+    assert resumed["stored"] == whole["stored"]
+    assert not any((tmp_path / "other" / "training").iterdir())
+
+
+def test_a_stored_network_can_be_trained_on(config):
+    first = train_policy(config, request_for("network"))["stored"]
+    second = train_policy(config, request_for("trajectory", start=first, warm=True))
+    card = open_store(config).card(second["stored"])
+    assert card.parent == first
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"method": "magic"}, "cannot be trained; choose svd"),
+        ({"method": "svd", "iterations": 5}, "--iterations means nothing"),
+        ({"method": "modal", "published": True}, "--published means nothing"),
+        ({"method": "trajectory", "iterations": 0}, "give at least 1"),
+        ({"method": "trajectory", "warm": True}, "name it with --start"),
+        ({"method": "svd", "warm": True}, "--warm means nothing"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(config, options, said):
+    with pytest.raises(ConfigError, match=said):
+        train_policy(config, TrainingRequest(**options))
+    assert not (config.data_directory / "policies").exists()
+
+
+def test_a_start_that_is_not_there_is_named(config):
+    with pytest.raises(StoreError, match="no policy 'nobody'"):
+        train_policy(config, request_for("svd", start="nobody"))
+
+
+def test_warm_needs_a_network(config):
+    first = train_policy(config, request_for("svd"))["stored"]
+    with pytest.raises(ConfigError, match="is no network"):
+        train_policy(config, request_for("trajectory", start=first, warm=True))
+
+
+def test_labels_from_an_archive_need_one(config):
+    labels = config.train.supervised.model_copy(update={"source": "archive"})
+    train = config.train.model_copy(update={"supervised": labels})
+    with pytest.raises(ConfigError, match="--from"):
+        train_policy(config.model_copy(update={"train": train}), request_for("supervised"))
+
+
+def test_the_card_is_plain_json(config):
+    answer = train_policy(config, request_for("supervised", published=True))
+    path = config.data_directory / "policies" / answer["stored"] / "card.json"
+    card = json.loads(path.read_text())
+    assert card["training"]["settings"]["coordinates"] == "raw"
