@@ -70,12 +70,12 @@ def variants(iterations: int, plain_iterations: Sequence[int]) -> Iterator[Varia
         yield Variant(form, "untrained", form)
     yield Variant("full", "full", change=published())
     for name, keys in (
-        ("raw coordinates", ("coordinates", "output_scale")),
+        ("raw coordinates", ("coordinates", "first_output")),
         ("cost the plain rms", ("loss",)),
         ("all orbits at 250 µm", ("smallest_amplitude",)),
         ("both of these", ("loss", "smallest_amplitude")),
         ("learning rate 1e-4", ("learning_rate", "final_learning_rate")),
-        ("output scale 0.05", ("output_scale",)),
+        ("first output 0.05", ("first_output",)),
         ("no limit of the gradient", ("clip",)),
         ("discount 0.99", ("discount",)),
         ("horizon 10", ("horizon",)),
@@ -98,7 +98,7 @@ def variants(iterations: int, plain_iterations: Sequence[int]) -> Iterator[Varia
         yield Variant(f"plain, {count} iterations", "plain", change=plain)
     first = {**paper.model_dump(), "iterations": plain_iterations[0]}
     for name, change in (
-        ("coordinates of the modes", {"coordinates": "modes", "output_scale": 1.0}),
+        ("coordinates of the modes", {"coordinates": "modes", "first_output": 1.0}),
         ("relative loss", {"loss": "relative"}),
         ("amplitudes over decades", {"smallest_amplitude": 0.25e-6}),
         ("both of these", {"loss": "relative", "smallest_amplitude": 0.25e-6}),

@@ -91,7 +91,7 @@ def train_trajectory(
     target = pick_device(device)
     if model is not None and draw is not None:
         raise ConfigError("give either a model or a draw of response matrices, not both")
-    network = build(response, settings, start, settings.hidden).to(target)
+    network = build(response, settings, start, settings.hidden, settings.first_output).to(target)
     fixed = model or LinearResponses(response, target)
     model_at = drawn(draw, fixed, settings, settings.seed, target)
     purpose = {
@@ -178,8 +178,16 @@ def build(
     settings: NetworkDescentSettings,
     start: NetworkPolicy | None,
     hidden: int | None = None,
+    first_output: float = 1.0,
 ) -> NetworkInTraining:
     """Put a network, random or given, between the coordinates of a response.
+
+    Args:
+        response: R, shape (n, m) [m/A].
+        settings: Coordinates, and what is trained.
+        start: The network to begin with; None: at random.
+        hidden: Units per hidden layer; None: as the paper, or as the start.
+        first_output: Factor on the last matrix of a random network [1].
 
     Raises:
         ConfigError: `hidden` differs from the start's, or what is trained needs a start.
@@ -198,6 +206,8 @@ def build(
         width = hidden or hidden_width(n)
         sizes = (n, width, width, width, m)
         perceptron = Perceptron(sizes, settings.seed, settings.output_scale)
+        with torch.no_grad():
+            perceptron.weights[-1] *= first_output
         return NetworkInTraining(perceptron, coordinates, settings)
     sizes = (n, *(len(weight) for weight in start.weights))
     if start.response.shape != (n, m):

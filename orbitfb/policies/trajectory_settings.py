@@ -144,6 +144,11 @@ class TrajectorySettings(NetworkDescentSettings):
         ge=1,
         description="Units per hidden layer [1]; unset: as the paper, 512 for 180 BPMs.",
     )
+    first_output: float = Field(
+        default=1.0,
+        gt=0.0,
+        description="Factor on the last matrix of a random start, and on nothing else [1].",
+    )
 
     @classmethod
     def paper(cls, **values: Any) -> "TrajectorySettings":
@@ -163,7 +168,7 @@ class TrajectorySettings(NetworkDescentSettings):
             "final_learning_rate": None,
             "clip": None,
             "coordinates": "raw",
-            "output_scale": 0.05,
+            "first_output": 0.05,
         }
         return cls.model_validate({**published, **values})
 
