@@ -40,7 +40,7 @@ HEAD = f"""# Policies, measured side by side
 
 {NOTE}
 Closed loop on the simulated ring (x plane, default noise and ground motion, no drift) from
-250 µm rms, {TICKS} ticks, seeds {SEEDS[0]} to {SEEDS[-1]}; nothing learns meanwhile. *Floor*: rms of
+250 µm rms, {TICKS} ticks, seeds {SEEDS[0]} to {SEEDS[-1]}; nothing learns. *Floor*: rms of
 the true and of the observed orbit over the second half and all seeds. *Steps*: median of the ticks
 until the true orbit is within 0.05 mm rms. *Worst*: largest true orbit of any tick and seed.
 *Training*: seconds on one core of the machine that made the page.
