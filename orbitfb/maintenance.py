@@ -60,7 +60,7 @@ def trainer(config: AppConfig, matrix: Vector, mask: Mask) -> Trainer:
         matrix: R̂ to begin with, shape (n, m) [m/A].
         mask: Correctors that may move, shape (m,).
     """
-    job = TrainerJob(config.learn, config.policy, matrix, mask, config.seed)
+    job = TrainerJob(config.learn, config.policy, matrix, mask, config.seed, config.loop.rate_hz)
     return ProcessTrainer(job) if config.learn.process else InlineTrainer(learner_of(job))
 
 

@@ -19,6 +19,12 @@ Planes = Annotated[str | None, typer.Option(help="Planes under feedback: x, y or
 Seed = Annotated[int | None, typer.Option(help="Seed of the simulated ring and of the dither.")]
 Rate = Annotated[float | None, typer.Option(help="Ticks per second, loop and soft IOC [10].")]
 Port = Annotated[int | None, typer.Option(help="Port of the soft IOC; 0: any free one [15064].")]
+PolicyKind = Annotated[
+    str | None,
+    typer.Option(
+        "--policy", help="Kind of policy: svd, modal, network, supervised or trajectory [svd]."
+    ),
+]
 Drift = Annotated[
     str | None, typer.Option(help="Drift of the simulated ring: none, paper, mild, strong.")
 ]

@@ -13,6 +13,7 @@ from orbitfb.cli.options import (
     Drift,
     DriftTicks,
     Planes,
+    PolicyKind,
     Port,
     Rate,
     Seed,
@@ -33,6 +34,7 @@ def run(
     config_file: ConfigFile = None,
     data: DataDirectory = None,
     planes: Planes = None,
+    policy: PolicyKind = None,
     rate: Rate = None,
     seed: Seed = None,
     duration: Annotated[
@@ -59,6 +61,7 @@ def run(
         config_file,
         data_directory=data,
         ring__planes=planes,
+        policy__kind=policy,
         loop__rate_hz=rate,
         sim__rate_hz=rate,
         seed=seed,
@@ -127,12 +130,13 @@ def refit(
     config_file: ConfigFile = None,
     data: DataDirectory = None,
     planes: Planes = None,
+    policy: PolicyKind = None,
     as_json: AsJson = False,
 ) -> None:
     """Identify the response matrix anew, judge the policy built on it, print the decision."""
     from orbitfb.maintenance import refit_offline, refit_online
 
-    settings = configure(config_file, data_directory=data, ring__planes=planes)
+    settings = configure(config_file, data_directory=data, ring__planes=planes, policy__kind=policy)
     report = (
         refit_online(settings, activate)
         if archive is None

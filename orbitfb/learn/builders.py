@@ -3,7 +3,7 @@
 - svd: Tikhonov's inverse of R̂, cautious where R̂ is not known;
 - modal: the same inverse with the Kalman gain that the innovations show for every mode;
 - network: that law in the paper's network, only the last matrix new where the modes stay;
-- supervised: the network, trained on the answers of the modal law from the incumbent's weights;
+- supervised: the network, trained anew on the answers of the modal law;
 - trajectory: the network, improved on responses drawn from the posterior. The incumbent's hidden
   layers stay where they fit, so that a swap changes one matrix.
 """
@@ -25,6 +25,9 @@ from orbitfb.policies.modal import ModalPolicy
 from orbitfb.policies.network import NetworkPolicy
 from orbitfb.policies.settings import PolicySettings
 from orbitfb.policies.svd import SvdPolicy
+
+_GROUPS = 4
+"""Groups of responses that a fine-tuning goes round."""
 
 
 class ResponsePolicy(Policy, Protocol):
@@ -51,6 +54,11 @@ def first_policy(
     law = ModalPolicy(response, settings.modal)
     if settings.kind == "modal":
         return masked(law, movable)
+    if settings.kind == "supervised":
+        from orbitfb.policies.supervised import train_supervised
+
+        taught = train_supervised(response, settings.supervised, teacher=law, device="cpu")
+        return masked(taught.policy, movable)
     return masked(embed(law, settings.network), movable)
 
 
@@ -82,18 +90,14 @@ def builder(settings: PolicySettings, movable: Mask | None = None, seed: int = 0
         settings: The kind and its settings.
         movable: Correctors that may move, shape (m,); None: all.
         seed: Of what a training draws.
-
-    Raises:
-        ConfigError: There is no such kind.
     """
     kinds = {
         "svd": _svd,
         "modal": modal_law,
         "network": _network,
+        "supervised": _supervised,
         "trajectory": _Trajectory(seed),
     }
-    if settings.kind not in kinds:
-        raise ConfigError(f"policy.kind is {settings.kind!r}; choose one of {', '.join(kinds)}")
     make = kinds[settings.kind]
     return lambda model, incumbent: masked(make(model, unmasked(incumbent), settings), movable)
 
@@ -136,16 +140,53 @@ def _network(model: LinearModel, incumbent: Policy, settings: PolicySettings) ->
 
 
 class _Trajectory:
-    """Improves the network of the posterior on responses drawn from it."""
+    """Improves the better of two networks on responses drawn from the posterior.
+
+    One is the incumbent as it is, the other the law of the posterior in its hidden layers. What
+    the training makes is kept only if it is better than its start.
+    """
 
     def __init__(self, seed: int) -> None:
-        self._seed = seed
-        self._made = 0
+        self._generator = np.random.default_rng(seed)
 
     def __call__(
         self, model: LinearModel, incumbent: Policy, settings: PolicySettings
     ) -> NetworkPolicy:
-        return _network(model, incumbent, settings)
+        from orbitfb.policies.fine_tune import fine_tune  # torch: here and in no loop's process
+        from orbitfb.policies.rehearsal import Rehearsal, judge
+
+        tuning = settings.fine_tune.model_copy(
+            update={
+                "reading_noise": float(np.sqrt(model.reading_variance)),
+                "orbit_noise": float(np.sqrt(np.mean(model.ground_variances))),
+                "seed": int(self._generator.integers(2**31)),
+            }
+        )
+        count = tuning.samples_per_iteration * _GROUPS + tuning.judged_samples
+        samples = np.stack([model.sample(self._generator) for _ in range(count)])
+        start = _network(model, incumbent, settings)
+        if isinstance(incumbent, NetworkPolicy):
+            trial = Rehearsal(
+                amplitude=tuning.amplitude,
+                reading_noise=tuning.reading_noise,
+                orbit_noise=tuning.orbit_noise,
+                steps=tuning.judged_steps,
+                seed=tuning.seed,
+            )
+            judged = samples[: tuning.samples_per_iteration]
+            if judge(incumbent, judged, trial).better_than(
+                judge(start, judged, trial), tuning.floor_tolerance
+            ):
+                start = incumbent
+        return fine_tune(start, samples, tuning, response=model.response).policy
+
+
+def _supervised(model: LinearModel, incumbent: Policy, settings: PolicySettings) -> NetworkPolicy:
+    from orbitfb.policies.supervised import train_supervised
+
+    teacher = modal_law(model, incumbent, settings)
+    result = train_supervised(model.response, settings.supervised, teacher=teacher, device="cpu")
+    return result.policy
 
 
 def _rounded(threshold: float) -> float:

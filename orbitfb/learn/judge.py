@@ -21,6 +21,8 @@ from orbitfb.models.linear import LinearModel
 _WORST_RMS = 1.0
 _UM = 1e6
 _PROBES = 8
+_LIKE = 1.05
+"""A change is not larger than the incumbent's when it is below so many times that."""
 _ROUNDING = 1e-6
 """A law whose change differs by more from that of its gain is not linear."""
 
@@ -103,7 +105,8 @@ def judge(
             "peak_candidate": mine.peak,
         }
         obstacle = _recovery(mine, others, settings)
-    change = _change_rms(candidate, ours_gain, settings, generator)
+    change = _change_rms(candidate, ours_gain, settings)
+    usual = _change_rms(incumbent, theirs_gain, settings)
     figures |= {
         "predicted_rms_candidate": ours.rms,
         "predicted_rms_incumbent": theirs.rms,
@@ -112,7 +115,13 @@ def judge(
     }
     if obstacle is not None:
         return Verdict(False, obstacle, figures)
-    accepted, reason = _decide(ours, theirs, change, nats, settings)
+    if not change <= max(settings.change_limit, _LIKE * usual):
+        reason = (
+            f"an orbit error of {settings.change_orbit * _UM:.0f} µm would change the setpoints "
+            f"by {change:.3g} A rms (incumbent {usual:.3g} A, limit {settings.change_limit:.3g} A)"
+        )
+        return Verdict(False, reason, figures)
+    accepted, reason = _decide(ours, theirs, nats, settings)
     return Verdict(accepted, reason, figures)
 
 
@@ -144,13 +153,12 @@ class _Proportional:
         return -(errors @ self.gain.T)
 
 
-def _change_rms(
-    policy: Policy, gain: Vector, settings: JudgeSettings, generator: np.random.Generator
-) -> float:
+def _change_rms(policy: Policy, gain: Vector, settings: JudgeSettings) -> float:
     """Give the change that a white orbit error of `change_orbit` makes, rms [A]."""
     if not isinstance(policy, BatchPolicy):
         return settings.change_orbit * float(np.linalg.norm(gain) / np.sqrt(len(gain)))
-    errors = settings.change_orbit * generator.standard_normal((_PROBES, gain.shape[1]))
+    draws = np.random.default_rng(0).standard_normal((_PROBES, gain.shape[1]))
+    errors = settings.change_orbit * draws
     return float(np.sqrt(np.mean(_in_batches(policy, gain).changes(errors) ** 2)))
 
 
@@ -171,13 +179,8 @@ def _recovery(ours: Outcome, theirs: Outcome, settings: JudgeSettings) -> str | 
 
 
 def _decide(
-    ours: Prediction, theirs: Prediction, change: float, nats: float, settings: JudgeSettings
+    ours: Prediction, theirs: Prediction, nats: float, settings: JudgeSettings
 ) -> tuple[bool, str]:
-    if not change <= settings.change_limit:
-        return False, (
-            f"an orbit error of {settings.change_orbit * _UM:.0f} µm would change the setpoints "
-            f"by {change:.3g} A rms, more than {settings.change_limit:.3g} A"
-        )
     if ours.growth > settings.slowest_growth and ours.growth >= theirs.growth:
         return False, (
             f"on a response that the data allow the orbit would grow by {ours.growth:.4f} per "

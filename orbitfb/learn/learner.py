@@ -13,7 +13,9 @@ from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
 from orbitfb.learn.judge import Verdict, judge
 from orbitfb.learn.settings import LearnSettings
-from orbitfb.models.identify import Absorbed, Identifier
+from orbitfb.models.absorbed import Absorbed
+from orbitfb.models.changes import ChangeDetector
+from orbitfb.models.identify import Identifier
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.rows import Rows, select_rows
 
@@ -32,6 +34,7 @@ class Learner:
         build: Makes a candidate.
         clock: For the reports.
         seed: Of the responses that the judge draws.
+        rate: Ticks per second [Hz], for the rate of false alarms.
     """
 
     def __init__(
@@ -41,6 +44,7 @@ class Learner:
         build: Build,
         clock: Clock | None = None,
         seed: int = 0,
+        rate: float = 10.0,
     ) -> None:
         self.settings = settings
         self._identifier = Identifier(response, settings.identify)
@@ -50,6 +54,7 @@ class Learner:
         self._generator = np.random.default_rng(seed)
         self._number = 0
         self._since = _Since(None)
+        self._detector = ChangeDetector(settings.changes, rate)
         self._alarm: Alarm | None = None
         self._degraded = False
 
@@ -98,12 +103,27 @@ class Learner:
     def watch_afresh(self) -> None:
         """Begin the watch for a degradation anew."""
         self._degraded = False
+        self._detector.reset()
 
     def _look(self, absorbed: Absorbed) -> None:
-        limit = self.settings.chi2_trigger
-        if absorbed.rows == 0 or self._degraded or not absorbed.chi2_other > limit:
+        """Ask whether the incumbent's response still explains the rows."""
+        limit, seen = self.settings.chi2_trigger, None
+        for contrast in absorbed.contrasts:
+            seen = self._detector.absorb(contrast)
+        if self._degraded:
             return
-        self._degraded = True
+        surprised = absorbed.rows > 0 and absorbed.chi2_other > limit
+        self._degraded = surprised or seen is not None
+        if seen is not None:
+            self._alarm = Alarm(
+                self.last_tick or 0,
+                AlarmCause.DRIFT,
+                float(seen.rising),
+                seen.evidence,
+                seen.threshold,
+            )
+        if not surprised:
+            return
         self._alarm = Alarm(
             self.last_tick or 0,
             AlarmCause.SURPRISE,
@@ -148,7 +168,8 @@ class Learner:
         """
         began = self._clock.monotonic() if began is None else began
         since = self._since
-        self._degraded = False
+        if trigger == "degradation":
+            self.watch_afresh()  # what was seen is acted upon
         if self.last_tick is None:
             raise EstimationError(
                 "none of the transitions can be used to identify the response "

@@ -34,6 +34,7 @@ class TrainerJob:
         response: R̂ to begin with, shape (n, m) [m/A].
         movable: Correctors that may move, shape (m,); None: all.
         seed: Of what is drawn.
+        rate: Ticks per second [Hz].
     """
 
     learn: LearnSettings
@@ -41,6 +42,7 @@ class TrainerJob:
     response: Vector
     movable: Mask | None = None
     seed: int = 0
+    rate: float = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +88,7 @@ class AnswerMessage:
 def learner_of(job: TrainerJob) -> Learner:
     """Make the learner that a job asks for."""
     build = builder(job.policy, job.movable, job.seed)
-    return Learner(job.response, job.learn, build, seed=job.seed)
+    return Learner(job.response, job.learn, build, seed=job.seed, rate=job.rate)
 
 
 def pack(policy: Policy) -> PackedPolicy:

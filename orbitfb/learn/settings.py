@@ -3,6 +3,7 @@
 from pydantic import Field
 
 from orbitfb.core.settings import Settings
+from orbitfb.models.changes import ChangeSettings
 from orbitfb.models.settings import IdentifySettings
 
 
@@ -62,7 +63,10 @@ class JudgeSettings(Settings):
         description="Refuse when the rows spoke against R̂ by more than this log-likelihood [nats].",
     )
     change_limit: float = Field(
-        default=1.0, gt=0.0, description="Largest rms change of setpoints for `change_orbit` [A]."
+        default=1.0,
+        gt=0.0,
+        description="Largest rms change of setpoints for `change_orbit`, unless the incumbent "
+        "makes a larger one [A].",
     )
     change_orbit: float = Field(
         default=100e-6,
@@ -110,7 +114,11 @@ class LearnSettings(Settings):
         default=1.3,
         gt=1.0,
         description="Mean squared normalised innovation of the running policy's response that "
-        "brings a refit forward [1].",
+        "brings a refit forward at once [1].",
+    )
+    changes: ChangeSettings = Field(
+        default=ChangeSettings(),
+        description="Detection of a slow change of the response, which brings a refit forward.",
     )
     process: bool = Field(
         default=True,

@@ -1,6 +1,5 @@
 """What the learner's thread asks of whoever does the arithmetic, here or in another process."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -147,7 +146,3 @@ def work(learner: Learner, task: Task) -> Answer:
 def explain(error: Exception) -> str:
     """Say what went wrong: a known error in its own words, any other one by its name."""
     return str(error) if isinstance(error, OrbitFeedbackError) else f"the refit failed: {error!r}"
-
-
-Publish = Callable[[RefitReport], None]
-Keep = Callable[[Policy, RefitReport], None]

@@ -10,41 +10,18 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass, replace
-from typing import Protocol
-
-import numpy as np
 
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.ports import Clock, Policy
-from orbitfb.core.refit import Alarm, Decision, RefitReport, Stage
+from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.transitions import Transitions
-from orbitfb.learn.shadow import Shadow
-from orbitfb.learn.trainer import Answer, Keep, Publish, Task, Trainer, explain
-from orbitfb.learn.watch import BASELINE, Watch, observed_rms
+from orbitfb.learn.succession import Keep, Slot, Succession, TransitionSource
+from orbitfb.learn.trainer import Answer, Task, Trainer, explain
 from orbitfb.safety.limits import LimitSettings
 
 _POLL = 0.2
 
-
-class Slot(Protocol):
-    """Where the loop takes its policy from."""
-
-    @property
-    def current(self) -> Policy:
-        """The policy in force."""
-        ...
-
-    def swap(self, policy: Policy) -> Policy:
-        """Put a policy in force and return the one that was."""
-        ...
-
-
-class TransitionSource(Protocol):
-    """Where the last transitions are kept."""
-
-    def snapshot(self, last: int | None = None, since_tick: int | None = None) -> Transitions:
-        """Copy the transitions: the last ones, or those since a tick."""
-        ...
+Publish = Callable[[RefitReport], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +30,6 @@ class _Request:
 
     future: Future[RefitReport] | None
     activate: bool
-
-
-@dataclass(frozen=True, slots=True)
-class _Trial:
-    """A candidate in shadow, and who waits for what becomes of it."""
-
-    shadow: Shadow
-    report: RefitReport
-    request: _Request
 
 
 class LearnerThread(threading.Thread):
@@ -98,10 +66,18 @@ class LearnerThread(threading.Thread):
     ) -> None:
         super().__init__(name="learner", daemon=True)
         self._trainer, self._history, self._slot = trainer, history, slot
-        self._publish, self._keep, self._poll = publish, keep, poll
-        self._limits = limits or LimitSettings()
-        self._alarmed, self._tripped = alarmed, tripped
+        self._publish, self._poll, self._alarmed = publish, poll, alarmed
+        self._keep = keep or _keep_nothing
         self._clock = clock or SystemClock()
+        self._succession = Succession(
+            trainer.settings,
+            history,
+            slot,
+            self._keep,
+            limits or LimitSettings(),
+            tripped,
+            self._clock,
+        )
         self._wake = threading.Event()
         self._stopping = False
         self._requests: list[_Request] = []
@@ -111,9 +87,7 @@ class LearnerThread(threading.Thread):
         self._refitted: int | None = None
         self._afresh = False
         self._asked: tuple[_Request, Policy] | None = None
-        self._trial: _Trial | None = None
-        self._watch: Watch | None = None
-        self._left: set[str] = set()
+        self._running: set[Future[RefitReport]] = set()
 
     def request(self, activate: bool = True) -> Future[RefitReport]:
         """Ask for a refit now.
@@ -140,11 +114,11 @@ class LearnerThread(threading.Thread):
         self._trainer.close()
         with self._lock:
             requests, self._requests = self._requests, []
-        waiting = [self._asked[0]] if self._asked else []
-        waiting += [self._trial.request] if self._trial else []
-        for request in requests + waiting:
-            if request.future is not None and not request.future.cancel():
-                request.future.set_exception(CancelledError())
+        self._succession.drop()
+        waiting = {request.future for request in requests if request.future} | self._running
+        for future in waiting:
+            if not future.cancel() and not future.done():
+                future.set_exception(CancelledError())
 
     def run(self) -> None:
         """Look for work until stopped."""
@@ -155,7 +129,7 @@ class LearnerThread(threading.Thread):
 
     def step(self) -> None:
         """Do what is due now; nothing here takes long unless the trainer is in this thread."""
-        for part in (self._collect, self._watch_swap, self._try_candidate, self._ask):
+        for part in (self._collect, self._watch_swap, self._succession.try_candidate, self._ask):
             try:
                 part()
             except Exception as error:  # the outermost guard of the thread: reported, never lost
@@ -190,9 +164,12 @@ class LearnerThread(threading.Thread):
     def _next_request(self) -> _Request | None:
         """Take the oldest request; it waits while a candidate is on trial."""
         with self._lock:
-            while self._requests and self._trial is None:
+            while self._requests and not self._succession.trying:
                 request = self._requests.pop(0)
-                if request.future is None or request.future.set_running_or_notify_cancel():
+                if request.future is None:
+                    return request
+                if request.future.set_running_or_notify_cancel():
+                    self._running.add(request.future)
                     return request
         return None
 
@@ -206,7 +183,7 @@ class LearnerThread(threading.Thread):
         if newest - self._checked < settings.check:
             return None
         self._checked = newest
-        free = settings.enabled and self._trial is None
+        free = settings.enabled and not self._succession.trying
         due = self._refitted is None or newest - self._refitted >= settings.every
         trigger = "periodic" if due and free else None
         return Task(new, self._slot.current, trigger, may_refit=free, afresh=self._afresh)
@@ -238,115 +215,22 @@ class LearnerThread(threading.Thread):
         report = replace(report, number=self._next_number())
         if report.decision is not Decision.ACCEPTED or candidate is None:
             self._end(report, request)
-        elif candidate.policy_id in self._left:
-            reason = "this policy was in force before and was rolled back; it does not come again"
-            self._end(replace(report, decision=Decision.REFUSED, reason=reason), request)
-        elif not request.activate:
-            if self._keep is not None:
-                self._keep(candidate, report)
-            self._end(report, request)
-        elif self._trainer.settings.shadow.ticks == 0:
-            self._promote(candidate, incumbent, report, request)
-        else:
-            self._trial = _Trial(self._shadow(candidate, incumbent), report, request)
-
-    def _shadow(self, candidate: Policy, incumbent: Policy) -> Shadow:
-        latest = self._history.snapshot(last=1)
-        since = int(latest.tick[-1]) + 1 if len(latest) else 0
-        response = getattr(candidate, "response")  # noqa: B009 - the port does not promise one
-        return Shadow(
-            candidate,
-            incumbent,
-            response,
-            self._trainer.settings.shadow,
-            self._limits,
-            since,
-            self._clock.monotonic(),
-        )
-
-    def _try_candidate(self) -> None:
-        """Let the candidate in shadow look at the new orbits, and decide about it."""
-        trial = self._trial
-        if trial is None:
-            return
-        shadow, now = trial.shadow, self._clock.monotonic()
-        if self._slot.current is not shadow.incumbent:
-            self._trial = None
-            reason = "another policy was put in force while the candidate ran in shadow"
-            refused = replace(trial.report, decision=Decision.REFUSED, reason=reason)
-            self._end(replace(refused, stage=Stage.SHADOW), trial.request)
-            return
-        shadow.take(self._history.snapshot(since_tick=shadow.next_tick), now)
-        verdict = shadow.verdict(now)
-        if verdict is None:
-            return
-        self._trial = None
-        figures = {**trial.report.figures, **verdict.figures}
-        report = replace(trial.report, figures=figures, stage=Stage.SHADOW)
-        if not verdict.accepted:
-            refused = replace(report, decision=Decision.REFUSED, reason=verdict.reason)
-            self._end(refused, trial.request)
-            return
-        report = replace(report, reason=f"{report.reason}; {verdict.reason}")
-        self._promote(shadow.candidate, shadow.incumbent, report, trial.request)
-
-    def _promote(
-        self, candidate: Policy, incumbent: Policy, report: RefitReport, request: _Request
-    ) -> None:
-        before = observed_rms(self._history.snapshot(last=BASELINE))
-        report = replace(report, decision=Decision.PROMOTED)
-        if self._keep is not None:
-            self._keep(candidate, report)
-        self._slot.swap(candidate)
-        latest = self._history.snapshot(last=1)
-        if before.size:
-            since = int(latest.tick[-1]) + 2 if len(latest) else 0
-            self._watch = Watch(
-                candidate, incumbent, float(np.median(before)), since, self._tripped()
+        elif request.activate:
+            self._succession.begin(
+                candidate, incumbent, report, lambda told: self._end(told, request)
             )
-        self._end(report, request)
+        else:
+            self._keep(candidate, report)
+            self._end(report, request)
 
     def _watch_swap(self) -> None:
-        """Go back to the former policy when the orbit has become worse since the swap."""
-        watch = self._watch
-        if watch is None:
+        """Look at the last swap; after a roll-back, begin anew."""
+        report = self._succession.watch_swap()
+        if report is None:
             return
-        if self._slot.current is not watch.promoted:  # an operator chose another one meanwhile
-            self._watch = None
-            return
-        settings = self._trainer.settings
-        new = self._history.snapshot(since_tick=watch.next_tick)
-        reason = watch.look(new, settings)
-        if not reason and self._tripped() and not watch.tripped_before:
-            reason = f"the loop tripped {watch.seen} ticks after the swap"
-        if reason:
-            self._roll_back(watch, reason)
-        elif watch.seen >= settings.watch:
-            self._watch = None
-
-    def _roll_back(self, watch: Watch, reason: str) -> None:
-        left = self._slot.swap(watch.former)
-        self._watch = None
-        self._left.add(left.policy_id)
-        # What led here is no ground for another candidate at once.
-        self._refitted = self._checked
+        self._refitted = self._checked  # what led here is no ground for another candidate at once
         self._afresh = True
-        report = RefitReport(
-            number=self._next_number(),
-            time=self._clock.wall(),
-            trigger="watch",
-            rows=0,
-            decision=Decision.ROLLED_BACK,
-            reason=reason,
-            policy_id=left.policy_id,
-            incumbent_id=watch.former.policy_id,
-            figures={"watched_ticks": float(watch.seen), "rms_before": watch.before},
-            duration=0.0,
-            stage=Stage.WATCH,
-        )
-        if self._keep is not None:
-            self._keep(watch.former, report)
-        self._publish(report)
+        self._publish(replace(report, number=self._next_number()))
 
     def _fail(self, trigger: str, reason: str, request: _Request | None) -> None:
         """Report a refit that came to nothing."""
@@ -371,8 +255,14 @@ class LearnerThread(threading.Thread):
         """Publish what became of a refit, and tell whoever asked for it."""
         self._publish(report)
         if request is not None and request.future is not None:
-            request.future.set_result(report)
+            self._running.discard(request.future)
+            if not request.future.done():
+                request.future.set_result(report)
 
     def _next_number(self) -> int:
         self._number += 1
         return self._number
+
+
+def _keep_nothing(policy: Policy, report: RefitReport) -> None:
+    """Store nothing."""

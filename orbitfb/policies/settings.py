@@ -7,6 +7,7 @@ from pydantic import Field
 from orbitfb.core.settings import Settings
 from orbitfb.policies.modal import ModalSettings
 from orbitfb.policies.network import NetworkSettings
+from orbitfb.policies.supervised_settings import SupervisedSettings
 from orbitfb.policies.svd import SvdSettings
 from orbitfb.policies.trajectory_settings import FineTuneSettings
 
@@ -28,6 +29,9 @@ class PolicySettings(Settings):
     svd: SvdSettings = Field(default=SvdSettings(), description="The linear baseline.")
     modal: ModalSettings = Field(default=ModalSettings(), description="The noise-aware law.")
     network: NetworkSettings = Field(default=NetworkSettings(), description="The network.")
+    supervised: SupervisedSettings = Field(
+        default=SupervisedSettings(), description="Training of a network on answers of a law."
+    )
     fine_tune: FineTuneSettings = Field(
         default=FineTuneSettings(),
         description="Trajectory optimisation of a candidate from the incumbent's weights.",

@@ -89,7 +89,7 @@ def test_accepts_what_is_better():
         (0.01 * GOOD, 0.0, JudgeSettings(), "not better"),
         (-GOOD, 0.0, JudgeSettings(), "would grow"),
         (GOOD, -50.0, JudgeSettings(), "speak for the incumbent's response by 50.0 nats"),
-        (GOOD, 0.0, JudgeSettings(change_limit=1e-3), "would change the setpoints"),
+        (1.5 * GOOD, 0.0, JudgeSettings(change_limit=1e-3), "would change the setpoints"),
         (np.full((4, 4), np.nan), 0.0, JudgeSettings(), "not finite"),
     ],
 )

@@ -1,0 +1,201 @@
+"""From an accepted candidate to the policy in force, and back: shadow, promotion, watch.
+
+accepted ─► shadow ─► promoted ─► watched ─► kept
+              └► refused             └► rolled back, and never promoted again
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from orbitfb.core.ports import Clock, Policy
+from orbitfb.core.refit import Decision, RefitReport, Stage
+from orbitfb.core.transitions import Transitions
+from orbitfb.learn.settings import LearnSettings
+from orbitfb.learn.shadow import Shadow
+from orbitfb.learn.watch import BASELINE, Watch, observed_rms
+from orbitfb.safety.limits import LimitSettings
+
+Keep = Callable[[Policy, RefitReport], None]
+Tell = Callable[[RefitReport], None]
+
+
+class Slot(Protocol):
+    """Where the loop takes its policy from."""
+
+    @property
+    def current(self) -> Policy:
+        """The policy in force."""
+        ...
+
+    def swap(self, policy: Policy) -> Policy:
+        """Put a policy in force and return the one that was."""
+        ...
+
+
+class TransitionSource(Protocol):
+    """Where the last transitions are kept."""
+
+    def snapshot(self, last: int | None = None, since_tick: int | None = None) -> Transitions:
+        """Copy the transitions: the last ones, or those since a tick."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """A candidate in shadow, and who is to be told what becomes of it."""
+
+    shadow: Shadow
+    report: RefitReport
+    tell: Tell
+
+
+class Succession:
+    """Keeps the candidate on trial and the swap under watch; both are at most one.
+
+    Args:
+        settings: Of shadow, watch and roll-back.
+        history: The last transitions.
+        slot: The policy in force.
+        keep: Stores a policy before it is put in force; for a roll-back, the policy restored.
+        limits: Of a write.
+        tripped: Whether the loop has tripped.
+        clock: For the reports and the patience with candidates.
+    """
+
+    def __init__(
+        self,
+        settings: LearnSettings,
+        history: TransitionSource,
+        slot: Slot,
+        keep: Keep,
+        limits: LimitSettings,
+        tripped: Callable[[], bool],
+        clock: Clock,
+    ) -> None:
+        self._settings, self._history, self._slot = settings, history, slot
+        self._keep, self._limits = keep, limits
+        self._tripped, self._clock = tripped, clock
+        self._trial: _Trial | None = None
+        self._watch: Watch | None = None
+        self._left: set[str] = set()
+
+    @property
+    def trying(self) -> bool:
+        """Whether a candidate runs in shadow."""
+        return self._trial is not None
+
+    def begin(self, candidate: Policy, incumbent: Policy, report: RefitReport, tell: Tell) -> None:
+        """Take an accepted candidate.
+
+        Args:
+            candidate: What may act.
+            incumbent: What it was judged against.
+            report: Of the judge.
+            tell: Gets the report when it is known what became of the candidate.
+        """
+        if candidate.policy_id in self._left:
+            reason = "this policy was in force before and was rolled back; it does not come again"
+            tell(replace(report, decision=Decision.REFUSED, reason=reason))
+        elif self._settings.shadow.ticks == 0:
+            self._promote(candidate, incumbent, report, tell)
+        else:
+            shadow = Shadow(
+                candidate,
+                incumbent,
+                getattr(candidate, "response"),  # noqa: B009 - the port does not promise one
+                self._settings.shadow,
+                self._limits,
+                self._newest() + 1,
+                self._clock.monotonic(),
+            )
+            self._trial = _Trial(shadow, report, tell)
+
+    def try_candidate(self) -> None:
+        """Let the candidate in shadow look at the new orbits, and decide about it."""
+        trial = self._trial
+        if trial is None:
+            return
+        shadow, now = trial.shadow, self._clock.monotonic()
+        report = replace(trial.report, stage=Stage.SHADOW)
+        if self._slot.current is not shadow.incumbent:
+            self._trial = None
+            reason = "another policy was put in force while the candidate ran in shadow"
+            trial.tell(replace(report, decision=Decision.REFUSED, reason=reason))
+            return
+        shadow.take(self._history.snapshot(since_tick=shadow.next_tick), now)
+        verdict = shadow.verdict(now)
+        if verdict is None:
+            return
+        self._trial = None
+        report = replace(report, figures={**report.figures, **verdict.figures})
+        if verdict.accepted:
+            report = replace(report, reason=f"{report.reason}; {verdict.reason}")
+            self._promote(shadow.candidate, shadow.incumbent, report, trial.tell)
+        else:
+            trial.tell(replace(report, decision=Decision.REFUSED, reason=verdict.reason))
+
+    def watch_swap(self) -> RefitReport | None:
+        """Go back to the former policy when the orbit has become worse since the swap.
+
+        Returns:
+            The report of a roll-back, without its number.
+        """
+        watch = self._watch
+        if watch is None:
+            return None
+        if self._slot.current is not watch.promoted:  # an operator chose another one meanwhile
+            self._watch = None
+            return None
+        new = self._history.snapshot(since_tick=watch.next_tick)
+        reason = watch.look(new, self._settings)
+        if not reason and self._tripped() and not watch.tripped_before:
+            reason = f"the loop tripped {watch.seen} ticks after the swap"
+        if reason:
+            return self._roll_back(watch, reason)
+        if watch.seen >= self._settings.watch:
+            self._watch = None
+        return None
+
+    def drop(self) -> None:
+        """Give up the candidate on trial; nobody is told."""
+        self._trial = None
+
+    def _promote(
+        self, candidate: Policy, incumbent: Policy, report: RefitReport, tell: Tell
+    ) -> None:
+        before = observed_rms(self._history.snapshot(last=BASELINE))
+        report = replace(report, decision=Decision.PROMOTED)
+        self._keep(candidate, report)
+        self._slot.swap(candidate)
+        if before.size:
+            usual = float(np.median(before))
+            since, tripped = self._newest() + 2, self._tripped()
+            self._watch = Watch(candidate, incumbent, usual, since, tripped)
+        tell(report)
+
+    def _roll_back(self, watch: Watch, reason: str) -> RefitReport:
+        left = self._slot.swap(watch.former)
+        self._watch = None
+        self._left.add(left.policy_id)
+        report = RefitReport(
+            number=0,
+            time=self._clock.wall(),
+            trigger="watch",
+            rows=0,
+            decision=Decision.ROLLED_BACK,
+            reason=reason,
+            policy_id=left.policy_id,
+            incumbent_id=watch.former.policy_id,
+            figures={"watched_ticks": float(watch.seen), "rms_before": watch.before},
+            duration=0.0,
+            stage=Stage.WATCH,
+        )
+        self._keep(watch.former, report)
+        return report
+
+    def _newest(self) -> int:
+        latest = self._history.snapshot(last=1)
+        return int(latest.tick[-1]) if len(latest) else -1
