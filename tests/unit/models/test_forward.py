@@ -45,7 +45,7 @@ def record(
     for _ in range(count + 1):
         reading = orbit + NOISE * generator.standard_normal(n)
         noise = dither * generator.standard_normal(m)
-        change = explore * generator.standard_normal(m)
+        change = explore * generator.uniform(-1.0, 1.0, m)
         if not explore:
             change = noise - gain * (inverse @ reading)
         moved = response @ change
@@ -149,15 +149,22 @@ def test_a_wrong_first_response_is_corrected():
 
 
 def test_learns_what_no_matrix_can_say_and_is_less_sure_where_it_has_not_been():
-    """A cubic answer, explored in open loop."""
-    response = ring()
-    bend = 2e10
-    rows = record(response, 3000, 1, explore=1e-3, bend=bend)
-    settings = SETTINGS.model_copy(update={"iterations": 600})
-    other = record(response, 1500, 2, explore=1e-3, bend=bend)
+    """A cubic answer, explored in open loop: better than the best of all matrices."""
+    response = 1e-3 * np.eye(4) + 1e-4 * np.random.default_rng(0).standard_normal((4, 4))
+    bend = 3e10
+    rows = record(response, 3000, 1, explore=3e-3, bend=bend)
+    other = record(response, 1500, 2, explore=3e-3, bend=bend)
+    settings = SETTINGS.model_copy(
+        update={"hidden": (64,), "iterations": 1000, "learning_rate": 1e-2, "penalty": 0.0}
+    )
     net = fit_forward(rows, other, response, settings)
-    assert net.figures["validation_chi2"] < 0.5 * net.figures["validation_chi2_response"]
-    orbit, change = other.orbit[:200], other.change[:200]
+    assert net.figures["validation_chi2"] < 0.6 * net.figures["validation_chi2_response"]
+    orbit, change = other.orbit, other.change
+    moved = change @ response.T
+    cubic = bend * moved**3
+    matrix = np.linalg.lstsq(change, cubic, rcond=None)[0]
+    missed = net.difference(orbit, change) - moved - cubic
+    assert np.linalg.norm(missed) < 0.8 * np.linalg.norm(change @ matrix - cubic)
     near = np.sqrt(np.mean(net.uncertainty(orbit, change) ** 2))
     far = np.sqrt(np.mean(net.uncertainty(orbit, 5 * change) ** 2))
     assert far > 2 * near > 0.0
@@ -181,10 +188,10 @@ def test_the_forms_of_the_model_agree(honest):
 
 
 def test_gradients_reach_the_change(honest):
-    change = torch.full((2, 8), 1e-4, requires_grad=True)
+    change = torch.full((2, 8), 1e-8, requires_grad=True)
     honest.torch_step()(torch.zeros(2, 10), change).sum().backward()
     expected = honest.slope().sum(axis=0)
-    np.testing.assert_allclose(change.grad[0].numpy(), expected, rtol=0.5, atol=2e-4)
+    np.testing.assert_allclose(change.grad[0].numpy(), expected, rtol=1e-3, atol=1e-6)
 
 
 def test_the_same_seed_gives_the_same_net_and_a_resumed_training_too(tmp_path):
