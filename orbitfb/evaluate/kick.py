@@ -15,9 +15,10 @@ import numpy as np
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.refit import Decision, RefitReport
 from orbitfb.core.signals import LoopState, TickRecord, Vector
-from orbitfb.epics.knob import Knob
+from orbitfb.epics.assembler import Snapshot
 from orbitfb.epics.machine import EpicsMachine
-from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
+from orbitfb.epics.probe import Probe
+from orbitfb.epics.settings import EpicsSettings
 from orbitfb.evaluate.kick_figures import LATEST, Recovery, recoveries, recovery_figures
 from orbitfb.evaluate.kick_laws import opening_policy, start_learner
 from orbitfb.evaluate.kick_settings import KickSettings, Law, Responses, responses
@@ -43,8 +44,8 @@ class KickRun:
     """One law on its ring.
 
     Args:
-        true_rms: Of the true orbit by tick of the ring, shape (ticks,) [m]; NaN where the loop
-            did not see the tick.
+        true_rms: Of the true orbit by tick of the ring, shape (ticks,) [m]; NaN before the first
+            one that was seen and after the loop has tripped.
         recoveries: What followed every kick.
         missed: Orbits that the loop did not see.
         limited: Ticks whose change was shortened by the limits.
@@ -120,14 +121,17 @@ class _Experiment:
         self._settings = settings
         self._done = threading.Event()
         self._missed = self._limited = 0
+        self._tick = 0
         self._asked: list[int] = []
         self._true_rms = np.full(settings.ticks, np.nan)
         self._reports: list[RefitReport] = []
         child = stack.enter_context(SimChild(_job(settings)))
-        network, clock = _network(child.port), SystemClock()
+        network, clock = EpicsSettings(server_port=child.port), SystemClock()
         channels = Ring.load().channels(settings.planes)
         machine = stack.enter_context(EpicsMachine(channels, network, clock))
-        self._knob = stack.enter_context(Knob(KICK_PV, network))
+        self._probe = stack.enter_context(
+            Probe((TICK_PV, TRUE_RMS_PV), KICK_PV, network, self._see)
+        )
         slot = PolicySlot(opening_policy(law, settings, known))
         history = History(channels, 4000)
         self._runner = Runner(
@@ -162,23 +166,26 @@ class _Experiment:
         return self._runner.state is LoopState.TRIPPED
 
     def _note(self, record: TickRecord) -> None:
-        """Take a record; kicks when it is time, ends the run when the ring has made its ticks."""
+        """Take a record of the loop, and kick when it is time."""
         self._missed += record.missed
-        if record.state is LoopState.TRIPPED:  # the beam is as good as lost: no use in more kicks
-            self._done.set()
-            return
         self._limited += record.scale < 1.0
-        if record.reading is None or not np.isfinite(record.reading.auxiliary["tick"]):
-            return
-        tick = int(record.reading.auxiliary["tick"])
-        if tick >= len(self._true_rms):
+        if record.state is LoopState.TRIPPED:  # the beam is as good as lost: no more kicks
             self._done.set()
-            return
-        self._true_rms[tick] = record.reading.auxiliary["true_orbit_rms"]
-        settings, number = self._settings, len(self._asked)
+        settings, number, tick = self._settings, len(self._asked), self._tick
         if number < settings.kicks and tick >= settings.settle + number * settings.window:
             self._asked.append(tick)
-            self._knob.turn(settings.kick_rms * _MILLI)
+            self._probe.turn(settings.kick_rms * _MILLI)
+
+    def _see(self, snapshot: Snapshot) -> None:
+        """Take what the ring says of itself at a tick; ends the run after the last one."""
+        number, true_rms = snapshot.values.tolist()
+        if not (np.isfinite(number) and np.isfinite(true_rms)):
+            return
+        self._tick = int(number)
+        if self._tick < len(self._true_rms):
+            self._true_rms[self._tick] = true_rms / _MILLI
+        else:
+            self._done.set()
 
 
 def _job(settings: KickSettings) -> SimJob:
@@ -188,12 +195,3 @@ def _job(settings: KickSettings) -> SimJob:
         plant=settings.plant(),
         sim=SimSettings(port=0, rate_hz=settings.rate_hz),
     )
-
-
-def _network(port: int) -> EpicsSettings:
-    settings = EpicsSettings(server_port=port)
-    simulated = {
-        "true_orbit_rms": AuxiliarySettings(pv=TRUE_RMS_PV, scale=1e-3),
-        "tick": AuxiliarySettings(pv=TICK_PV),
-    }
-    return settings.model_copy(update={"auxiliary": {**settings.auxiliary, **simulated}})

@@ -21,8 +21,8 @@ class Recovery:
 
     Args:
         tick: Of the first orbit with the kick in it.
-        course: Rms of the true orbit from that tick on, shape (window,) [m]; NaN where the loop
-            did not see the tick.
+        course: Rms of the true orbit from that tick on, shape (window,) [m]; NaN where it is
+            not known.
         before: Median rms over the ticks before the kick [m].
     """
 
@@ -124,7 +124,7 @@ def mean_course(found: Sequence[Recovery]) -> tuple[Vector, Vector]:
     """Give the mean and the worst rms by tick after the kick, each of shape (window,) [m].
 
     Args:
-        found: At least one recovery; ticks that a loop did not see are left out of both.
+        found: At least one recovery; ticks that are not known are left out of both.
     """
     courses = np.ma.masked_invalid([recovery.course for recovery in found])
     return courses.mean(axis=0).filled(np.nan), courses.max(axis=0).filled(np.nan)
