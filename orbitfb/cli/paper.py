@@ -83,6 +83,12 @@ def evaluate_paper_command(
     }
     asked |= {name: value for name, value in given.items() if value is not None}
     settings = validated(PaperSettings, asked)
+    left_out = [name for name in settings.methods if not METHODS[name].installed]
+    for name in left_out:
+        extra = METHODS[name].extra
+        print(f"{name} is left out: it needs the extra {extra!r}: pip install 'orbitfb[{extra}]'")
+    methods = tuple(name for name in settings.methods if name not in left_out)
+    settings = validated(PaperSettings, {**settings.model_dump(), "methods": methods})
     prepare(out)
     began = time.monotonic()
 

@@ -1,6 +1,7 @@
 """The methods of the paper's experiment, by name."""
 
 import importlib
+import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,9 @@ from orbitfb.core.errors import ConfigError
 from orbitfb.evaluate.paper.environment import Controller, Environment
 
 _PAPER = "orbitfb.evaluate.paper"
+
+EXTRAS: Mapping[str, tuple[str, ...]] = {"rl": ("gymnasium", "stable_baselines3")}
+"""What has to be importable for an extra of the package."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +28,7 @@ class Method:
         whole: Whether all trajectories are run at once, because most of the work is common.
         cost: About how long 32 trajectories take, to start the longest first [s].
         on_device: Whether the function takes `device`.
+        extra: Extra of the package that it needs; empty: none.
     """
 
     title: str
@@ -33,6 +38,12 @@ class Method:
     whole: bool = False
     cost: float = 10.0
     on_device: bool = False
+    extra: str = ""
+
+    @property
+    def installed(self) -> bool:
+        """Whether its extra is installed."""
+        return all(importlib.util.find_spec(name) for name in EXTRAS.get(self.extra, ()))
 
     def controller(
         self, environment: Environment, options: Mapping[str, Any], device: str
@@ -84,6 +95,34 @@ METHODS: Mapping[str, Method] = {
         quick=False,
         cost=600.0,
         on_device=True,
+    ),
+    "forward-net": Method(
+        "network, trained on R̂ a + a forward net",
+        "forward_net:forward_net",
+        static=True,
+        quick=False,
+        whole=True,
+        cost=150.0,
+        on_device=True,
+    ),
+    "forward-net-alone": Method(
+        "network, trained on a forward net alone",
+        "forward_net:forward_net_alone",
+        static=True,
+        quick=False,
+        whole=True,
+        cost=150.0,
+        on_device=True,
+    ),
+    "ppo": Method(
+        "PPO of stable-baselines3, 20,000 steps in mode coordinates",
+        "agent:Agent",
+        static=True,
+        quick=False,
+        whole=True,
+        cost=90.0,
+        on_device=True,
+        extra="rl",
     ),
     "true-response": Method(
         "knows R_t: the bound", "bound:TrueResponse", static=False, whole=True, cost=25.0
