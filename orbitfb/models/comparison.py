@@ -29,6 +29,8 @@ from orbitfb.models.settings import IdentifySettings
 
 _SOLVE_EVERY = 100
 _SLOPE_BELIEF = 25.0
+_LARGE_MOTION = 10.0
+_USUAL_MEMORY = 300.0
 _SETTLE = 200
 """Rows that only teach the noise: with a gain that is not known yet nothing can be told."""
 
@@ -83,6 +85,7 @@ class Comparison:
         self._slope_pull = np.zeros(count)
         self._slope_information = np.zeros(count)
         self._unsolved = 0
+        self._usual: float | None = None
 
     def absorb(self, regressors: Vector, responses: Vector) -> Contrast:
         """Take in prefiltered rows.
@@ -106,6 +109,9 @@ class Comparison:
             return Contrast()
         raw, motion = raw[:, fit], motion[:, fit]
         regressors, innovations = regressors[:, fit], innovations[:, fit]
+        self._noise.absorb(np.sum(innovations**2, axis=1), float(fit.sum()))
+        weights = np.sqrt(self._weigh(np.mean(motion**2 / variance, axis=0)))
+        raw, motion, regressors = raw * weights, motion * weights, regressors * weights[:, None]
         slope = self._slope_pull / (self._slope_information + _SLOPE_BELIEF)
         own = raw - slope[:, None] * motion
         shift = np.empty_like(own)
@@ -118,14 +124,27 @@ class Comparison:
             pull=float(np.sum(own * shift / variance)),
             information=float(np.sum(shift**2 / variance)),
             sensitivity=self._settings.change_entry**2 * float(np.sum(squares / variance)),
-            chi2=float(np.mean(own**2 / variance)),
+            chi2=float(np.mean((own / weights) ** 2 / variance)),
         )
-        self._noise.absorb(np.sum(innovations**2, axis=1), float(contrast.rows))
         if self._unsettled > 0:
             self._unsettled -= contrast.rows
             return Contrast()
         self._learn(regressors, raw, own, motion, levels, variances)
         return contrast
+
+    def _weigh(self, motion: Vector) -> Vector:
+        """Weights of rows, shape (T,), from their mean squared motion in units of the noise.
+
+        The answer to a kick moves the orbit so far that a few rows would outweigh all others;
+        the row counts as if its noise were larger.
+        """
+        moved = np.maximum(motion, np.finfo(float).tiny)
+        middle = float(np.mean(np.log(moved)))
+        if self._usual is None:
+            self._usual = float(np.median(np.log(moved)))
+        weights = np.minimum(1.0, _LARGE_MOTION * np.exp(self._usual) / moved)
+        self._usual += (middle - self._usual) * -np.expm1(-len(moved) / _USUAL_MEMORY)
+        return weights
 
     def _learn(
         self,

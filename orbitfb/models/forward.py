@@ -150,6 +150,7 @@ def _loss(
         else torch.arange(len(index))
         for _ in members
     ]
+    belief = settings.belief / len(rows)
     count = min(len(index), max(1, settings.batch // settings.window))
 
     def loss_at(_: int) -> torch.Tensor:
@@ -159,7 +160,7 @@ def _loss(
             answer = member(inputs[chosen])
             filtered = torch.einsum("nij,bjn->bin", filters, answer)
             total = total + torch.mean((wanted[chosen] - filtered) ** 2)
-            total = total + settings.penalty * torch.mean((answer * size) ** 2)
+            total = total + belief * torch.mean((answer * size) ** 2)
         return total / len(members)
 
     return loss_at

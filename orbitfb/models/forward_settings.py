@@ -34,10 +34,11 @@ class ForwardSettings(Settings):
     learning_rate: float = Field(
         default=2e-3, gt=0.0, description="Of Adam at first; it falls to zero along a cosine [1]."
     )
-    penalty: float = Field(
-        default=0.02,
+    belief: float = Field(
+        default=3000.0,
         ge=0.0,
-        description="Weight of the mean squared answer of a net, in units of the noise [1].",
+        description="Rows that the belief in a zero answer of the nets is worth (in the residual "
+        "form: the belief in R̂) [1].",
     )
     seed: int = Field(default=0, ge=0, description="Seed of weights and draws [1].")
     reading_noise: float = Field(

@@ -169,6 +169,20 @@ def test_pull_is_the_information_when_the_change_is_of_the_expected_size():
     assert total[1] > 20.0
 
 
+def test_the_answer_to_a_kick_does_not_outweigh_all_other_rows():
+    response = 1e-3 * np.eye(8)
+    regressors, responses = rows_in_closed_loop(response, response, 400, 1)
+    comparison = Comparison(response, SETTINGS)
+    for begin in range(0, 380, 20):
+        usual = comparison.absorb(
+            regressors[:, begin : begin + 20], responses[:, begin : begin + 20]
+        )
+    kicked = regressors[:, 380:].copy()
+    kicked[:, 10] *= 1000.0
+    answered = responses[:, 380:] + (kicked - regressors[:, 380:]) @ response.T
+    assert comparison.absorb(kicked, answered).sensitivity < 3.0 * usual.sensitivity
+
+
 def test_a_larger_response_of_the_modes_themselves_is_left_out():
     """It looks like a misjudged Kalman gain, which is no change of R."""
     response = 1e-3 * np.eye(8) + 1e-4 * np.random.default_rng(3).standard_normal((8, 8))

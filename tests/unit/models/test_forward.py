@@ -16,7 +16,7 @@ from orbitfb.nets.checkpoint import Checkpoint
 
 NOISE, GROUND, GAIN = 0.2e-6, 0.05e-6, 1.0
 SETTINGS = ForwardSettings(
-    hidden=(24,), members=2, window=64, iterations=300, batch=1024, device="cpu"
+    hidden=(24,), members=2, window=64, iterations=300, batch=1024, belief=60.0, device="cpu"
 )
 PLAIN = SETTINGS.model_copy(update={"window": 1})
 
@@ -155,7 +155,7 @@ def test_learns_what_no_matrix_can_say_and_is_less_sure_where_it_has_not_been():
     rows = record(response, 3000, 1, explore=3e-3, bend=bend)
     other = record(response, 1500, 2, explore=3e-3, bend=bend)
     settings = SETTINGS.model_copy(
-        update={"hidden": (64,), "iterations": 1000, "learning_rate": 1e-2, "penalty": 0.0}
+        update={"hidden": (64,), "iterations": 1000, "learning_rate": 1e-2, "belief": 0.0}
     )
     net = fit_forward(rows, other, response, settings)
     assert net.figures["validation_chi2"] < 0.6 * net.figures["validation_chi2_response"]
