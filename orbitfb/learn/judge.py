@@ -238,10 +238,17 @@ def predict_loop(
                 transition = transition @ transition
                 ticks *= 2
             later = float(np.linalg.norm(transition))
-        growth.append((later / norm) ** (2.0 / ticks) if np.isfinite(later) else np.inf)
+        growth.append(_growth(norm, later, ticks))
         square = float(np.trace(covariance) + mean @ mean) / size
         squares.append(min(square, _WORST_RMS**2) if np.isfinite(square) else _WORST_RMS**2)
     return Prediction(float(np.sqrt(np.mean(squares))), max(growth))
+
+
+def _growth(earlier: float, later: float, ticks: int) -> float:
+    """Give the growth per tick from the transition over half the ticks to that over all."""
+    if not np.isfinite(later):
+        return float("inf")
+    return (later / earlier) ** (2.0 / ticks) if earlier > 0.0 else 0.0
 
 
 def gain_of(policy: Policy, readings: int) -> Vector:

@@ -28,13 +28,11 @@ from orbitfb.learn.messages import (
     unpack,
 )
 from orbitfb.learn.settings import LearnSettings
-from orbitfb.learn.trainer import Answer, Task
+from orbitfb.learn.trainer import MOST_ROWS, Answer, Task
 
 SINGLE_THREADED = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
-_MOST_ROWS = 2000
-"""Rows of one task; more would be of an older ring, and take long to send."""
 _RESTART_AFTER = 10.0
 _LAST_WORDS = 2000
 
@@ -197,6 +195,7 @@ class ProcessTrainer:
         """Let go of a child that has died; what it was doing is answered with that."""
         words, pid = self._last_words(), self.pid
         self.close()
+        self._last_tick = None
         self._retry = self._monotonic() + _RESTART_AFTER
         self._lost = Answer(
             self._busy or "periodic",
@@ -215,12 +214,12 @@ class ProcessTrainer:
 
 def _newest(transitions: Transitions) -> Transitions:
     """Leave out the oldest rows beyond the most that are sent."""
-    if len(transitions) <= _MOST_ROWS:
+    if len(transitions) <= MOST_ROWS:
         return transitions
     columns = {
-        name: getattr(transitions, name)[-_MOST_ROWS:]
+        name: getattr(transitions, name)[-MOST_ROWS:]
         for name in Transitions.__dataclass_fields__
         if name != "auxiliary"
     }
-    auxiliary = {name: column[-_MOST_ROWS:] for name, column in transitions.auxiliary.items()}
+    auxiliary = {name: column[-MOST_ROWS:] for name, column in transitions.auxiliary.items()}
     return Transitions(**columns, auxiliary=auxiliary)

@@ -10,6 +10,9 @@ from orbitfb.core.transitions import Transitions
 from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
 
+MOST_ROWS = 2000
+"""Rows of one task; more would be of an older ring, and take long to copy and to send."""
+
 
 @dataclass(frozen=True, slots=True)
 class Task:

@@ -16,7 +16,7 @@ from orbitfb.core.ports import Clock, Policy
 from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.transitions import Transitions
 from orbitfb.learn.succession import Keep, Slot, Succession, TransitionSource
-from orbitfb.learn.trainer import Answer, Task, Trainer, explain
+from orbitfb.learn.trainer import MOST_ROWS, Answer, Task, Trainer, explain
 from orbitfb.safety.limits import LimitSettings
 
 _POLL = 0.2
@@ -141,7 +141,10 @@ class LearnerThread(threading.Thread):
             return
         request = self._next_request()
         last = self._trainer.last_tick
-        new = self._history.snapshot(since_tick=None if last is None else last + 1)
+        if last is None:
+            new = self._history.snapshot(last=MOST_ROWS)
+        else:
+            new = self._history.snapshot(since_tick=last + 1)
         if request is None:
             task = self._due(new)
             request = _Request(None, activate=True)
