@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -59,11 +58,20 @@ def draw_orbits(
     end = whole if ticks is None else min(ticks, scenario.steps)
     figure = new_figure(12.5, 4.8)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
-    for name, result in methods.items():
+    drawn = thinned(end, scenario.steps)
+    widths = np.linspace(2.4, 1.0, len(methods))  # so that one curve on another is still seen
+    for (name, result), width in zip(methods.items(), widths, strict=True):
         summary = result.summary
         count = len(summary.near)
-        _pair(left, name, summary.observed_sum / count, summary.observed_worst, end)
-        _pair(right, name, summary.true_sum / count, summary.true_worst, end)
+        for axes, total, worst in (
+            (left, summary.observed_sum, summary.observed_worst),
+            (right, summary.true_sum, summary.true_worst),
+        ):
+            colour = colour_of(name)
+            mean = total[drawn] / count * _UM
+            axes.semilogy(drawn, mean, color=colour, lw=width, label=name)
+            top = worst[drawn] * _UM
+            axes.semilogy(drawn, top, color=colour, lw=0.6, ls=":", alpha=0.8)
     left.axhline(scenario.reading_noise * _UM, color="grey", lw=0.8, ls=":")
     for axes, title in ((left, "read"), (right, "true")):
         axes.set_title(f"{scenario.name}: orbit as {title}" if title == "read" else "true orbit")
@@ -105,14 +113,9 @@ def draw_training(trainings: Mapping[str, Sequence[float]], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _pair(axes: Axes, name: str, mean: np.ndarray, worst: np.ndarray, end: int) -> None:
-    ticks = thinned(end)
-    axes.semilogy(ticks, mean[ticks] * _UM, color=colour_of(name), lw=1.1, label=name)
-    axes.semilogy(ticks, worst[ticks] * _UM, color=colour_of(name), lw=0.6, ls=":", alpha=0.8)
-
-
-def thinned(end: int) -> np.ndarray:
-    """Give the ticks that are drawn: all of the first ones, then some."""
+def thinned(end: int, kick: int) -> np.ndarray:
+    """Give the ticks that are drawn: all if they are few, else some, and all after a re-kick."""
     if end <= _MOST_POINTS:
         return np.arange(end)
-    return np.unique(np.linspace(0, end - 1, _MOST_POINTS).astype(np.int64))
+    some = np.linspace(0, end - 1, _MOST_POINTS).astype(np.int64)
+    return np.unique(np.concatenate((some, np.arange(min(kick, end), min(kick + 100, end)))))
