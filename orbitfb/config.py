@@ -25,6 +25,7 @@ from orbitfb.history.recorder import ArchiveSettings
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.loop.dither import DitherSettings
 from orbitfb.loop.settings import LoopSettings
+from orbitfb.models.forward_settings import ForwardSettings
 from orbitfb.observe.settings import ObserveSettings
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import PlantSettings
@@ -72,6 +73,9 @@ class TrainSettings(Settings):
     )
     structured: StructuredSettings = Field(
         default=StructuredSettings(), description="Training of the modal law through the model."
+    )
+    forward: ForwardSettings = Field(
+        default=ForwardSettings(), description="Training of the forward net."
     )
 
 

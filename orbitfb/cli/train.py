@@ -10,7 +10,7 @@ import typer
 from orbitfb.cli.options import AsJson, ConfigFile, DataDirectory, Planes, configure, show
 
 if TYPE_CHECKING:
-    from orbitfb.training import Progress
+    from orbitfb.training.request import Progress
 
 
 def train(
@@ -18,7 +18,7 @@ def train(
         str,
         typer.Argument(
             help="svd, modal, network (computed from the response); structured, supervised, "
-            "trajectory (trained)."
+            "trajectory (trained); forward (a model: the forward net)."
         ),
     ],
     start: Annotated[
@@ -33,6 +33,14 @@ def train(
         typer.Option(
             "--from", help="Archive to identify the response from; labels of supervised training."
         ),
+    ] = None,
+    validate: Annotated[
+        Path | None,
+        typer.Option(help="Archive with another excitation, to validate a forward net on."),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help="Forward net to train a trajectory policy on, not the response."),
     ] = None,
     published: Annotated[
         bool, typer.Option("--published", help="Train as the paper does, not as configured.")
@@ -56,16 +64,30 @@ def train(
     planes: Planes = None,
     as_json: AsJson = False,
 ) -> None:
-    """Train a policy and store it with its card; Ctrl-C keeps what is done for the next time."""
-    from orbitfb.training import TrainingRequest, train_policy
+    """Train a policy or a model and store it; Ctrl-C keeps what is done for the next time."""
+    from orbitfb.training.model import train_model
+    from orbitfb.training.policy import train_policy
+    from orbitfb.training.request import FORWARD, TrainingRequest
 
     settings = configure(config_file, data_directory=data, ring__planes=planes)
     request = TrainingRequest(
-        method, start, archive, published, warm, iterations, seed, device, fresh, activate
+        method=method,
+        start=start,
+        archive=archive,
+        validation=validate,
+        model=model,
+        published=published,
+        warm=warm,
+        iterations=iterations,
+        seed=seed,
+        device=device,
+        fresh=fresh,
+        activate=activate,
     )
+    work = train_model if method == FORWARD else train_policy
     with _progress(as_json) as progress:
         try:
-            answer = train_policy(settings, request, progress)
+            answer = work(settings, request, progress)
         except KeyboardInterrupt:
             print("interrupted: the same command goes on from here, --fresh begins anew")
             raise typer.Exit(130) from None

@@ -10,7 +10,8 @@ import pytest
 from orbitfb.config import AppConfig, load_config
 from orbitfb.core.errors import ConfigError, StoreError
 from orbitfb.maintenance import open_store
-from orbitfb.training import METHODS, TrainingRequest, train_policy
+from orbitfb.training.policy import train_policy
+from orbitfb.training.request import METHODS, TrainingRequest
 
 QUICK = {
     "train.supervised.batch": 4,
@@ -89,6 +90,8 @@ def test_a_stored_network_can_be_trained_on(config):
         ({"method": "trajectory", "iterations": 0}, "give at least 1"),
         ({"method": "trajectory", "warm": True}, "name it with --start"),
         ({"method": "svd", "warm": True}, "--warm means nothing"),
+        ({"method": "svd", "model": "m"}, "--model means nothing"),
+        ({"method": "forward"}, "--validate ARCHIVE"),
     ],
 )
 def test_what_makes_no_sense_is_refused(config, options, said):

@@ -1,11 +1,9 @@
-"""What `orbitfb train` does: bring response, data and settings together, train, store."""
+"""Train a policy and store it with its card."""
 
-import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Any, cast
 
 import numpy as np
 
@@ -13,70 +11,16 @@ from orbitfb.config import AppConfig
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
-from orbitfb.history.archive import read_archive
 from orbitfb.learn.builders import modal_law
 from orbitfb.maintenance import activate_policy, data_hash, open_store
-from orbitfb.models.identify import Identifier
-from orbitfb.models.linear import LinearModel
-from orbitfb.models.rows import select_rows
-from orbitfb.physics.places import Ring
-from orbitfb.physics.response import response
 from orbitfb.policies.embedding import embed
 from orbitfb.policies.kinds import StoredPolicy
 from orbitfb.policies.modal import ModalPolicy
 from orbitfb.policies.network import NetworkPolicy
 from orbitfb.policies.svd import SvdPolicy
-
-Method = Literal["svd", "modal", "structured", "network", "supervised", "trajectory"]
-"""What can be trained; the first three and `network` are computed or nearly so."""
-
-METHODS: tuple[Method, ...] = get_args(Method)
-
-NOMINAL = "nominal"
-"""The word for the response matrix of the optics."""
-
-Progress = Callable[[int, int, float], None]
-"""Told how many iterations are done, of how many, and the loss [1]."""
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingRequest:
-    """What is asked for.
-
-    Args:
-        method: How the policy is made.
-        start: Response to begin from: `nominal`, or the id of a stored policy.
-        archive: Operation to identify the response from, and for labels; None: none.
-        published: Whether supervised or trajectory train as published, in place of the
-            configured settings.
-        warm: Whether the training begins with the network of the stored policy `start`.
-        iterations: In place of the settings' number.
-        seed: In place of the settings' seed.
-        device: `auto`, `cpu` or `cuda`.
-        fresh: Whether an interrupted training is thrown away, not resumed.
-        activate: Whether the policy is put in force.
-    """
-
-    method: str
-    start: str = NOMINAL
-    archive: Path | None = None
-    published: bool = False
-    warm: bool = False
-    iterations: int | None = None
-    seed: int | None = None
-    device: str = "auto"
-    fresh: bool = False
-    activate: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class _Ground:
-    """What a training stands on."""
-
-    response: Vector
-    start: StoredPolicy | None
-    posterior: LinearModel | None
-    transitions: Transitions | None
+from orbitfb.training.ground import Ground, find_ground
+from orbitfb.training.model import load_model
+from orbitfb.training.request import Method, Progress, TrainingRequest, check
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,26 +52,22 @@ def train_policy(
         ConfigError: The request makes no sense.
         OrbitFeedbackError: Data or training failed; nothing was stored.
     """
-    if request.method not in METHODS:
-        raise ConfigError(f"{request.method!r} cannot be trained; choose {', '.join(METHODS)}")
-    _check(request)
-    ring = config.ring.load()
-    channels = ring.channels(config.ring.planes)
-    ground = _ground(config, request, ring)
-    directory = config.data_directory / "training" / _fingerprint(config, request)
+    check(request)
+    ground = find_ground(config, request)
+    directory = config.data_directory / "training" / request.fingerprint
     if request.fresh:
-        _discard(directory)
+        discard(directory)
     trained = _train(config, request, ground, directory, progress)
     store = open_store(config)
     identifier = store.save(
         trained.policy,
-        channels,
+        ground.channels,
         parent=None if ground.start is None else ground.start.policy_id,
         data_hash=None if ground.transitions is None else data_hash(ground.transitions),
         figures=trained.training["figures"],
         training=trained.training,
     )
-    _discard(directory)
+    discard(directory)
     answer: dict[str, Any] = {"stored": identifier, "method": request.method}
     answer |= trained.training["figures"]
     if trained.curve:
@@ -137,48 +77,10 @@ def train_policy(
     return answer
 
 
-def _check(request: TrainingRequest) -> None:
-    """Refuse options that the method has no use for, rather than ignore them."""
-    descending = request.method in ("structured", "supervised", "trajectory")
-    for name, given, useful in (
-        ("--iterations", request.iterations is not None, descending),
-        ("--published", request.published, request.method in ("supervised", "trajectory")),
-        ("--warm", request.warm, request.method == "trajectory"),
-    ):
-        if given and not useful:
-            raise ConfigError(f"{name} means nothing to the method {request.method}; leave it out")
-    if request.iterations is not None and request.iterations < 1:
-        raise ConfigError(f"--iterations {request.iterations}: give at least 1")
-    if request.warm and request.start == NOMINAL:
-        raise ConfigError("--warm begins with a stored network: name it with --start ID")
-
-
-def _ground(config: AppConfig, request: TrainingRequest, ring: Ring) -> _Ground:
-    channels = ring.channels(config.ring.planes)
-    start: StoredPolicy | None = None
-    if request.start == NOMINAL:
-        matrix = response(ring, config.ring.planes)
-    else:
-        start = open_store(config).load(request.start, channels)
-        matrix = start.response
-    if request.archive is None:
-        return _Ground(matrix, start, None, None)
-    transitions = read_archive(request.archive, channels)
-    identifier = Identifier(matrix, config.learn.identify)
-    identifier.absorb(select_rows(transitions, config.learn.tolerance))
-    posterior = identifier.model
-    if identifier.last_tick is None and request.method != "supervised":
-        raise ConfigError(
-            f"no transition of {request.archive} can be used to identify the response; record "
-            "with the loop CLOSED and readbacks that follow the setpoints"
-        )
-    return _Ground(posterior.response, start, posterior, transitions)
-
-
 def _train(
     config: AppConfig,
     request: TrainingRequest,
-    ground: _Ground,
+    ground: Ground,
     directory: Path,
     progress: Progress,
 ) -> _Trained:
@@ -198,11 +100,11 @@ def _train(
 
 
 def _structured(
-    config: AppConfig, request: TrainingRequest, ground: _Ground, directory: Path, say: Progress
+    config: AppConfig, request: TrainingRequest, ground: Ground, directory: Path, say: Progress
 ) -> _Trained:
     from orbitfb.policies.structured import train_structured
 
-    settings = _adapted(config.train.structured, request)
+    settings = config.train.structured.model_copy(update=request.given())
     result = train_structured(
         ground.response,
         settings,
@@ -216,7 +118,7 @@ def _structured(
 
 
 def _supervised(
-    config: AppConfig, request: TrainingRequest, ground: _Ground, directory: Path, say: Progress
+    config: AppConfig, request: TrainingRequest, ground: Ground, directory: Path, say: Progress
 ) -> _Trained:
     from orbitfb.policies.supervised import train_supervised
     from orbitfb.policies.supervised_settings import SupervisedSettings
@@ -224,7 +126,7 @@ def _supervised(
     settings = config.train.supervised
     if request.published:
         settings = SupervisedSettings.paper(source=settings.source)
-    settings = _adapted(settings, request)
+    settings = settings.model_copy(update=request.given())
     archive = None
     if settings.source == "archive":
         if ground.transitions is None:
@@ -243,20 +145,30 @@ def _supervised(
 
 
 def _trajectory(
-    config: AppConfig, request: TrainingRequest, ground: _Ground, directory: Path, say: Progress
+    config: AppConfig, request: TrainingRequest, ground: Ground, directory: Path, say: Progress
 ) -> _Trained:
+    from orbitfb.nets.device import pick_device
     from orbitfb.policies.trajectory import train_trajectory
     from orbitfb.policies.trajectory_settings import TrajectorySettings
 
     settings = TrajectorySettings.paper() if request.published else config.train.trajectory
-    settings = _adapted(settings, request)
-    if request.warm and not isinstance(ground.start, NetworkPolicy):
-        raise ConfigError(f"--warm: policy {request.start} is no network; train one first")
+    settings = settings.model_copy(update=request.given())
+    start = None
+    if request.warm:
+        if not isinstance(ground.start, NetworkPolicy):
+            raise ConfigError(f"--warm: policy {request.start} is no network; train one first")
+        start = ground.start
+    model = None
+    if request.model is not None:
+        model = load_model(config, request.model, ground.channels).torch_step(
+            pick_device(request.device)
+        )
     result = train_trajectory(
         ground.response,
         settings,
-        start=ground.start if request.warm else None,  # type: ignore[arg-type]
-        draw=_draw(ground, config.train.samples),
+        start=start,
+        model=model,
+        draw=_draw(ground, config.train.samples) if model is None else None,
         device=request.device,
         progress=lambda done, loss: say(done, settings.iterations, loss),
         checkpoint=directory,
@@ -264,18 +176,18 @@ def _trajectory(
     return _learnt(result)
 
 
-def _modal(config: AppConfig, ground: _Ground) -> ModalPolicy:
+def _modal(config: AppConfig, ground: Ground) -> ModalPolicy:
     law = ModalPolicy(ground.response, config.policy.modal)
     return law if ground.posterior is None else modal_law(ground.posterior, law, config.policy)
 
 
-def _covariance(config: AppConfig, ground: _Ground) -> Vector | None:
+def _covariance(config: AppConfig, ground: Ground) -> Vector | None:
     if ground.posterior is None or not config.policy.cautious:
         return None
     return ground.posterior.row_covariance
 
 
-def _draw(ground: _Ground, samples: int) -> Callable[[np.random.Generator], Vector] | None:
+def _draw(ground: Ground, samples: int) -> Callable[[np.random.Generator], Vector] | None:
     """Let a training see what the data allow of R, when there are data."""
     model = ground.posterior
     if model is None or samples == 0:
@@ -288,11 +200,6 @@ def _labels(transitions: Transitions) -> tuple[Vector, Vector]:
     answered = transitions.closed & transitions.valid.all(axis=1)
     errors = (transitions.orbit - transitions.reference)[answered]
     return errors, (transitions.requested - transitions.dither)[answered]
-
-
-def _adapted(settings: Any, request: TrainingRequest) -> Any:
-    given = {"iterations": request.iterations, "seed": request.seed}
-    return settings.model_copy(update={k: v for k, v in given.items() if v is not None})
 
 
 def _computed(method: str, policy: StoredPolicy) -> _Trained:
@@ -313,15 +220,8 @@ def _learnt(result: Any) -> _Trained:
     return _Trained(result.policy, training, tuple(result.curve))
 
 
-def _fingerprint(config: AppConfig, request: TrainingRequest) -> str:
-    """Name the directory of a training, so that the same request finds it again."""
-    named = [request.method, request.start, str(request.archive), request.published, request.warm]
-    named += [request.seed, config.ring.planes]
-    digest = hashlib.sha256(json.dumps(named).encode()).hexdigest()[:12]
-    return f"{request.method}-{digest}"
-
-
-def _discard(directory: Path) -> None:
+def discard(directory: Path) -> None:
+    """Take the checkpoint of a training away."""
     if directory.exists():
         from orbitfb.nets.checkpoint import Checkpoint
 

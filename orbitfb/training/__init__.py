@@ -1,0 +1,1 @@
+"""What `orbitfb train` does: bring response, data and settings together, train, store."""
