@@ -35,6 +35,8 @@ def _force_environment() -> None:
         if name.startswith(("EPICS_", "ORBITFB_")):
             del os.environ[name]
     os.environ.update(_LOOPBACK_EPICS)
+    # As the program itself does: small matrices lose more by waiting for threads than they gain.
+    os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
 
 
 _force_environment()
