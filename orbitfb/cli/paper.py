@@ -40,7 +40,7 @@ def evaluate_paper_command(
         ),
     ] = None,
     trajectories: Annotated[
-        int | None, typer.Option(help="Trajectories of every method [32].")
+        int | None, typer.Option(min=1, help="Trajectories of every method [32].")
     ] = None,
     steps: Annotated[int | None, typer.Option(help="Length of the drift [ticks].")] = None,
     seed: Annotated[
@@ -68,6 +68,12 @@ def evaluate_paper_command(
 
     if quick and full:
         raise ConfigError("--quick and --full exclude each other: give one of them")
+    for option, names, choices in (("scenario", scenario, NAMES), ("method", method, METHODS)):
+        for name in names or ():
+            if name not in choices:
+                raise ConfigError(
+                    f"--{option}: there is no {name!r}; choose from {', '.join(choices)}"
+                )
     asked: dict[str, Any] = {}
     if full:
         asked = {"scenarios": NAMES, "methods": tuple(METHODS), "static_trajectories": MANY}
