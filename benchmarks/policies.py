@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from orbitfb.config import TrainSettings
 from orbitfb.evaluate.compare import NEAR
 from orbitfb.evaluate.simulate import ClosedLoop
 from orbitfb.physics.places import Ring
@@ -26,7 +27,6 @@ from orbitfb.policies.supervised import train_supervised
 from orbitfb.policies.supervised_settings import SupervisedSettings
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 from orbitfb.policies.trajectory import train_trajectory
-from orbitfb.policies.trajectory_settings import TrajectorySettings
 
 ROOT = Path(__file__).parents[1]
 PAGES = ROOT / "docs/explanations/policies"
@@ -58,7 +58,8 @@ def policies() -> dict[str, tuple[Any, float]]:
     began = time.perf_counter()
     clone = train_supervised(matrix, SupervisedSettings(), teacher=svd, device="cpu")
     between = time.perf_counter()
-    trained = train_trajectory(matrix, TrajectorySettings(), device="cpu")
+    settings = TrainSettings().trajectory
+    trained = train_trajectory(matrix, settings, start=embed(modal), device="cpu")
     ended = time.perf_counter()
     return {
         "svd": (svd, 0.0),

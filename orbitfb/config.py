@@ -13,7 +13,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 from pydantic_core import ErrorDetails
@@ -68,8 +68,24 @@ class TrainSettings(Settings):
     supervised: SupervisedSettings = Field(
         default=SupervisedSettings(), description="Training on labels."
     )
+    begin: Literal["random", "embedded"] = Field(
+        default="embedded",
+        description="What a trajectory training begins with: random weights (the paper), or the "
+        "modal law written into the network.",
+    )
     trajectory: TrajectorySettings = Field(
-        default=TrajectorySettings(), description="Training of a network through the model."
+        default=TrajectorySettings(
+            trained="output",
+            horizon=10,
+            loss="log",
+            smallest_amplitude=0.05e-6,
+            reading_noise=0.2e-6,
+            kick_noise=0.04e-6,
+            learning_rate=3e-4,
+            final_learning_rate=3e-5,
+        ),
+        description="Training of a network through the model; the defaults are for a beginning "
+        "with the embedded law.",
     )
     structured: StructuredSettings = Field(
         default=StructuredSettings(), description="Training of the modal law through the model."

@@ -158,6 +158,8 @@ def _trajectory(
         if not isinstance(ground.start, NetworkPolicy):
             raise ConfigError(f"--warm: policy {request.start} is no network; train one first")
         start = ground.start
+    elif config.train.begin == "embedded" and not request.published:
+        start = embed(_modal(config, ground), config.policy.network)
     model = None
     if request.model is not None:
         model = load_model(config, request.model, ground.channels).torch_step(
