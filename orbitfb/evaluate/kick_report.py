@@ -100,10 +100,11 @@ def draw(result: KickResult, path: Path) -> None:
     after, whole = figure.subplots(1, 2, width_ratios=(1.2, 1))
     for law, run in result.runs.items():
         colour = _COLOURS[law]
+        after.plot([], [], color=colour, label=LABELS[law])
         if run.recoveries:
             mean, worst = mean_course(run.recoveries)
             steps = np.arange(len(mean))
-            after.loglog(steps + 1, mean * _UM, color=colour, label=LABELS[law])
+            after.loglog(steps + 1, mean * _UM, color=colour)
             after.loglog(steps + 1, worst * _UM, color=colour, lw=0.7, ls=":")
         whole.semilogy(run.true_rms * _UM, color=colour, lw=0.8, label=LABELS[law])
     for goal in (NEAR, FLOOR):
