@@ -303,11 +303,13 @@ class Service:
 
     def _keep(self, policy: Policy, report: RefitReport) -> None:
         """Store a policy that the judge accepted; activate one that goes in or back in force."""
-        if report.decision is not Decision.ROLLED_BACK:
+        if report.decision is Decision.ROLLED_BACK:
+            self.store.withdraw(report.policy_id, policy.policy_id)
+        else:
             self.store.save(
                 policy, self.channels, parent=report.incumbent_id, figures=report.figures
             )
-        if report.decision is not Decision.ACCEPTED:
+        if report.decision is Decision.PROMOTED:
             self.store.activate(policy.policy_id)
         self.store.prune(self._policies_kept)
 

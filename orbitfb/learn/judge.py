@@ -238,8 +238,8 @@ def predict_loop(
                 transition = transition @ transition
                 ticks *= 2
             later = float(np.linalg.norm(transition))
+            square = float(np.trace(covariance) + mean @ mean) / size
         growth.append(_growth(norm, later, ticks))
-        square = float(np.trace(covariance) + mean @ mean) / size
         squares.append(min(square, _WORST_RMS**2) if np.isfinite(square) else _WORST_RMS**2)
     return Prediction(float(np.sqrt(np.mean(squares))), max(growth))
 

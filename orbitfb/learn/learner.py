@@ -19,6 +19,9 @@ from orbitfb.models.identify import Identifier
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.rows import Rows, select_rows
 
+_REFUTED = 10.0
+"""R̂ is given up when the rows speak against it by so many times what refuses a candidate."""
+
 Build = Callable[[LinearModel, Policy], Policy]
 """Makes a candidate of the posterior and of the incumbent."""
 
@@ -54,6 +57,7 @@ class Learner:
         self._generator = np.random.default_rng(seed)
         self._number = 0
         self._since = _Since(None)
+        self._forgotten: int | None = None
         self._detector = ChangeDetector(settings.changes, rate)
         self._alarm: Alarm | None = None
         self._degraded = False
@@ -66,7 +70,8 @@ class Learner:
     @property
     def last_tick(self) -> int | None:
         """Tick of the last row that taught; None before the first."""
-        return self._identifier.last_tick
+        last = self._identifier.last_tick
+        return self._forgotten if last is None else last
 
     def absorb(self, transitions: Transitions, incumbent: Policy) -> Absorbed:
         """Take in the transitions that are new; cheap, decides nothing.
@@ -99,6 +104,17 @@ class Learner:
         """Give a new alarm once."""
         alarm, self._alarm = self._alarm, None
         return alarm
+
+    def forget(self, incumbent: Policy) -> None:
+        """Believe the incumbent's response again, and none of the rows up to now.
+
+        Args:
+            incumbent: The policy in force.
+        """
+        self._forgotten = self.last_tick
+        self._identifier = Identifier(self._response_of(incumbent), self.settings.identify)
+        self._since = _Since(incumbent.policy_id)
+        self.watch_afresh()
 
     def watch_afresh(self) -> None:
         """Begin the watch for a degradation anew."""
@@ -181,14 +197,13 @@ class Learner:
         if verdict is None:
             model = self.model
             candidate = self._build(model, incumbent)
-            verdict = judge(
-                candidate,
-                incumbent,
-                model,
-                since.take_nats(),
-                self.settings.judge,
-                self._generator,
-            )
+            nats = since.take_nats()
+            verdict = judge(candidate, incumbent, model, nats, self.settings.judge, self._generator)
+            if nats < -_REFUTED * self.settings.judge.evidence:
+                self.forget(incumbent)
+                verdict = replace(
+                    verdict, reason=f"{verdict.reason}; R̂ begins anew with that of the incumbent"
+                )
         self._number += 1
         report = RefitReport(
             number=self._number,

@@ -24,7 +24,7 @@ class Task:
         trigger: Why a refit is asked for; None: take the rows in, and refit only when they say
             that the incumbent has degraded.
         may_refit: Whether they may say so.
-        afresh: Begin the watch for a degradation anew: what it saw was of another policy.
+        afresh: Give up R̂, which a swap that was rolled back was made of.
     """
 
     transitions: Transitions
@@ -133,7 +133,7 @@ def work(learner: Learner, task: Task) -> Answer:
     trigger = task.trigger
     try:
         if task.afresh:
-            learner.watch_afresh()
+            learner.forget(task.incumbent)
         learner.absorb(task.transitions, task.incumbent)
         alarm = learner.take_alarm()
         if trigger is None and task.may_refit and learner.degraded:

@@ -75,9 +75,9 @@ def select_rows(transitions: Transitions, tolerance: float) -> Rows:
 
     Left out are rows whose next orbit is not known to answer the change (`unusable`), with
     values that are not finite (`not_finite`), with more than a tenth of the BPMs not valid
-    (`invalid_bpms`), where a readback is away from its setpoint (`readback`), where somebody
-    else moved a corrector (`foreign_change`) and where the reference orbit changed
-    (`reference`). Each breaks the stretch that it stands in.
+    or reading exactly what they read before (`invalid_bpms`), where a readback is away from its
+    setpoint (`readback`), where somebody else moved a corrector (`foreign_change`) and where the
+    reference orbit changed (`reference`). Each breaks the stretch that it stands in.
 
     Args:
         transitions: What the loop recorded.
@@ -87,7 +87,9 @@ def select_rows(transitions: Transitions, tolerance: float) -> Rows:
     finite = np.isfinite(transitions.applied).all(axis=1)
     finite &= np.isfinite(transitions.setpoints).all(axis=1)
     readable = np.isfinite(transitions.orbit) & np.isfinite(transitions.next_orbit)
-    valid = transitions.valid & readable
+    # A BPM that reads the same to the last bit, noise and all, has not read anew.
+    stuck = transitions.next_orbit == transitions.orbit
+    valid = transitions.valid & readable & ~stuck
     finite &= ~(transitions.valid & ~readable).any(axis=1)
     enough = valid.mean(axis=1) >= 1.0 - _MOST_INVALID
     with np.errstate(invalid="ignore"):

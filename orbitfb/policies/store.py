@@ -16,45 +16,27 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import StoreError
 from orbitfb.core.ports import Clock, Policy
-from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Channels
+from orbitfb.policies.activations import (
+    Activation,
+    read_activations,
+    without,
+    write_activations,
+)
 from orbitfb.policies.card import PolicyCard, check_identifier, check_ring, finite, read_card
 from orbitfb.policies.files import (
     SCHEMA_VERSION,
     publish_directory,
-    read_json,
     remove_directory,
-    replace_file,
     sole_writer,
 )
 from orbitfb.policies.kinds import StoredPolicy, kind_of
 from orbitfb.policies.tensors import decode, encode, is_same
 
 _TENSORS = "policy.safetensors"
-_LARGEST_ACTIVE = 2**20
-_ACTIVATIONS_KEPT = 200
-
-
-class Activation(Settings):
-    """One line of `active.json`.
-
-    Args:
-        id: The policy that was put in force.
-        time: When [s since the epoch].
-    """
-
-    id: str
-    time: float
-
-
-class _Activations(Settings):
-    schema_version: int = SCHEMA_VERSION
-    activations: tuple[Activation, ...] = ()
 
 
 class PolicyStore:
@@ -67,6 +49,7 @@ class PolicyStore:
 
     def __init__(self, path: Path, clock: Clock | None = None) -> None:
         self.path = Path(path)
+        self._active = self.path / "active.json"
         self._clock = clock or SystemClock()
 
     def save(
@@ -187,18 +170,7 @@ class PolicyStore:
         Raises:
             StoreError: `active.json` is damaged.
         """
-        path = self.path / "active.json"
-        if not path.exists():
-            return ()
-        advice = f"remove {path} and activate a policy by name"
-        content = read_json(path, _LARGEST_ACTIVE, advice)
-        try:
-            stack = _Activations.model_validate(content).activations
-        except ValidationError as error:
-            raise StoreError(f"{path} holds no list of activations; {advice}") from error
-        for activation in stack:
-            check_identifier(activation.id)
-        return stack
+        return read_activations(self._active)
 
     def activate(self, identifier: str) -> None:
         """Put a policy in force. Activating the active one changes nothing.
@@ -210,7 +182,9 @@ class PolicyStore:
             self._check_whole(identifier)
             stack = self.activations()
             if not stack or stack[-1].id != identifier:
-                self._write_stack((*stack, Activation(id=identifier, time=self._clock.wall())))
+                write_activations(
+                    self._active, (*stack, Activation(id=identifier, time=self._clock.wall()))
+                )
 
     def rollback(self) -> str:
         """Go back to the policy that was active before this one; again: one further.
@@ -229,8 +203,25 @@ class PolicyStore:
                     "name instead: `orbitfb policies activate ID`"
                 )
             self._check_whole(stack[-1].id)
-            self._write_stack(stack)
+            write_activations(self._active, stack)
             return stack[-1].id
+
+    def withdraw(self, identifier: str, restored: str) -> None:
+        """Take a policy out of force for good: going back does not lead to it again.
+
+        It stays in the store and can still be activated by name.
+
+        Args:
+            identifier: The policy that failed.
+            restored: The one that is in force instead.
+
+        Raises:
+            StoreError: The one restored does not exist or is damaged; nothing is changed.
+        """
+        with sole_writer(self.path):
+            self._check_whole(restored)
+            left = without(self.activations(), identifier, restored, self._clock.wall())
+            write_activations(self._active, left)
 
     def prune(self, keep: int) -> list[str]:
         """Remove policies that are neither among the newest nor among those last in force.
@@ -251,7 +242,8 @@ class PolicyStore:
             staying |= {card.id for card in cards[-keep:]}
             leaving = [card.id for card in cards if card.id not in staying]
             if leaving:
-                self._write_stack(stack)  # first, so that no activation names what is gone
+                # First, so that no activation names what is gone.
+                write_activations(self._active, stack)
             for identifier in leaving:
                 try:
                     remove_directory(self.path / identifier)
@@ -284,14 +276,4 @@ class PolicyStore:
             raise StoreError(
                 f"policy {card.id} cannot be stored in {self.path} ({error.strerror}); make room "
                 "or mend the permissions and save it again"
-            ) from error
-
-    def _write_stack(self, stack: tuple[Activation, ...]) -> None:
-        content = _Activations(activations=stack[-_ACTIVATIONS_KEPT:])
-        try:
-            replace_file(self.path / "active.json", content.model_dump_json(indent=1).encode())
-        except OSError as error:
-            raise StoreError(
-                f"{self.path / 'active.json'} cannot be written ({error.strerror}); the active "
-                "policy is unchanged"
             ) from error

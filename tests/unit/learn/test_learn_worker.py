@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from orbitfb.core.clock import ManualClock
-from orbitfb.core.refit import Decision
+from orbitfb.core.refit import AlarmCause, Decision, Stage
 from orbitfb.evaluate.simulate import ClosedLoop
 from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
@@ -49,7 +49,9 @@ class Bench:
             self.reports.append,
             lambda *kept: self.kept.append(kept),
             clock=self.clock,
+            tripped=lambda: self.tripped,
         )
+        self.tripped = False
 
     def snapshot(self, last=None, since_tick=None):
         if last is not None:
@@ -193,3 +195,80 @@ def test_a_disabled_learner_refits_only_on_demand(enabled):
     bench.thread.step()
     assert bench.reports[-1].trigger == "on-demand"
     assert np.isfinite(bench.reports[-1].figures["chi2"])
+
+
+def test_an_accepted_candidate_runs_in_shadow_before_it_acts():
+    bench = Bench(factor=0.4, every=10_000, chi2_trigger=1e6, shadow={"ticks": 20})
+    bench.advance(200)
+    before = bench.slot.current
+    future = bench.thread.request()
+    bench.thread.step()
+    bench.advance(10, every=5)
+    assert not future.done() and bench.slot.current is before and not bench.kept
+    bench.advance(15, every=5)
+    report = future.result(timeout=0)
+    assert (report.decision, report.stage) == (Decision.PROMOTED, Stage.SHADOW)
+    assert report.figures["shadow_ticks"] == 20
+    assert report.figures["shadow_rms_candidate"] < report.figures["shadow_rms_incumbent"]
+    assert bench.slot.current.policy_id == report.policy_id == bench.kept[0][0].policy_id
+
+
+def test_a_candidate_in_shadow_is_dropped_when_an_operator_swaps():
+    bench = Bench(factor=0.4, every=10_000, chi2_trigger=1e30, shadow={"ticks": 20})
+    bench.advance(200)
+    future = bench.thread.request()
+    bench.thread.step()
+    chosen = law(bench.loop.plant.response)
+    bench.slot.swap(chosen)
+    bench.thread.step()
+    report = future.result(timeout=0)
+    assert (report.decision, report.stage) == (Decision.REFUSED, Stage.SHADOW)
+    assert "another policy" in report.reason and bench.slot.current is chosen
+
+
+def test_a_second_request_waits_for_the_first_candidate():
+    bench = Bench(factor=0.4, every=10_000, chi2_trigger=1e30, shadow={"ticks": 20})
+    bench.advance(200)
+    first, second = bench.thread.request(), bench.thread.request()
+    bench.thread.step()
+    assert not first.done() and not second.done()
+    bench.advance(25, every=5)
+    assert first.result(timeout=0).decision is Decision.PROMOTED
+    assert second.result(timeout=0).number == 2
+
+
+def test_a_policy_that_trips_the_loop_is_left_and_does_not_come_again(monkeypatch):
+    bench = Bench(factor=0.4, every=10_000, chi2_trigger=1e30)
+    bench.advance(200)
+    before = bench.slot.current
+    promoted = bench.thread.request()
+    bench.thread.step()
+    bad = bench.slot.current
+    assert bad is not before and promoted.result(timeout=0).policy_id == bad.policy_id
+    bench.loop.advance(2)
+    bench.tripped = True
+    bench.thread.step()
+    assert bench.slot.current is before
+    assert "the loop tripped" in bench.reports[-1].reason
+    bench.tripped = False
+    monkeypatch.setattr(bench.learner, "_build", lambda *_: bad)
+    bench.advance(60)
+    again = bench.thread.request()
+    bench.thread.step()
+    assert again.result(timeout=0).decision is Decision.REFUSED
+    assert bench.slot.current is before
+
+
+def test_an_alarm_is_told_once_and_leads_to_a_refit():
+    alarms = []
+    bench = Bench(every=10_000)
+    bench.thread._alarmed = alarms.append
+    bench.advance(200)
+    wrong = law(bench.loop.plant.response * 1.5)
+    bench.slot.swap(wrong)
+    bench.loop.policy = wrong
+    bench.loop.plant.kick(50e-6)
+    bench.advance(60)
+    assert [alarm.cause for alarm in alarms[:1]] == [AlarmCause.SURPRISE]
+    assert alarms[0].statistic > alarms[0].threshold
+    assert bench.reports[0].trigger == "degradation"

@@ -80,6 +80,23 @@ def test_activation_and_rollback_are_a_stack(store):
     assert PolicyStore(store.path).active() == first
 
 
+def test_going_back_does_not_lead_to_a_policy_that_was_withdrawn(store):
+    good, better, bad = (make_policy(seed=seed) for seed in (1, 2, 3))
+    for policy in (good, better, bad):
+        store.save(policy, ring())
+        store.activate(policy.policy_id)
+    store.withdraw(bad.policy_id, better.policy_id)
+    assert store.active() == better.policy_id
+    assert store.rollback() == good.policy_id
+    store.activate(bad.policy_id)  # by name it may come again
+    store.activate(good.policy_id)
+    store.withdraw(bad.policy_id, good.policy_id)
+    assert [entry.id for entry in store.activations()] == [good.policy_id]
+    with pytest.raises(StoreError, match="there is no policy"):
+        store.withdraw(good.policy_id, "nothing")
+    assert store.active() == good.policy_id
+
+
 @pytest.mark.parametrize("identifier", ["", "..", "../x", "a/b", ".hidden", "a" * 101, "a\n", "/x"])
 def test_an_id_cannot_leave_the_store(store, identifier):
     for use in (store.card, store.activate, lambda name: store.load(name, ring())):
