@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from orbitfb.config import AppConfig
 from orbitfb.core.errors import ConfigError, EstimationError, StoreError
 from orbitfb.core.signals import Channels
@@ -53,9 +55,16 @@ def train_model(
     checkpoint = Checkpoint(kept, {"settings": settings.model_dump(mode="json")})
     if request.fresh:
         checkpoint.remove()
+    validation = read_archive(request.validation, ground.channels)
+    shared = int(np.isin(validation.time, ground.transitions.time).sum())
+    if shared:
+        raise EstimationError(
+            f"{shared} of {len(validation)} transitions of {request.validation} are in "
+            f"{request.archive} too; what was learnt from proves nothing: validate on another run"
+        )
     net = fit_forward(
         select_rows(ground.transitions, tolerance),
-        select_rows(read_archive(request.validation, ground.channels), tolerance),
+        select_rows(validation, tolerance),
         ground.response,
         settings,
         request.device,
