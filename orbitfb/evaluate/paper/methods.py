@@ -135,7 +135,7 @@ HINDSIGHT = "svd-best"
 
 GRID: tuple[Mapping[str, float], ...] = tuple(
     {"regularisation": regularisation, "gain": gain}
-    for gain in (1.0, 0.3, 0.1, 0.03)
+    for gain in (1.0, 0.3, 0.1, 0.05, 0.03)
     for regularisation in (1e-3, 1e-2, 0.1, 1.0, 3.0, 10.0, 33.6, 100.0, 1000.0)
 )
 """λ [(m/rad)²] and gain [1] among which the best is looked for."""

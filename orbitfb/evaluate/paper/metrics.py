@@ -3,7 +3,8 @@
 The mean curve is the mean over trajectories of the rms of the orbit, tick by tick. All that ends
 in `_mm` is taken from it over the drift, before the re-kick; `final` is the mean of its last 100
 ticks. What the readings show is `observed` and carries the reading noise; `true` is the beam.
-A trajectory that passed 5 mm counts as 5 mm from there on.
+A trajectory that passed 5 mm counts as 5 mm from there on. The ratio to the LQG floor is that of
+the rms over trajectories and ticks, as the floor is: the mean of an rms is smaller.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,6 +34,7 @@ class Summary:
     Args:
         observed_sum: Sum over trajectories of the rms of the readings.
         true_sum: The same of the true orbits.
+        true_square_sum: Sum over trajectories of the mean square of the true orbits [m²].
         observed_worst: Largest rms of the readings.
         true_worst: The same of the true orbits.
         near: Ticks until the readings' rms is at most 0.05 mm.
@@ -45,6 +47,7 @@ class Summary:
 
     observed_sum: Vector
     true_sum: Vector
+    true_square_sum: Vector
     observed_worst: Vector
     true_worst: Vector
     near: Vector
@@ -71,6 +74,7 @@ def summarise(curves: Curves, steps: int) -> Summary:
     return Summary(
         observed_sum=np.sum(curves.observed, axis=0),
         true_sum=np.sum(curves.true, axis=0),
+        true_square_sum=np.sum(curves.true**2, axis=0),
         observed_worst=np.max(curves.observed, axis=0),
         true_worst=np.max(curves.true, axis=0),
         near=_first(curves.observed[:, :steps], _NEAR),
@@ -131,7 +135,8 @@ def figures(summary: Summary, scenario: Scenario) -> dict[str, Any]:
         }
     floor = lqg_floor(scenario)
     if floor > 0.0:
-        answer["true_over_lqg_floor"] = final_true / floor
+        squares = summary.true_square_sum[: scenario.steps][-LAST:] / count
+        answer["true_over_lqg_floor"] = float(np.sqrt(np.mean(squares))) / floor
     return answer
 
 

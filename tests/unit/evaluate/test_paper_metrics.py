@@ -71,6 +71,17 @@ def test_pieces_put_together_are_the_whole() -> None:
         np.testing.assert_array_equal(together.arrays()[name], value)
 
 
+def test_the_floor_is_compared_with_the_rms_over_trajectories() -> None:
+    scenario = replace(still(STEPS, white=0.1e-6), after=AFTER)
+    true = np.full((2, STEPS + AFTER + 1), 3e-6)
+    true[1] = 4e-6
+    curves = Curves(observed=true, true=true, lost=np.array([False, False]))
+    answer = figures(summarise(curves, STEPS), scenario)
+    ratio = np.sqrt((9.0 + 16.0) / 2.0) * 1e-6 / lqg_floor(scenario)
+    assert answer["true_over_lqg_floor"] == pytest.approx(ratio)
+    assert answer["final_true_rms_mm"] == pytest.approx(0.0035)
+
+
 def test_the_lqg_floor_of_equal_modes_is_that_of_one() -> None:
     scenario = still(white=0.1e-6)
     ratio = (0.1 / 0.2) ** 2
