@@ -73,6 +73,10 @@ class Scenario:
         initial: Rms of the orbit at the start and of the re-kick, white and scaled to it [m].
         after: Ticks after the re-kick that ends the drift [ticks].
         seed: Of ring errors and of all trajectories.
+        drift_entry: Independent change of an element of R from R1 to R2, rms; what a controller
+            may know about it [m/rad].
+        drift_relative: Change of the gains of BPMs and correctors from R1 to R2, what the beat
+            does to them among it, rms; what a controller may know about it [1].
     """
 
     name: str
@@ -88,6 +92,8 @@ class Scenario:
     initial: float
     after: int
     seed: int
+    drift_entry: float = 0.0
+    drift_relative: float = 0.0
 
     def response(self, tick: int) -> Vector:
         """Give R_t, shape (n, m) [m/rad]."""
@@ -126,6 +132,10 @@ _RECIPES: dict[str, _Recipe] = {
 }
 _SHARE_OF_SMALLEST = 0.8
 _HARD_ENTRY = 0.02
+_BEAT_OF_SMALLEST = 0.015
+"""Elements of R between weak modes change by this share of σ_min when the optics beat."""
+_BEAT_TO_GAIN = 0.5
+"""A beta-beat is worth gain errors of half its size: amplitudes go with √β."""
 
 
 def make_scenario(
@@ -173,6 +183,9 @@ def make_scenario(
         initial=250.0 * _MICRO,
         after=after,
         seed=seed,
+        drift_entry=smallest
+        * float(np.linalg.norm([recipe.start_noise, recipe.end_noise, _BEAT_OF_SMALLEST])),
+        drift_relative=float(np.hypot(recipe.gains, _BEAT_TO_GAIN * recipe.beta_beat)),
     )
 
 
