@@ -124,6 +124,26 @@ METHODS: Mapping[str, Method] = {
         on_device=True,
         extra="rl",
     ),
+    "adaptive-linear": Method(
+        "recursive R̂ and cautious gain, linear",
+        "adaptive:adaptive_linear",
+        static=False,
+        quick=False,
+        cost=110.0,
+    ),
+    "model-based-rl": Method(
+        "network, recursive R̂ and cautious gain",
+        "adaptive:model_based_rl",
+        static=False,
+        cost=130.0,
+    ),
+    "model-based-rl-memoryless": Method(
+        "network on raw readings, recursive R̂ and cautious gain",
+        "adaptive:memoryless",
+        static=False,
+        quick=False,
+        cost=130.0,
+    ),
     "true-response": Method(
         "knows R_t: the bound", "bound:TrueResponse", static=False, whole=True, cost=25.0
     ),
