@@ -12,10 +12,16 @@ from orbitfb.learn.settings import LearnSettings
 BASELINE = 100
 """Ticks before a swap that say what the orbit was."""
 
+_FALLING = 0.98
+"""An orbit below so much of the lowest one yet is on its way back [1]."""
+
 
 @dataclass(slots=True)
 class Watch:
     """A swap under observation.
+
+    An orbit that is too large but falls is no ground to go back: something kicked it, and the new
+    policy corrects it.
 
     Args:
         promoted: In force since the swap.
@@ -32,6 +38,7 @@ class Watch:
     tripped_before: bool = False
     seen: int = 0
     bad: int = 0
+    lowest: float = np.inf
 
     def look(self, transitions: Transitions, settings: LearnSettings) -> str:
         """Look at what has happened since; say why to go back, or nothing.
@@ -43,7 +50,9 @@ class Watch:
         limit = settings.rollback_factor * self.before
         for value in observed_rms(transitions):
             self.seen += 1
-            self.bad = self.bad + 1 if not value <= limit else 0
+            above, falling = not value <= limit, value < _FALLING * self.lowest
+            self.bad = self.bad + 1 if above and not falling else 0
+            self.lowest = min(self.lowest, value) if above else np.inf
             if self.bad >= settings.rollback_ticks:
                 return (
                     f"after the swap the observed orbit stayed above {limit * 1e6:.3g} µm rms "
