@@ -16,7 +16,7 @@ from orbitfb.evaluate.paper.scenarios import Scenario, make_scenario
 from orbitfb.evaluate.paper.settings import PaperSettings
 from orbitfb.evaluate.pool.task import Task
 
-_SMALLEST_PART = 16
+_SMALLEST_PART = 8
 _PARTS = 8
 _SEARCHED = 8
 _SHORTEST_BIAS, _BIAS_TICKS = 500, 5000
