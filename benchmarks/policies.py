@@ -51,10 +51,11 @@ until the true orbit is within 0.05 mm rms. *Worst*: largest true orbit of any t
 
 
 TAIL = """
-What this says: on a ring that is known, the noise-aware law leaves a third less on the beam than the
-baseline, and no training beats it, because it is the optimum there. Writing it into the network costs
-nothing; training the network through the model keeps it. What learning is worth shows where the ring
-is *not* known or drifts: [the paper's experiment](../paper.md), [kicks](../../how-to/kick-the-ring.md).
+What this says: on a ring that is known, the noise-aware law leaves a third less on the beam than
+the baseline, and no training beats it, because it is the optimum there. Writing it into the network
+costs nothing; training the network through the model keeps it. What learning is worth shows where
+the ring is *not* known or drifts: [the paper's experiment](../paper.md),
+[kicks](../../how-to/kick-the-ring.md).
 """
 
 
