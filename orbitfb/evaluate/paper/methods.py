@@ -129,7 +129,6 @@ METHODS: Mapping[str, Method] = {
         "adaptive:adaptive_linear",
         static=False,
         quick=False,
-        quick=False,
         cost=110.0,
     ),
     "model-based-rl": Method(
@@ -144,25 +143,6 @@ METHODS: Mapping[str, Method] = {
         static=False,
         quick=False,
         cost=130.0,
-    ),
-    "adaptive-linear": Method(
-        "linear on the filtered orbit, R̂ tracked every tick, cautious gain",
-        "adaptive:adaptive_linear",
-        static=False,
-        quick=False,
-        cost=80.0,
-    ),
-    "model-based-rl": Method(
-        "network on the filtered orbit, R̂ tracked, cautious gain: ours",
-        "adaptive:model_based_rl",
-        static=False,
-        cost=120.0,
-    ),
-    "model-based-rl-memoryless": Method(
-        "the same network on the raw reading",
-        "adaptive:memoryless",
-        static=False,
-        cost=120.0,
     ),
     "true-response": Method(
         "knows R_t: the bound", "bound:TrueResponse", static=False, whole=True, cost=25.0
