@@ -8,6 +8,7 @@ import typer
 from orbitfb.cli.options import (
     ConfigFile,
     Drift,
+    PolicyKind,
     configure,
     show,
     validated,
@@ -52,17 +53,24 @@ def evaluate_live_command(
     ticks: Annotated[int, typer.Option(help="Length of each run [ticks].")] = 6000,
     seed: Annotated[int, typer.Option(help="First seed of ring, noise and drift.")] = 1,
     seeds: Annotated[int, typer.Option(min=1, help="How many seeds.")] = 3,
-    rate: Annotated[float, typer.Option(help="Ticks per second: an accelerated clock.")] = 100.0,
+    policy: PolicyKind = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            help="Ticks per second, the learner a thread as in operation [ring and loop in "
+            "lockstep, as fast as they go]."
+        ),
+    ] = None,
     config_file: ConfigFile = None,
 ) -> None:
     """The learner in the real loop over Channel Access, on a drifting ring."""
     from orbitfb.evaluate.live import LiveSettings, evaluate_live, figures
     from orbitfb.evaluate.live_report import LiveResult, write
 
-    settings = configure(config_file)
+    settings = configure(config_file, policy__kind=policy)
     common = {
         "planes": settings.ring.planes,
-        "policy": settings.policy.svd,
+        "policy": settings.policy,
         "learn": settings.learn,
     }
     results: list[LiveResult] = []

@@ -1,29 +1,32 @@
 """The learner in the real loop: soft IOC, Channel Access, runner, thread, on a drifting ring.
 
-The clock is accelerated: ring and loop tick at `rate_hz` instead of 10 Hz. Every law gets a ring
-of its own with the same seed, one after the other:
+The clock is accelerated. Without a `rate_hz` ring and loop go in lockstep: the ring advances as
+soon as all setpoints are written (and every half second while they are not), and the learner
+looks on between two ticks, so that its arithmetic takes hardly any simulated time and a run says
+the same on any computer. With a `rate_hz` both tick at that rate and the learner is a thread, as
+in operation. Every law gets a ring of its own with the same seed, one after the other:
 
 - `told`: the policy is rebuilt from the true R_t every few ticks, the bound;
-- `frozen`: keeps the R of the first tick;
-- `ours`: the learner's thread, with its judge and its roll-back.
+- `frozen`: keeps the R of the first tick, watched for a degradation that nobody acts upon;
+- `ours`: the learner, with its judge, its trial in shadow and its roll-back.
 """
 
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
 
 from orbitfb.core.clock import SystemClock
-from orbitfb.core.refit import Decision, RefitReport
+from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState, TickRecord, Vector
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 from orbitfb.history.buffer import History
-from orbitfb.learn.builders import builder
+from orbitfb.learn.builders import ResponsePolicy, builder, first_policy
 from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.learn.trainer import InlineTrainer
@@ -35,7 +38,6 @@ from orbitfb.physics.drift import DriftSettings, Preset
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import Plant, PlantSettings
 from orbitfb.policies.settings import PolicySettings
-from orbitfb.policies.svd import SvdPolicy, SvdSettings
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.sim.child import SimChild
@@ -45,9 +47,17 @@ from orbitfb.sim.settings import SimSettings
 
 LAWS = ("told", "frozen", "ours")
 _TOLD_EVERY = 20
+_LOST = 5e-3
+"""What counts for the orbit after a trip, as in `orbitfb.evaluate.simulate` [m]."""
+_STEP = 5
+"""Ticks between two looks of the learner in lockstep: half a second of a loop at 10 Hz."""
 _POLL = 0.02
 _SLACK = 0.3
 """How long the loop waits for an orbit before it holds [s]: the clock is the computer's own."""
+
+_LOCKSTEP_RING = SimSettings(port=0, lockstep=True, rate_hz=2.0)
+_LOCKSTEP_LOOP = LoopSettings(rate_hz=1000.0, hold_after=9000.0, ramp=0.02)
+"""Waits for a refit of several seconds, and takes every orbit of a ring in lockstep."""
 
 
 class LiveSettings(Settings):
@@ -57,8 +67,12 @@ class LiveSettings(Settings):
     ticks: int = Field(default=6000, ge=200, description="Length of each run [ticks].")
     seed: int = Field(default=1, ge=0, description="Seed of ring, noise and drift.")
     planes: Planes = Field(default="x", description="Planes under feedback.")
-    rate_hz: float = Field(default=200.0, gt=0, le=500, description="Ticks per second [Hz].")
-    policy: SvdSettings = Field(default=SvdSettings(), description="Gain and λ of all the laws.")
+    rate_hz: float | None = Field(
+        default=None, gt=0, le=500, description="Ticks per second [Hz]; unset: in lockstep."
+    )
+    policy: PolicySettings = Field(
+        default=PolicySettings(), description="Kind and settings of all the laws."
+    )
     learn: LearnSettings = Field(default=LearnSettings(), description="The learner.")
 
     def plant(self) -> PlantSettings:
@@ -75,11 +89,12 @@ class LiveRun:
 
     Args:
         true_rms: Of the true orbit by tick of the ring, shape (ticks,) [m]; NaN where the loop
-            did not see the tick.
+            did not see the tick, 5 mm after a trip.
         missed: Orbits that the loop did not see.
         state: State of the loop at the end.
         reason: Why.
         reports: What the learner did.
+        alarms: What it was alarmed by.
     """
 
     true_rms: Vector
@@ -87,6 +102,7 @@ class LiveRun:
     state: LoopState
     reason: str
     reports: tuple[RefitReport, ...]
+    alarms: tuple[Alarm, ...] = ()
 
     def second_half(self) -> float:
         """True orbit over the second half of the run, rms [m]."""
@@ -123,7 +139,14 @@ def figures(runs: Mapping[str, LiveRun]) -> dict[str, float]:
         | {f"rms_ratio_{law}": rms[law] / rms["told"] for law in ("frozen", "ours")}
         | {f"missed_{law}": float(run.missed) for law, run in runs.items()}
         | {str(decision): float(decisions.count(decision)) for decision in Decision}
+        | {f"alarms_{law}": float(len(runs[law].alarms)) for law in ("frozen", "ours")}
+        | {"first_alarm_frozen": _first_alarm(runs["frozen"])}
     )
+
+
+def _first_alarm(run: LiveRun) -> float:
+    """Tick of the first alarm; NaN when there was none."""
+    return float(run.alarms[0].tick) if run.alarms else float("nan")
 
 
 class _Live:
@@ -132,7 +155,7 @@ class _Live:
     def __init__(self, settings: LiveSettings, law: str, stack: ExitStack) -> None:
         self._settings, self._law = settings, law
         self._done = threading.Event()
-        self._tick = 0
+        self._tick = self._told = 0
         self._missed = 0
         self._true_rms = np.full(settings.ticks, np.nan)
         self._twin = Plant(Ring.load(), settings.planes, settings.plant(), settings.seed)
@@ -140,71 +163,109 @@ class _Live:
             planes=settings.planes,
             seed=settings.seed,
             plant=settings.plant(),
-            sim=SimSettings(port=0, rate_hz=settings.rate_hz),
+            sim=_LOCKSTEP_RING
+            if settings.rate_hz is None
+            else SimSettings(port=0, rate_hz=settings.rate_hz),
         )
         child = stack.enter_context(SimChild(job))
         channels, clock = self._twin.channels, SystemClock()
         machine = stack.enter_context(EpicsMachine(channels, _network(child.port), clock))
-        self._slot = PolicySlot(self._build(self._twin.response_at(0)))
-        history = History(channels, 4000)
-        period = 1.0 / settings.rate_hz
+        first = self._build(self._twin.response_at(0))
+        self._slot = PolicySlot(first)
+        self._history = History(channels, 4000)
+        self._reports: list[RefitReport] = []
+        self._alarms: list[Alarm] = []
+        self._between: Callable[[], None] = lambda: None
         self._runner = Runner(
             machine,
             self._slot,
-            LoopSettings(rate_hz=settings.rate_hz, hold_after=max(1.9, _SLACK / period)),
+            _LOCKSTEP_LOOP
+            if settings.rate_hz is None
+            else LoopSettings(
+                rate_hz=settings.rate_hz, hold_after=max(1.9, _SLACK * settings.rate_hz)
+            ),
             LimitSettings(),
             InterlockSettings(),
             np.zeros(len(channels.bpms)),
             clock,
             start=LoopState.CLOSED,
-            subscribers=(history, self._note),
+            subscribers=(self._note,),
         )
-        self._reports: list[RefitReport] = []
-        if law == "ours":
-            build = builder(PolicySettings(svd=settings.policy))
-            learner = Learner(self._twin.response_at(0), settings.learn, build, seed=settings.seed)
-            thread = LearnerThread(
-                InlineTrainer(learner), history, self._slot, self._reports.append, poll=_POLL
-            )
-            thread.start()
-            stack.callback(thread.stop)
-        elif law == "told":
-            teller = threading.Thread(target=self._tell, name="teller")
-            teller.start()
-            stack.callback(teller.join)
-            stack.callback(self._done.set)
+        if law == "told":
+            self._begin(self._tell, stack)
+        else:
+            self._begin(self._learner(first.response).step, stack)
 
     def run(self) -> LiveRun:
         self._runner.run(self._done)
         runner = self._runner
         return LiveRun(
-            self._true_rms, self._missed, runner.state, runner.reason, tuple(self._reports)
+            self._true_rms,
+            self._missed,
+            runner.state,
+            runner.reason,
+            tuple(self._reports),
+            tuple(self._alarms),
         )
 
-    def _build(self, response: Vector) -> SvdPolicy:
-        return SvdPolicy(response, self._settings.policy)
+    def _build(self, response: Vector) -> ResponsePolicy:
+        return first_policy(response, self._settings.policy)
+
+    def _learner(self, response: Vector) -> LearnerThread:
+        """Make the learner; beside a frozen law it only watches."""
+        learn = self._settings.learn.model_copy(update={"enabled": self._law == "ours"})
+        build = builder(self._settings.policy, seed=self._settings.seed)
+        learner = Learner(response, learn, build, seed=self._settings.seed)
+        return LearnerThread(
+            InlineTrainer(learner),
+            self._history,
+            self._slot,
+            self._reports.append,
+            alarmed=self._alarms.append,
+            tripped=lambda: self._runner.state is LoopState.TRIPPED,
+        )
+
+    def _begin(self, work: Callable[[], None], stack: ExitStack) -> None:
+        """Let work be done beside the loop: between two ticks, or in a thread."""
+        if self._settings.rate_hz is None:
+            self._between = work
+            return
+
+        def repeat() -> None:
+            while not self._done.wait(_POLL):
+                work()
+
+        thread = threading.Thread(target=repeat, name=self._law)
+        thread.start()
+        stack.callback(thread.join)
+        stack.callback(self._done.set)
 
     def _note(self, record: TickRecord) -> None:
-        """Take a record; ends the run when the ring has made all its ticks."""
-        self._missed += record.missed
-        if record.reading is None:
+        """Take a record; ends the run when the ring has made all its ticks, or the loop tripped."""
+        if record.state in (LoopState.TRIPPED, LoopState.FAULT):
+            self._true_rms[self._tick :] = _LOST
+            self._done.set()
+        tick = np.nan if record.reading is None else record.reading.auxiliary["tick"]
+        if record.reading is None or not np.isfinite(tick):
+            self._history(record)
             return
-        tick = record.reading.auxiliary["tick"]
-        if not np.isfinite(tick):
-            return
-        self._tick = int(tick)
+        before, self._tick = self._tick, int(tick)
+        # The ring says how many of its orbits the loop did not see; in lockstep no clock does.
+        missed = max(self._tick - before - 1, 0)
+        self._history(replace(record, missed=missed))
+        self._missed += missed
         if self._tick < len(self._true_rms):
             self._true_rms[self._tick] = record.reading.auxiliary["true_orbit_rms"]
         else:
             self._done.set()
+        if self._tick % _STEP == 0:
+            self._between()
 
     def _tell(self) -> None:
-        """Keep the policy true to the ring, beside the loop."""
-        told = 0
-        while not self._done.wait(_POLL):
-            if self._tick - told >= _TOLD_EVERY:
-                told = self._tick
-                self._slot.swap(self._build(self._twin.response_at(told)))
+        """Keep the policy true to the ring."""
+        if self._tick - self._told >= _TOLD_EVERY:
+            self._told = self._tick
+            self._slot.swap(self._build(self._twin.response_at(self._told)))
 
 
 def _network(port: int) -> EpicsSettings:

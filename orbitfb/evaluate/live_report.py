@@ -44,6 +44,7 @@ def write(results: Sequence[LiveResult], directory: Path) -> None:
             "states": {law: run.state for law, run in result.runs.items()},
             "reasons": {law: run.reason for law, run in result.runs.items()},
             "settings": result.settings.model_dump(mode="json"),
+            "alarms": {law: [asdict(a) for a in run.alarms] for law, run in result.runs.items()},
             "reports": [asdict(report) for report in result.runs["ours"].reports],
         }
         for result in results
@@ -66,7 +67,9 @@ def draw(results: Sequence[LiveResult], path: Path) -> None:
             smooth = _smooth(run.true_rms) * _UM
             panel.semilogy(np.arange(len(smooth)), smooth, color=_COLOURS[law], label=_LABELS[law])
         settings = result.settings
-        panel.set_title(f"drift {settings.drift}, seed {settings.seed}, {settings.rate_hz:g} Hz")
+        clock = "lockstep" if settings.rate_hz is None else f"{settings.rate_hz:g} Hz"
+        kind = settings.policy.kind
+        panel.set_title(f"{kind}, drift {settings.drift}, seed {settings.seed}, {clock}")
         panel.set_xlabel("tick")
     axes[0].set_ylabel(f"true orbit, rms over {_WINDOW} ticks [µm]")
     axes[0].legend()

@@ -15,7 +15,7 @@ class LoopSettings(Settings):
         description="Time over which the gain rises from 0 to 1 after closing [s].",
     )
     hold_after: float = Field(
-        default=1.9, gt=1, le=1000, description="Periods without a fresh orbit before HELD."
+        default=1.9, gt=1, le=1e5, description="Periods without a fresh orbit before HELD."
     )
     trip_after: float | None = Field(
         default=None, gt=0, description="Time in HELD after which the loop trips [s]; none = never."
