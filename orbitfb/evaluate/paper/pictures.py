@@ -7,25 +7,27 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from orbitfb.evaluate.paper.methods import METHODS
 from orbitfb.evaluate.paper.run import MethodResult
 from orbitfb.evaluate.paper.scenarios import Scenario
 
 _UM = 1e6
-_PALETTE = (
-    "tab:blue",
-    "tab:cyan",
-    "tab:olive",
-    "tab:brown",
-    "tab:orange",
-    "tab:pink",
-    "tab:purple",
-    "tab:green",
-    "tab:red",
-    "navy",
-    "teal",
-    "goldenrod",
-)
+COLOURS: Mapping[str, str] = {
+    "svd": "tab:blue",
+    "svd-best": "tab:cyan",
+    "modal-linear": "tab:olive",
+    "modal": "tab:brown",
+    "supervised": "tab:orange",
+    "supervised-right": "gold",
+    "naive-refit": "tab:purple",
+    "model-based-rl-verbatim": "tab:pink",
+    "forward-net": "navy",
+    "forward-net-alone": "slateblue",
+    "ppo": "tab:grey",
+    "adaptive-linear": "tab:green",
+    "model-based-rl": "tab:red",
+    "model-based-rl-memoryless": "salmon",
+    "true-response": "black",
+}
 _MOST_POINTS = 1500
 
 
@@ -34,13 +36,6 @@ def new_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
-
-
-def colour_of(method: str) -> str:
-    """Give a method its colour, the same in all pictures."""
-    if method == "true-response":
-        return "black"
-    return _PALETTE[list(METHODS).index(method) % len(_PALETTE)]
 
 
 def draw_orbits(
@@ -67,7 +62,7 @@ def draw_orbits(
             (left, summary.observed_sum, summary.observed_worst),
             (right, summary.true_sum, summary.true_worst),
         ):
-            colour = colour_of(name)
+            colour = COLOURS[name]
             mean = total[drawn] / count * _UM
             axes.semilogy(drawn, mean, color=colour, lw=width, label=name)
             top = worst[drawn] * _UM

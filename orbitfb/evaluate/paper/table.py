@@ -103,12 +103,12 @@ def markdown(table: Mapping[str, Any]) -> str:
 
 
 def cell(value: Any) -> str:
-    """Write one figure; never reached is `never`, a fraction has 3 digits."""
+    """Write one figure; never reached is `never`, a fraction has 4 digits."""
     if value is None:
         return "never"
     if isinstance(value, int) or float(value).is_integer():
         return f"{value:.0f}"
-    return f"{value:.3g}"
+    return f"{value:.4g}"
 
 
 def columns_of(methods: Mapping[str, Mapping[str, Any]]) -> list[str]:

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from orbitfb.cli.app import app
 from orbitfb.core.errors import ConfigError
 from orbitfb.evaluate.paper.methods import METHODS, find_method
+from orbitfb.evaluate.paper.pictures import COLOURS
 from orbitfb.evaluate.paper.run import PaperResult, evaluate_paper
 from orbitfb.evaluate.paper.scenarios import NAMES
 from orbitfb.evaluate.paper.settings import PaperSettings
@@ -175,3 +176,8 @@ def test_a_method_without_its_extra_is_left_out_with_the_reason(
     assert answer.exit_code == 0, answer.output
     assert "ppo is left out: it needs the extra 'rl'" in answer.output
     assert list(json.loads((tmp_path / "table.json").read_text())["methods"]) == ["svd"]
+
+
+def test_every_method_has_a_colour_of_its_own() -> None:
+    assert set(COLOURS) == set(METHODS)
+    assert len(set(COLOURS.values())) == len(METHODS)
