@@ -138,11 +138,11 @@ class Comparison:
         The answer to a kick moves the orbit so far that a few rows would outweigh all others;
         the row counts as if its noise were larger.
         """
-        moved = np.maximum(motion, np.finfo(float).tiny)
-        middle = float(np.mean(np.log(moved)))
+        moved = np.log(np.maximum(motion, np.finfo(float).tiny))
+        middle = float(np.mean(moved))
         if self._usual is None:
-            self._usual = float(np.median(np.log(moved)))
-        weights = np.minimum(1.0, _LARGE_MOTION * np.exp(self._usual) / moved)
+            self._usual = float(np.median(moved))
+        weights = np.exp(np.minimum(0.0, np.log(_LARGE_MOTION) + self._usual - moved))
         self._usual += (middle - self._usual) * -np.expm1(-len(moved) / _USUAL_MEMORY)
         return weights
 

@@ -1,0 +1,117 @@
+"""`orbitfb run --policy KIND`: every kind runs, is refitted, stored and shown."""
+
+import json
+import os
+import signal
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+from service_process import Service, orbitfb, rms, transitions, wait_for
+
+pytestmark = pytest.mark.system
+
+MASKED_BPM, MASKED_CORRECTOR = 4, 7
+
+
+def service(directory: Path, kind: str, *options: object, text: str = "") -> Service:
+    config = directory / "orbitfb.toml"
+    waiting = "[learn]\nevery = 1000000\nchi2_trigger = 1e9\n"
+    lenient = "[learn.judge]\nmargin = 0.0\nevidence = 1e6\n"
+    config.write_text(waiting + lenient + text)
+    drift = ("--drift", "paper", "--drift-ticks", 100)
+    asked = ("--policy", kind, "--rate", 50.0, "--config", config, *drift, *options)
+    return Service(directory / "data", "sim", *asked)
+
+
+def ask(running: Service, *arguments: object) -> str:
+    done = orbitfb(*arguments, "--data", running.data)
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize(("kind", "stored"), [("modal", "modal"), ("trajectory", "network")])
+def test_a_kind_runs_is_refitted_and_shown(kind: str, stored: str, tmp_path: Path):
+    with service(tmp_path, kind) as running:
+        running.wait_status("ticks", lambda status: status["ticks"] > 400, 30.0)
+        running.wait_below(2.0)
+        report = json.loads(ask(running, "refit", "--activate", "--json"))
+        assert report["decision"] == "promoted", report["reason"]
+        assert report["stage"] == "shadow" and report["figures"]["shadow_ticks"] == 20
+        card = json.loads(ask(running, "policies", "show", report["policy_id"]))
+        assert (card["kind"], card["parent"]) == (stored, running.where["policy"])
+        running.wait_status("swap", lambda s: s["policy"] == report["policy_id"], 2.0)
+        running.stop()
+    archive = running.data / "archive"
+    again = ("refit", "--from", archive, "--policy", kind, "--data", running.data, "--json")
+    done = orbitfb(*again)
+    assert (done.returncode, done.stderr) == (0, "")
+    offline = json.loads(done.stdout)
+    assert offline["incumbent_id"] == report["policy_id"]
+    assert offline["figures"].keys() >= {"recovery_candidate", "predicted_rms_candidate"}
+    rows = transitions(running.data)
+    assert (rows.tick[1:] - rows.tick[:-1] == 1).all()  # no tick lost by the swap
+
+
+def test_masked_elements_do_not_count_and_do_not_move(tmp_path: Path):
+    from orbitfb.physics.places import Ring
+
+    channels = Ring.load().channels("x")
+    bpm, corrector = channels.bpms[MASKED_BPM], channels.correctors[MASKED_CORRECTOR]
+    masks = f'[masks]\nbpms = ["{bpm}"]\ncorrectors = ["{corrector}"]\n'
+    with service(tmp_path, "modal", text=masks) as running:
+        running.wait_status("ticks", lambda status: status["ticks"] > 150, 30.0)
+        running.wait_below(2.0)
+        json.loads(ask(running, "refit", "--activate", "--json"))
+        running.wait_status("more ticks", lambda status: status["ticks"] > 220, 30.0)
+        running.stop()
+    rows = transitions(running.data)
+    assert not rows.valid[:, MASKED_BPM].any()
+    assert (rows.applied[:, MASKED_CORRECTOR] == 0).all()
+    assert (rows.setpoints[:, MASKED_CORRECTOR] == rows.setpoints[0, MASKED_CORRECTOR]).all()
+    assert rms(rows.applied)[:100].max() > 0
+
+
+def trainer_of(running: Service) -> psutil.Process:
+    def look():
+        children = psutil.Process(running.popen.pid).children()
+        return [child for child in children if "orbitfb.learn" in child.cmdline()]
+
+    return wait_for("trainer", look)[0]
+
+
+def test_a_trainer_that_is_killed_is_told_and_replaced(tmp_path: Path):
+    with service(tmp_path, "svd") as running:
+        running.wait_status("ticks", lambda status: status["ticks"] > 50, 30.0)
+        trainer = trainer_of(running)
+        os.kill(trainer.pid, signal.SIGKILL)
+        wait_for("report", lambda: running.events("refit_judged"))
+        [event] = running.events("refit_judged")
+        assert event["decision"] == "refused" and f"process {trainer.pid} ended" in event["reason"]
+        report = json.loads(ask(running, "refit", "--json"))  # waits for the new one
+        assert report["rows"] > 40
+        assert trainer_of(running).pid != trainer.pid
+        ticks = running.status()["ticks"]
+        assert running.status()["missed_ticks"] < 0.05 * ticks
+
+
+def test_no_trainer_is_left_behind(tmp_path: Path):
+    with service(tmp_path, "svd") as running:
+        trainer = trainer_of(running)
+        running.stop()
+        assert not trainer.is_running()
+    again = tmp_path / "again"
+    again.mkdir()
+    with service(again, "svd") as running:
+        trainer = trainer_of(running)
+        running.kill()
+        deadline = time.monotonic() + 10.0
+        while trainer.is_running() and trainer.status() != psutil.STATUS_ZOMBIE:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+
+def test_an_unknown_kind_is_refused(tmp_path: Path):
+    done = orbitfb("run", "--ioc", "sim", "--policy", "magic", "--data", tmp_path / "data")
+    assert done.returncode == 2 and "policy.kind" in done.stderr
