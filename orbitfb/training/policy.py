@@ -11,12 +11,12 @@ from orbitfb.config import AppConfig
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
-from orbitfb.learn.builders import modal_law
+from orbitfb.learn.builders import builder, first_policy
 from orbitfb.maintenance import activate_policy, data_hash, open_store
-from orbitfb.policies.embedding import embed
 from orbitfb.policies.kinds import StoredPolicy
 from orbitfb.policies.modal import ModalPolicy
 from orbitfb.policies.network import NetworkPolicy
+from orbitfb.policies.settings import PolicyKind
 from orbitfb.policies.svd import SvdPolicy
 from orbitfb.training.ground import Ground, find_ground
 from orbitfb.training.model import load_model
@@ -85,13 +85,8 @@ def _train(
     progress: Progress,
 ) -> _Trained:
     method = cast(Method, request.method)
-    if method == "svd":
-        covariance = _covariance(config, ground)
-        return _computed(method, SvdPolicy(ground.response, config.policy.svd, None, covariance))
-    if method == "modal":
-        return _computed(method, _modal(config, ground))
-    if method == "network":
-        return _computed(method, embed(_modal(config, ground), config.policy.network))
+    if method in ("svd", "modal", "network"):
+        return _computed(method, _law(config, ground, method))
     if method == "structured":
         return _structured(config, request, ground, directory, progress)
     if method == "supervised":
@@ -108,7 +103,7 @@ def _structured(
     result = train_structured(
         ground.response,
         settings,
-        start=_modal(config, ground),
+        start=cast(ModalPolicy, _law(config, ground, "modal")),
         draw=_draw(ground, config.train.samples),
         device=request.device,
         progress=lambda done, loss: say(done, settings.iterations, loss),
@@ -159,7 +154,7 @@ def _trajectory(
             raise ConfigError(f"--warm: policy {request.start} is no network; train one first")
         start = ground.start
     elif config.train.begin == "embedded" and not request.published:
-        start = embed(_modal(config, ground), config.policy.network)
+        start = cast(NetworkPolicy, _law(config, ground, "network"))
     model = None
     if request.model is not None:
         model = load_model(config, request.model, ground.channels).torch_step(
@@ -178,15 +173,13 @@ def _trajectory(
     return _learnt(result)
 
 
-def _modal(config: AppConfig, ground: Ground) -> ModalPolicy:
-    law = ModalPolicy(ground.response, config.policy.modal)
-    return law if ground.posterior is None else modal_law(ground.posterior, law, config.policy)
-
-
-def _covariance(config: AppConfig, ground: Ground) -> Vector | None:
-    if ground.posterior is None or not config.policy.cautious:
-        return None
-    return ground.posterior.row_covariance
+def _law(config: AppConfig, ground: Ground, kind: PolicyKind) -> StoredPolicy:
+    """Compute a law, of the posterior if there is one."""
+    settings = config.policy.model_copy(update={"kind": kind})
+    law = first_policy(ground.response, settings)
+    if ground.posterior is not None:
+        law = builder(settings)(ground.posterior, law)
+    return cast(StoredPolicy, law)  # nothing is masked here
 
 
 def _draw(ground: Ground, samples: int) -> Callable[[np.random.Generator], Vector] | None:
