@@ -24,8 +24,11 @@ def configshow(config_file: ConfigFile = None) -> None:
 
 @config.command("check")
 def config_check(path: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
-    """Say whether a configuration file is good, its ring included."""
-    configure(path).ring.load()
+    """Say whether a configuration file is good, its ring and the names of masks included."""
+    from orbitfb.policies.masking import mask_of
+
+    settings = configure(path)
+    mask_of(settings.ring.load().channels(settings.ring.planes), settings.masks)
     print(f"{path}: good")
 
 

@@ -10,6 +10,7 @@ from orbitfb.cli.options import (
     Drift,
     PolicyKind,
     configure,
+    make_out,
     show,
     validated,
 )
@@ -40,7 +41,9 @@ def evaluate_refit_command(
         "policy": settings.policy.svd,
         "learn": settings.learn,
     }
-    result = evaluate_refit(validated(RefitEvaluationSettings, {**asked, **common}))
+    asked_for = validated(RefitEvaluationSettings, {**asked, **common})
+    make_out(out)
+    result = evaluate_refit(asked_for)
     write(result, out)
     show({**result.figures}, as_json=False)
     print(f"written: {out / 'refit.json'}, {out / 'refit.png'}")
@@ -130,7 +133,15 @@ def evaluate_campaign_command(
         "learn": settings.learn,
     }
     numbers = tuple(range(seed, seed + seeds))
-    grid = validated(GridSettings, {"seeds": numbers, **asked, **common})
+    grid = validated(
+        GridSettings,
+        {"seeds": numbers, **asked, **common},
+        seeds="seed",
+        drifts="drift",
+        noises="noise",
+        horizons="ticks",
+    )
+    make_out(out)
     rows = evaluate_grid(grid, out / "points", workers, scheduler, _tell)
     write(grid, rows, out)
     print(table(grid, rows))

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from orbitfb.cli.options import ConfigFile, configure, validated
+from orbitfb.cli.options import ConfigFile, configure, make_out, validated
 
 
 def evaluate_kick_command(
@@ -60,10 +60,16 @@ def evaluate_kick_command(
     common = {"planes": settings.ring.planes, "policy": settings.policy, "learn": settings.learn}
     kind = settings.policy.kind
     chosen = {} if kind == "svd" else {"network_kind": kind}
-    result = evaluate_kick(
-        validated(KickSettings, {**asked, **laws, **common, **chosen}),
-        lambda said: print(said, flush=True),
+    asked_for = validated(
+        KickSettings,
+        {**asked, **laws, **common, **chosen},
+        laws="law",
+        kick_rms="size",
+        rate_hz="rate",
+        matrix_error="matrix-error",
     )
+    make_out(out)
+    result = evaluate_kick(asked_for, lambda said: print(said, flush=True))
     write(result, out)
     print(table(result))
     print(f"written: {out / 'kick.json'}, {out / 'kick.md'}, {out / 'kick.png'}")

@@ -39,8 +39,14 @@ def configure(path: Path | None, **options: Any) -> "AppConfig":
     return load_config(path, {name.replace("__", "."): value for name, value in options.items()})
 
 
-def validated(model: type[S], values: dict[str, Any]) -> S:
-    """Build settings of a command; what is wrong is named by its option."""
+def validated(model: type[S], values: dict[str, Any], **options: str) -> S:
+    """Build settings of a command; what is wrong is named by its option.
+
+    Args:
+        model: The settings.
+        values: By the settings' names.
+        options: Name of the option of a setting where it is another one.
+    """
     from pydantic import ValidationError
 
     from orbitfb.core.errors import ConfigError
@@ -48,12 +54,33 @@ def validated(model: type[S], values: dict[str, Any]) -> S:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        problems = [
-            f"--{'-'.join(str(part) for part in problem['loc'])}: {problem['msg']}, "
-            f"got {problem['input']!r}"
-            for problem in error.errors()
-        ]
-        raise ConfigError("; ".join(problems)) from None
+        problems: dict[str, str] = {}  # the first of an option: a list is also too short
+        for problem in error.errors():
+            name = str(problem["loc"][0])
+            option = options.get(name, name)
+            problems.setdefault(option, f"--{option}: {problem['msg']}, got {problem['input']!r}")
+        raise ConfigError("; ".join(problems.values())) from None
+
+
+def make_out(directory: Path) -> None:
+    """Make the directory of an evaluation, before the work that is to end there.
+
+    Raises:
+        ConfigError: It cannot be made, or cannot be written to.
+    """
+    import tempfile
+
+    from orbitfb.core.errors import ConfigError
+
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=directory):
+            pass
+    except OSError as error:
+        raise ConfigError(
+            f"--out {directory}: it cannot be written to ({error.strerror}); name a directory "
+            "that can be made or written to"
+        ) from error
 
 
 def show(answer: dict[str, Any], as_json: bool) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -24,16 +24,16 @@ TASK = "orbitfb.evaluate.grid:one_point"
 class GridSettings(Settings):
     """Which points to evaluate: all combinations."""
 
-    seeds: tuple[int, ...] = Field(
+    seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(
         default=(1, 2, 3), min_length=1, description="Seeds of ring, noise and drift."
     )
     drifts: tuple[Literal["none", "paper", "mild", "strong"], ...] = Field(
         default=("mild", "strong"), min_length=1, description="Drifts over the whole run."
     )
-    noises: tuple[float, ...] = Field(
+    noises: tuple[Annotated[float, Field(ge=0.0)], ...] = Field(
         default=(0.2e-6,), min_length=1, description="White noises of every BPM reading, rms [m]."
     )
-    horizons: tuple[int, ...] = Field(
+    horizons: tuple[Annotated[int, Field(ge=600)], ...] = Field(
         default=(2000,), min_length=1, description="Lengths of a run [ticks]."
     )
     planes: Planes = Field(default="x", description="Planes under feedback.")

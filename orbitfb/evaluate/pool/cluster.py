@@ -1,5 +1,6 @@
 """Tasks on a Dask cluster. The extra `cluster` brings what this needs."""
 
+import socket
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -8,6 +9,9 @@ from orbitfb.evaluate.pool.task import Outcome, Task, execute, source
 
 _PATIENCE = 30.0
 """How long to wait for the scheduler, and for its first worker [s]."""
+
+_TO_CONNECT = 5.0
+"""How long something may take to answer at the scheduler's address [s]."""
 
 
 def run_cluster(tasks: Sequence[Task], scheduler: str) -> Iterator[tuple[Task, Outcome]]:
@@ -50,6 +54,7 @@ def run_cluster(tasks: Sequence[Task], scheduler: str) -> Iterator[tuple[Task, O
 
 
 def _connected(distributed: Any, scheduler: str) -> Any:
+    _probe(scheduler)
     try:
         client = distributed.Client(scheduler, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -65,6 +70,21 @@ def _connected(distributed: Any, scheduler: str) -> Any:
             f"with `dask worker {scheduler} --nthreads 1`"
         ) from error
     return client
+
+
+def _probe(scheduler: str) -> None:
+    """Refuse an address where nothing listens; Dask's client would try for half a minute."""
+    host, _, port = scheduler.rpartition("://")[2].rstrip("/").rpartition(":")
+    if not host or not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        raise ConfigError(
+            f"--scheduler {scheduler} is no address of a Dask scheduler; give tcp://HOST:PORT"
+        )
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _TO_CONNECT).close()
+    except (OSError, UnicodeError) as error:
+        raise ConfigError(
+            f"no Dask scheduler at {scheduler}: {error}; start one with `dask scheduler`"
+        ) from error
 
 
 def _outcome(future: Any) -> Outcome:

@@ -1,0 +1,67 @@
+"""Bad inputs of commands: one message, at once, that names what was typed."""
+
+import socket
+
+import pytest
+
+from orbitfb.cli.app import app
+from orbitfb.core.errors import ConfigError
+from orbitfb.evaluate.campaign import run_tasks
+from orbitfb.evaluate.pool.task import Task
+
+
+def refused(*arguments):
+    with pytest.raises(ConfigError) as caught:
+        app([*map(str, arguments)], standalone_mode=False)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("command", ["kick", "campaign", "refit"])
+def test_an_evaluation_that_could_not_be_written_is_not_begun(tmp_path, command):
+    (tmp_path / "file").write_text("in the way")
+    assert "--out" in refused("evaluate", command, "--out", tmp_path / "file" / "here")
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("noise", "-1e-6"), ("ticks", "100"), ("seed", "-1"), ("drift", "wild")]
+)
+def test_a_campaign_refuses_points_that_no_evaluation_takes(tmp_path, option, value):
+    said = refused("evaluate", "campaign", "--out", tmp_path / "out", f"--{option}={value}")
+    assert said.startswith(f"--{option}: ")
+    assert said.count("--") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("law", "none"), ("size", "nan"), ("rate", "0"), ("matrix-error", "-1")]
+)
+def test_the_kick_experiment_names_the_option_that_was_given(tmp_path, option, value):
+    said = refused("evaluate", "kick", "--out", tmp_path / "out", f"--{option}={value}")
+    assert said.startswith(f"--{option}: ")
+    assert said.count("--") == 1
+
+
+def test_the_check_of_a_configuration_knows_the_names_that_may_be_masked(tmp_path):
+    file = tmp_path / "masks.toml"
+    file.write_text('[masks]\nbpms = ["PH1A_C31"]\n')
+    assert "masks.bpms" in refused("config", "check", file)
+
+
+@pytest.mark.parametrize("address", ["nonsense", "tcp://host", "tcp://127.0.0.1:99999"])
+def test_what_is_no_address_of_a_scheduler_is_refused(monkeypatch, address):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: pytest.fail("asked Dask"))
+    with pytest.raises(ConfigError, match="no address of a Dask scheduler"):
+        run_tasks([Task("math:sqrt", {"x": 4.0})], scheduler=address)
+
+
+def test_a_scheduler_that_does_not_answer_is_not_waited_for(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: pytest.fail("asked Dask"))
+
+    def refuse(where, patience):
+        raise ConnectionRefusedError(f"{where[0]} refused, {patience:g} s allowed")
+
+    monkeypatch.setattr(socket, "create_connection", refuse)
+    with pytest.raises(ConfigError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:8786"):
+        run_tasks([Task("math:sqrt", {"x": 4.0})], scheduler="tcp://127.0.0.1:8786")
