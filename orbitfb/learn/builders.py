@@ -103,8 +103,12 @@ def builder(settings: PolicySettings, movable: Mask | None = None, seed: int = 0
 
 
 def _svd(model: LinearModel, incumbent: Policy, settings: PolicySettings) -> SvdPolicy:
-    covariance = model.row_covariance if settings.cautious else None
-    return SvdPolicy(model.response, settings.svd, covariance=covariance)
+    return SvdPolicy(model.response, settings.svd, covariance=_doubt(model, settings))
+
+
+def _doubt(model: LinearModel, settings: PolicySettings) -> Vector | None:
+    """Give the covariance of a row of R̂ that a law is to be cautious of, shape (m, m)."""
+    return settings.caution * model.row_covariance if settings.caution > 0.0 else None
 
 
 def modal_law(model: LinearModel, incumbent: Policy, settings: PolicySettings) -> ModalPolicy:
@@ -125,7 +129,7 @@ def modal_law(model: LinearModel, incumbent: Policy, settings: PolicySettings) -
         modes=model.modes,
         gains=gains,
         thresholds=thresholds,
-        covariance=model.row_covariance if settings.cautious else None,
+        covariance=_doubt(model, settings),
     )
 
 

@@ -23,8 +23,12 @@ class PolicySettings(Settings):
         "network: the same law in the paper's network; supervised: the network, trained on the "
         "answers of that law; trajectory: the network, improved by trajectory optimisation.",
     )
-    cautious: bool = Field(
-        default=True, description="Whether the uncertainty of R̂ lowers the gain of a candidate."
+    caution: float = Field(
+        default=1.0,
+        ge=0.0,
+        le=1.0,
+        description="Share of the uncertainty of R̂ that lowers the gain of a candidate [1]; "
+        "0: none.",
     )
     svd: SvdSettings = Field(default=SvdSettings(), description="The linear baseline.")
     modal: ModalSettings = Field(default=ModalSettings(), description="The noise-aware law.")
