@@ -34,6 +34,7 @@ SINGLE_THREADED = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
 _RESTART_AFTER = 10.0
+_TO_END = 0.2
 _LAST_WORDS = 2000
 
 
@@ -204,12 +205,20 @@ class ProcessTrainer:
         )
 
     def _last_words(self) -> str:
+        """Say what it died of: the last line it wrote, or the signal that killed it."""
+        silence = "it said nothing"
+        try:
+            status = 0 if self._process is None else self._process.wait(_TO_END)
+        except subprocess.TimeoutExpired:
+            status = 0  # its connection is gone, but not yet the process
+        if status < 0:
+            silence = f"killed by signal {-status}"
         if self._errors is None:
-            return "it said nothing"
+            return silence
         self._errors.seek(0, os.SEEK_END)
         self._errors.seek(max(0, self._errors.tell() - _LAST_WORDS))
         said = self._errors.read().decode(errors="replace").strip()
-        return said.splitlines()[-1] if said else "it said nothing"
+        return said.splitlines()[-1] if said else silence
 
 
 def _newest(transitions: Transitions) -> Transitions:

@@ -89,11 +89,16 @@ def check(request: TrainingRequest) -> None:
         ("--model", request.model is not None, ("trajectory",)),
         ("--validate", request.validation is not None, (FORWARD,)),
         ("--activate", request.activate, METHODS),
+        ("--device cuda", request.device == "cuda", descending),
     ):
         if given and method not in useful:
             raise ConfigError(f"{name} means nothing to the method {method}; leave it out")
     if request.iterations is not None and request.iterations < 1:
         raise ConfigError(f"--iterations {request.iterations}: give at least 1")
+    if request.seed is not None and request.seed < 0:
+        raise ConfigError(f"--seed {request.seed}: give 0 or more")
+    if request.device not in ("auto", "cpu", "cuda"):
+        raise ConfigError(f"--device {request.device}: choose auto, cpu or cuda")
     if request.warm and request.start == NOMINAL:
         raise ConfigError("--warm begins with a stored network: name it with --start ID")
     if method == FORWARD and (request.archive is None or request.validation is None):

@@ -117,7 +117,7 @@ def test_a_killed_trainer_is_noticed_and_a_new_one_begins(begin, monkeypatch):
     os.kill(first, signal.SIGKILL)
     wait(lambda: not psutil.pid_exists(first) or psutil.Process(first).status() == "zombie")
     answer = wait(lambda: trainer.ready or trainer.collect())
-    assert f"process {first} ended" in answer.failure
+    assert f"process {first} ended (killed by signal 9)" in answer.failure
     assert trainer.last_tick is None  # so that the rows in memory come again
     report = ask(trainer, Task(rows, incumbent, "periodic")).report
     assert report is not None and report.rows == 199

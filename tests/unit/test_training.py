@@ -91,6 +91,9 @@ def test_a_stored_network_can_be_trained_on(config):
         ({"method": "trajectory", "warm": True}, "name it with --start"),
         ({"method": "svd", "warm": True}, "--warm means nothing"),
         ({"method": "svd", "model": "m"}, "--model means nothing"),
+        ({"method": "trajectory", "seed": -1}, "--seed -1"),
+        ({"method": "trajectory", "device": "tpu"}, "--device tpu"),
+        ({"method": "svd", "device": "cuda"}, "--device cuda means nothing"),
         ({"method": "forward"}, "--validate ARCHIVE"),
     ],
 )
