@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import psutil
 from ioc_clients import run_client
 
 from orbitfb.control import ask
@@ -155,6 +156,15 @@ class Service(Process):
     def _started(self, before: int) -> dict[str, Any] | None:
         found = self.events("service_started")[before:]
         return found[0] if found else None
+
+    def child(self, module: str) -> psutil.Process:
+        """Give the child that runs a module: `orbitfb.sim` (the ring), `orbitfb.learn`."""
+
+        def look() -> list[psutil.Process]:
+            children = psutil.Process(self.popen.pid).children()
+            return [child for child in children if module in child.cmdline()]
+
+        return wait_for(module, look)[0]
 
     @property
     def port(self) -> int:

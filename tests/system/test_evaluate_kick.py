@@ -99,4 +99,4 @@ def test_a_law_that_nobody_knows_is_refused(tmp_path):
         text=True,
         check=False,
     )
-    assert done.returncode == 2 and "--laws-0" in done.stderr
+    assert done.returncode == 2 and "--law:" in done.stderr

@@ -73,38 +73,30 @@ def test_masked_elements_do_not_count_and_do_not_move(tmp_path: Path):
     assert rms(rows.applied)[:100].max() > 0
 
 
-def trainer_of(running: Service) -> psutil.Process:
-    def look():
-        children = psutil.Process(running.popen.pid).children()
-        return [child for child in children if "orbitfb.learn" in child.cmdline()]
-
-    return wait_for("trainer", look)[0]
-
-
 def test_a_trainer_that_is_killed_is_told_and_replaced(tmp_path: Path):
     with service(tmp_path, "svd") as running:
         running.wait_status("ticks", lambda status: status["ticks"] > 50, 30.0)
-        trainer = trainer_of(running)
+        trainer = running.child("orbitfb.learn")
         os.kill(trainer.pid, signal.SIGKILL)
         wait_for("report", lambda: running.events("refit_judged"))
         [event] = running.events("refit_judged")
         assert event["decision"] == "refused" and f"process {trainer.pid} ended" in event["reason"]
         report = json.loads(ask(running, "refit", "--json"))  # waits for the new one
         assert report["rows"] > 40
-        assert trainer_of(running).pid != trainer.pid
+        assert running.child("orbitfb.learn").pid != trainer.pid
         ticks = running.status()["ticks"]
         assert running.status()["missed_ticks"] < 0.05 * ticks
 
 
 def test_no_trainer_is_left_behind(tmp_path: Path):
     with service(tmp_path, "svd") as running:
-        trainer = trainer_of(running)
+        trainer = running.child("orbitfb.learn")
         running.stop()
         assert not trainer.is_running()
     again = tmp_path / "again"
     again.mkdir()
     with service(again, "svd") as running:
-        trainer = trainer_of(running)
+        trainer = running.child("orbitfb.learn")
         running.kill()
         deadline = time.monotonic() + 10.0
         while trainer.is_running() and trainer.status() != psutil.STATUS_ZOMBIE:

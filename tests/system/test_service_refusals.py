@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import psutil
 import pytest
 from service_process import CHANNELS, PROGRAM, Ioc, Service, orbitfb, read_log, refused
 
@@ -224,12 +223,13 @@ def test_a_closed_terminal_does_not_stop_the_loop(tmp_path: Path):
 
 
 def test_a_hangup_leaves_no_child(tmp_path: Path):
-    """The window is closed: SIGHUP kills the service, and its ring goes with it."""
+    """The window is closed: SIGHUP kills the service; its ring and its trainer go with it."""
     with Service(tmp_path / "data", "sim") as service:
-        [child] = psutil.Process(service.popen.pid).children()
+        children = [service.child(module) for module in ("orbitfb.sim", "orbitfb.learn")]
         service.popen.send_signal(signal.SIGHUP)
         service.popen.wait(5.0)
-        child.wait(5.0)
+        for child in children:
+            child.wait(5.0)
 
 
 def test_ioc_alone_stops_cleanly(tmp_path: Path):

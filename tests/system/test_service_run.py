@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 from ioc_clients import KICK, run_client
 from service_process import (
@@ -244,7 +243,7 @@ def test_a_signal_during_the_start_ends_it_at_once(dead_port: int, tmp_path: Pat
 def test_a_ring_of_its_own_that_dies_is_waited_for(tmp_path: Path):
     with Service(tmp_path / "data", "sim") as service:
         service.wait_state("CLOSED")
-        [child] = psutil.Process(service.popen.pid).children()
+        child = service.child("orbitfb.sim")
         child.kill()
         service.wait_state("HELD")
         died = (
