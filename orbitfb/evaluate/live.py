@@ -252,7 +252,12 @@ class _Live:
         before, self._tick = self._tick, int(tick)
         # The ring says how many of its orbits the loop did not see; in lockstep no clock does.
         missed = max(self._tick - before - 1, 0)
-        self._history(replace(record, missed=missed))
+        written = record.written
+        if self._settings.rate_hz is None and np.isfinite(written):
+            # The ring goes on when it has all setpoints, which may be before the loop knows that
+            # the last one has left; they are in force at its next tick all the same.
+            written = min(written, record.reading.orbit.time)
+        self._history(replace(record, missed=missed, written=written))
         self._missed += missed
         if self._tick < len(self._true_rms):
             self._true_rms[self._tick] = record.reading.auxiliary["true_orbit_rms"]
