@@ -10,6 +10,7 @@
     ├── OwnershipError       somebody else holds the port, the ring or the directory
     ├── ArchiveError         a segment of the archive cannot be read or written
     ├── StoreError           a policy or model file is missing, corrupt or not ours
+    ├── RecordError          a record of operation has an array that is wrong
     ├── EstimationError      data from which no response can be identified
     ├── TrainingError        a training whose loss is no longer a number
     ├── CampaignError        tasks of a campaign failed; the results of the others are kept
@@ -104,3 +105,7 @@ class CampaignError(OrbitFeedbackError):
 
 class ControlError(OrbitFeedbackError):
     """A running service refused a command or cannot be asked."""
+
+
+class RecordError(OrbitFeedbackError):
+    """A record of operation that cannot be diagnosed: which array, which row, what is wrong."""

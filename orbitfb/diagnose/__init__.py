@@ -1,0 +1,1 @@
+"""Where the gap between the simulator and the machine lies, and which effect makes it."""

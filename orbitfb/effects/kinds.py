@@ -1,0 +1,276 @@
+"""The kinds of effects: what each must tell so that it can be simulated, found and estimated.
+
+A record is explained by  reading = sense(R · actuate(setpoints) + disturbance) + noise.  Every
+kind of effect changes one link of that chain, device by device, and tells its change for a whole
+record at once. From that one hook follow both the scan over all places (with the predicted orbit
+in the place of the readings, because the noise of a reading is in the action that it caused) and
+the exact likelihood of a record with the effect in it.
+
+How a kind joins the plant of the simulator is told by `simulate`, tick by tick; that is written
+separately on purpose, so that recovering what was simulated tests both.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+Stage = Literal["sensor", "actuator", "optics", "disturbance", "noise", "timing"]
+Target = Literal["bpm", "corrector", "quadrupole", "sextupole", "source", "ring"]
+Values = Mapping[str, float]
+"""Values of the parameters by name, SI."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter of an effect.
+
+    Args:
+        name: As in `--effect id:name=value`.
+        unit: SI unit, `1` for a ratio.
+        low: Least value that makes sense.
+        high: Largest value that makes sense.
+        nominal: Value at which the effect is not there.
+        typical: A size that occurs: width of the prior, and the default of `--effect`.
+        description: For operators.
+        log: Whether its size is known by order of magnitude only (grids are then logarithmic).
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    nominal: float
+    typical: float
+    description: str
+    log: bool = False
+
+
+class EffectKind(ABC):
+    """One physical effect. A subclass per file; give the class attributes and the hooks.
+
+    Attributes:
+        id: Kebab-case name.
+        stage: Link of the chain that it changes.
+        target: What it sits on; `source` is a quadrupole or corrector place that kicks the beam.
+        parameters: In the order in which people would name them; the size comes first.
+        title: A few words, beginning in lower case ("gain error of a BPM").
+        sentence: What it means to an operator, one or two sentences.
+        equation: How it acts, one line of plain text, with its source where there is one.
+        linear: Name of the parameter in which the change of the prediction is (nearly)
+            proportional to (value − nominal), so that its best value is found without a search;
+            None when there is none: then `grid` is searched.
+        confused_with: Ids of effects that a record may be unable to tell from it, and in
+            `splits` what would (one line).
+        collective: Whether it commonly strikes all devices of a cell, or of the ring, with one
+            value: groups are then tried beside single devices.
+        sudden: Whether it commonly begins in the middle of a record: onsets are then tried.
+    """
+
+    id: ClassVar[str]
+    stage: ClassVar[Stage]
+    target: ClassVar[Target]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    title: ClassVar[str]
+    sentence: ClassVar[str]
+    equation: ClassVar[str]
+    linear: ClassVar[str | None] = None
+    confused_with: ClassVar[tuple[str, ...]] = ()
+    splits: ClassVar[str] = ""
+    collective: ClassVar[bool] = True
+    sudden: ClassVar[bool] = True
+
+    @abstractmethod
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Make the effect as a part of the plant.
+
+        Args:
+            layout: Devices, model and period of the plant.
+            places: Which devices: columns of the orbit or of the setpoints; for `quadrupole` and
+                `sextupole` their positions among the ring's; for `source` positions among the
+                places that `places_of` lists; for `ring` empty.
+            values: All parameters, SI.
+            rng: Its random numbers.
+        """
+
+    def unavailable(self, record: Record) -> str:
+        """Say why this record cannot show the effect; empty when it can."""
+        if self.target in ("quadrupole", "sextupole", "source") and record.layout.ring is None:
+            return "needs a places table that knows the names of the record"
+        return ""
+
+    def grid(self, record: Record) -> Sequence[Values]:
+        """Values to scan, coarse but dense enough that a local search finds the best one.
+
+        With `linear` one set is enough: a small size of it. By default the first parameter runs
+        logarithmically (or linearly) over its bounds in 9 steps, the others are typical.
+        """
+        typical = {p.name: p.typical for p in self.parameters}
+        first = self.parameters[0]
+        if self.linear is not None:
+            return (typical,)
+        if first.log:
+            steps = np.geomspace(max(first.low, first.high * 1e-4), first.high, 9)
+        else:
+            steps = np.linspace(first.low, first.high, 9)
+        return tuple({**typical, first.name: float(step)} for step in steps)
+
+
+class ActuatorKind(EffectKind):
+    """An effect on what correctors make of their setpoints, each corrector for itself."""
+
+    target = "corrector"
+
+    @abstractmethod
+    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+        """Tell the currents that act on the beam.
+
+        Args:
+            setpoints: In force at every row, of k correctors, shape (N, k) [A]; constant before
+                the first row of a stretch (`record.starts`).
+            values: All parameters.
+            record: Time, stretches, period and all else.
+
+        Returns:
+            Currents in force at every row, shape (N, k) [A].
+        """
+
+
+class SensorKind(EffectKind):
+    """An effect on what BPMs tell of the orbit, each BPM for itself."""
+
+    target = "bpm"
+
+    @abstractmethod
+    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
+        """Undo the effect: what would have been read without it.
+
+        Args:
+            readings: As read, of k BPMs, shape (N, k) [m].
+            values: All parameters.
+            record: Time, stretches, period, auxiliary channels and all else.
+
+        Returns:
+            Readings without the effect, shape (N, k) [m], and log |∂restored/∂reading| summed
+            over the k BPMs, of every row, shape (N,).
+        """
+
+
+class SourceKind(EffectKind):
+    """An effect that adds, for each of its places, an orbit of fixed shape times a course in time.
+
+    Errors of quadrupoles, kicks, periodic disturbances, energy: everything of rank one.
+    """
+
+    target = "source"
+
+    @abstractmethod
+    def places_of(self, layout: Layout) -> tuple[str, ...]:
+        """Names of the P places that it may have (with the plane where that matters)."""
+
+    @abstractmethod
+    def patterns(self, layout: Layout) -> Matrix:
+        """Orbit shape of every place, shape (n, P)."""
+
+    @abstractmethod
+    def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
+        """Course of every place's amplitude.
+
+        Args:
+            values: All parameters.
+            record: Time, period, auxiliary channels.
+            currents: That act on the beam, shape (N, m) [A].
+            orbit: Predicted orbit at the BPMs, without noise of the readings, shape (N, n) [m].
+
+        Returns:
+            Shape (N, P), or (N, 1) when it is the same for all places.
+        """
+
+
+class RingKind(EffectKind):
+    """An effect on the whole ring: it has no place."""
+
+    target = "ring"
+    collective = False
+
+    @abstractmethod
+    def deflect(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
+        """Tell what it adds to the orbit, shape (N, n) [m]; arguments as for `drivers`."""
+
+
+class NoiseKind(EffectKind):
+    """An effect that has no course in time that could be known: it adds or takes randomness.
+
+    Per place it adds κ b bᵀ to the covariance of the readings' innovations, white in time; the
+    size κ is found in closed form. `size` and `variance` turn κ into the first parameter and back.
+    """
+
+    stage = "noise"
+    lag: ClassVar[int] = 0
+    """Ticks between the two readings whose covariance gains κ b bᵀ."""
+
+    @abstractmethod
+    def places_of(self, layout: Layout) -> tuple[str, ...]:
+        """Names of the P places that it may have."""
+
+    @abstractmethod
+    def patterns(self, layout: Layout) -> Matrix:
+        """Shape b of every place, shape (n, P)."""
+
+    @abstractmethod
+    def variance(self, values: Values, reading_noise: float) -> float:
+        """κ [m² in the units of b²] of given parameters, for BPMs of a given noise rms [m]."""
+
+    @abstractmethod
+    def size(self, variance: float, reading_noise: float) -> float:
+        """First parameter that belongs to κ; the inverse of `variance`."""
+
+
+class LatentKind(EffectKind):
+    """An effect that strikes single ticks at random: nobody knows which.
+
+    If it strikes at row k with strength z the prediction of that row changes by z · shapes[k].
+    """
+
+    target = "ring"
+    collective = False
+    sudden = False
+    strength: ClassVar[Literal["always one", "normal"]]
+    """`always one`: z = 1 with the probability that is the first parameter, else 0; `normal`: z
+    is normal at every row, of the standard deviation that is the first parameter."""
+    per_bpm: ClassVar[bool] = False
+    """Whether it strikes BPM by BPM (every column of `shapes` with its own z) or all at once."""
+
+    @abstractmethod
+    def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
+        """Change of the prediction by a strike of strength 1, shape (N, n) [m per unit of z]."""
+
+
+class PairKind(EffectKind):
+    """An effect that ties two columns: swapped, coupled or rolled devices.
+
+    `bpm` pairs change readings, `corrector` pairs change currents, by a 2 × 2 matrix.
+    """
+
+    @abstractmethod
+    def pairs(self, layout: Layout) -> Indices:
+        """Ordered pairs of columns that may be tied, shape (P, 2)."""
+
+    @abstractmethod
+    def matrix(self, values: Values) -> Matrix:
+        """Shape (2, 2): (first, second) as acted on = matrix @ (first, second) as wanted.
+
+        Wanted are true positions for `bpm` (and acted on the readings), setpoints for
+        `corrector` (and acted on the currents).
+        """

@@ -1,0 +1,127 @@
+"""Which devices a record or a plant has, and what the optics make of a kick at any place."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.errors import RingError
+from orbitfb.core.signals import Vector
+from orbitfb.physics.optics import Matrix, green
+from orbitfb.physics.places import Indices, Kind, Plane, Ring
+
+ChannelPlane = Literal["x", "y"]
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """The devices behind the columns of an orbit or of a set of setpoints.
+
+    Args:
+        names: k names; a device that acts in both planes has one column in each.
+        planes: k planes.
+        cells: k cells (`C30`, …) or crates, whatever groups them; empty text where not known.
+    """
+
+    names: tuple[str, ...]
+    planes: tuple[ChannelPlane, ...]
+    cells: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def in_plane(self, plane: ChannelPlane) -> Indices:
+        """Columns of one plane, shape (k',)."""
+        return np.array([i for i, its in enumerate(self.planes) if its == plane], dtype=np.intp)
+
+    def groups(self) -> dict[str, Indices]:
+        """Columns of every cell, both planes together, in the order of the cells."""
+        members: dict[str, list[int]] = {}
+        for column, cell in enumerate(self.cells):
+            if cell:
+                members.setdefault(cell, []).append(column)
+        return {cell: np.array(columns, dtype=np.intp) for cell, columns in members.items()}
+
+    def label(self, column: int) -> str:
+        """Name of a column for people: the device's, with its plane."""
+        return f"{self.names[column]} ({self.planes[column]})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """The devices, and the model that is to be questioned.
+
+    Args:
+        bpms: Behind the n columns of an orbit.
+        correctors: Behind the m columns of a set of setpoints.
+        response: Nominal response, shape (n, m) [m/A].
+        period: From one orbit to the next [s].
+        ring: The ring that the names belong to; None when they are of no known ring. Effects of
+            the optics and of sources between the devices then cannot be tested.
+    """
+
+    bpms: Devices
+    correctors: Devices
+    response: Matrix
+    period: float
+    ring: Ring | None
+
+    def orbit_per_kick(self, sources: Indices | Kind, plane: Plane) -> Matrix:
+        """Orbit at the BPMs per kick in one plane at places of the ring, shape (n, k) [m/rad].
+
+        Rows of BPMs of the other plane are zero (upright magnets do not couple the planes).
+        """
+        ring = self.known_ring
+        columns = self.bpms.in_plane(plane)
+        places = _indices(ring, [self.bpms.names[int(i)] for i in columns])
+        count = len(ring.places(sources) if isinstance(sources, str) else sources)
+        orbit = np.zeros((len(self.bpms), count))
+        orbit[columns] = green(ring, places, sources, plane)
+        return orbit
+
+    def orbit_at(self, places: Indices | Kind, plane: Plane) -> Matrix:
+        """Orbit at places of the ring per ampere of every corrector, shape (k, m) [m/A]."""
+        ring = self.known_ring
+        columns = self.correctors.in_plane(plane)
+        sources = _indices(ring, [self.correctors.names[int(i)] for i in columns])
+        table_row = 0 if plane == "x" else 1
+        per_ampere = ring.table.calibration[table_row, sources]
+        count = len(ring.places(places) if isinstance(places, str) else places)
+        orbit = np.zeros((count, len(self.correctors)))
+        orbit[:, columns] = green(ring, places, sources, plane) * per_ampere
+        return orbit
+
+    def dispersion(self) -> Vector:
+        """Dispersion at the BPMs, zero in y, shape (n,) [m]."""
+        ring = self.known_ring
+        eta = np.zeros(len(self.bpms))
+        columns = self.bpms.in_plane("x")
+        places = _indices(ring, [self.bpms.names[int(i)] for i in columns])
+        eta[columns] = ring.table.dispersion[places]
+        return eta
+
+    @property
+    def known_ring(self) -> Ring:
+        """The ring.
+
+        Raises:
+            RingError: The devices are of no known ring.
+        """
+        if self.ring is None:
+            raise RingError(
+                "the names of the devices are of no known ring; give its table of places "
+                "(ring.places), or leave out the effects of optics and sources"
+            )
+        return self.ring
+
+    @property
+    def planes(self) -> tuple[ChannelPlane, ...]:
+        """Planes that have BPMs, x first."""
+        return tuple(plane for plane in ("x", "y") if plane in self.bpms.planes)
+
+
+def _indices(ring: Ring, names: Sequence[str]) -> NDArray[np.intp]:
+    place = {name: index for index, name in enumerate(ring.table.name)}
+    return np.array([place[name] for name in names], dtype=np.intp)
