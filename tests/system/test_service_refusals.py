@@ -222,14 +222,17 @@ def test_a_closed_terminal_does_not_stop_the_loop(tmp_path: Path):
     assert json.loads(summary.read_text())["ticks"] > 15
 
 
-def test_a_hangup_leaves_no_child(tmp_path: Path):
+def test_a_hangup_leaves_no_child(tmp_path: Path, request: pytest.FixtureRequest):
     """The window is closed: SIGHUP kills the service; its ring and its trainer go with it."""
+    # A session under nohup ignores the signal, and so would what it starts.
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    request.addfinalizer(lambda: signal.signal(signal.SIGHUP, before))
     with Service(tmp_path / "data", "sim") as service:
         children = [service.child(module) for module in ("orbitfb.sim", "orbitfb.learn")]
         service.popen.send_signal(signal.SIGHUP)
-        service.popen.wait(5.0)
+        service.popen.wait(20.0)
         for child in children:
-            child.wait(5.0)
+            child.wait(20.0)
 
 
 def test_ioc_alone_stops_cleanly(tmp_path: Path):
