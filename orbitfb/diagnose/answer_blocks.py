@@ -1,0 +1,194 @@
+"""The parts of a diagnosis that its report draws; any of them may be missing."""
+
+from pydantic import Field
+
+from orbitfb.diagnose.answer_values import Number, Numbers, Part, Table
+
+
+class KStep(Part):
+    """Excess rms of a prediction k ticks ahead."""
+
+    k: int
+    nominal_um: Number
+    nominal_low: Number = None
+    nominal_high: Number = None
+    effect_um: Number = Field(default=None, description="with the causes in the model [µm]")
+    effect_low: Number = None
+    effect_high: Number = None
+    competitor_um: Number = Field(default=None, description="with a refitted R [µm]")
+    net_um: Number = Field(default=None, description="with the forward net [µm]")
+    floor_um: Number = None
+    resolved: bool = Field(default=True, description="whether the nominal excess is resolved")
+
+
+class ClosedLoop(Part):
+    """What the loop does: predicted without and with the causes, beside what was measured."""
+
+    without_um: Number = Field(description="predicted orbit rms, nominal model [µm]")
+    with_um: Number = Field(default=None, description="predicted with the causes [µm]")
+    with_low: Number = None
+    with_high: Number = None
+    measured_um: Number
+    measured_low: Number = None
+    measured_high: Number = None
+    rederived_um: Number = Field(
+        default=None, description="predicted, the policy computed anew from the mended model [µm]"
+    )
+    radius_without: Number = Field(default=None, description="spectral radius of the loop, nominal")
+    radius_with: Number = Field(default=None, description="spectral radius with the causes")
+    frequency_hz: Numbers = ()
+    psd_measured: Numbers = Field(default=(), description="of the orbit [µm²/Hz]")
+    psd_without: Numbers = ()
+    psd_with: Numbers = ()
+    note: str = ""
+
+
+class TournamentRow(Part):
+    """A kind of effect at its best places, scored on held-out ticks."""
+
+    effect: str
+    places: str = Field(default="", description="in words")
+    nats: Number = Field(description="gain of log-likelihood on held-out ticks [nats]")
+    low: Number = None
+    high: Number = None
+    probability: Number = Field(default=None, description="of its class [1]")
+    members: tuple[str, ...] = Field(default=(), description="ids of its class, itself included")
+    accepted: bool = False
+    detectable_nats: Number = Field(default=None, description="where a 5-sigma size would stand")
+
+
+class Tournament(Part):
+    """All kinds of effects against each other."""
+
+    rows: tuple[TournamentRow, ...] = ()
+    threshold_nats: Number = Field(default=None, description="99 % line of records without a gap")
+    ceiling_nats: Number = Field(default=None, description="what a model of any kind could gain")
+
+
+class WaterfallStep(Part):
+    """What is left of the gap after one more effect."""
+
+    label: str
+    fit: Number = Field(default=None, description="gap left, data of the fit [nats/tick]")
+    held_out: Number = Field(default=None, description="gap left, held-out data [nats/tick]")
+
+
+class GoodnessTest(Part):
+    """A test of what is left when all causes are in the model."""
+
+    name: str
+    value: Number
+    limit: Number
+    flagged: bool
+    note: str = ""
+
+
+class AmbiguousSet(Part):
+    """Effects that this record cannot tell apart."""
+
+    effects: tuple[str, ...]
+    why: str = ""
+    splits: str = Field(default="", description="what would tell them apart")
+
+
+class Fingerprint(Part):
+    """The slice of the record that shows an effect best: data, nominal model, mended model."""
+
+    title: str
+    x_label: str
+    y_label: str
+    x: Numbers
+    measured: Numbers
+    nominal: Numbers = ()
+    refit: Numbers = ()
+    error: Numbers = Field(default=(), description="standard error of `measured`")
+
+
+class ScoreRow(Part):
+    """Gain of log-likelihood by an effect at each place of one stage."""
+
+    stage: str
+    effect: str = ""
+    gain: Numbers = Field(description="nats, at each place")
+    s_m: Numbers = Field(default=(), description="position of each place [m]; empty: not known")
+    names: tuple[str, ...] = ()
+    fitted: tuple[int, ...] = Field(default=(), description="indices of the places named")
+    within: tuple[int, ...] = Field(default=(), description="indices that cannot be excluded")
+
+
+class ScoreMap(Part):
+    """Score of every stage over the ring."""
+
+    rows: tuple[ScoreRow, ...] = ()
+    threshold_nats: Number = None
+    sectors_m: Numbers = Field(default=(), description="where sectors begin [m]")
+    circumference_m: Number = None
+
+
+class LagProfile(Part):
+    """Slope of the innovation on R·Δu of earlier ticks; lag 1 is that of the nominal loop."""
+
+    lags: tuple[int, ...]
+    slope: Numbers
+    low: Numbers = ()
+    high: Numbers = ()
+    refit: Numbers = Field(default=(), description="the same of the mended model's innovation")
+
+
+class HeatMap(Part):
+    """Two-dimensional map: BPM × frequency, corrector × lag, Fisher cosines."""
+
+    title: str
+    row_label: str
+    column_label: str
+    values: Table
+    unit: str = ""
+    row_names: tuple[str, ...] = ()
+    column_names: tuple[str, ...] = ()
+    columns: Numbers = Field(default=(), description="values of the columns where they are numbers")
+    signed: bool = Field(default=False, description="whether zero is the middle of the colours")
+
+
+class Identifiability(Part):
+    """Which effects look alike in this record."""
+
+    effects: tuple[str, ...] = ()
+    cosine: Table = Field(default=(), description="cosine of the changes of the prediction [1]")
+    degenerate: tuple[str, ...] = Field(default=(), description="in words, a sentence each")
+    referee: str = Field(
+        default="", description="whether the estimate by the dither as instrument agrees"
+    )
+
+
+class Unknown(Part):
+    """What is known of a gap that no effect of the library explains."""
+
+    stages: dict[str, Number] = Field(default_factory=dict, description="probability by stage [1]")
+    places: tuple[str, ...] = Field(default=(), description="devices where the gap sits")
+    text: str = Field(default="", description="its fingerprint in words")
+    nearest: str = Field(default="", description="id of the nearest effect of the library")
+    nearest_nats: Number = None
+    explained: Number = Field(default=None, description="share of the ceiling explained [1]")
+    correlations: dict[str, Number] = Field(
+        default_factory=dict, description="correlation of the rest with slow channels [1]"
+    )
+
+
+class Audit(Part):
+    """What is left when all causes are in the model."""
+
+    tests: tuple[GoodnessTest, ...] = ()
+    quantiles: Numbers = Field(
+        default=(), description="of the whitened innovation, sorted; thinned to some hundreds"
+    )
+    autocorrelation: Numbers = Field(default=(), description="lags 1, 2, … [1]")
+    autocorrelation_limit: Number = None
+    worst_channels: dict[str, Number] = Field(
+        default_factory=dict, description="mean square of the whitened innovation [1]"
+    )
+    worst_ticks: dict[str, Number] = Field(
+        default_factory=dict, description="by row, mean square of the whitened innovation [1]"
+    )
+    sensitivity: tuple[str, ...] = Field(
+        default=(), description="what changes with priors, splits and levels, a sentence each"
+    )

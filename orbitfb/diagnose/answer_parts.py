@@ -1,0 +1,198 @@
+"""The parts that every diagnosis has: causes, gap, shrink, experiment, limits, provenance."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from orbitfb.diagnose.answer_values import Number, Numbers, Part
+from orbitfb.effects.kinds import Stage
+
+Severity = Literal["error", "warning", "note"]
+
+
+class ParameterValue(Part):
+    """An estimated parameter of an effect."""
+
+    value: Number = Field(description="estimate, in `unit`")
+    low: Number = Field(default=None, description="lower end of the 90 % interval")
+    high: Number = Field(default=None, description="upper end of the 90 % interval")
+    unit: str = Field(description="SI unit, `1` for a ratio")
+    at_bound: bool = Field(default=False, description="the fit ended at a bound: not to be trusted")
+    unstable: bool = Field(
+        default=False, description="parts of the record disagree about it by more than 4 sigma"
+    )
+
+
+class Cause(Part):
+    """An effect that is named as a cause of the gap."""
+
+    effect: str = Field(description="id of the effect, kebab-case")
+    stage: Stage = Field(description="link of the chain that it changes")
+    places: tuple[str, ...] = Field(description="names of the devices; empty for the whole ring")
+    parameters: dict[str, ParameterValue] = Field(default_factory=dict)
+    probability: Number = Field(description="calibrated probability of its class [1]")
+    onset_s: Number = Field(
+        default=None, description="when it begins, since the first reading [s]; null: always there"
+    )
+    alternatives: tuple[str, ...] = Field(
+        default=(), description="ids of the effects of its class: the record cannot exclude them"
+    )
+    title: str = Field(default="", description="the effect in a few words")
+    sentence: str = Field(default="", description="what it means to an operator")
+    label: str = Field(default="", description="the places in words, such as `cells C03-C05`")
+    places_within: tuple[str, ...] = Field(
+        default=(),
+        description="other places that the record cannot exclude (width of the posterior)",
+    )
+    held_out_nats: Number = Field(default=None, description="gain on held-out ticks [nats]")
+    drop_one_nats: Number = Field(default=None, description="loss when it alone is left out [nats]")
+    shapley: Number = Field(default=None, description="its share of the whole gain [1]")
+
+
+class GapPiece(Part):
+    """A piece of the gap: a band, a window, a bin."""
+
+    label: str
+    start: Number = Field(default=None, description="lower edge, in the unit of the partition")
+    stop: Number = Field(default=None, description="upper edge, in the unit of the partition")
+    nats_per_tick: Number = Field(default=None, description="its part of the gap [nats/tick]")
+    low: Number = None
+    high: Number = None
+    resolved: bool = Field(default=True, description="whether its interval leaves out zero")
+
+
+class Binning(Part):
+    """The gap by amplitude, direction, reversal or any other regressor; the pieces add up."""
+
+    title: str
+    unit: str = ""
+    pieces: tuple[GapPiece, ...] = ()
+
+
+class Gap(Part):
+    """How far the record is from the nominal model, above the floor of the noise."""
+
+    nats_per_tick: Number = Field(description="the gap [nats/tick], the floor subtracted")
+    low: Number = Field(description="lower end of the 90 % interval of nats_per_tick")
+    high: Number = Field(description="upper end of the 90 % interval of nats_per_tick")
+    um: Number = Field(description="excess rms of the one-step prediction [µm]")
+    um_low: Number = Field(default=None, description="lower end of the 90 % interval of um")
+    um_high: Number = Field(default=None, description="upper end of the 90 % interval of um")
+    floor_um: Number = Field(description="rms that noise and drift alone would leave [µm]")
+    resolved: bool = Field(default=True, description="whether the interval leaves out zero")
+    by_stage: dict[str, Number] = Field(
+        default_factory=dict, description="parts of the gap by stage [nats/tick]; they add up"
+    )
+    by_bpm: dict[str, Number] = Field(
+        default_factory=dict, description="parts of the gap by BPM [nats/tick]; they add up"
+    )
+    by_corrector: dict[str, Number] = Field(
+        default_factory=dict,
+        description="gain of log-likelihood by an error of each corrector alone [nats/tick]; a "
+        "score map: the columns of R overlap, so it does not add up",
+    )
+    um_by_bpm: dict[str, Number] = Field(
+        default_factory=dict, description="excess rms of the one-step prediction by BPM [µm]"
+    )
+    by_mode: Numbers = Field(
+        default=(), description="parts by singular mode, strongest first [nats/tick]; they add up"
+    )
+    by_band: tuple[GapPiece, ...] = Field(default=(), description="by frequency band [Hz]")
+    by_window: tuple[GapPiece, ...] = Field(default=(), description="by time window [s]")
+    by_bin: tuple[Binning, ...] = ()
+    over_reference: Number = Field(
+        default=None, description="gap over that of the reference record [nats/tick]"
+    )
+    floor_from: str = Field(default="", description="where the floor of the noise comes from")
+
+
+class Shrink(Part):
+    """How much of the gap is gone with the causes in the model, on data used for nothing else."""
+
+    nats: Number = Field(description="share of the gap in nats that is gone [1]; may be negative")
+    low: Number = Field(description="lower end of the 90 % interval of nats")
+    high: Number = Field(description="upper end of the 90 % interval of nats")
+    um: Number = Field(description="share of the one-step gap in µm that is gone [1]")
+    um_low: Number = Field(default=None, description="lower end of the 90 % interval of um")
+    um_high: Number = Field(default=None, description="upper end of the 90 % interval of um")
+    held_out_ticks: int = Field(description="ticks used neither for fitting nor for selection")
+    competitor_um: Number = Field(
+        default=None, description="share that a black-box refit of R removes, same ticks [1]"
+    )
+    competitor_nats: Number = Field(default=None, description="the same in nats [1]")
+    net_um: Number = Field(default=None, description="share that the forward net removes [1]")
+    resolved: bool = Field(default=True, description="whether the gap there is resolved at all")
+    on: str = Field(default="", description="which data: the later record, the end of the record")
+    before_nats_per_tick: Number = Field(default=None, description="gap there, nominal")
+    after_nats_per_tick: Number = Field(default=None, description="gap there, with the causes")
+    before_um: Number = None
+    after_um: Number = None
+
+
+class Experiment(Part):
+    """What to do next, when the record cannot decide."""
+
+    kind: str = Field(description="shaped-dither, amplitude-ladder, rf-step, read-only-test, …")
+    text: str = Field(description="what to do, in one or two sentences")
+    splits: tuple[str, ...] = Field(default=(), description="effects that it tells apart")
+    devices: tuple[str, ...] = Field(default=(), description="correctors or BPMs it needs")
+    modes: tuple[int, ...] = Field(default=(), description="singular modes it excites, from 0")
+    amplitude: Number = Field(default=None, description="largest change of a setpoint [A]")
+    orbit_cost_um: Number = Field(default=None, description="rms of the orbit it makes [µm]")
+    minutes: Number = Field(default=None, description="beam time for 99 % discrimination [min]")
+    separation_nats: Number = Field(default=None, description="expected separation [nats]")
+    limits: str = Field(default="", description="limits that hold it")
+    file: str = Field(default="", description="file for `orbitfb run --excite`")
+
+
+class NotTested(Part):
+    """An effect that this record cannot show."""
+
+    effect: str
+    reason: str
+
+
+class Detectable(Part):
+    """What size of an effect this record would have shown (5 sigma)."""
+
+    effect: str
+    parameter: str
+    size: Number = Field(description="median over the places [unit]")
+    unit: str
+    best: Number = Field(default=None, description="at the place where it shows best [unit]")
+
+
+class Finding(Part):
+    """Something that the integrity screen found."""
+
+    check: str = Field(description="which check, kebab-case")
+    severity: Severity
+    message: str = Field(description="what, where, what to do")
+    devices: tuple[str, ...] = ()
+    rows: tuple[int, ...] = Field(default=(), description="first rows concerned, from 0")
+
+
+class Provenance(Part):
+    """What is needed to get the same answer again."""
+
+    data_sha256: str = Field(description="of the record")
+    seed: int
+    versions: dict[str, str] = Field(description="orbitfb, python, numpy, scipy")
+    source: str = Field(default="", description="the record, for people")
+    reference_sha256: str = ""
+    reference_source: str = ""
+    holdout_sha256: str = ""
+    holdout_source: str = ""
+    model_sha256: str = Field(default="", description="of the nominal response")
+    library_sha256: str = Field(default="", description="of the library of effects")
+    ticks: int = 0
+    bpms: int = 0
+    correctors: int = 0
+    planes: str = ""
+    period_s: Number = None
+    reading_noise_um: Number = None
+    drift_um_per_tick: Number = None
+    gauge: str = Field(default="", description="how the common scale of the gains is fixed")
+    thresholds: dict[str, Number] = Field(default_factory=dict)
+    benchmark: str = Field(default="", description="row of the blind test behind the confidence")
+    seconds: Number = Field(default=None, description="how long the diagnosis took [s]")
