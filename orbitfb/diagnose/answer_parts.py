@@ -42,7 +42,7 @@ class Cause(Part):
     label: str = Field(default="", description="the places in words, such as `cells C03-C05`")
     places_within: tuple[str, ...] = Field(
         default=(),
-        description="other places that the record cannot exclude (width of the posterior)",
+        description="other places that the record cannot exclude",
     )
     held_out_nats: Number = Field(default=None, description="gain on held-out ticks [nats]")
     drop_one_nats: Number = Field(default=None, description="loss when it alone is left out [nats]")
