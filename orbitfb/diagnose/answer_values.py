@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
 
 _DIGITS = 7
 """Significant digits that are kept: more than any estimate from a record has."""
@@ -43,22 +43,22 @@ def _before(value: Any) -> Any:
 
 
 def _sequence_before(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return numbers(value)
-    return tuple(value) if isinstance(value, list) else value
+    return numbers(value) if isinstance(value, np.ndarray) else value
 
 
 def _table_before(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return rows(value)
-    return tuple(value) if isinstance(value, list) else value
+    return rows(value) if isinstance(value, np.ndarray) else value
+
+
+def _frozen(value: Sequence[Any]) -> Sequence[Any]:
+    return tuple(value)
 
 
 Number = Annotated[float | None, BeforeValidator(_before)]
 """A finite number, or null: not resolved or not computed. NaN and infinities become null."""
-Numbers = Annotated[Sequence[Number], BeforeValidator(_sequence_before)]
+Numbers = Annotated[Sequence[Number], BeforeValidator(_sequence_before), AfterValidator(_frozen)]
 """Numbers in their order, null where one is not resolved; an array may be given."""
-Table = Annotated[Sequence[Numbers], BeforeValidator(_table_before)]
+Table = Annotated[Sequence[Numbers], BeforeValidator(_table_before), AfterValidator(_frozen)]
 """Rows of numbers; an array may be given."""
 
 
