@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.layout import Layout
@@ -26,6 +27,8 @@ from orbitfb.physics.places import Indices
 
 Stage = Literal["sensor", "actuator", "optics", "disturbance", "noise", "timing"]
 Target = Literal["bpm", "corrector", "quadrupole", "sextupole", "source", "ring"]
+Courses = NDArray[np.float64]
+"""Courses in time of P places: (N, P), (N, 1), or by plane (2, N, P)."""
 Values = Mapping[str, float]
 """Values of the parameters by name, SI."""
 
@@ -74,6 +77,8 @@ class EffectKind(ABC):
         collective: Whether it commonly strikes all devices of a cell, or of the ring, with one
             value: groups are then tried beside single devices.
         sudden: Whether it commonly begins in the middle of a record: onsets are then tried.
+        grows: Whether it grows from nothing at `record.time` = 0. For an onset at t it must be
+            given a record whose time is `np.maximum(time − t, 0)`; mixing would make a step of it.
     """
 
     id: ClassVar[str]
@@ -88,6 +93,7 @@ class EffectKind(ABC):
     splits: ClassVar[str] = ""
     collective: ClassVar[bool] = True
     sudden: ClassVar[bool] = True
+    grows: ClassVar[bool] = False
 
     @abstractmethod
     def simulate(
@@ -117,6 +123,8 @@ class EffectKind(ABC):
         logarithmically (or linearly) over its bounds in 9 steps, the others are typical.
         """
         typical = {p.name: p.typical for p in self.parameters}
+        if not self.parameters:
+            return (typical,)
         first = self.parameters[0]
         if self.linear is not None:
             return (typical,)
@@ -128,7 +136,11 @@ class EffectKind(ABC):
 
 
 class ActuatorKind(EffectKind):
-    """An effect on what correctors make of their setpoints, each corrector for itself."""
+    """An effect on what correctors make of their setpoints, each corrector for itself.
+
+    One with the target `ring` strikes all correctors at once and has no place: `drive` gets every
+    column, and `simulate` no places.
+    """
 
     target = "corrector"
 
@@ -170,10 +182,15 @@ class SensorKind(EffectKind):
 class SourceKind(EffectKind):
     """An effect that adds, for each of its places, an orbit of fixed shape times a course in time.
 
-    Errors of quadrupoles, kicks, periodic disturbances, energy: everything of rank one.
+    Errors of quadrupoles, kicks, periodic disturbances, energy: everything of rank one per plane.
+    A place that acts in both planes has one course for the rows of the x BPMs and one for those
+    of the y BPMs (a gradient error acts with opposite signs): `change` puts the two together.
     """
 
     target = "source"
+    periodic: ClassVar[bool] = False
+    """Whether it is `cosine` cos ωt + `sine` sin ωt of a `frequency` [Hz]: all frequencies are
+    then scanned at once by `orbitfb.effects.spectrum`, which `grid` does not do."""
 
     @abstractmethod
     def places_of(self, layout: Layout) -> tuple[str, ...]:
@@ -181,10 +198,10 @@ class SourceKind(EffectKind):
 
     @abstractmethod
     def patterns(self, layout: Layout) -> Matrix:
-        """Orbit shape of every place, shape (n, P)."""
+        """Orbit shape of every place, shape (n, P); of a place in both planes, both are filled."""
 
     @abstractmethod
-    def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
+    def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
         """Course of every place's amplitude.
 
         Args:
@@ -194,8 +211,41 @@ class SourceKind(EffectKind):
             orbit: Predicted orbit at the BPMs, without noise of the readings, shape (N, n) [m].
 
         Returns:
-            Shape (N, P), or (N, 1) when it is the same for all places.
+            Shape (N, P), or (N, 1) when it is the same for all places; or (2, N, P) when the
+            planes differ: the first for the rows of the x BPMs, the second for those of y.
         """
+
+    def change(
+        self,
+        values: Values,
+        record: Record,
+        currents: Matrix,
+        orbit: Matrix,
+        weights: Vector,
+    ) -> Matrix:
+        """Tell what it adds to the orbit.
+
+        Args:
+            values: All parameters.
+            record: As for `drivers`.
+            currents: As for `drivers`.
+            orbit: As for `drivers`.
+            weights: How much of the effect each place has (1 or 0 as a rule), shape (P,).
+
+        Returns:
+            Shape (N, n) [m].
+        """
+        courses = self.drivers(values, record, currents, orbit)
+        patterns = self.patterns(record.layout) * weights
+        if courses.shape[-1] == 1:
+            patterns = np.sum(patterns, axis=1, keepdims=True)
+        if courses.ndim == 2:
+            return courses @ patterns.T
+        added = np.zeros_like(orbit)
+        for plane, course in zip(("x", "y"), courses, strict=True):
+            rows = record.layout.bpms.in_plane(plane)
+            added[:, rows] = course @ patterns[rows].T
+        return added
 
 
 class RingKind(EffectKind):
@@ -214,11 +264,18 @@ class NoiseKind(EffectKind):
 
     Per place it adds κ b bᵀ to the covariance of the readings' innovations, white in time; the
     size κ is found in closed form. `size` and `variance` turn κ into the first parameter and back.
+    A group of places adds the sum of its κ b bᵀ.
     """
 
     stage = "noise"
     lag: ClassVar[int] = 0
     """Ticks between the two readings whose covariance gains κ b bᵀ."""
+    colour: ClassVar[Literal["white", "walk"]] = "white"
+    """`white`: κ b bᵀ is added to the covariance of the readings. `walk`: to that of the steps
+    that the orbit makes from tick to tick (each of them stays), κ per tick."""
+    rare: ClassVar[bool] = False
+    """Whether the added randomness comes in few large strokes (its steps have heavy tails) rather
+    than a little at every tick."""
 
     @abstractmethod
     def places_of(self, layout: Layout) -> tuple[str, ...]:
@@ -274,3 +331,11 @@ class PairKind(EffectKind):
         Wanted are true positions for `bpm` (and acted on the readings), setpoints for
         `corrector` (and acted on the currents).
         """
+
+    def matrices(self, layout: Layout, values: Values) -> Matrix:
+        """Shape (P, 2, 2): `matrix` of every pair of `pairs`, in its order.
+
+        They are all alike by default. An effect that mixes what the columns do, and not what is
+        set (kicks and not amperes, when calibrations differ), tells it here.
+        """
+        return np.broadcast_to(self.matrix(values), (len(self.pairs(layout)), 2, 2))
