@@ -184,7 +184,7 @@ class SourceKind(EffectKind):
 
     Errors of quadrupoles, kicks, periodic disturbances, energy: everything of rank one per plane.
     A place that acts in both planes has one course for the rows of the x BPMs and one for those
-    of the y BPMs (a gradient error acts with opposite signs): `change` puts the two together.
+    of the y BPMs (a gradient error acts with opposite signs); `orbitfb.effects.change` puts the two together.
     """
 
     target = "source"
@@ -214,38 +214,6 @@ class SourceKind(EffectKind):
             Shape (N, P), or (N, 1) when it is the same for all places; or (2, N, P) when the
             planes differ: the first for the rows of the x BPMs, the second for those of y.
         """
-
-    def change(
-        self,
-        values: Values,
-        record: Record,
-        currents: Matrix,
-        orbit: Matrix,
-        weights: Vector,
-    ) -> Matrix:
-        """Tell what it adds to the orbit.
-
-        Args:
-            values: All parameters.
-            record: As for `drivers`.
-            currents: As for `drivers`.
-            orbit: As for `drivers`.
-            weights: How much of the effect each place has (1 or 0 as a rule), shape (P,).
-
-        Returns:
-            Shape (N, n) [m].
-        """
-        courses = self.drivers(values, record, currents, orbit)
-        patterns = self.patterns(record.layout) * weights
-        if courses.shape[-1] == 1:
-            patterns = np.sum(patterns, axis=1, keepdims=True)
-        if courses.ndim == 2:
-            return courses @ patterns.T
-        added = np.zeros_like(orbit)
-        for plane, course in zip(("x", "y"), courses, strict=True):
-            rows = record.layout.bpms.in_plane(plane)
-            added[:, rows] = course @ patterns[rows].T
-        return added
 
 
 class RingKind(EffectKind):
