@@ -178,6 +178,23 @@ class SensorKind(EffectKind):
             over the k BPMs, of every row, shape (N,).
         """
 
+    @abstractmethod
+    def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
+        """Tell what the BPMs make of an orbit: the inverse of `restore`.
+
+        The change of the prediction by the effect is distort(x̂) − x̂ with the predicted orbit x̂.
+        (−(restore(x̂) − x̂) is the same to first order only: a flipped polarity would get the
+        wrong sign, a latency the wrong tick.)
+
+        Args:
+            orbit: At k BPMs, shape (N, k) [m].
+            values: All parameters.
+            record: As for `restore`.
+
+        Returns:
+            Shape (N, k) [m].
+        """
+
 
 class SourceKind(EffectKind):
     """An effect that adds, for each of its places, an orbit of fixed shape times a course in time.
@@ -271,9 +288,11 @@ class LatentKind(EffectKind):
     target = "ring"
     collective = False
     sudden = False
-    strength: ClassVar[Literal["always one", "normal"]]
+    strength: ClassVar[Literal["always one", "normal", "sometimes normal"]]
     """`always one`: z = 1 with the probability that is the first parameter, else 0; `normal`: z
-    is normal at every row, of the standard deviation that is the first parameter."""
+    is normal at every row, of the standard deviation that is the first parameter; `sometimes
+    normal`: with the probability that is the first parameter z is normal, of the standard
+    deviation that is the second one, else 0."""
     per_bpm: ClassVar[bool] = False
     """Whether it strikes BPM by BPM (every column of `shapes` with its own z) or all at once."""
 
