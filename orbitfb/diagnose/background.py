@@ -1,0 +1,124 @@
+"""What no model has right: gains of one per cent, gradients that beat by one or two.
+
+A nominal response is never exact. Errors of all the gains and gradients at once, each normal and
+small, are part of the noise as long as nothing needs a larger one: their effect on the orbit is a
+linear regression with a prior, whose best values are taken out of every record. What is left is
+judged. A cause has to be larger than this prior (LOCO's fitted parameters of healthy rings scatter
+by as much: J. Safranek, Nucl. Instrum. Meth. A 388 (1997)).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.innovation import Ladder, NoiseFloor, information
+from orbitfb.effects.layout import Layout
+from orbitfb.physics.optics import Matrix
+
+GAIN_RMS = 0.01
+"""Scatter of the gains of BPMs and correctors that is taken as healthy [1]."""
+BEAT_RMS = 0.015
+"""Beta-beat of gradient errors that is taken as healthy [1]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """P small errors: orbit = Σ size · pattern · driver.
+
+    Args:
+        patterns: Shape (n, P).
+        drivers: Shape (N, P).
+        scatter: Standard deviation of every size, shape (P,).
+    """
+
+    patterns: Matrix
+    drivers: Matrix
+    scatter: Vector
+
+
+class Background:
+    """Small errors of every gain and gradient, and how a record bears on them.
+
+    Args:
+        layout: Devices and model.
+        currents: That act on the beam, shape (N, m) [A].
+        orbit: Predicted orbit at the BPMs, shape (N, n) [m].
+        starts: Where stretches begin, shape (N,).
+        scale: Of the healthy scatter; 0 for a model that is taken as exact.
+    """
+
+    def __init__(
+        self, layout: Layout, currents: Matrix, orbit: Matrix, starts: Mask, scale: float = 1.0
+    ) -> None:
+        self._starts = starts
+        self._scale = scale
+        n, m = layout.response.shape
+        gain = GAIN_RMS * scale
+        self._parts = [
+            _Part(layout.response, currents, np.full(m, gain)),
+            _Part(np.eye(n), orbit, np.full(n, gain)),
+        ]
+        if layout.ring is not None and len(layout.ring.places("QUAD")):
+            for plane in layout.planes:
+                to_bpms = layout.orbit_per_kick("QUAD", plane)
+                at_quads = currents @ layout.orbit_at("QUAD", plane).T
+                scatter = np.full(to_bpms.shape[1], scale * _gradient_scatter(layout, plane))
+                self._parts.append(_Part(to_bpms, at_quads, scatter))
+        self._solver: tuple[Matrix, bool] | None = None
+
+    def prepare(self, floor: NoiseFloor) -> None:
+        """Compute the information of the record on all sizes, once for a floor."""
+        if self._scale == 0.0:
+            return
+        ladder = Ladder(floor)
+        shapes = [ladder.shapes(part.patterns * part.scatter) for part in self._parts]
+        courses = [ladder.filtered(part.drivers, self._starts) for part in self._parts]
+        all_shapes = [np.concatenate(level, axis=1) for level in zip(*shapes, strict=True)]
+        all_courses = [np.concatenate(level, axis=1) for level in zip(*courses, strict=True)]
+        matrix = information(all_shapes, all_courses)
+        matrix[np.diag_indices_from(matrix)] += 1.0
+        self._solver = cho_factor(matrix, lower=True)
+
+    def best(self, slope: Matrix) -> Vector:
+        """Find the most likely sizes, in units of their scatter.
+
+        Args:
+            slope: λ of what is left, shape (N, n) [1/m].
+
+        Returns:
+            Shape (P,) over all parts; empty for an exact model.
+        """
+        if self._solver is None:
+            return np.zeros(0)
+        score = [
+            part.scatter * np.einsum("kp,kp->p", slope @ part.patterns, part.drivers)
+            for part in self._parts
+        ]
+        return cho_solve(self._solver, np.concatenate(score))
+
+    def orbit(self, sizes: Vector) -> Matrix:
+        """Tell what errors of these sizes add to the orbit, shape (N, n) [m]."""
+        total = np.zeros((len(self._starts), len(self._parts[0].patterns)))
+        if not len(sizes):
+            return total
+        begin = 0
+        for part in self._parts:
+            end = begin + len(part.scatter)
+            total += (part.drivers * (sizes[begin:end] * part.scatter)) @ part.patterns.T
+            begin = end
+        return total
+
+
+def _gradient_scatter(layout: Layout, plane: str) -> float:
+    """Scatter of integrated gradients that beats beta at the BPMs by `BEAT_RMS` [1/m].
+
+    Δβ/β of one error Δk is −Δk β cos(…)/(2 sin 2πν): its mean square over places is
+    (Δk β)²/(8 sin² 2πν), and independent errors add up.
+    """
+    ring = layout.known_ring
+    row = 0 if plane == "x" else 1
+    beta = ring.table.beta[row, ring.places("QUAD")]
+    per_error = np.sqrt(np.sum(beta**2) / 8.0) / abs(np.sin(2 * np.pi * ring.tune(plane)))  # type: ignore[arg-type]
+    return BEAT_RMS / float(per_error)

@@ -1,0 +1,97 @@
+"""A record under a set of causes: what is left, how likely it is, and which way it would improve."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.background import Background
+from orbitfb.diagnose.explain import Cause, actuated, explain
+from orbitfb.diagnose.floor import estimate_floor, noise_modes
+from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.effects.record import Record
+from orbitfb.physics.optics import Matrix
+
+_PASSES = 2
+
+
+class Bench:
+    """The workplace of a diagnosis: a record, the causes accepted so far, floor and background.
+
+    Args:
+        record: What happened.
+        causes: Accepted so far.
+        floor: The noise, if a reference record tells it; estimated with the record otherwise.
+        modes: Of the noise; computed when None.
+        background: Scale of the healthy scatter of gains and gradients; 0: the model is exact.
+
+    Attributes:
+        orbit: Predicted orbit at the BPMs, shape (N, n) [m].
+        white: Innovations of unit variance under causes and background, in modes, shape (N, n).
+        slope: λ, derivative of the log-likelihood by the prediction, shape (N, n) [1/m].
+        sizes: Most likely errors of the background, in units of their scatter.
+    """
+
+    def __init__(
+        self,
+        record: Record,
+        causes: Sequence[Cause] = (),
+        floor: NoiseFloor | None = None,
+        modes: Matrix | None = None,
+        background: float = 1.0,
+    ) -> None:
+        self.record = record
+        self.causes = tuple(causes)
+        self.scale = background
+        self._told_floor = floor is not None
+        modes = noise_modes(record.layout) if modes is None else modes
+        self.currents = actuated(record, self.causes)
+        self.orbit = record.readings
+        leftover = explain(record, self.causes, self.orbit)
+        healthy = np.zeros_like(record.readings)
+        for _ in range(_PASSES):
+            self.floor = floor or estimate_floor(leftover.left - healthy, record.starts, modes)
+            innovation, _ = self.floor.innovations(leftover.left - healthy, record.starts)
+            self.orbit = record.readings - self.floor.to_bpms(innovation)
+            leftover = explain(record, self.causes, self.orbit)
+            self.background = Background(
+                record.layout, self.currents, self.orbit, record.starts, background
+            )
+            self.background.prepare(self.floor)
+            slope = self.floor.adjoint(
+                self.floor.whiten(leftover.left, record.starts), record.starts
+            )
+            self.sizes = self.background.best(slope)
+            healthy = self.background.orbit(self.sizes)
+        if floor is None:
+            self.floor = estimate_floor(leftover.left - healthy, record.starts, modes)
+            self.background.prepare(self.floor)
+        self.white, self.sizes, self.jacobian = self.residual(())
+        self.slope = self.floor.adjoint(self.white, record.starts)
+
+    def residual(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
+        """Judge more causes on top of the accepted ones, with this floor.
+
+        The sizes of the background are fitted anew.
+
+        Returns:
+            White innovations (N, n), sizes of the background (P,), log-Jacobian of the sensors'
+            causes by row (N,): the log-likelihood is −½ Σ white² − ½ Σ sizes² + Σ log-Jacobian.
+        """
+        record = self.record
+        leftover = explain(record, (*self.causes, *causes), self.orbit)
+        white = self.floor.whiten(leftover.left, record.starts)
+        sizes = self.background.best(self.floor.adjoint(white, record.starts))
+        if len(sizes):
+            white = self.floor.whiten(leftover.left - self.background.orbit(sizes), record.starts)
+        return white, sizes, leftover.log_jacobian
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of the record under the causes, up to a constant of the floor [nats]."""
+        return log_likelihood(self.white, self.sizes, self.jacobian)
+
+
+def log_likelihood(white: Matrix, sizes: Vector, jacobian: Vector) -> float:
+    """Sum what `Bench.residual` gives [nats]."""
+    return float(-0.5 * np.sum(white**2) - 0.5 * np.sum(sizes**2) + np.sum(jacobian))

@@ -1,0 +1,220 @@
+"""Kalman innovations of "random-walk orbit + white reading noise", mode by mode, and their adjoint.
+
+What a model leaves of a record, z = reading − prediction, is in every mode of the noise a random
+walk (variance q per tick) under white noise (variance r²). Its one-step prediction errors
+
+    e_k = z_k − z_{k−1} + (1 − L) e_{k−1},   variance S = r² / (1 − L) in the steady state,
+
+are white if the model is right; the sum of their log densities is the log-likelihood of the model.
+Every stretch begins with an orbit that is not known at all (diffuse start: L = 1), so its first
+row predicts nothing. Because e is linear in z, one backward pass gives the derivative of the
+log-likelihood by every prediction (B. D. O. Anderson and J. B. Moore, Optimal Filtering, ch. 5;
+F. C. Schweppe, IEEE Trans. Inf. Theory 11 (1965) 61).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.signal import lfilter
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.physics.optics import Matrix
+
+_OLDEST = 400
+"""Rows after which the gain of every mode is taken as steady."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseFloor:
+    """The noise that is nobody's fault.
+
+    Args:
+        modes: Orthonormal columns, shape (n, n).
+        reading: Variance of the reading noise, r² [m²].
+        walk: Variance q of the random walk's step in every mode, shape (n,) [m²].
+    """
+
+    modes: Matrix
+    reading: float
+    walk: Vector
+    _feedback: Matrix = field(init=False, repr=False)
+    _deviation: Matrix = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        ratio = self.walk / self.reading
+        feedback = np.zeros((_OLDEST, len(ratio)))
+        variance = np.ones((_OLDEST, len(ratio)))
+        filtered = np.ones(len(ratio))  # of the orbit's estimate, after the first reading, over r²
+        for age in range(1, _OLDEST):
+            predicted = filtered + ratio
+            variance[age] = predicted + 1.0
+            filtered = predicted / variance[age]
+            feedback[age] = 1.0 - filtered
+        object.__setattr__(self, "_feedback", feedback)
+        object.__setattr__(self, "_deviation", np.sqrt(variance * self.reading))
+
+    @property
+    def gains(self) -> Vector:
+        """Steady Kalman gain L of every mode, shape (n,)."""
+        return 1.0 - self._feedback[-1]
+
+    @property
+    def innovation_variance(self) -> Vector:
+        """Steady variance S of every mode's innovation, shape (n,) [m²]."""
+        return self._deviation[-1] ** 2
+
+    def to_modes(self, columns: Matrix) -> Matrix:
+        """Rotate rows of the BPMs' space into modes, shape (…, n)."""
+        return columns @ self.modes
+
+    def to_bpms(self, columns: Matrix) -> Matrix:
+        """Rotate rows of modes into the BPMs' space, shape (…, n)."""
+        return columns @ self.modes.T
+
+    def innovations(self, left: Matrix, starts: Mask) -> tuple[Matrix, Matrix]:
+        """Predict every row from those before it.
+
+        Args:
+            left: z, rows of the BPMs' space, shape (N, n) [m].
+            starts: Where stretches begin, shape (N,).
+
+        Returns:
+            e in the modes and its standard deviation √S, each of shape (N, n) [m]; e is zero in
+            the first row of every stretch.
+        """
+        z = self.to_modes(left)
+        innovation = np.zeros_like(z)
+        innovation[1:] = z[1:] - z[:-1]
+        innovation[starts] = 0.0
+        deviation = np.empty_like(z)
+        for stretch in _stretches(starts):
+            self._run(innovation[stretch], deviation[stretch])
+        return innovation, deviation
+
+    def whiten(self, left: Matrix, starts: Mask) -> Matrix:
+        """Turn what a model leaves into innovations of unit variance, in the modes, (N, n)."""
+        innovation, deviation = self.innovations(left, starts)
+        innovation /= deviation
+        return innovation
+
+    def _run(self, innovation: Matrix, deviation: Matrix) -> None:
+        """Filter one stretch in place; row 0 is zero."""
+        rows = min(len(innovation), _OLDEST)
+        deviation[:rows] = self._deviation[:rows]
+        deviation[rows:] = self._deviation[-1]
+        for row in range(1, rows):
+            innovation[row] += self._feedback[row - 1] * innovation[row - 1]
+        if len(innovation) > rows:
+            steady = self._feedback[-1]
+            before = innovation[rows - 1]
+            for row in range(rows, len(innovation)):
+                innovation[row] += steady * before
+                before = innovation[row]
+
+    def adjoint(self, white: Matrix, starts: Mask) -> Matrix:
+        """Give the derivative of Σ ½ white² … by the predictions: Fᵀ of `whiten`.
+
+        Args:
+            white: Rows in the modes, as `whiten` gives them, shape (N, n).
+            starts: Where stretches begin, shape (N,).
+
+        Returns:
+            λ in the BPMs' space, shape (N, n) [1/m]: Σ λ δ is the first-order change of the
+            log-likelihood when the prediction changes by δ, if `white` are the innovations.
+        """
+        total = np.zeros_like(white)
+        for stretch in _stretches(starts):
+            rows = stretch.stop - stretch.start
+            ages = np.minimum(np.arange(rows), _OLDEST - 1)
+            piece = white[stretch] / self._deviation[ages]
+            piece[0] = 0.0
+            for row in range(rows - 2, 0, -1):
+                piece[row] += self._feedback[min(row, _OLDEST - 1)] * piece[row + 1]
+            total[stretch] = piece
+            total[stretch.start : stretch.stop - 1] -= piece[1:]
+        return self.to_bpms(total)
+
+    def log_density_terms(self, starts: Mask) -> Vector:
+        """Give −Σ log √(2π S) over the modes, of every row, shape (N,); zero where none counts."""
+        constant = -np.sum(np.log(self._deviation), axis=1) - 0.5 * self.modes.shape[0] * np.log(
+            2 * np.pi
+        )
+        terms = np.empty(len(starts))
+        for stretch in _stretches(starts):
+            ages = np.minimum(np.arange(stretch.stop - stretch.start), _OLDEST - 1)
+            terms[stretch] = constant[ages]
+            terms[stretch.start] = 0.0
+        return terms
+
+
+class Ladder:
+    """Few steady filters in the place of one per mode: what scans over many places use.
+
+    Modes of similar gain make a level; every level filters with the (geometric) mean gain. The
+    beginnings of stretches, where gains are not yet steady, are treated as if they were.
+
+    Args:
+        floor: The noise.
+        levels: How many at most.
+    """
+
+    def __init__(self, floor: NoiseFloor, levels: int = 6) -> None:
+        size = np.log(floor.gains)
+        edges = np.linspace(size.min(), size.max(), levels + 1)[1:-1]
+        level = np.searchsorted(edges, size)
+        self._parts = [np.flatnonzero(level == k) for k in np.unique(level)]
+        self._feedback = [1.0 - float(np.exp(np.mean(size[part]))) for part in self._parts]
+        self._floor = floor
+
+    def filtered(self, drivers: Matrix, starts: Mask) -> list[Matrix]:
+        """Filter courses in time with every level, each of shape (N, P) like the drivers."""
+        steps = np.zeros_like(drivers)
+        steps[1:] = drivers[1:] - drivers[:-1]
+        steps[starts] = 0.0
+        done: list[Matrix] = []
+        for feedback in self._feedback:
+            level = np.empty_like(steps)
+            for stretch in _stretches(starts):
+                level[stretch] = lfilter([1.0], [1.0, -feedback], steps[stretch], axis=0)
+            done.append(level)
+        return done
+
+    def shapes(self, patterns: Matrix) -> list[Matrix]:
+        """Rotate patterns (n, P) into the modes of every level, over √S, each (k, P) [1/m]."""
+        modal = self._floor.modes.T @ patterns
+        modal /= np.sqrt(self._floor.innovation_variance)[:, None]
+        return [modal[part] for part in self._parts]
+
+
+def information(
+    shapes: Sequence[Matrix],
+    courses: Sequence[Matrix],
+    other_shapes: Sequence[Matrix] | None = None,
+    other_courses: Sequence[Matrix] | None = None,
+) -> Matrix:
+    """Fisher information of amplitudes of changes pattern · driver, shape (P, P').
+
+    Args:
+        shapes: Of P patterns, from `Ladder.shapes`.
+        courses: Of their drivers, from `Ladder.filtered`; one column stands for all.
+        other_shapes: Of P' others; the same when None.
+        other_courses: Of theirs.
+    """
+    right_shapes = shapes if other_shapes is None else other_shapes
+    right_courses = courses if other_courses is None else other_courses
+    total: Matrix | None = None
+    for shape, course, right, moving in zip(
+        shapes, courses, right_shapes, right_courses, strict=True
+    ):
+        part = (shape.T @ right) * (course.T @ moving)
+        total = part if total is None else total + part
+    return np.zeros((0, 0)) if total is None else total
+
+
+def _stretches(starts: Mask) -> list[slice]:
+    begins = np.flatnonzero(starts)
+    return [
+        slice(int(begin), int(end))
+        for begin, end in zip(begins, [*begins[1:], len(starts)], strict=True)
+    ]
