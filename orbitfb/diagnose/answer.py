@@ -12,6 +12,7 @@ from orbitfb.diagnose.answer_blocks import (
     Audit,
     ClosedLoop,
     Fingerprint,
+    Geometry,
     HeatMap,
     Identifiability,
     KStep,
@@ -32,7 +33,6 @@ from orbitfb.diagnose.answer_parts import (
     Shrink,
 )
 from orbitfb.diagnose.answer_values import Part
-from orbitfb.effects.layout import Devices
 
 State = Literal["no_gap", "named", "ambiguous", "named_plus_remainder", "unknown"]
 SCHEMA_VERSION = "1.0"
@@ -67,6 +67,7 @@ class Diagnosis(Part):
     lag_profile: LagProfile | None = None
     maps: tuple[HeatMap, ...] = ()
     identifiability: Identifiability | None = None
+    geometry: Geometry | None = None
 
     @property
     def failed(self) -> bool:
@@ -104,13 +105,3 @@ def schema() -> str:
     content["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     content["title"] = f"orbitfb diagnosis {SCHEMA_VERSION}"
     return json.dumps(content, indent=2) + "\n"
-
-
-def column_names(devices: Devices) -> tuple[str, ...]:
-    """Name the columns for the keys of `by_bpm` and `by_corrector`.
-
-    The bare names where they are unique, otherwise (both planes) each with its plane.
-    """
-    if len(set(devices.names)) == len(devices):
-        return devices.names
-    return tuple(devices.label(column) for column in range(len(devices)))

@@ -5,6 +5,18 @@ from pydantic import Field
 from orbitfb.diagnose.answer_values import Number, Numbers, Part, Table
 
 
+class Geometry(Part):
+    """Where the devices stand, for pictures; empty where it is not known."""
+
+    bpms: dict[str, Number] = Field(default_factory=dict, description="by key of by_bpm [m]")
+    correctors: dict[str, Number] = Field(
+        default_factory=dict, description="by key of by_corrector [m]"
+    )
+    sectors_m: Numbers = Field(default=(), description="where sectors begin [m]")
+    sector_names: tuple[str, ...] = ()
+    circumference_m: Number = None
+
+
 class KStep(Part):
     """Excess rms of a prediction k ticks ahead."""
 
@@ -121,8 +133,6 @@ class ScoreMap(Part):
 
     rows: tuple[ScoreRow, ...] = ()
     threshold_nats: Number = None
-    sectors_m: Numbers = Field(default=(), description="where sectors begin [m]")
-    circumference_m: Number = None
 
 
 class LagProfile(Part):

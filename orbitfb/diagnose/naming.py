@@ -1,0 +1,65 @@
+"""Names of the columns of a record in a diagnosis, and where they stand."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from orbitfb.diagnose.answer_blocks import Geometry
+from orbitfb.effects.layout import Devices, Layout
+
+
+def column_names(devices: Devices) -> tuple[str, ...]:
+    """Name the columns for the keys of `by_bpm` and `by_corrector`.
+
+    The bare names where they are unique, otherwise (both planes) each with its plane.
+    """
+    if len(set(devices.names)) == len(devices):
+        return devices.names
+    return tuple(devices.label(column) for column in range(len(devices)))
+
+
+def geometry(layout: Layout) -> Geometry:
+    """Tell where the devices stand and where sectors begin; empty without a ring."""
+    if layout.ring is None:
+        return Geometry()
+    table = layout.ring.table
+    position = dict(zip(table.name, table.s.tolist(), strict=True))
+
+    def standing(devices: Devices) -> dict[str, float | None]:
+        return {
+            key: position.get(name)
+            for key, name in zip(column_names(devices), devices.names, strict=True)
+        }
+
+    cells = _cells(position, (layout.bpms, layout.correctors))
+    begins, names = _begins(cells)
+    return Geometry(
+        bpms=standing(layout.bpms),
+        correctors=standing(layout.correctors),
+        sectors_m=begins,
+        sector_names=names,
+        circumference_m=layout.ring.parameters.circumference,
+    )
+
+
+def _cells(position: dict[str, float], groups: Iterable[Devices]) -> list[tuple[float, str]]:
+    """Position and cell of every device that has both, in ring order."""
+    found = {
+        (position[name], cell)
+        for devices in groups
+        for name, cell in zip(devices.names, devices.cells, strict=True)
+        if cell and name in position
+    }
+    return sorted(found)
+
+
+def _begins(cells: list[tuple[float, str]]) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """Half-way between the last device of one cell and the first of the next."""
+    begins: list[float] = []
+    names: list[str] = []
+    for index, (place, cell) in enumerate(cells):
+        if not names or cell != names[-1]:
+            before = cells[index - 1][0] if index else 0.0
+            begins.append(float(np.mean((before, place))))
+            names.append(cell)
+    return tuple(begins), tuple(names)
