@@ -20,6 +20,7 @@ from pydantic_core import ErrorDetails
 
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.settings import Settings
+from orbitfb.effects.settings import EffectSettings
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.history.recorder import ArchiveSettings
 from orbitfb.learn.settings import LearnSettings
@@ -139,6 +140,10 @@ class AppConfig(Settings):
     sim: SimSettings = Field(default=SimSettings(), description="The soft IOC.")
     plant: PlantSettings = Field(
         default=PlantSettings(), description="The simulated ring behind the soft IOC."
+    )
+    effect: tuple[EffectSettings, ...] = Field(
+        default=(),
+        description="Effects that the simulated ring has besides; one `[[effect]]` table each.",
     )
 
 
@@ -293,7 +298,7 @@ def _section(model: Settings, table: str) -> Iterator[str]:
 
 def _toml_value(value: Any) -> str:
     if isinstance(value, Settings):
-        value = value.model_dump()
+        value = value.model_dump(by_alias=True)
     if isinstance(value, Mapping):
         items = ", ".join(
             f"{json.dumps(str(key))} = {_toml_value(item)}"

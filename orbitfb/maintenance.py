@@ -72,6 +72,8 @@ def sim_job(config: AppConfig) -> SimJob:
         planes=config.ring.planes,
         seed=config.seed,
         plant=config.plant,
+        effects=config.effect,
+        period=config.loop.period if config.sim.lockstep else None,
         sim=config.sim,
     )
 

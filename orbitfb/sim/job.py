@@ -5,6 +5,8 @@ from pathlib import Path
 from pydantic import Field
 
 from orbitfb.core.settings import Settings
+from orbitfb.effects.build import plant_with
+from orbitfb.effects.settings import EffectSettings
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import Plant, PlantSettings
 from orbitfb.sim.settings import SimSettings
@@ -26,6 +28,15 @@ class SimJob(Settings):
     planes: Planes = Field(default="x", description="Planes of the orbit: x, y or xy.")
     seed: int = Field(default=0, ge=0, description="Seed of every random number of the ring.")
     plant: PlantSettings = Field(default=PlantSettings(), description="What the ring suffers from.")
+    effects: tuple[EffectSettings, ...] = Field(
+        default=(), description="Effects that the ring has besides."
+    )
+    period: float | None = Field(
+        default=None,
+        gt=0,
+        description="From one orbit to the next, by which effects count time [s]; none: that of "
+        "`sim.rate_hz`, which in lockstep is a limit only.",
+    )
     sim: SimSettings = Field(default=SimSettings(), description="Where and how it is served.")
 
     def build(self) -> tuple[Plant, SimSettings]:
@@ -33,9 +44,12 @@ class SimJob(Settings):
 
         Raises:
             RingError: The table or the parameters are wrong.
+            ConfigError: An effect is to be where nothing is.
         """
         ring = Ring.load(self.places, self.parameters)
         settings = self.sim
         if settings.rf_frequency is None:
             settings = settings.model_copy(update={"rf_frequency": ring.rf_frequency})
-        return Plant(ring, self.planes, self.plant, self.seed), settings
+        period = self.period or 1.0 / settings.rate_hz
+        plant = plant_with(ring, self.planes, self.plant, self.seed, self.effects, period)
+        return plant, settings
