@@ -7,7 +7,7 @@ from pydantic import Field
 from orbitfb.diagnose.answer_values import Number, Numbers, Part
 from orbitfb.effects.kinds import Stage
 
-Severity = Literal["error", "warning", "note"]
+Severity = Literal["note", "warning", "failure"]
 
 
 class ParameterValue(Part):
@@ -29,6 +29,7 @@ class Cause(Part):
     effect: str = Field(description="id of the effect, kebab-case")
     stage: Stage = Field(description="link of the chain that it changes")
     places: tuple[str, ...] = Field(description="names of the devices; empty for the whole ring")
+    planes: Literal["x", "y", "xy"] = Field(default="xy", description="planes of these devices")
     parameters: dict[str, ParameterValue] = Field(default_factory=dict)
     probability: Number = Field(description="calibrated probability of its class [1]")
     onset_s: Number = Field(
@@ -163,13 +164,16 @@ class Detectable(Part):
 
 
 class Finding(Part):
-    """Something that the integrity screen found."""
+    """Something that the integrity screen found; `failure` means that nothing was estimated."""
 
     check: str = Field(description="which check, kebab-case")
     severity: Severity
-    message: str = Field(description="what, where, what to do")
     devices: tuple[str, ...] = ()
-    rows: tuple[int, ...] = Field(default=(), description="first rows concerned, from 0")
+    rows: tuple[int, int] | None = Field(
+        default=None, description="first and last row concerned, from 0; null: all"
+    )
+    text: str = Field(description="what, where, what to do")
+    effect: str = Field(default="", description="id of the effect that it proves; empty: none")
 
 
 class Provenance(Part):

@@ -33,8 +33,8 @@ def headline(
         findings: Of the integrity screen.
     """
     if state is None:
-        errors = [finding.message for finding in findings if finding.severity == "error"]
-        return "The record is not intact, nothing was estimated: " + "; ".join(errors[:3])
+        failures = [finding.text for finding in findings if finding.severity == "failure"]
+        return "The record is not intact, nothing was estimated: " + "; ".join(failures[:3])
     parts = [_gap(gap, state)]
     if state == "no_gap":
         parts.append("No effect is needed to explain the record.")
