@@ -8,6 +8,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import NoiseKind, Parameter, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.readings import ChangedNoise
+from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
@@ -39,6 +40,10 @@ class NoiseColoured(NoiseKind):
     ) -> Effect:
         """Colour the noise; see `ChangedNoise` for the order of effects."""
         return ChangedNoise(places, _Coloured(values["correlation"]))
+
+    def grid(self, record: Record) -> tuple[Values, ...]:
+        """Both signs; the size is found in closed form."""
+        return ({"correlation": -0.5}, {"correlation": 0.5})
 
     def places_of(self, layout: Layout) -> tuple[str, ...]:
         """Every BPM."""
