@@ -1,0 +1,250 @@
+"""Check the arrays of the exchange format, and turn them into SI."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from orbitfb.core.errors import RecordError
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.finding import Finding
+from orbitfb.diagnose.load_meta import Meta
+from orbitfb.diagnose.load_raw import CURRENTS, NUMBERS, VECTORS, Raw
+from orbitfb.diagnose.load_rows import FEWEST_ROWS, Transition
+
+_NEEDED = ("orbit", "bpm_names", "corr_names")
+_EXACT = 1e-6
+"""Share of the largest value by which equal numbers may differ after a change of their type."""
+
+_NOWHERE = 0.2
+
+
+def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
+    """Check arrays and turn them into transitions.
+
+    Args:
+        raw: The arrays.
+        meta: Units and period.
+
+    Raises:
+        RecordError: An array is missing or wrong; the message names it and the row.
+    """
+    _check_present(raw)
+    shapes = _check_shapes(raw)
+    for name in NUMBERS:
+        if name in raw.numbers:
+            _check_finite(raw, name)
+    found: list[Finding] = []
+    rows = shapes[0]
+    scaled = {
+        name: raw.numbers[name] * meta.factor(raw, name)
+        for name in NUMBERS
+        if name in raw.numbers and name != "model_R"
+    }
+    time = _time(raw, scaled, rows, meta, found)
+    if "next_orbit" in scaled:
+        follows = _following(raw, scaled["orbit"], scaled["next_orbit"])
+    else:
+        follows = np.ones(rows - 2, dtype=np.bool_)
+        found.append(_made("next_orbit", "the orbit of the row after it is taken instead"))
+        scaled = {name: values[:-1] for name, values in scaled.items() if name != "reference"} | {
+            "next_orbit": scaled["orbit"][1:],
+            **({"reference": _reference(scaled, rows)[:-1]} if "reference" in scaled else {}),
+        }
+        time = time[:-1]
+    _complete_currents(scaled, follows, found)
+    if len(time) < FEWEST_ROWS:
+        raise raw.wrong(
+            "orbit", f"has {len(time)} rows", f"a diagnosis needs {FEWEST_ROWS}, better 1000"
+        )
+    transition = Transition(
+        time=time,
+        orbit=scaled["orbit"],
+        next_orbit=scaled["next_orbit"],
+        setpoints=scaled["setpoint"],
+        requested=scaled["action"],
+        follows=follows,
+        readback=scaled.get("readback"),
+        dither=scaled.get("dither"),
+        reference=_reference(scaled, len(time)) if "reference" in scaled else None,
+        auxiliary=_auxiliary(raw, scaled, len(time)),
+    )
+    return transition, found
+
+
+def _check_present(raw: Raw) -> None:
+    there = {*raw.numbers, *raw.texts}
+    missing = [name for name in _NEEDED if name not in there]
+    if not {"action", "setpoint"} & there:
+        missing.append("action (or setpoint)")
+    if missing:
+        raise RecordError(
+            f"{raw.path}: array {', '.join(missing)} is missing (there are: "
+            f"{', '.join(sorted(there)) or 'none'}); add it, see the format of records"
+        )
+
+
+def _check_shapes(raw: Raw) -> tuple[int, int, int]:
+    """See that all arrays fit together, shape (T, n, m) of the record."""
+    orbit = raw.numbers["orbit"]
+    moved = "action" if "action" in raw.numbers else "setpoint"
+    for name in ("orbit", moved):
+        if raw.numbers[name].ndim != 2 or 0 in raw.numbers[name].shape:
+            raise raw.wrong(
+                name,
+                f"has shape {raw.numbers[name].shape}",
+                "give one row per tick (at least one) and one column per device",
+            )
+    rows, n = orbit.shape
+    m = raw.numbers[moved].shape[1]
+    wanted: dict[str, tuple[int, ...]] = dict.fromkeys(VECTORS, (rows, n))
+    wanted |= dict.fromkeys(CURRENTS, (rows, m))
+    wanted |= dict.fromkeys(("t", "current", "rf"), (rows,)) | {"model_R": (n, m)}
+    for name, shape in wanted.items():
+        if name not in raw.numbers or raw.numbers[name].shape == shape:
+            continue
+        if name == "reference" and raw.numbers[name].shape == (n,):
+            continue
+        turned = raw.numbers[name].shape == shape[::-1] and len(shape) == 2
+        raise raw.wrong(
+            name,
+            f"has shape {raw.numbers[name].shape}, but orbit {orbit.shape} and {moved} "
+            f"{raw.numbers[moved].shape} call for {shape}",
+            "transpose it" if turned else "give one row per tick and one column per device"
+            if name != "model_R" else "give one row per BPM and one column per corrector",
+        )  # fmt: skip
+    return rows, n, m
+
+
+def _check_finite(raw: Raw, name: str) -> None:
+    values = raw.numbers[name]
+    bad = ~np.isfinite(values)
+    if not bad.any():
+        return
+    where = np.argwhere(bad)[0]
+    column = _column(raw, name, int(where[1])) if values.ndim == 2 else ""
+    value = values[tuple(where)]
+    raise raw.wrong(
+        name,
+        f"is {value} in row {where[0]}{column} ({int(bad.sum())} such values)",
+        "leave such rows out, or save what was read",
+    )
+
+
+def _column(raw: Raw, name: str, column: int) -> str:
+    array = "bpm_names" if name in VECTORS else "corr_names"
+    names = raw.texts.get(array, ())
+    device = f" ({names[column]})" if name != "model_R" and column < len(names) else ""
+    return f", column {column}{device}"
+
+
+def _time(
+    raw: Raw, scaled: dict[str, Vector], rows: int, meta: Meta, found: list[Finding]
+) -> Vector:
+    if "t" not in scaled:
+        if meta.period is None:
+            raise raw.wrong("t", "is missing, and meta gives no dt_s", "add the time of every row")
+        found.append(_made("t", f"rows are taken to be {meta.period:g} s apart, without gaps"))
+        return np.arange(rows, dtype=np.float64) * meta.period
+    time = scaled["t"]
+    back = np.flatnonzero(np.diff(time) <= 0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise raw.wrong(
+            "t",
+            f"does not increase at row {row}: {time[row]:.6f} s after {time[row - 1]:.6f} s "
+            f"({len(back)} such rows)",
+            "put the rows in the order in which they were read, each once",
+        )
+    return time
+
+
+def _following(raw: Raw, orbit: Vector, next_orbit: Vector) -> Mask:
+    """Tell whether next_orbit of a row is the orbit of the row after it, shape (T - 1,)."""
+    exact = _EXACT * max(float(np.abs(orbit).max()), 1e-12)
+    same = np.abs(orbit[1:] - next_orbit[:-1]) <= exact
+    follows: Mask = np.all(same, axis=1)
+    if len(follows) == 0 or follows.mean() >= _NOWHERE:
+        return follows
+    columns = np.flatnonzero(same.mean(axis=0) < _NOWHERE)
+    if 0 < len(columns) <= max(1, same.shape[1] // 2):
+        row = int(np.flatnonzero(~same[:, columns[0]])[0])
+        raise raw.wrong(
+            "next_orbit",
+            f"is not the next orbit in {len(columns)} columns, first row {row}"
+            f"{_column(raw, 'next_orbit', int(columns[0]))}",
+            "save the orbit that was read one tick after the action",
+        )
+    row = int(np.flatnonzero(~follows)[0])
+    guess = "it is of other ticks or in another order"
+    for lag, text in ((0, "it is orbit itself"), (-1, "it is the orbit before"), (2, "it is late")):
+        if _lagged(orbit, next_orbit, lag, exact):
+            guess = text
+    raise raw.wrong(
+        "next_orbit",
+        f"is not the next orbit: row {row} is not orbit of row {row + 1}, and so in "
+        f"{int((~follows).sum())} of {len(follows)} rows; {guess}",
+        "save the orbit that was read one tick after the action",
+    )
+
+
+def _lagged(orbit: Vector, next_orbit: Vector, lag: int, exact: float) -> bool:
+    count = len(orbit) - abs(lag)
+    first = orbit[max(lag, 0) :][:count]
+    second = next_orbit[max(-lag, 0) :][:count]
+    return bool((np.abs(first - second) <= exact).all(axis=1).mean() > 1 - _NOWHERE)
+
+
+def _complete_currents(scaled: dict[str, Vector], follows: Mask, found: list[Finding]) -> None:
+    """Make setpoints of actions or actions of setpoints when only one of them is there."""
+    if "setpoint" not in scaled:
+        action = scaled["action"]
+        scaled["setpoint"] = np.cumsum(action, axis=0) - action
+        found.append(
+            _made(
+                "setpoint",
+                "the actions are added up from zero: effects of the absolute current "
+                "(saturation, quantisation, hysteresis) are only judged roughly",
+            )
+        )
+    elif "action" not in scaled:
+        step = np.zeros_like(scaled["setpoint"])
+        step[:-1] = np.diff(scaled["setpoint"], axis=0) * follows[:, None]
+        scaled["action"] = step
+        found.append(
+            _made("action", "the change of setpoint is taken instead: lost writes do not show")
+        )
+
+
+def _made(array: str, text: str) -> Finding:
+    return Finding("missing-array", "note", (), None, f"array '{array}' is missing; {text}")
+
+
+def _reference(scaled: dict[str, Vector], rows: int) -> Vector:
+    reference = scaled["reference"]
+    return np.tile(reference, (rows, 1)) if reference.ndim == 1 else reference
+
+
+def _auxiliary(raw: Raw, scaled: dict[str, Vector], rows: int) -> dict[str, Vector]:
+    """Slow channels: current, RF frequency, and every other column with one number per row."""
+    channels = {"current": "current", "rf": "rf_frequency"}
+    known = {channels[name]: scaled[name] for name in channels if name in scaled}
+    others = {
+        name: values[:rows]
+        for name, values in raw.numbers.items()
+        if name not in NUMBERS and len(values) >= rows and np.isfinite(values).all()
+    }
+    return others | known
+
+
+def dropped_columns(keep: Mask, labels: Sequence[str], shares: Vector) -> Finding:
+    """Say which BPMs are left out because they are invalid too often."""
+    gone = [int(column) for column in np.flatnonzero(~keep)]
+    worst = max(gone, key=lambda column: float(shares[column]))
+    return Finding(
+        "bpm-dropped",
+        "warning",
+        tuple(labels[column] for column in gone),
+        None,
+        f"{len(gone)} BPMs are not valid too often ({labels[worst]}: in "
+        f"{100 * float(shares[worst]):.0f} % of the rows) and are left out",
+    )

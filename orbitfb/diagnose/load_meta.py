@@ -1,0 +1,124 @@
+"""What the text `meta` of a record says, and units."""
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from orbitfb.diagnose.load_raw import Raw
+
+_SIZES = {
+    "orbit": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
+    "action": {"A": 1.0, "mA": 1e-3},
+    "model_R": {"m/A": 1.0, "mm/A": 1e-3, "um/A": 1e-6, "mm/mA": 1.0, "um/mA": 1e-3},
+    "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "rf": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
+}
+_USUAL = {"orbit": "mm", "action": "A", "model_R": "mm/A", "t": "s"}
+_ALSO = {"next_orbit": "orbit", "reference": "orbit", "setpoint": "action", "dither": "action"}
+_ALSO["readback"] = "action"
+
+
+@dataclass(frozen=True, slots=True)
+class Meta:
+    """What a record says of itself.
+
+    Args:
+        period: From one orbit to the next [s]; None if it does not say.
+        planes: `x`, `y`, `xy`, or empty.
+        bpm_planes: Plane of every BPM, or empty.
+        corr_planes: Plane of every corrector, or empty.
+        units: Unit of arrays, as written.
+    """
+
+    period: float | None
+    planes: str
+    bpm_planes: tuple[str, ...]
+    corr_planes: tuple[str, ...]
+    units: dict[str, str]
+
+    def factor(self, raw: Raw, name: str) -> float:
+        """Give what an array is to be multiplied with to be in SI.
+
+        Raises:
+            RecordError: The unit is not known.
+        """
+        kind = _ALSO.get(name, name)
+        unit = self.units.get(name, self.units.get(kind, _USUAL.get(kind)))
+        if unit is None:
+            return _guessed(raw, name)
+        if unit not in _SIZES[kind]:
+            raise raw.wrong(
+                "meta",
+                f"says that {name} is in {unit!r}",
+                f"use one of {', '.join(_SIZES[kind])}, or leave units.{name} out",
+            )
+        return _SIZES[kind][unit]
+
+
+def read_meta(raw: Raw) -> Meta:
+    """Read the text `meta`; a record without one says nothing.
+
+    Raises:
+        RecordError: It is no JSON object, or a key has a wrong value.
+    """
+    text = raw.texts.get("meta", ("",))[0].strip()
+    try:
+        content: Any = json.loads(text) if text else {}
+    except (ValueError, RecursionError) as error:
+        raise raw.wrong(
+            "meta", f"is no JSON ({error or 'too deep'})", "correct it, or leave it out"
+        ) from error
+    if not isinstance(content, dict):
+        raise raw.wrong("meta", f"is a {type(content).__name__}", "write a JSON object {…}")
+    return Meta(
+        period=_period(raw, content),
+        planes=_planes(raw, content),
+        bpm_planes=_each_plane(raw, content, "bpm_planes"),
+        corr_planes=_each_plane(raw, content, "corr_planes"),
+        units=_units(content.get("units")),
+    )
+
+
+def _period(raw: Raw, content: dict[str, Any]) -> float | None:
+    period = content.get("dt_s")
+    if period is None:
+        return None
+    number = isinstance(period, int | float) and not isinstance(period, bool)
+    if not number or not math.isfinite(period) or not 0 < period < 1e6:
+        raise raw.wrong("meta", f"has dt_s = {period!r}", "give the period in seconds, above 0")
+    return float(period)
+
+
+def _planes(raw: Raw, content: dict[str, Any]) -> str:
+    planes = content.get("planes", content.get("plane", ""))
+    if isinstance(planes, list) and all(isinstance(plane, str) for plane in planes):
+        planes = "".join(dict.fromkeys(planes))
+    known = {"": "", "x": "x", "y": "y", "h": "x", "v": "y", "xy": "xy", "hv": "xy"}
+    if not isinstance(planes, str) or planes.lower() not in known:
+        raise raw.wrong("meta", f"has planes = {planes!r}", 'give "x", "y" or "xy"')
+    return known[planes.lower()]
+
+
+def _each_plane(raw: Raw, content: dict[str, Any], key: str) -> tuple[str, ...]:
+    planes = content.get(key, "")
+    if not isinstance(planes, str | list) or any(plane not in ("x", "y") for plane in planes):
+        raise raw.wrong("meta", f"has {key} = {planes!r}", "give an 'x' or a 'y' for every column")
+    return tuple(planes)
+
+
+def _units(units: Any) -> dict[str, str]:
+    """Take units by array; free text about units is for people."""
+    if not isinstance(units, dict):
+        return {}
+    return {str(k): v.strip() for k, v in units.items() if isinstance(v, str)}
+
+
+def _guessed(raw: Raw, name: str) -> float:
+    """Tell mA from A and MHz from Hz by size: no stored current is above 5 A."""
+    values = raw.numbers[name]
+    typical = abs(float(values.flat[0])) if values.size else 0.0
+    if name == "current":
+        return 1e-3 if typical > 5.0 else 1.0
+    return 1e6 if 10.0 < typical < 1e4 else 1e3 if 1e5 < typical < 1e7 else 1.0

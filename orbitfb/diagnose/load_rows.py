@@ -1,0 +1,216 @@
+"""Join transitions to the unbroken stretches of a record."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.digest import digest_of
+from orbitfb.diagnose.finding import Finding
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+FEWEST_ROWS = 50
+"""Fewest transitions of which anything can be said."""
+
+_GAP = 0.6
+_ABOUT = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transition:
+    """T transitions in SI, before they are joined.
+
+    Args:
+        time: Of the reading, shape (T,) [s].
+        orbit: Shape (T, n) [m]; NaN where not valid.
+        next_orbit: Shape (T, n) [m].
+        setpoints: In force when `orbit` was read, shape (T, m) [A].
+        requested: Change asked for, shape (T, m) [A].
+        follows: Whether row k+1 begins with the orbit that row k ends with, shape (T - 1,).
+        readback, dither: Shape (T, m) [A], or None.
+        reference: Shape (T, n) [m], or None.
+        auxiliary: Slow channels, each (T,).
+    """
+
+    time: Vector
+    orbit: Matrix
+    next_orbit: Matrix
+    setpoints: Matrix
+    requested: Matrix
+    follows: Mask
+    readback: Matrix | None
+    dither: Matrix | None
+    reference: Matrix | None
+    auxiliary: Mapping[str, Vector]
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def columns(self, bpms: Any, correctors: Any) -> "Transition":
+        """Keep some BPMs and correctors."""
+        kept: dict[str, Any] = {}
+        for name in ("orbit", "next_orbit", "reference"):
+            columns = getattr(self, name)
+            kept[name] = None if columns is None else columns[:, bpms]
+        for name in ("setpoints", "requested", "readback", "dither"):
+            columns = getattr(self, name)
+            kept[name] = None if columns is None else columns[:, correctors]
+        return replace(self, **kept)
+
+    def take(self, rows: Mask) -> "Transition":
+        """Keep some rows; what stood on both sides of a row left out does not follow."""
+        kept: dict[str, Any] = {}
+        for field in fields(self):
+            columns = getattr(self, field.name)
+            if field.name == "follows":
+                index = np.flatnonzero(rows)
+                kept["follows"] = columns[index[:-1]] & (np.diff(index) == 1)
+            elif field.name == "auxiliary":
+                kept["auxiliary"] = {name: values[rows] for name, values in columns.items()}
+            else:
+                kept[field.name] = None if columns is None else columns[rows]
+        return replace(self, **kept)
+
+
+def time_jumps(time: Vector, period: float) -> Mask:
+    """Tell where the clock jumps by a tick or more, shape (T - 1,).
+
+    A jump shifts all later stamps; a stamp that trembles does not, so the shift is read from the
+    medians of some rows on either side.
+
+    Args:
+        time: Increasing, shape (T,) [s].
+        period: From one tick to the next [s].
+    """
+    phase = time - period * np.arange(len(time))
+    steps = np.diff(phase)
+    jumps = np.abs(steps) > _GAP * period
+    for row in np.flatnonzero(jumps):
+        before = np.median(phase[max(0, row - _ABOUT) : row + 1])
+        after = np.median(phase[row + 1 : row + 2 + _ABOUT])
+        jumps[row] = abs(after - before) > _GAP * period
+    return jumps
+
+
+def join(rows: Transition, layout: Layout, source: str) -> tuple[Record, list[Finding]]:
+    """Make the record: every stretch gets its last next orbit as one more row.
+
+    Readings that are not valid are filled in: the last valid one, moved by what the model says
+    of the setpoints since.
+
+    Args:
+        rows: The transitions.
+        layout: Devices and model of their columns.
+        source: Where they came from, for people.
+    """
+    jumps = time_jumps(rows.time, layout.period)
+    broken = ~rows.follows | jumps
+    ends = np.append(broken, True)
+    begins = np.insert(broken, 0, True)
+    # Place of every transition's row in the record, and of the extra row of every stretch.
+    position = np.arange(len(rows)) + np.concatenate([[0], np.cumsum(ends[:-1])])
+    extra = position[ends] + 1
+    total = len(rows) + int(ends.sum())
+
+    def spread(columns: Vector, last: Vector) -> Vector:
+        out = np.empty((total, *columns.shape[1:]))
+        out[position], out[extra] = columns, last
+        return out
+
+    after = rows.setpoints[ends] + rows.requested[ends]
+    readings = spread(rows.orbit, rows.next_orbit[ends])
+    setpoints = spread(rows.setpoints, after)
+    starts = np.zeros(total, dtype=np.bool_)
+    starts[position[begins]] = True
+    filled = ~np.isfinite(readings)
+    time = spread(rows.time, rows.time[ends] + layout.period) - rows.time[0]
+    requested = spread(rows.requested, np.full_like(after, np.nan))
+    readback = None
+    if rows.readback is not None:
+        readback = spread(rows.readback, rows.readback[ends] + rows.requested[ends])
+    record = Record(
+        layout=layout,
+        time=time,
+        starts=starts,
+        readings=_filled(readings, setpoints, layout.response),
+        setpoints=setpoints,
+        requested=requested,
+        readback=readback,
+        dither=None if rows.dither is None else spread(rows.dither, np.zeros_like(after)),
+        reference=None if rows.reference is None else spread(rows.reference, rows.reference[ends]),
+        filled=filled,
+        auxiliary={name: spread(each, each[ends]) for name, each in rows.auxiliary.items()},
+        source=source,
+        digest=digest_of(time, readings, setpoints, np.nan_to_num(requested), layout.response),
+    )
+    return record, [*_gap_findings(rows, position, jumps), *_filled_findings(record)]
+
+
+def _filled(readings: Matrix, setpoints: Matrix, response: Matrix) -> Matrix:
+    """Carry the part of the orbit that the correctors do not make over invalid readings."""
+    full = readings.copy()
+    rows = np.arange(len(readings))
+    for column in np.flatnonzero(~np.isfinite(readings).all(axis=0)):
+        valid = np.isfinite(readings[:, column])
+        made = setpoints @ response[column]
+        rest = readings[:, column] - made
+        last = np.maximum.accumulate(np.where(valid, rows, -1))
+        last[last < 0] = int(np.argmax(valid))
+        full[:, column] = np.where(valid, readings[:, column], rest[last] + made)
+    return full
+
+
+def _gap_findings(rows: Transition, position: Indices, jumps: Mask) -> list[Finding]:
+    found: list[Finding] = []
+    if jumps.any():
+        at = np.flatnonzero(jumps)
+        first = int(position[at[0]])
+        longest = float(np.max(np.diff(rows.time)[at]))
+        found.append(
+            Finding(
+                "time-gap",
+                "warning",
+                (),
+                (first, int(position[at[-1]]) + 1),
+                f"the time jumps at {len(at)} rows, first after row {int(at[0])} of the file, at "
+                f"most by {longest:.3g} s; the record is taken in pieces",
+            )
+        )
+    lost = ~rows.follows & ~jumps
+    if lost.any():
+        at = np.flatnonzero(lost)
+        first = int(position[at[0]])
+        found.append(
+            Finding(
+                "sequence-gap",
+                "warning",
+                (),
+                (first, int(position[at[-1]]) + 1),
+                f"at {len(at)} rows, first row {int(at[0])} of the file, next_orbit is not the "
+                "orbit of the row after it although the time goes on; rows are missing there, and "
+                "the record is taken in pieces",
+            )
+        )
+    return found
+
+
+def _filled_findings(record: Record) -> list[Finding]:
+    columns = np.flatnonzero(record.filled.any(axis=0))
+    if not len(columns):
+        return []
+    at = np.flatnonzero(record.filled.any(axis=1))
+    return [
+        Finding(
+            "invalid-readings",
+            "note",
+            tuple(record.layout.bpms.label(int(column)) for column in columns),
+            (int(at[0]), int(at[-1])),
+            f"{int(record.filled.sum())} readings of {len(columns)} BPMs are not valid; they are "
+            "filled in from the last valid one and the model",
+        )
+    ]
