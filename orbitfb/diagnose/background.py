@@ -8,6 +8,7 @@ by as much: J. Safranek, Nucl. Instrum. Meth. A 388 (1997)).
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -67,6 +68,7 @@ class Background:
                 scatter = np.full(to_bpms.shape[1], scale * _gradient_scatter(layout, plane))
                 self._parts.append(_Part(to_bpms, at_quads, scatter))
         self._solver: tuple[Matrix, bool] | None = None
+        self._absorbed: Vector = np.zeros(0)
 
     def prepare(self, floor: NoiseFloor) -> None:
         """Compute the information of the record on all sizes, once for a floor."""
@@ -78,8 +80,24 @@ class Background:
         all_shapes = [np.concatenate(level, axis=1) for level in zip(*shapes, strict=True)]
         all_courses = [np.concatenate(level, axis=1) for level in zip(*courses, strict=True)]
         matrix = information(all_shapes, all_courses)
+        known = np.diagonal(matrix).copy()
         matrix[np.diag_indices_from(matrix)] += 1.0
         self._solver = cho_factor(matrix, lower=True)
+        # J − J (J + 1)⁻¹ J = 1 − (J + 1)⁻¹ is what is left of the information on every size.
+        left = 1.0 - np.diagonal(cho_solve(self._solver, np.eye(len(matrix))))
+        self._absorbed = np.clip(1.0 - left / np.maximum(known, 1e-12), 0.0, 1.0)
+
+    def absorbed(self, part: Literal["correctors", "bpms"]) -> Vector:
+        """Share of the information on a gain error that the background takes away, (m,) or (n,).
+
+        What acts like a gain error of one device can be told from the healthy errors of all of
+        them only as far as this leaves.
+        """
+        correctors, bpms = (len(p.scatter) for p in self._parts[:2])
+        if not len(self._absorbed):
+            return np.zeros(correctors if part == "correctors" else bpms)
+        begin = 0 if part == "correctors" else correctors
+        return self._absorbed[begin : begin + (correctors if part == "correctors" else bpms)]
 
     def best(self, slope: Matrix) -> Vector:
         """Find the most likely sizes, in units of their scatter.

@@ -1,11 +1,12 @@
 """What a set of causes leaves of a record: readings restored, less the orbit that is predicted."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
+from orbitfb.effects.change import source_change
 from orbitfb.effects.kinds import (
     ActuatorKind,
     EffectKind,
@@ -63,8 +64,13 @@ def explain(record: Record, causes: Sequence[Cause], orbit: Matrix) -> Leftover:
     left = left - currents @ record.layout.response.T
     for cause in causes:
         if isinstance(cause.kind, SourceKind | RingKind):
-            left[cause.onset :] -= added(record, cause, currents, orbit)[cause.onset :]
+            left -= added(record, cause, currents, orbit)
     return Leftover(left, log_jacobian)
+
+
+def columns_of(cause: Cause, count: int) -> list[int]:
+    """Columns that a cause acts on: its places, or all of them for an effect without places."""
+    return list(range(count)) if cause.kind.target == "ring" else list(cause.places)
 
 
 def actuated(record: Record, causes: Sequence[Cause]) -> Matrix:
@@ -74,9 +80,11 @@ def actuated(record: Record, causes: Sequence[Cause]) -> Matrix:
         kind, tail = cause.kind, slice(cause.onset, None)
         if isinstance(kind, ActuatorKind):
             currents = currents.copy()
-            columns = list(cause.places)
-            later = record if cause.onset == 0 else record.rows(cause.onset, len(record))
-            currents[tail, columns] = kind.drive(currents[tail, columns], cause.values, later)
+            columns = columns_of(cause, currents.shape[1])
+            driven = kind.drive(
+                currents[tail, columns], cause.values, _from(record, kind, cause.onset)
+            )
+            currents[tail, columns] = driven
         elif isinstance(kind, PairKind) and kind.target == "corrector":
             currents = _tied(kind, cause, currents, record, inverse=False)
     return currents
@@ -89,9 +97,10 @@ def restored(record: Record, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
         kind, tail = cause.kind, slice(cause.onset, None)
         if isinstance(kind, SensorKind):
             readings = readings.copy()
-            columns = list(cause.places)
-            later = record if cause.onset == 0 else record.rows(cause.onset, len(record))
-            undone, jacobian = kind.restore(readings[tail, columns], cause.values, later)
+            columns = columns_of(cause, readings.shape[1])
+            undone, jacobian = kind.restore(
+                readings[tail, columns], cause.values, _from(record, kind, cause.onset)
+            )
             readings[tail, columns] = undone
             log_jacobian[tail] += jacobian
         elif isinstance(kind, PairKind) and kind.target == "bpm":
@@ -100,47 +109,40 @@ def restored(record: Record, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
 
 
 def added(record: Record, cause: Cause, currents: Matrix, orbit: Matrix) -> Matrix:
-    """Orbit that a source or an effect on the whole ring would add all the time, shape (N, n)."""
-    kind = cause.kind
+    """Orbit that a source or an effect on the whole ring adds from its onset on, shape (N, n)."""
+    kind, onset = cause.kind, cause.onset
+    orbit_added = np.zeros_like(record.readings)
+    if not isinstance(kind, SourceKind | RingKind):
+        return orbit_added
+    own = _from(record, kind, onset) if kind.grows else record
+    tail = slice(onset, None) if kind.grows else slice(None)
     if isinstance(kind, RingKind):
-        return kind.deflect(cause.values, record, currents, orbit)
-    if not isinstance(kind, SourceKind):
-        return np.zeros_like(record.readings)
-    drivers = kind.drivers(cause.values, record, currents, orbit)
-    places = list(cause.places)
-    patterns = kind.patterns(record.layout)[:, places]
-    return shaped(record, drivers, places, patterns)
+        change = kind.deflect(cause.values, own, currents[tail], orbit[tail])
+    else:
+        weights = np.zeros(len(kind.places_of(record.layout)))
+        weights[list(cause.places)] = 1.0
+        change = source_change(kind, cause.values, own, currents[tail], orbit[tail], weights)
+    orbit_added[onset:] = change if kind.grows else change[onset:]
+    return orbit_added
 
 
-def shaped(record: Record, drivers: Matrix, places: list[int], patterns: Matrix) -> Matrix:
-    """Sum pattern · driver over places, with one driver per plane where there are two."""
-    if drivers.ndim == 2:
-        moving = drivers if drivers.shape[1] == 1 else drivers[:, places]
-        if moving.shape[1] == 1:
-            return moving * patterns.sum(axis=1)
-        return moving @ patterns.T
-    orbit = np.zeros_like(record.readings)
-    for plane, driver in zip(("x", "y"), drivers, strict=True):
-        rows = record.layout.bpms.in_plane(plane)
-        moving = np.broadcast_to(driver, (len(record), max(driver.shape[1], 1)))
-        moving = moving if moving.shape[1] == 1 else moving[:, places]
-        orbit[:, rows] = (
-            moving * patterns[rows].sum(axis=1)
-            if moving.shape[1] == 1
-            else moving @ patterns[rows].T
-        )
-    return orbit
+def _from(record: Record, kind: EffectKind, onset: int) -> Record:
+    """The record as an effect sees it that begins at a row; one that grows begins from nothing."""
+    if onset == 0:
+        return record
+    later = record.rows(onset, len(record))
+    return replace(later, time=later.time - later.time[0]) if kind.grows else later
 
 
 def _tied(
     kind: PairKind, cause: Cause, columns: Matrix, record: Record, *, inverse: bool
 ) -> Matrix:
-    matrix = kind.matrix(cause.values)
-    if inverse:
-        matrix = np.linalg.inv(matrix)
+    matrices = kind.matrices(record.layout, cause.values)
     changed = columns.copy()
     pairs = kind.pairs(record.layout)
     for place in cause.places:
-        pair = pairs[place]
+        pair, matrix = pairs[place], matrices[place]
+        if inverse:
+            matrix = np.linalg.inv(matrix)
         changed[cause.onset :, pair] = columns[cause.onset :, pair] @ matrix.T
     return changed

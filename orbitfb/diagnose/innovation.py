@@ -157,6 +157,9 @@ class Ladder:
     Args:
         floor: The noise.
         levels: How many at most.
+
+    Attributes:
+        feedback: 1 − L of every level.
     """
 
     def __init__(self, floor: NoiseFloor, levels: int = 6) -> None:
@@ -164,7 +167,7 @@ class Ladder:
         edges = np.linspace(size.min(), size.max(), levels + 1)[1:-1]
         level = np.searchsorted(edges, size)
         self._parts = [np.flatnonzero(level == k) for k in np.unique(level)]
-        self._feedback = [1.0 - float(np.exp(np.mean(size[part]))) for part in self._parts]
+        self.feedback = [1.0 - float(np.exp(np.mean(size[part]))) for part in self._parts]
         self._floor = floor
 
     def filtered(self, drivers: Matrix, starts: Mask) -> list[Matrix]:
@@ -173,7 +176,7 @@ class Ladder:
         steps[1:] = drivers[1:] - drivers[:-1]
         steps[starts] = 0.0
         done: list[Matrix] = []
-        for feedback in self._feedback:
+        for feedback in self.feedback:
             level = np.empty_like(steps)
             for stretch in _stretches(starts):
                 level[stretch] = lfilter([1.0], [1.0, -feedback], steps[stretch], axis=0)

@@ -1,0 +1,171 @@
+"""Effects without a course in time: noise that is larger, shared, coloured, or strikes at random.
+
+With g = S⁻¹ e, adding κ b bᵀ to the covariance of the innovations changes the log-likelihood by
+−½ N log(1 + κ a) + ½ κ / (1 + κ a) Σ (bᵀ g)², a = bᵀ S⁻¹ b (matrix determinant lemma), which is
+largest where 1 + κ a is the mean of (bᵀ g)² / a. A strike z d at one tick has the score λ·d and
+the information dᵀ W d, so its likelihood ratio is known tick by tick for a z that is one, or normal.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.scan import Candidate
+from orbitfb.effects.kinds import LatentKind, NoiseKind, Values
+from orbitfb.physics.optics import Matrix
+
+_LEAST_SCATTER = 0.05
+"""Relative scatter of a healthy variance between devices, beyond chance."""
+_RARE = np.geomspace(0.0005, 0.5, 25)
+_KEPT = 3
+_EDGE = 60
+
+
+def noise_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
+    """Find where innovations scatter more (or less) than the floor says, best first."""
+    patterns = kind.patterns(bench.record.layout)
+    if not patterns.shape[1]:
+        return []
+    found = [*_steady(bench, kind, patterns)]
+    if kind.sudden and kind.lag == 0:
+        found += [*_sudden(bench, kind, patterns)]
+    return sorted(found, key=lambda c: c.gain - np.log(c.choices), reverse=True)[:_KEPT]
+
+
+def projections(bench: Bench, patterns: Matrix) -> tuple[Matrix, Vector]:
+    """bᵀ g of every row and pattern (N, P), and a = bᵀ S⁻¹ b of every pattern (P,)."""
+    deviation = np.sqrt(bench.floor.innovation_variance)
+    modal = (bench.floor.modes.T @ patterns) / deviation[:, None]
+    return bench.white @ modal, np.sum(modal**2, axis=0)
+
+
+def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candidate]:
+    course, size = projections(bench, patterns)
+    rows = len(course)
+    if kind.lag:
+        moved = np.sum(course[kind.lag :] * course[: -kind.lag], axis=0) / rows
+        ratio = moved / size
+        deviation = np.hypot(1.0 / np.sqrt(rows), _scatter(ratio, 1.0 / np.sqrt(rows)))
+        strength, gain = ratio / size, 0.5 * (ratio / deviation) ** 2
+    else:
+        ratio = np.mean(course**2, axis=0) / size
+        logarithm = np.log(np.maximum(ratio, 1e-6))
+        chance = np.sqrt(2.0 / rows)
+        deviation = np.hypot(chance, _scatter(logarithm, chance))
+        centre = np.median(logarithm) if len(logarithm) > 8 else 0.0
+        strength = (ratio - 1.0) / size
+        gain = 0.5 * ((logarithm - centre) / deviation) ** 2
+    reading = float(np.sqrt(bench.floor.reading))
+    for place in np.argsort(gain)[::-1][:_KEPT]:
+        values = _values(kind, float(strength[place]), reading)
+        if values is not None:
+            yield Candidate(Cause(kind, (int(place),), values), float(gain[place]), len(gain))
+
+
+def _scatter(values: Vector, chance: float) -> float:
+    """Scatter between places beyond chance: no device is exactly like the others."""
+    if len(values) < 8:
+        return 3 * _LEAST_SCATTER
+    spread = 1.4826 * float(np.median(np.abs(values - np.median(values))))
+    return max(_LEAST_SCATTER, float(np.sqrt(max(spread**2 - chance**2, 0.0))))
+
+
+def _sudden(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candidate]:
+    """A variance that changes at some row: judged against the record's own quiet part."""
+    course, size = projections(bench, patterns)
+    squares = course**2 / size
+    before = np.cumsum(squares, axis=0)
+    rows = np.arange(1, len(squares) + 1)[:, None]
+    total, count = before[-1], float(len(squares))
+    early = np.maximum(before / rows, 1e-9)
+    left = np.maximum(count - rows, 1)
+    late = np.maximum((total - before) / left, 1e-9)
+    gain = -0.5 * (rows * np.log(early) + left * np.log(late) - count * np.log(total / count))
+    gain[:_EDGE] = 0.0
+    gain[-_EDGE:] = 0.0
+    best = np.argmax(gain, axis=0)
+    height = gain[best, np.arange(gain.shape[1])]
+    reading = float(np.sqrt(bench.floor.reading))
+    for place in np.argsort(height)[::-1][:_KEPT]:
+        row = int(best[place])
+        strength = float((late[row, place] - early[row, place]) / size[place])
+        values = _values(kind, strength, reading)
+        if values is not None:
+            yield Candidate(
+                Cause(kind, (int(place),), values, row + 1), float(height[place]), float(gain.size)
+            )
+
+
+def _values(kind: NoiseKind, variance: float, reading: float) -> Values | None:
+    """Parameters that belong to κ; None where the effect cannot be of that sign."""
+    size = kind.size(variance, reading)
+    first = kind.parameters[0]
+    if not np.isfinite(size) or not first.low <= size <= first.high:
+        return None
+    return {p.name: p.typical for p in kind.parameters} | {first.name: size}
+
+
+def latent_gain(bench: Bench, kind: LatentKind, values: Values) -> Vector:
+    """Log-likelihood ratio of an effect that strikes at random, by row, shape (N,) [nats]."""
+    score, info = _strikes(bench, kind)
+    return _ratio(kind, score, info, [values[p.name] for p in kind.parameters])
+
+
+def latent_candidates(bench: Bench, kind: LatentKind) -> list[Candidate]:
+    """Find the best parameters of an effect that strikes at random; empty if it gains nothing."""
+    score, info = _strikes(bench, kind)
+    best: Candidate | None = None
+    for values in _latent_grid(kind, score, info):
+        gain = float(np.sum(_ratio(kind, score, info, list(values.values()))))
+        if gain > (0.0 if best is None else best.gain):
+            best = Candidate(Cause(kind, (), values), gain, 10.0)
+    return [] if best is None else [best]
+
+
+def _strikes(bench: Bench, kind: LatentKind) -> tuple[Matrix, Matrix]:
+    """Score and information of a strike of strength one, (N, 1) or per BPM (N, n)."""
+    shapes = kind.shapes(bench.record, bench.currents, bench.orbit)
+    floor = bench.floor
+    # A change of one row is an innovation now and, less the gain, in the rows after.
+    echo = (1.0 + floor.gains / (2.0 - floor.gains)) / floor.innovation_variance
+    score = bench.slope * shapes
+    if kind.per_bpm:
+        return score, shapes**2 * (floor.modes**2 @ echo)
+    info = (floor.to_modes(shapes) ** 2) @ echo
+    return score.sum(axis=1, keepdims=True), info[:, None]
+
+
+def _latent_grid(kind: LatentKind, score: Matrix, info: Matrix) -> Iterator[Values]:
+    first = kind.parameters[0]
+    if kind.strength == "always one":
+        for share in _RARE[(first.low <= _RARE) & (first.high >= _RARE)]:
+            yield {first.name: float(share)}
+        return
+    typical = np.sqrt(1.0 / np.maximum(np.median(info[info > 0]), 1e-300)) if info.any() else 1.0
+    sizes = typical * np.geomspace(0.02, 50.0, 30)
+    if kind.strength == "normal":
+        for size in sizes[(sizes >= first.low) & (sizes <= first.high)]:
+            yield {first.name: float(size)}
+        return
+    second = kind.parameters[1]
+    for share in _RARE[::2]:
+        for size in sizes[10::2]:
+            if first.low <= share <= first.high and second.low <= size <= second.high:
+                yield {first.name: float(share), second.name: float(size)}
+
+
+def _ratio(kind: LatentKind, score: Matrix, info: Matrix, numbers: list[float]) -> Vector:
+    if kind.strength == "always one":
+        share = numbers[0]
+        single = np.logaddexp(np.log1p(-share), np.log(share) + score - 0.5 * info)
+    else:
+        size = numbers[-1] ** 2
+        struck = 0.5 * size * score**2 / (1.0 + size * info) - 0.5 * np.log1p(size * info)
+        if kind.strength == "normal":
+            single = struck
+        else:
+            single = np.logaddexp(np.log1p(-numbers[0]), np.log(numbers[0]) + struck)
+    return single.sum(axis=1)
