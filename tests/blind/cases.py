@@ -1,0 +1,222 @@
+"""One case: drawn, brought to a stated detectability, run, and told as record and truth."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.physics.places import Planes, Ring
+from tests.blind import nature_actuator as _actuators  # noqa: F401  enter their makers
+from tests.blind import nature_disturbance as _disturbances  # noqa: F401
+from tests.blind import nature_optics as _optics  # noqa: F401
+from tests.blind import nature_sensor as _sensors  # noqa: F401
+from tests.blind import nature_unknown as _unknown  # noqa: F401
+from tests.blind.conditions import Conditions, Dither, draw, second_ring
+from tests.blind.draft import MAKERS, Draft, Maker
+from tests.blind.machine import Log, Nature, run
+from tests.blind.oracle import Innovations, detectability
+
+CLOSE = 0.1
+"""Relative distance from the wanted d' that is good enough."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What is asked of a case.
+
+    Args:
+        effects: Ids of the generator; none for a record without a gap.
+        target: d' of every effect.
+        planes: `x`, `y` or `xy`.
+        ring: `first` or `second`.
+        dither: Excitation.
+        ticks: Transitions of the record.
+        later: Transitions of the later record.
+        seed: Of everything drawn.
+        inside: Whether effects that may begin anywhere begin inside the record.
+        background: Whether the small unknown errors are there.
+    """
+
+    effects: tuple[str, ...]
+    target: float
+    planes: Planes
+    ring: Literal["first", "second"]
+    dither: Dither
+    ticks: int
+    later: int
+    seed: int
+    inside: bool = False
+    background: bool = True
+
+
+@dataclass
+class Case:
+    """A finished case: arrays of the record, of the later record (None: none), and the truth."""
+
+    record: dict[str, NDArray[Any]]
+    later: dict[str, NDArray[Any]] | None
+    truth: dict[str, Any]
+
+
+@cache
+def first_ring() -> Ring:
+    """The packaged ring."""
+    return Ring.load()
+
+
+@cache
+def other_ring(folder: Path, seed: int) -> Ring:
+    """The ring of a suite that the library does not know."""
+    return second_ring(folder, seed)
+
+
+def make(spec: Spec, folder: Path, suite_seed: int) -> Case:
+    """Draw a case and bring its effects to their detectability."""
+    ring = first_ring() if spec.ring == "first" else other_ring(folder, suite_seed)
+    rng = np.random.default_rng([spec.seed, 1])
+    case = draw(
+        rng, ring, spec.ring, spec.planes, spec.ticks + spec.later, spec.dither, spec.background
+    )
+    filter_ = Innovations(case)
+    chosen: list[tuple[int, Maker, Draft, float, float]] = []
+    log: Log | None = None
+    for number, name in enumerate(spec.effects):
+        maker = MAKERS[name]
+        # A seed of its own for what is drawn of the effect, whatever else is in the case.
+        effect_rng = np.random.default_rng([spec.seed, 2, number])
+        draft = maker.draw(case, effect_rng)
+        start = _first_row(case, maker, spec, effect_rng)
+        size, seen, log = _sized(case, draft, start, spec, filter_)
+        chosen.append((start, maker, draft, size, seen))
+    if len(chosen) != 1 or log is None:
+        log = run(
+            case, [(start, draft.build(size)) for start, _, draft, size, _ in chosen], spec.seed
+        )
+    split = min(spec.ticks, len(log.readings) - 1)
+    later = None
+    if len(log.readings) - 1 - split >= 100:
+        later = _arrays(case, log, split, len(log.readings) - 1)
+    return Case(_arrays(case, log, 0, split), later, _truth(case, spec, chosen, split))
+
+
+def _first_row(case: Conditions, maker: Maker, spec: Spec, rng: np.random.Generator) -> int:
+    inside = maker.onset == "inside" or (maker.onset == "either" and spec.inside)
+    somewhere = case.warm + int(rng.uniform(0.25, 0.7) * spec.ticks)
+    if inside:
+        return somewhere
+    # What would throw the beam out begins with the record; all else has been there for long.
+    return case.warm if maker.unstable else 0
+
+
+def _sized(
+    case: Conditions, draft: Draft, start: int, spec: Spec, filter_: Innovations
+) -> tuple[float, float, Log]:
+    """Search the size that is as detectable as wanted; an effect without a size is taken as is."""
+
+    def look(size: float) -> tuple[float, Log]:
+        effects: list[tuple[int, Nature]] = [(start, draft.build(size))]
+        seen, log = detectability(case, effects, spec.seed, draft.law, filter_, spec.ticks + 1)
+        if draft.closed is not None:
+            rows = min(spec.ticks + 1, len(log.readings)) - max(start - case.warm, 0)
+            seen = float(np.sqrt(2 * rows * draft.closed(size)))
+        return seen, log
+
+    size = draft.size
+    seen, log = look(size)
+    if not draft.size:
+        return size, seen, log
+    low, high = 0.0, draft.limit
+    best = (abs(np.log(max(seen, 1e-9) / spec.target)), size, seen, log)
+    for _ in range(14):
+        if best[0] < CLOSE or (size >= draft.limit and seen < spec.target):
+            break
+        if seen < spec.target:
+            low = size
+        else:
+            high = size
+        guess = size * np.clip(spec.target / max(seen, 1e-9), 0.1, 8.0)
+        if low and high < draft.limit:
+            inner = low * (high / low) ** 0.1, high * (low / high) ** 0.1
+            guess = guess if inner[0] < guess < inner[1] else np.sqrt(low * high)
+        size = float(min(guess, draft.limit))
+        seen, log = look(size)
+        best = min(best, (abs(np.log(max(seen, 1e-9) / spec.target)), size, seen, log), key=_first)
+    return best[1], best[2], best[3]
+
+
+def _first(item: tuple[float, float, float, Log]) -> float:
+    return item[0]
+
+
+def _arrays(case: Conditions, log: Log, start: int, stop: int) -> dict[str, NDArray[Any]]:
+    """Arrays of a record of transitions start … stop, in the units of records from elsewhere."""
+    rows, after = slice(start, stop), slice(start + 1, stop + 1)
+    dither = np.diff(case.dither, axis=0, append=case.dither[-1:])[case.warm :]
+    meta = {
+        "dt_s": case.period,
+        "units": {"orbit": "mm", "action": "A", "setpoint": "A", "current": "A"},
+        "planes": case.planes,
+        "bpm_noise_rms_mm": None if np.isnan(case.stated_noise) else case.stated_noise * 1e3,
+        "note": "orbit feedback, as logged",
+    }
+    return {
+        "t": np.arange(start, stop) * case.period,
+        "orbit": log.readings[rows] * 1e3,
+        "action": log.actions[rows],
+        "setpoint": log.setpoints[rows],
+        "next_orbit": log.readings[after] * 1e3,
+        "model_R": case.model * 1e3,
+        "bpm_names": np.array(case.bpm_names),
+        "corr_names": np.array(case.corr_names),
+        "reference": case.reference[case.warm :][rows] * 1e3,
+        "dither": dither[rows],
+        "current": case.current[case.warm :][rows],
+        "meta": np.array(json.dumps(meta)),
+    }
+
+
+def _truth(
+    case: Conditions,
+    spec: Spec,
+    chosen: list[tuple[int, Maker, Draft, float, float]],
+    ticks: int,
+) -> dict[str, Any]:
+    effects = []
+    for start, maker, draft, size, seen in chosen:
+        effects.append(
+            {
+                "effect": maker.id,
+                "stage": maker.stage,
+                "known": maker.known,
+                "places": draft.places,
+                "parameters": _figures(draft.figures(size)),
+                "onset_s": None if start <= case.warm else (start - case.warm) * case.period,
+                "d_prime": seen,
+                "oracle_nats": seen**2 / 2,
+                "law": draft.law,
+            }
+        )
+    return {
+        "effects": effects,
+        "spec": asdict(spec),
+        "ticks": ticks,
+        "ring": case.ring_id,
+        "planes": case.planes,
+        "period_s": case.period,
+        "dither": case.dither_kind,
+        "gain": case.gain,
+        "regularisation": case.regularisation,
+        "noise_m": float(case.noise.mean()),
+        "noise_stated": bool(np.isfinite(case.stated_noise)),
+        "ground": case.ground,
+        "ground_step_m": case.ground_step,
+    }
+
+
+def _figures(values: Mapping[str, tuple[float, str]]) -> dict[str, dict[str, Any]]:
+    return {name: {"value": float(v), "unit": unit} for name, (v, unit) in values.items()}

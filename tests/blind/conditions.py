@@ -1,0 +1,321 @@
+"""What a case stands in: ring, loop, excitation, noise, ground and a background of small errors."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from orbitfb.physics.optics import green
+from orbitfb.physics.places import Plane, Planes, Ring, split
+from tests.blind.rings import Array, Index, Lattice, beating_errors, cell_of, write_second_ring
+
+Dither = Literal["passive", "white", "shaped"]
+GROUND = ("quadrupoles", "girders", "memory")
+
+
+@dataclass(eq=False)
+class Conditions:
+    """Everything about a case but its effect.
+
+    Args:
+        lattice: Ring with the gradient errors that nobody knows.
+        ring_id: `first` or `second`.
+        planes: `x`, `y` or `xy`.
+        ticks: Transitions in the record.
+        warm: Ticks before its first row.
+        period: [s].
+        delay: Of the write after the read, in periods.
+        gain: Of the loop.
+        regularisation: λ over the largest singular value.
+        noise: Of the readings, per column (n,) [m].
+        stated_noise: What the record says of it [m]; NaN when it does not.
+        bpm_gains: Unknown gains less 1, (n,).
+        corrector_gains: The same of correctors, (m,).
+        dither_kind: How the setpoints are excited.
+        dither: Excursions, (warm + T + 1, m) [A].
+        reference: (warm + T + 1, n) [m].
+        quad_kicks: Of misplaced quadrupoles, by plane, (warm + T + 1, q) [rad].
+        ground: Name of the law by which they move.
+        current: Of the beam, (warm + T + 1,) [A].
+    """
+
+    lattice: Lattice
+    ring_id: str
+    planes: Planes
+    ticks: int
+    warm: int
+    period: float
+    delay: float
+    gain: float
+    regularisation: float
+    noise: Array
+    stated_noise: float
+    bpm_gains: Array
+    corrector_gains: Array
+    dither_kind: Dither
+    dither: Array
+    reference: Array
+    quad_kicks: dict[Plane, Array]
+    ground: str
+    ground_step: float
+    current: Array
+
+    @property
+    def rows(self) -> int:
+        return self.warm + self.ticks + 1
+
+    @cached_property
+    def bpm_names(self) -> list[str]:
+        return [*self.lattice.ring.names("BPM")] * len(split(self.planes))
+
+    @cached_property
+    def corr_names(self) -> list[str]:
+        return [*self.lattice.ring.names("COR")] * len(split(self.planes))
+
+    @cached_property
+    def bpms(self) -> Index:
+        return self.lattice.ring.places("BPM")
+
+    @cached_property
+    def correctors(self) -> Index:
+        return self.lattice.ring.places("COR")
+
+    @property
+    def all_planes(self) -> tuple[Plane, ...]:
+        return split(self.planes)
+
+    def bpm_columns(self, plane: Plane) -> slice:
+        start = self.all_planes.index(plane) * len(self.bpms)
+        return slice(start, start + len(self.bpms))
+
+    def corrector_columns(self, plane: Plane) -> slice:
+        start = self.all_planes.index(plane) * len(self.correctors)
+        return slice(start, start + len(self.correctors))
+
+    def groups(self, names: list[str], plane: Plane | None = None) -> dict[str, Index]:
+        """Columns by cell, of one plane."""
+        found: dict[str, list[int]] = {}
+        width = len(names) // len(self.all_planes)
+        first = 0 if plane is None else self.all_planes.index(plane) * width
+        for column in range(first, first + width):
+            found.setdefault(cell_of(names[column]), []).append(column)
+        return {cell: np.array(columns) for cell, columns in found.items()}
+
+    @cached_property
+    def model(self) -> Array:
+        """Response that everybody believes, (n, m) [m/A]."""
+        ring = self.lattice.ring
+        blocks = [
+            green(ring, self.bpms, self.correctors, plane) * ring.calibration(plane)
+            for plane in self.all_planes
+        ]
+        return _diagonal(blocks)
+
+    @cached_property
+    def controller(self) -> Array:
+        """Tikhonov inverse of the model, (m, n) [A/m]."""
+        return tikhonov(self.model, self.regularisation)
+
+    def true_response(self, extra: Array | None = None) -> Array:
+        """Response of the ring (gains of correctors apart), (n, m) [m/A]."""
+        ring = self.lattice.ring
+        blocks = [
+            self.lattice.response(self.bpms, self.correctors, plane, extra)
+            * ring.calibration(plane)
+            for plane in self.all_planes
+        ]
+        return _diagonal(blocks)
+
+    def moved(
+        self,
+        observers: Index,
+        plane: Plane,
+        extra: Array | None = None,
+        rows: slice = slice(None),
+    ) -> Array:
+        """Orbit of the misplaced quadrupoles at some places, (rows, k) [m]."""
+        orbit = self.lattice.response(observers, self.lattice.quads, plane, extra)
+        return self.quad_kicks[plane][rows] @ orbit.T
+
+    def moved_at_bpms(self, extra: Array | None = None, rows: slice = slice(None)) -> Array:
+        return np.hstack([self.moved(self.bpms, p, extra, rows) for p in self.all_planes])
+
+    def kick_orbit(self, place: Index, plane: Plane) -> Array:
+        """Orbit per kick at places of the ring, rows of the other plane zero, (n, k) [m/rad]."""
+        orbit = np.zeros((len(self.bpm_names), len(place)))
+        orbit[self.bpm_columns(plane)] = self.lattice.response(self.bpms, place, plane)
+        return orbit
+
+    def orbit_at(self, place: Index, plane: Plane) -> Array:
+        """Orbit at places per ampere of every corrector, (k, m) [m/A]."""
+        orbit = np.zeros((len(place), len(self.corr_names)))
+        orbit[:, self.corrector_columns(plane)] = self.lattice.response(
+            place, self.correctors, plane
+        ) * self.lattice.ring.calibration(plane)
+        return orbit
+
+    @cached_property
+    def dispersion(self) -> Array:
+        """At the BPM columns, (n,) [m]."""
+        eta = np.zeros(len(self.bpm_names))
+        if "x" in self.all_planes:
+            eta[self.bpm_columns("x")] = self.lattice.ring.table.dispersion[self.bpms]
+        return eta
+
+
+def _diagonal(blocks: list[Array]) -> Array:
+    rows, columns = sum(b.shape[0] for b in blocks), sum(b.shape[1] for b in blocks)
+    whole, r, c = np.zeros((rows, columns)), 0, 0
+    for block in blocks:
+        whole[r : r + block.shape[0], c : c + block.shape[1]] = block
+        r, c = r + block.shape[0], c + block.shape[1]
+    return whole
+
+
+def tikhonov(model: Array, regularisation: float) -> Array:
+    """Invert with σ / (σ² + λ²), λ relative to the largest σ."""
+    left, size, right = np.linalg.svd(model, full_matrices=False)
+    floor = regularisation * size[0]
+    return (right.T * (size / (size**2 + floor**2))) @ left.T
+
+
+def second_ring(folder: Path, seed: int) -> Ring:
+    """A synthetic ring whose tunes are clear of resonances."""
+    for attempt in range(100):
+        rng = np.random.default_rng([seed, attempt])
+        places, figures = write_second_ring(folder, rng)
+        ring = Ring.load(places, figures)
+        clear = [abs(((2 * ring.tune(p)) % 1) - 0.5) for p in ("x", "y")]
+        if max(clear) < 0.35:  # at least 0.07 from integer and half-integer
+            return ring
+    raise RuntimeError("no ring with tunes clear of resonances in 100 draws")
+
+
+def draw(
+    rng: np.random.Generator,
+    ring: Ring,
+    ring_id: str,
+    planes: Planes,
+    ticks: int,
+    dither: Dither,
+    background: bool = True,
+) -> Conditions:
+    """Draw the circumstances of a case."""
+    warm = 100
+    lattice = Lattice(ring, np.zeros(len(ring.places("QUAD"))))
+    if background:
+        lattice.errors = beating_errors(ring, rng.uniform(0.01, 0.02), rng)
+    bpms, correctors = len(ring.names("BPM")), len(ring.names("COR"))
+    n, m = bpms * len(split(planes)), correctors * len(split(planes))
+    noise = rng.uniform(0.1e-6, 0.4e-6)
+    stated = noise * rng.uniform(0.95, 1.05) if rng.random() < 0.5 else np.nan
+    spread = np.exp(0.02 * rng.standard_normal(n)) if rng.random() < 0.5 else np.ones(n)
+    kind = GROUND[rng.integers(3)]
+    case = Conditions(
+        lattice=lattice,
+        ring_id=ring_id,
+        planes=planes,
+        ticks=ticks,
+        warm=warm,
+        period=float(rng.choice([0.1, 0.1, 0.05, 0.2])),
+        delay=rng.uniform(0.01, 0.08),
+        gain=rng.uniform(0.2, 0.6),
+        regularisation=np.exp(rng.uniform(np.log(0.005), np.log(0.05))),
+        noise=noise * spread,
+        stated_noise=stated,
+        bpm_gains=0.01 * background * rng.standard_normal(n),
+        corrector_gains=0.01 * background * rng.standard_normal(m),
+        dither_kind=dither,
+        dither=np.zeros((warm + ticks + 1, m)),
+        reference=np.zeros((warm + ticks + 1, n)),
+        quad_kicks={},
+        ground=kind,
+        ground_step=np.exp(rng.uniform(np.log(0.01e-6), np.log(0.08e-6))),
+        current=np.zeros(warm + ticks + 1),
+    )
+    case.reference = _golden_orbits(case, rng)
+    case.dither = _excursions(case, rng)
+    standing = np.exp(rng.uniform(np.log(30e-6), np.log(250e-6)))
+    for plane in case.all_planes:
+        case.quad_kicks[plane] = _ground(case, plane, standing, rng)
+    case.current = _top_up(case, rng)
+    return case
+
+
+def _golden_orbits(case: Conditions, rng: np.random.Generator) -> Array:
+    """Steps of the golden orbit: bumps that a few correctors make."""
+    start = rng.uniform(5e-6, 60e-6)
+    count = int(rng.integers(4, 9))
+    times = np.sort(rng.choice(np.arange(case.warm + 40, case.rows - 40), count, replace=False))
+    shape = case.model @ _few(case, rng, 12)
+    orbit = np.tile(shape * start / np.sqrt(np.mean(shape**2)), (case.rows, 1))
+    size = np.exp(rng.uniform(np.log(2e-6), np.log(15e-6)))
+    for tick in times:
+        step = case.model @ _few(case, rng, int(rng.integers(3, 10)))
+        orbit[tick:] += step * size / np.sqrt(np.mean(step**2))
+    return orbit
+
+
+def _few(case: Conditions, rng: np.random.Generator, count: int) -> Array:
+    kicks = np.zeros(len(case.corr_names))
+    chosen = rng.choice(len(kicks), count, replace=False)
+    kicks[chosen] = rng.standard_normal(count)
+    return kicks
+
+
+def _excursions(case: Conditions, rng: np.random.Generator) -> Array:
+    shape = (case.rows, len(case.corr_names))
+    if case.dither_kind == "passive":
+        return np.zeros(shape)
+    per_ampere = np.mean(np.abs([case.lattice.ring.calibration(p) for p in case.all_planes]))
+    white = rng.standard_normal(shape)
+    if case.dither_kind == "white":
+        return white * rng.uniform(6e-9, 15e-9) / per_ampere
+    # Every singular mode moves the orbit about equally; the weak ones are held back.
+    _, size, right = np.linalg.svd(case.model, full_matrices=False)
+    weight = 1 / np.maximum(size, 0.02 * size[0])
+    coloured = (white[:, : len(size)] * weight) @ right
+    return (
+        coloured * rng.uniform(0.15e-6, 0.4e-6) / np.sqrt(np.mean((coloured @ case.model.T) ** 2))
+    )
+
+
+def _ground(case: Conditions, plane: Plane, standing: float, rng: np.random.Generator) -> Array:
+    """Kicks of quadrupoles that stand beside their axes and wander."""
+    lattice, rows = case.lattice, case.rows
+    quads = lattice.quads
+    strength = lattice.ring.strength("QUAD") * (1 if plane == "x" else -1)
+    steps = rng.standard_normal((rows, len(quads)))
+    if case.ground == "girders":
+        # Neighbours within 8 m stand on one girder: it heaves and tilts as a whole.
+        s = lattice.ring.table.s[quads]
+        girder = np.concatenate([[0], np.cumsum(np.diff(s) > rng.uniform(1.5, 3.0))])
+        heave, tilt = rng.standard_normal((2, rows, girder[-1] + 1))
+        arm = s - np.array([s[girder == g].mean() for g in girder])
+        steps = 0.2 * steps + heave[:, girder] + 0.3 * tilt[:, girder] * arm
+    steps[0] = 0
+    at_bpms = lattice.response(case.bpms, quads, plane) * strength
+    steps *= case.ground_step / np.sqrt(np.mean((steps[: min(rows, 400)] @ at_bpms.T) ** 2))
+    keep = np.exp(-1 / np.exp(rng.uniform(np.log(300), np.log(10_000))))
+    if case.ground == "memory":
+        moves = np.empty_like(steps)
+        here = np.zeros(len(quads))
+        for row in range(rows):
+            here = keep * here + steps[row]
+            moves[row] = here
+    else:
+        moves = np.cumsum(steps, axis=0)
+    still = rng.standard_normal(len(quads))
+    still *= standing / np.sqrt(np.mean((at_bpms @ still) ** 2))
+    return (moves + still) * strength
+
+
+def _top_up(case: Conditions, rng: np.random.Generator) -> Array:
+    """Beam that decays and is filled up now and then; read with a little noise."""
+    time = np.arange(case.rows) * case.period
+    every = rng.uniform(0.15, 0.4) * time[-1]
+    phase = (time / every + rng.random()) % 1.0
+    full = rng.uniform(0.2, 0.5)
+    return full * (1 - rng.uniform(0.005, 0.03) * phase) + 2e-6 * rng.standard_normal(case.rows)

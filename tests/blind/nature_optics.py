@@ -1,0 +1,186 @@
+"""Optics that are not those of the model: wrong quadrupoles, sextupoles, energy, coupling."""
+
+import numpy as np
+
+from orbitfb.physics.places import Plane
+from tests.blind.conditions import Conditions
+from tests.blind.draft import Draft, kind
+from tests.blind.machine import Nature
+from tests.blind.nature_sensor import sign
+from tests.blind.rings import Array, Index
+
+Rng = np.random.Generator
+
+
+class Gradients(Nature):
+    """Further gradient errors, from given rows on: the closed orbit is solved anew."""
+
+    def __init__(self, knots: list[tuple[int, Array]]) -> None:
+        self.knots = knots
+
+    def extra_errors(self) -> list[tuple[int, Array]]:
+        return self.knots
+
+
+@kind("quadrupole-gradient", "optics")
+def quadrupole_gradient(case: Conditions, rng: Rng) -> Draft:
+    quads, way = case.lattice.quads, sign(rng)
+    quad = int(rng.integers(len(quads)))
+    unit = np.eye(len(quads))[quad] * way
+    return Draft(
+        [case.lattice.ring.names("QUAD")[quad]],
+        lambda s: Gradients([(0, s * unit)]),
+        lambda s: {"gradient": (way * s, "1/m")},
+        2e-3,
+        0.05,
+    )
+
+
+def tune_direction(case: Conditions, plane: Plane) -> Array:
+    """Relative errors of focusing and defocusing families that shift one tune, per unit of it."""
+    ring, quads = case.lattice.ring, case.lattice.quads
+    strength, beta = ring.strength("QUAD"), ring.table.beta[:, quads]
+    families = np.stack([np.where(strength > 0, strength, 0), np.where(strength < 0, strength, 0)])
+    shift = np.stack([beta[0] @ families.T, -beta[1] @ families.T]) / (4 * np.pi)
+    wanted = np.array([1.0, 0.0]) if plane == "x" else np.array([0.0, 1.0])
+    return np.linalg.solve(shift, wanted) @ families
+
+
+@kind("tune-shift", "optics")
+def tune_shift(case: Conditions, rng: Rng) -> Draft:
+    plane, way = case.all_planes[int(rng.integers(len(case.all_planes)))], sign(rng)
+    unit = tune_direction(case, plane) * way
+    return Draft(
+        [],
+        lambda s: Gradients([(0, s * unit)]),
+        lambda s: {f"shift_{plane}": (way * s, "1")},
+        0.004,
+        0.05,
+    )
+
+
+@kind("optics-drift", "optics", onset="start")
+def optics_drift(case: Conditions, rng: Rng) -> Draft:
+    quads = len(case.lattice.quads)
+    errors = case.lattice.ring.strength("QUAD") * rng.standard_normal(quads)
+    ring = case.lattice.ring
+    beta = ring.table.beta[:, case.lattice.quads]
+    errors -= np.linalg.pinv(beta) @ (beta @ errors)  # a running ring holds its tunes
+    rows = np.linspace(0, case.rows, 25, endpoint=False).astype(int)
+    share = np.linspace(0, 1, 25)
+    return Draft(
+        [],
+        lambda s: Gradients([(int(r), s * f * errors) for r, f in zip(rows, share, strict=True)]),
+        lambda s: {"relative_gradient": (s, "1")},
+        0.01,
+        0.1,
+    )
+
+
+class Sextupole(Nature):
+    """One sextupole that the model does not have; its kick moves the orbit in itself too."""
+
+    def __init__(self, place: Index, strength: float) -> None:
+        self.place, self.strength = place, strength
+
+    def bind(self, case: Conditions, rng: Rng) -> None:
+        self.case, planes = case, case.all_planes
+        self.shape = {p: case.kick_orbit(self.place, p)[:, 0] for p in planes}
+        self.reach = {p: case.orbit_at(self.place, p)[0] for p in planes}
+        self.ground = {p: case.moved(self.place, p)[:, 0] for p in planes}
+        self.own = {
+            p: float(case.lattice.response(self.place, self.place, p)[0, 0]) for p in planes
+        }
+
+    def bend(self, row: int, orbit: Array, currents: Array) -> Array:
+        start = {p: self.reach[p] @ currents + self.ground[p][row] for p in self.reach}
+        here, kick = dict(start), {}
+        for _ in range(20):
+            x, y = here.get("x", 0.0), here.get("y", 0.0)
+            kick = {"x": -self.strength * (x * x - y * y), "y": 2 * self.strength * x * y}
+            here = {p: start[p] + self.own[p] * kick[p] for p in start}
+        for p in start:
+            orbit = orbit + self.shape[p] * kick[p]
+        return orbit
+
+
+@kind("sextupole", "optics", planes="x")
+def sextupole(case: Conditions, rng: Rng) -> Draft:
+    places, way = case.lattice.ring.places("SEXT"), sign(rng)
+    which = int(rng.integers(len(places)))
+    return Draft(
+        [case.lattice.ring.names("SEXT")[which]],
+        lambda s: Sextupole(places[[which]], way * s),
+        lambda s: {"strength": (way * s, "1/m2")},
+        3.0,
+        400.0,
+    )
+
+
+class Motion(Nature):
+    """An orbit that comes whatever the loop does."""
+
+    def __init__(self, course: Array) -> None:
+        self.course = course
+
+    def motion(self) -> Array:
+        return self.course
+
+
+@kind("energy-drift", "optics", planes="x", onset="start")
+def energy_drift(case: Conditions, rng: Rng) -> Draft:
+    time, way = np.arange(case.rows) * case.period, sign(rng)
+    tide = time[-1] * rng.uniform(4, 10)  # a piece of a slow wave, as the tide's
+    course = tide / (2 * np.pi) * np.sin(2 * np.pi * time / tide)
+    return Draft(
+        [],
+        lambda s: Motion(way * s * np.outer(course, case.dispersion)),
+        lambda s: {"rate": (way * s * float((course[-1] - course[0]) / time[-1]), "1/s")},
+        1e-7,
+        1e-3,
+    )
+
+
+@kind("energy-offset", "optics", planes="x", onset="inside")
+def energy_offset(case: Conditions, rng: Rng) -> Draft:
+    way = sign(rng)
+    return Draft(
+        [],
+        lambda s: Motion(way * s * np.tile(case.dispersion, (case.rows, 1))),
+        lambda s: {"offset": (way * s, "1")},
+        3e-6,
+        1e-3,
+    )
+
+
+class Skew(Nature):
+    """A rolled quadrupole: kicks each plane by the orbit in the other, closed through both."""
+
+    def __init__(self, place: Index, strength: float) -> None:
+        self.place, self.strength = place, strength
+
+    def bind(self, case: Conditions, rng: Rng) -> None:
+        self.shape = {p: case.kick_orbit(self.place, p)[:, 0] for p in "xy"}
+        self.reach = {p: case.orbit_at(self.place, p)[0] for p in "xy"}
+        self.ground = {p: case.moved(self.place, p)[:, 0] for p in "xy"}
+        own = [float(case.lattice.response(self.place, self.place, p)[0, 0]) for p in "xy"]
+        cross = self.strength * np.array([[0, own[0]], [own[1], 0]])
+        self.closed = np.linalg.inv(np.eye(2) - cross)
+
+    def bend(self, row: int, orbit: Array, currents: Array) -> Array:
+        start = np.array([self.reach[p] @ currents + self.ground[p][row] for p in "xy"])
+        x, y = self.closed @ start
+        return orbit + self.strength * (self.shape["x"] * y + self.shape["y"] * x)
+
+
+@kind("skew-coupling", "optics", planes="xy")
+def skew_coupling(case: Conditions, rng: Rng) -> Draft:
+    quads, way = case.lattice.quads, sign(rng)
+    which = int(rng.integers(len(quads)))
+    return Draft(
+        [case.lattice.ring.names("QUAD")[which]],
+        lambda s: Skew(quads[[which]], way * s),
+        lambda s: {"skew": (way * s, "1/m")},
+        3e-3,
+        0.05,
+    )

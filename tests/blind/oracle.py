@@ -1,0 +1,79 @@
+"""How well an effect can be seen at all: the same actions with and without it, filtered.
+
+The difference of the two readings, through the Kalman filter of a random walk of the true steps
+under the true reading noise, mode by mode, has the squared length d'² = 2 ΔL: what somebody who
+knows the effect exactly gains by it.
+"""
+
+import numpy as np
+
+from tests.blind.conditions import Conditions
+from tests.blind.draft import Law
+from tests.blind.machine import Log, Nature, run
+from tests.blind.rings import Array
+
+
+class Innovations:
+    """The filter of a case."""
+
+    def __init__(self, case: Conditions) -> None:
+        self.noise = case.noise
+        walk = np.zeros((len(case.noise),) * 2)
+        for plane in case.all_planes:
+            kicks = np.diff(case.quad_kicks[plane], axis=0)
+            part = case.bpm_columns(plane)
+            orbit = kicks @ case.lattice.response(case.bpms, case.lattice.quads, plane).T
+            walk[part, part] = orbit.T @ orbit / len(orbit)
+        scaled = walk / np.outer(self.noise, self.noise)
+        power, self.modes = np.linalg.eigh(scaled)
+        self.power = np.maximum(power, 1e-6)
+
+    def whiten(self, difference: Array) -> Array:
+        """Turn a difference of readings (rows, n) [m] into whitened innovations."""
+        modes = difference / self.noise @ self.modes
+        state, doubt = np.zeros(modes.shape[1]), np.full(modes.shape[1], 1e8)
+        white = np.empty_like(modes)
+        for row, seen in enumerate(modes):
+            total = doubt + 1.0
+            white[row] = (seen - state) / np.sqrt(total)
+            share = doubt / total
+            state = state + share * (seen - state)
+            doubt = doubt * (1 - share) + self.power
+        return white
+
+
+def detectability(
+    case: Conditions,
+    effects: list[tuple[int, Nature]],
+    seed: int,
+    law: Law,
+    filter_: Innovations,
+    rows: int,
+) -> tuple[float, Log]:
+    """Tell d' of a single effect on the first rows of the record, and give the run itself.
+
+    Args:
+        case: Circumstances.
+        effects: The effect with its first row.
+        seed: Of the run.
+        law: How the effect shows.
+        filter_: Of the case.
+        rows: Of the record that count.
+    """
+    log = run(case, effects, seed)
+    without = run(case, [], seed, replay=_extend(case, log.sent))
+    rows = min(rows, len(log.readings))
+    white = filter_.whiten(log.readings[:rows] - without.readings[:rows])
+    if law == "mean":
+        return float(np.linalg.norm(white)), log
+    if law == "rare":
+        # Nobody knows the ticks: every strike pays for its being looked for.
+        per = np.sum(white**2, axis=1)
+        return float(np.sqrt(np.sum(np.maximum(per - 2 * np.log(rows), 0)))), log
+    power = np.maximum(np.linalg.eigvalsh(white.T @ white / rows), 0)
+    return float(np.sqrt(rows * np.sum(power - np.log1p(power)))), log
+
+
+def _extend(case: Conditions, sent: Array) -> Array:
+    """Setpoints of every row, the last ones held on where a run was stopped early."""
+    return np.vstack([sent, np.tile(sent[-1], (case.rows - len(sent), 1))])
