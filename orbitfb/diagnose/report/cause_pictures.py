@@ -1,0 +1,234 @@
+"""Pictures of the causes: tournament, score over the ring, fingerprints, waterfall."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from orbitfb.diagnose.answer_blocks import (
+    Fingerprint,
+    Geometry,
+    ScoreMap,
+    ScoreRow,
+    Tournament,
+    TournamentRow,
+    WaterfallStep,
+)
+from orbitfb.diagnose.report.draw import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    STAGES,
+    known,
+    picture,
+    sectors,
+    shorten,
+    values,
+    whiskers,
+)
+
+_MOST = 30
+
+
+def tournament(its: Tournament) -> str:
+    """Draw the held-out gain of the kinds of effects, the best above; classes in brackets."""
+    rows = _grouped([row for row in its.rows if row.nats is not None])[:_MOST]
+
+    def paint(figure: Figure) -> None:
+        axes = figure.subplots()
+        gains = values([row.nats for row in rows])
+        places = np.arange(len(rows))
+        colours = [RED if row.accepted else BLUE for row in rows]
+        axes.barh(places, gains, color=colours, height=0.7)
+        bars = whiskers(gains.tolist(), [r.low for r in rows], [r.high for r in rows])
+        axes.errorbar(gains, places, xerr=bars, fmt="none", ecolor=BLACK, elinewidth=0.8)
+        axes.set_yticks(places, [_label(row) for row in rows], fontsize=8)
+        axes.set_ylim(len(rows) - 0.4, -0.6)
+        axes.set_xscale("symlog", linthresh=10.0)
+        axes.axvline(0.0, color=BLACK, lw=0.6)
+        _lines(axes, its)
+        shown = [(i, row.detectable_nats) for i, row in enumerate(rows) if row.detectable_nats]
+        if shown:
+            axes.plot(
+                [nats for _, nats in shown],
+                [i for i, _ in shown],
+                "|",
+                color=GREEN,
+                ms=11,
+                mew=2,
+                label="a 5σ size would stand here",
+            )
+        _brackets(axes, rows)
+        axes.set_xlabel("gain on held-out ticks [nats]; linear below 10, logarithmic above")
+        axes.legend(loc="lower right")
+
+    return picture(
+        "Every kind of effect at its best places, on ticks not used to fit it. Red: accepted; "
+        "brackets: classes that this record cannot tell apart.",
+        (9.5, 0.24 * len(rows) + 1.2),
+        paint,
+    )
+
+
+def _label(row: TournamentRow) -> str:
+    return shorten(row.effect, 26) + (f" · {shorten(row.places, 22)}" if row.places else "")
+
+
+def _grouped(rows: Sequence[TournamentRow]) -> list[TournamentRow]:
+    """Sort by gain, the members of a class behind their best."""
+    best: dict[str, float] = {}
+    for row in rows:
+        for member in row.members or (row.effect,):
+            best[member] = max(best.get(member, -np.inf), row.nats or 0.0)
+
+    def key(row: TournamentRow) -> tuple[float, tuple[str, ...], float]:
+        members = row.members or (row.effect,)
+        return (-max(best[member] for member in members), tuple(sorted(members)), -(row.nats or 0))
+
+    return sorted(rows, key=key)
+
+
+def _lines(axes: Axes, its: Tournament) -> None:
+    if its.threshold_nats is not None:
+        axes.axvline(
+            its.threshold_nats, color=GREY, ls="--", lw=1, label="99 % of records without a gap"
+        )
+    if its.ceiling_nats is not None:
+        axes.axvline(
+            its.ceiling_nats, color=ORANGE, ls="-.", lw=1, label="what any model could gain"
+        )
+
+
+def _brackets(axes: Axes, rows: Sequence[TournamentRow]) -> None:
+    start = 0
+    while start < len(rows):
+        members = set(rows[start].members)
+        stop = start + 1
+        while stop < len(rows) and len(members) > 1 and set(rows[stop].members) == members:
+            stop += 1
+        if stop - start > 1:
+            right = axes.get_yaxis_transform()
+            axes.plot(
+                [0.985, 1.0, 1.0, 0.985],
+                [start - 0.3, start - 0.3, stop - 0.7, stop - 0.7],
+                color=BLACK,
+                lw=1,
+                transform=right,
+                clip_on=False,
+            )
+        start = stop
+
+
+def scores(its: ScoreMap, ring: Geometry | None) -> str:
+    """Draw the gain of every stage over the ring, with the places named."""
+    drawn = [row for row in its.rows if known(row.gain)]
+    if not drawn:
+        return ""
+
+    def paint(figure: Figure) -> None:
+        all_axes = figure.subplots(len(drawn), squeeze=False)[:, 0]
+        for index, (axes, row) in enumerate(zip(all_axes, drawn, strict=True)):
+            _score(axes, row)
+            if its.threshold_nats is not None:
+                axes.axhline(its.threshold_nats, color=GREY, ls="--", lw=0.8)
+            sectors(axes, ring, label=index == 0)
+
+    return picture(
+        "Gain of log-likelihood [nats] by an effect at each place. Filled: the places named; "
+        "shaded: places that cannot be excluded; dashed: threshold for the best of all places.",
+        (10.0, 1.7 * len(drawn) + 0.4),
+        paint,
+    )
+
+
+def _score(axes: Axes, row: ScoreRow) -> None:
+    gains = values(row.gain)
+    known_places = len(row.s_m) == len(gains) and all(s is not None for s in row.s_m)
+    places = values(row.s_m) if known_places else np.arange(len(gains), dtype=float)
+    axes.set_xlabel("s [m]" if known_places else "in the order of the record")
+    colour = STAGES.get(row.stage, GREY)
+    possible = [i for i in (*row.within, *row.fitted) if i < len(gains)]
+    if possible:
+        pitch = float(np.median(np.abs(np.diff(places)))) if len(places) > 1 else 1.0
+        for i in possible:
+            axes.axvspan(places[i] - pitch / 2, places[i] + pitch / 2, color=colour, alpha=0.13)
+    axes.vlines(places, 0.0, gains, color=colour, lw=1)
+    fitted = [i for i in row.fitted if i < len(gains)]
+    if fitted:
+        axes.plot(places[fitted], gains[fitted], "v", color=colour, ms=6, mec=BLACK, mew=0.6)
+    axes.set_ylim(min(0.0, float(np.nanmin(gains))), None)
+    axes.margins(y=0.15)
+    axes.set_title(f"{shorten(row.stage)}: {shorten(row.effect, 40)}", pad=10)
+    axes.set_ylabel("nats")
+
+
+def fingerprint(its: Fingerprint) -> str:
+    """Draw the slice of the record that shows an effect best."""
+
+    def paint(figure: Figure) -> None:
+        axes = figure.subplots()
+        x = values(its.x)
+        error = values(its.error) if len(its.error) == len(x) else None
+        axes.errorbar(
+            x, values(its.measured), error, fmt="o", ms=4, color=BLACK, label="record", zorder=3
+        )
+        if its.nominal:
+            axes.plot(x, values(its.nominal), "--", color=BLUE, label="nominal model")
+        if its.refit:
+            axes.plot(x, values(its.refit), color=RED, label="with the cause")
+        axes.set_xlabel(shorten(its.x_label, 60))
+        axes.set_ylabel(shorten(its.y_label, 48))
+        axes.legend()
+
+    return picture(its.title, (7.5, 3.0), paint)
+
+
+def waterfall(steps: Sequence[WaterfallStep]) -> str:
+    """Draw what is left of the gap, effect by effect, beside each other for fit and held-out."""
+
+    def paint(figure: Figure) -> None:
+        pair = figure.subplots(1, 2, sharey=True)
+        for axes, title, left in zip(
+            pair,
+            ("data of the fit", "held-out data"),
+            ([step.fit for step in steps], [step.held_out for step in steps]),
+            strict=True,
+        ):
+            _falls(axes, [step.label for step in steps], left)
+            axes.set_title(title)
+        pair[0].set_ylabel("gap left [nats/tick]")
+
+    return picture(
+        "From the nominal model to the floor. Light: what each effect takes away.",
+        (9.5, 2.9),
+        paint,
+    )
+
+
+def _falls(axes: Axes, labels: Sequence[str], left: Sequence[float | None]) -> None:
+    heights = values(left)
+    places = np.arange(len(labels))
+    axes.bar(places, heights, color=BLUE, width=0.65)
+    for place in places[1:]:
+        before, after = heights[place - 1], heights[place]
+        if np.isfinite(before) and np.isfinite(after):
+            colour = GREEN if after <= before else RED
+            axes.bar(place, before - after, 0.65, bottom=after, color=colour, alpha=0.25)
+            axes.plot([place - 0.67, place + 0.33], [before, before], color=GREY, lw=0.7)
+    for place, height in zip(places, heights, strict=True):
+        said = f"{height:.3g}" if np.isfinite(height) else "not resolved"
+        axes.annotate(
+            said,
+            (float(place), height if np.isfinite(height) else 0.0),
+            xytext=(0, 2),
+            textcoords="offset points",
+            ha="center",
+            va="bottom",
+            fontsize=8,
+        )
+    axes.set_xticks(places, [shorten(label, 26) for label in labels], rotation=20, ha="right")
+    axes.axhline(0.0, color=BLACK, lw=0.6)

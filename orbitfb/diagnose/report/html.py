@@ -1,0 +1,90 @@
+"""Pieces of the page; every text that a record may have brought goes through `text`."""
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+STYLE = """
+:root { --ink: #1d2329; --soft: #5b6670; --line: #d4d9de; --fill: #f4f6f8 }
+* { box-sizing: border-box }
+body { font: 15px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 72rem;
+  padding: 1.5rem 1.25rem 4rem; color: var(--ink); background: #fff }
+h1 { font-size: 1.5rem; margin: 0 0 .2rem } h2 { font-size: 1.2rem; margin: 2.4rem 0 .4rem;
+  padding-top: .6rem; border-top: 1px solid var(--line) } h3 { font-size: 1rem; margin: 1.2rem 0 0 }
+p { margin: .5rem 0; max-width: 60rem } nav { margin: 1rem 0; font-size: .9rem }
+nav a { margin-right: 1rem; color: #0072b2; white-space: nowrap }
+.source, .note, figcaption { color: var(--soft); font-size: .88rem }
+.card { border: 1px solid var(--line); border-left: .5rem solid var(--badge, #5b6670);
+  border-radius: .4rem; padding: 1rem 1.2rem; margin: 1rem 0; background: var(--fill) }
+.card .said { font-size: 1.15rem; margin: .4rem 0 0; max-width: none }
+.badge { display: inline-block; background: var(--badge, #5b6670); color: #fff; font-weight: 600;
+  border-radius: .25rem; padding: .05rem .55rem }
+.tiles { display: flex; flex-wrap: wrap; gap: .7rem; margin: 1rem 0 }
+.tile { border: 1px solid var(--line); border-radius: .4rem; padding: .5rem .8rem; flex: 1 1 9rem }
+.tile b { display: block; font-size: 1.15rem; font-variant-numeric: tabular-nums }
+.tile span { color: var(--soft); font-size: .85rem }
+.wide { overflow-x: auto } table { border-collapse: collapse; margin: .6rem 0;
+  font-variant-numeric: tabular-nums; font-size: .92rem }
+th, td { border-bottom: 1px solid var(--line); padding: .25rem .7rem .25rem 0; text-align: left;
+  vertical-align: top } th { color: var(--soft); font-weight: 600 }
+.missing { color: var(--soft); border: 1px dashed var(--line); padding: .4rem .7rem;
+  border-radius: .3rem; font-style: italic }
+figure { margin: .8rem 0 } figure img { max-width: 100%; height: auto; display: block }
+.flag { font-weight: 700; color: #a33a00 } code { overflow-wrap: anywhere; font-size: .88em }
+@media print { body { font-size: 10.5pt; max-width: none; padding: 0 } nav { display: none }
+  figure, table, .card, .tile, h2, h3 { break-inside: avoid } h2, h3 { break-after: avoid }
+  .card, .badge { print-color-adjust: exact; -webkit-print-color-adjust: exact } }
+"""
+
+
+def text(value: str) -> str:
+    """Write any text so that it is nothing but text; control characters are left out."""
+    return escape("".join(sign for sign in value if sign.isprintable() or sign in " \n"))
+
+
+def figure_of(value: float | None, digits: int = 3) -> str:
+    """Write a number, or that it is not resolved."""
+    return "not resolved" if value is None else f"{value:.{digits}g}"
+
+
+def interval(value: float | None, low: float | None, high: float | None, unit: str = "") -> str:
+    """Write a number with its interval and unit."""
+    if value is None:
+        return "not resolved"
+    ends = "" if low is None or high is None else f" [{low:.3g}, {high:.3g}]"
+    return f"{value:.3g}{ends}{' ' + text(unit) if unit not in ('', '1') else ''}"
+
+
+def percent(share: float | None) -> str:
+    """Write a share in per cent."""
+    return "not resolved" if share is None else f"{100 * share:.0f} %"
+
+
+def listed(names: Sequence[str], most: int = 12) -> str:
+    """Write names in a row; not more than some."""
+    rest = f" and {len(names) - most} more" if len(names) > most else ""
+    return text(", ".join(names[:most])) + rest
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Write a table; the cells are HTML already."""
+    head = "".join(f"<th>{cell}</th>" for cell in heads)
+    body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>" for row in rows)
+    return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
+
+
+def paragraph(content: str, kind: str = "") -> str:
+    """Write a paragraph of HTML; nothing when there is none."""
+    if not content:
+        return ""
+    return f'<p class="{kind}">{content}</p>' if kind else f"<p>{content}</p>"
+
+
+def missing(what: str) -> str:
+    """Say that something was not computed, in the place of an empty picture."""
+    return paragraph(f"{text(what)}: not computed for this record.", "missing")
+
+
+def section(anchor: str, title: str, *pieces: str) -> str:
+    """Write a section with its heading."""
+    inner = "\n".join(piece for piece in pieces if piece)
+    return f'<section id="{anchor}"><h2>{title}</h2>\n{inner}\n</section>'
