@@ -158,6 +158,18 @@ class ActuatorKind(EffectKind):
             Currents in force at every row, shape (N, k) [A].
         """
 
+    def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> Sequence[Values]:
+        """Propose values to scan beside `grid`, from what pulls at the likelihood.
+
+        For effects whose likelihood is too spiky for any grid; by default there are none.
+
+        Args:
+            setpoints: As for `drive`, of all correctors, shape (N, m) [A].
+            pull: ∂log L/∂current under the causes so far, shape (N, m) [1/A].
+            record: As for `drive`.
+        """
+        return ()
+
 
 class SensorKind(EffectKind):
     """An effect on what BPMs tell of the orbit, each BPM for itself."""
@@ -201,7 +213,7 @@ class SourceKind(EffectKind):
 
     Errors of quadrupoles, kicks, periodic disturbances, energy: everything of rank one per plane.
     A place that acts in both planes has one course for the rows of the x BPMs and one for those
-    of the y BPMs (a gradient error acts with opposite signs); `orbitfb.effects.change` puts the two together.
+    of the y BPMs (a gradient error acts with opposite signs): `orbitfb.effects.change` joins them.
     """
 
     target = "source"

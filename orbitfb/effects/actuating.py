@@ -1,0 +1,174 @@
+"""What the effects of correctors share: courses in time, and their parts in the plant.
+
+Row k of a record holds the setpoints in force while reading k came about: they were written
+after reading k − 1 and held since. The plant steps in the same way (`Plant.step` gets what is in
+force during its tick). A memory therefore moves on by one whole period under the setpoints of
+row k before reading k, and a step of a setpoint that first shows in row k already has its first
+answer there.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.signal import lfilter
+
+from orbitfb.core.errors import ConfigError
+from orbitfb.core.signals import Vector
+from orbitfb.effects.kinds import Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+
+class ColumnsEffect(Effect, ABC):
+    """An effect on some correctors, each for itself; its memory begins at its first tick.
+
+    Args:
+        places: Columns of the setpoints that it acts on, shape (k,).
+    """
+
+    def __init__(self, places: Indices) -> None:
+        self._places = places
+
+    def actuate(self, setpoints: Vector, tick: int) -> Vector:
+        """Turn the setpoints of its correctors into what their magnets carry."""
+        currents = setpoints.copy()
+        currents[self._places] = self.follow(setpoints[self._places])
+        return currents
+
+    @abstractmethod
+    def follow(self, wanted: Vector) -> Vector:
+        """Pass one tick: setpoints in, currents out, both of shape (k,) [A]."""
+
+
+class PairsEffect(Effect):
+    """An effect that mixes the currents of pairs of correctors.
+
+    Args:
+        pairs: Columns, shape (P, 2); no column twice as a second one.
+        changes: What is added: currents[pair] += changes[pair] @ setpoints[pair], (P, 2, 2).
+    """
+
+    def __init__(self, pairs: Indices, changes: Matrix) -> None:
+        self._pairs, self._changes = pairs, changes
+
+    def actuate(self, setpoints: Vector, tick: int) -> Vector:
+        """Mix."""
+        currents = setpoints.copy()
+        for pair, change in zip(self._pairs, self._changes, strict=True):
+            currents[pair] += change @ setpoints[pair]
+        return currents
+
+
+def couples(places: Indices, name: str) -> Indices:
+    """Take places two by two, in the order in which they were given, shape (P, 2).
+
+    Raises:
+        ConfigError: They are none, or not an even number.
+    """
+    if len(places) == 0 or len(places) % 2:
+        raise ConfigError(
+            f"{name} ties correctors two by two, but has {len(places)} of them; "
+            "name the first and the second (of every pair)"
+        )
+    return np.reshape(places, (-1, 2))
+
+
+def filtered(courses: Matrix, numerator: Vector, denominator: Vector, record: Record) -> Matrix:
+    """Pass every column through a filter of unit gain, from a steady state at every stretch.
+
+    Args:
+        courses: Shape (N, k).
+        numerator: Coefficients of z⁻⁰, z⁻¹, … of what goes in.
+        denominator: Coefficients of what comes out, the first one 1.
+        record: Where the stretches begin.
+
+    Returns:
+        Shape (N, k).
+    """
+    passed = np.empty_like(courses)
+    for stretch in record.stretches:
+        # what departs from the first row starts from rest
+        first = courses[stretch.start]
+        departure = courses[stretch] - first
+        passed[stretch] = first + np.asarray(lfilter(numerator, denominator, departure, axis=0))
+    return passed
+
+
+def followed(
+    courses: Matrix, record: Record, step: Callable[[Vector, Vector, Vector], object]
+) -> Matrix:
+    """Pass all columns through a memory, row by row; at the start of a stretch it is at rest.
+
+    Args:
+        courses: Shape (N, k).
+        record: Where the stretches begin.
+        step: Called with what is wanted now, what was before, and the row to be filled in.
+
+    Returns:
+        Shape (N, k).
+    """
+    held = np.empty_like(courses)
+    starts = record.starts.tolist()
+    for row, wanted in enumerate(courses):
+        if starts[row]:
+            held[row] = wanted
+        else:
+            step(wanted, held[row - 1], held[row])
+    return held
+
+
+def changes(courses: Matrix, record: Record) -> Matrix:
+    """Change of every column since the row before; zero in the first row of a stretch."""
+    difference = np.zeros_like(courses)
+    difference[1:] = np.diff(courses, axis=0)
+    difference[record.starts] = 0.0
+    return difference
+
+
+def ladder(name: str, others: Values, steps: Sequence[float] | Vector) -> tuple[Values, ...]:
+    """Sets of values in which one parameter runs and the others stay."""
+    return tuple({**others, name: float(step)} for step in steps)
+
+
+def largest_change(record: Record) -> float:
+    """Largest change of a setpoint between two rows [A]; 1 mA when none changes."""
+    return float(np.max(np.abs(changes(record.setpoints, record)), initial=0.0)) or 1e-3
+
+
+def usual_change(record: Record) -> float:
+    """Rms of the changes of the setpoints between two rows [A]; 1 mA when none changes."""
+    return float(np.sqrt(np.mean(changes(record.setpoints, record) ** 2))) or 1e-3
+
+
+def largest_setpoint(record: Record) -> float:
+    """Largest setpoint, either sign [A]; 1 A when all are zero."""
+    return float(np.max(np.abs(record.setpoints), initial=0.0)) or 1.0
+
+
+def widest_range(record: Record) -> float:
+    """Largest range that one setpoint spans over the record [A]; 1 mA when none changes."""
+    return float(np.max(np.ptp(record.setpoints, axis=0), initial=0.0)) or 1e-3
+
+
+def pairs_of(layout: Layout, cells: bool) -> Indices:
+    """Ordered pairs of correctors: all of one plane, and the two planes of one device.
+
+    Args:
+        layout: The correctors.
+        cells: Whether to pair also columns of different planes that share a cell.
+
+    Returns:
+        Columns, shape (P, 2).
+    """
+    devices = layout.correctors
+    plane = np.array(devices.planes)
+    name, cell = np.array(devices.names), np.array(devices.cells)
+    tied = (plane[:, None] == plane) | (name[:, None] == name)
+    if cells:
+        tied |= (cell[:, None] == cell) & (cell != "")
+    np.fill_diagonal(tied, False)
+    return np.argwhere(tied)

@@ -1,0 +1,82 @@
+"""A corrector that ignores small changes of its setpoint."""
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.actuating import ColumnsEffect, followed, ladder, largest_change
+from orbitfb.effects.kinds import ActuatorKind, Parameter, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+
+class CorrectorDeadband(ActuatorKind):
+    """Currents that stay until the setpoint is far enough away, and then go there at once.
+
+    Where the current was within the band before the record began is not known: it is taken to
+    be at its setpoint.
+    """
+
+    id = "corrector-deadband"
+    stage = "actuator"
+    title = "dead-band of a corrector"
+    sentence = (
+        "The corrector ignores setpoints that differ from its current by less than a certain "
+        "amount, and catches up in one jump once the difference is larger. Small corrections "
+        "are lost until then; narrow the dead-band of the device or of the control system."
+    )
+    equation = "θ_n = u_n if |u_n − θ_{n−1}| > w, else θ_{n−1}"
+    parameters = (
+        Parameter(
+            name="width",
+            unit="A",
+            low=0.0,
+            high=10.0,
+            nominal=0.0,
+            typical=1e-3,
+            description="Largest difference w that is ignored, either sign.",
+            log=True,
+        ),
+    )
+    confused_with = (
+        "corrector-hysteresis",
+        "corrector-quantisation",
+        "corrector-stuck",
+        "missed-write",
+    )
+    splits = "Ladders of small steps up and down: a dead-band releases them in one jump."
+
+    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+        """Hold or follow, row by row."""
+        width = values["width"]
+
+        def step(wanted: Vector, before: Vector, now: Vector) -> None:
+            np.copyto(now, before)
+            np.copyto(now, wanted, where=np.abs(wanted - before) > width)
+
+        return followed(setpoints, record, step)
+
+    def grid(self, record: Record) -> tuple[Values, ...]:
+        """24 widths around the largest change of the record: it is dead to them or not."""
+        return ladder("width", {}, largest_change(record) * np.geomspace(0.02, 6.0, 24))
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Hold or follow tick by tick."""
+        return _Deadband(places, values["width"])
+
+
+class _Deadband(ColumnsEffect):
+    def __init__(self, places: Indices, width: float) -> None:
+        super().__init__(places)
+        self._width = width
+        self._current: Vector | None = None
+
+    def follow(self, wanted: Vector) -> Vector:
+        before = wanted if self._current is None else self._current
+        far = np.abs(wanted - before) > self._width
+        self._current = np.where(far, wanted, before)
+        return self._current

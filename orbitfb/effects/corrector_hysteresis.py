@@ -1,0 +1,97 @@
+"""A corrector whose field depends on where its current came from."""
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.actuating import ColumnsEffect, followed, largest_change, widest_range
+from orbitfb.effects.kinds import ActuatorKind, Parameter, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+
+class CorrectorHysteresis(ActuatorKind):
+    """Play: the kick is dragged behind the setpoint, in whole or in part.
+
+    What is lost after a reversal (u − play, a stop) grows linearly and then stays at half the
+    width, as the first loop of a Bouc–Wen model does; `share` is its slope. Where within the
+    play it was before the record began is not known: it is taken to be in the middle.
+    """
+
+    id = "corrector-hysteresis"
+    stage = "actuator"
+    title = "hysteresis of a corrector"
+    sentence = (
+        "After every reversal of the setpoint the field of the corrector stays behind until the "
+        "setpoint has gone some way: iron with remanence, or play. Condition the magnet by a "
+        "cycle, or let the feedback make larger and fewer reversals."
+    )
+    equation = (
+        "p_n = clip(p_{n−1}, u_n ± w/2), θ_n = u_n + s (p_n − u_n): the play operator "
+        "(M. A. Krasnosel'skii and A. V. Pokrovskii, Systems with Hysteresis, 1989)"
+    )
+    parameters = (
+        Parameter(
+            name="width",
+            unit="A",
+            low=0.0,
+            high=10.0,
+            nominal=0.0,
+            typical=1e-3,
+            description="Width w of the play: how far the setpoint goes before the field turns.",
+            log=True,
+        ),
+        Parameter(
+            name="share",
+            unit="1",
+            low=-1.0,
+            high=1.0,
+            nominal=1.0,
+            typical=1.0,
+            description="Share s of the field that has the play; negative if it runs ahead.",
+        ),
+    )
+    confused_with = ("corrector-deadband", "corrector-lag", "corrector-gain", "corrector-slew")
+    splits = "A triangular ladder with reversals at three amplitudes: only play depends on them."
+
+    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+        """Drag, row by row."""
+        half, share = 0.5 * values["width"], values["share"]
+        low, high = setpoints - half, setpoints + half
+        rows = iter(zip(low[~record.starts], high[~record.starts], strict=True))
+
+        def step(wanted: Vector, before: Vector, now: Vector) -> None:
+            least, most = next(rows)
+            np.maximum(before, least, out=now)
+            np.minimum(now, most, out=now)
+
+        dragged = followed(setpoints, record, step)
+        return setpoints + share * (dragged - setpoints)
+
+    def grid(self, record: Record) -> tuple[Values, ...]:
+        """24 widths from a fraction of the largest change to the range, and 6 for a part of it."""
+        top = max(widest_range(record), largest_change(record))
+        bottom = 0.02 * largest_change(record)
+        whole = [{"width": float(w), "share": 1.0} for w in np.geomspace(bottom, top, 24)]
+        part = [{"width": float(w), "share": 0.3} for w in np.geomspace(bottom, top, 6)]
+        return (*whole, *part)
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Drag tick by tick."""
+        return _Play(places, 0.5 * values["width"], values["share"])
+
+
+class _Play(ColumnsEffect):
+    def __init__(self, places: Indices, half: float, share: float) -> None:
+        super().__init__(places)
+        self._half, self._share = half, share
+        self._play: Vector | None = None
+
+    def follow(self, wanted: Vector) -> Vector:
+        before = wanted if self._play is None else self._play
+        self._play = np.clip(before, wanted - self._half, wanted + self._half)
+        return (1.0 - self._share) * wanted + self._share * self._play

@@ -1,0 +1,44 @@
+"""A corrector that kicks the wrong way."""
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.actuating import ColumnsEffect
+from orbitfb.effects.kinds import ActuatorKind, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+
+class CorrectorPolarity(ActuatorKind):
+    """Currents of the wrong sign."""
+
+    id = "corrector-polarity"
+    stage = "actuator"
+    title = "wrong polarity of a corrector"
+    sentence = (
+        "The corrector kicks the beam the wrong way, by the right amount: its leads are swapped, "
+        "or its sign is wrong in the configuration. The feedback may run away."
+    )
+    equation = "θ_n = −u_n"
+    parameters = ()
+    vanishes = False
+    confused_with = ("corrector-gain", "corrector-swap", "bpm-polarity")
+    splits = "A step of this corrector alone: the orbit moves by the opposite of the model's."
+
+    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+        """Turn the sign round."""
+        return -setpoints
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Turn the sign round tick by tick."""
+        return _Polarity(places)
+
+
+class _Polarity(ColumnsEffect):
+    def follow(self, wanted: Vector) -> Vector:
+        return -wanted

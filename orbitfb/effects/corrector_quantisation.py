@@ -1,0 +1,76 @@
+"""A power supply that knows only multiples of its smallest step."""
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.actuating import ColumnsEffect, ladder, usual_change
+from orbitfb.effects.kinds import ActuatorKind, Parameter, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.needles import common_steps, read_back_steps, single_steps
+from orbitfb.effects.record import Record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+
+class CorrectorQuantisation(ActuatorKind):
+    """Currents rounded to the least significant bit of the converter."""
+
+    id = "corrector-quantisation"
+    stage = "actuator"
+    title = "quantised current of a corrector"
+    sentence = (
+        "The power supply rounds its setpoint to the steps of its digital-to-analogue converter. "
+        "Changes below half a step do nothing, or too much; the orbit looks noisier than it is."
+    )
+    equation = "θ_n = q · round(u_n / q)"
+    parameters = (
+        Parameter(
+            name="step",
+            unit="A",
+            low=0.0,
+            high=1.0,
+            nominal=0.0,
+            typical=0.5e-3,
+            description="Smallest step q of the current (LSB).",
+            log=True,
+        ),
+    )
+    confused_with = ("ground-motion-level", "corrector-deadband", "noise-level")
+    splits = (
+        "A slow triangular ramp of one corrector over ten steps or more; or the readback of its "
+        "current, when that is finer than the step."
+    )
+
+    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+        """Round."""
+        step = values["step"]
+        return np.round(setpoints / step) * step if step > 0 else setpoints.copy()
+
+    def grid(self, record: Record) -> tuple[Values, ...]:
+        """24 steps around the usual change of the setpoints, and those that readbacks show."""
+        steps = usual_change(record) * np.geomspace(0.3, 60.0, 24)
+        return ladder("step", {}, [*read_back_steps(record, 4), *steps])
+
+    def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:
+        """Find the needles that the grid steps over."""
+        finest = 0.3 * usual_change(record)
+        steps = common_steps(setpoints, pull, finest, 5) + single_steps(setpoints, pull, finest, 5)
+        return ladder("step", {}, steps)
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Round tick by tick."""
+        return _Quantisation(places, values["step"])
+
+
+class _Quantisation(ColumnsEffect):
+    def __init__(self, places: Indices, step: float) -> None:
+        super().__init__(places)
+        self._step = step
+
+    def follow(self, wanted: Vector) -> Vector:
+        if self._step <= 0:
+            return wanted
+        return self._step * np.rint(wanted / self._step)

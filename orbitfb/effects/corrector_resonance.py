@@ -1,0 +1,115 @@
+"""A corrector that rings: a second-order regulator, support or chamber."""
+
+import cmath
+import math
+
+import numpy as np
+from scipy.linalg import expm
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.actuating import ColumnsEffect, filtered
+from orbitfb.effects.kinds import ActuatorKind, Parameter, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+_STIFF = 1e5  # [Hz]; from here on nothing is left of it
+
+
+class CorrectorResonance(ActuatorKind):
+    """Kicks behind a second-order system, exact for setpoints held over the period."""
+
+    id = "corrector-resonance"
+    stage = "actuator"
+    title = "resonance of a corrector"
+    sentence = (
+        "The kick overshoots a step and rings before it settles: a badly tuned regulator of the "
+        "power supply, or a resonance. Retune the regulator, or keep the feedback below it."
+    )
+    equation = "d²θ/dt² + 2 ζ ω₀ dθ/dt + ω₀² θ = ω₀² u with ω₀ = 2π f"
+    parameters = (
+        Parameter(
+            name="frequency",
+            unit="Hz",
+            low=1e-3,
+            high=_STIFF,
+            nominal=_STIFF,
+            typical=2.0,
+            description="Frequency f of the undamped resonance.",
+            log=True,
+        ),
+        Parameter(
+            name="damping",
+            unit="1",
+            low=1e-3,
+            high=3.0,
+            nominal=0.3,
+            typical=0.3,
+            description="Damping ratio ζ; above 1 it does not ring but has two time constants.",
+            log=True,
+        ),
+    )
+    confused_with = ("corrector-lag", "loop-delay", "periodic-disturbance")
+    splits = "Tones around the suspected frequency: only a resonance answers with more than it got."
+
+    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+        """Filter."""
+        if values["frequency"] >= _STIFF:
+            return setpoints.copy()
+        numerator, denominator = _filter(
+            values["frequency"], values["damping"], record.layout.period
+        )
+        return filtered(setpoints, numerator, denominator, record)
+
+    def grid(self, record: Record) -> tuple[Values, ...]:
+        """12 frequencies from a hundredth to twice the rate of the record, with 2 dampings."""
+        rate = 1.0 / record.layout.period
+        return tuple(
+            {"frequency": float(frequency), "damping": damping}
+            for frequency in rate * np.geomspace(0.01, 2.0, 12)
+            for damping in (0.1, 0.5)
+        )
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Move a state on, tick by tick."""
+        if values["frequency"] >= _STIFF:
+            return Effect()
+        return _Resonance(places, values["frequency"], values["damping"], layout.period)
+
+
+class _Resonance(ColumnsEffect):
+    """State: current and its rate in units of ω₀ A."""
+
+    def __init__(self, places: Indices, frequency: float, damping: float, period: float) -> None:
+        super().__init__(places)
+        turn = 2 * np.pi * frequency * period
+        self._step = np.asarray(expm(turn * np.array([[0.0, 1.0], [-1.0, -2.0 * damping]])))
+        self._state: Matrix | None = None
+
+    def follow(self, wanted: Vector) -> Vector:
+        rest = np.stack([wanted, np.zeros_like(wanted)])
+        before = rest if self._state is None else self._state
+        self._state = rest + self._step @ (before - rest)
+        return self._state[0]
+
+
+def _filter(frequency: float, damping: float, period: float) -> tuple[Vector, Vector]:
+    """Coefficients of the filter that has the step response of the system at every row.
+
+    With the poles s of the system and its step response
+    y(t) = 1 − (s₂ exp(s₁ t) − s₁ exp(s₂ t)) / (s₂ − s₁): the first answer is y(T), and the sum
+    of the numerator is that of the denominator because the gain is 1.
+    """
+    if abs(damping - 1.0) < 1e-6:  # two equal poles: the formula is 0/0
+        damping = 1.0 + math.copysign(1e-6, damping - 1.0)
+    omega = 2 * math.pi * frequency
+    root = cmath.sqrt(damping**2 - 1.0)
+    first, second = omega * (-damping + root), omega * (-damping - root)
+    left, right = cmath.exp(first * period), cmath.exp(second * period)
+    answer = (1.0 - (second * left - first * right) / (second - first)).real
+    denominator = np.array([1.0, -(left + right).real, (left * right).real])
+    return np.array([answer, float(np.sum(denominator)) - answer]), denominator

@@ -1,0 +1,68 @@
+"""Ticks in which no setpoint arrives."""
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.actuating import changes
+from orbitfb.effects.kinds import LatentKind, Parameter, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+
+class MissedWrite(LatentKind):
+    """The whole set of setpoints of a tick is lost; the next one, absolute, makes good for it.
+
+    The plant keeps the last set that arrived. `shapes` tells what one lost set does; of two in a
+    row it tells the second one's own part only.
+    """
+
+    id = "missed-write"
+    stage = "timing"
+    strength = "always one"
+    title = "missed writes of setpoints"
+    sentence = (
+        "Now and then the setpoints of a tick do not arrive in time, and all correctors stay "
+        "where they were until the next ones come. Look for lost packets, full queues, or a "
+        "computer that is too busy."
+    )
+    equation = "θ_n = θ_{n−1} with probability p, else u_n"
+    parameters = (
+        Parameter(
+            name="probability",
+            unit="1",
+            low=0.0,
+            high=0.9,
+            nominal=0.0,
+            typical=0.02,
+            description="Probability p that the setpoints of a tick do not arrive.",
+            log=True,
+        ),
+    )
+    confused_with = ("loop-delay", "clock-jitter", "missed-read", "corrector-deadband")
+    splits = "Sequence numbers or time stamps of the writes; the readbacks of the currents."
+
+    def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
+        """Take the change of the currents back, shape (N, n) [m]."""
+        return -changes(currents, record) @ record.layout.response.T
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Lose sets of setpoints; the first one arrives."""
+        return _Missed(values["probability"], rng)
+
+
+class _Missed(Effect):
+    def __init__(self, probability: float, rng: np.random.Generator) -> None:
+        self._probability, self._rng = probability, rng
+        self._arrived: Vector | None = None
+
+    def actuate(self, setpoints: Vector, tick: int) -> Vector:
+        """Keep the last set that arrived, now and then."""
+        lost = self._rng.random() < self._probability
+        if self._arrived is None or not lost:
+            self._arrived = setpoints.copy()
+        return self._arrived.copy()
