@@ -29,6 +29,24 @@ Drift = Annotated[
     str | None, typer.Option(help="Drift of the simulated ring: none, paper, mild, strong.")
 ]
 DriftTicks = Annotated[int | None, typer.Option(help="Ticks that the drift takes.")]
+EffectSpecs = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect",
+        metavar="SPEC",
+        help="Effect of the simulated ring, ID:KEY=VALUE,…, as in "
+        "corrector-lag:tau=0.1s,cells=3-5,from=30s,planes=x; names=A+B instead of cells; may be "
+        "given again; `orbitfb effects` lists them [those of the configuration].",
+    ),
+]
+EffectsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--effects",
+        help="File with effects of the simulated ring (TOML), as `orbitfb diagnose` writes it "
+        "[those of the configuration].",
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
@@ -37,6 +55,17 @@ def configure(path: Path | None, **options: Any) -> "AppConfig":
     from orbitfb.config import load_config
 
     return load_config(path, {name.replace("__", "."): value for name, value in options.items()})
+
+
+def chosen_effects(specs: list[str] | None, file: Path | None) -> "list[dict[str, Any]] | None":
+    """Read the effects of the command line, those of the file first; None: none are given."""
+    if not specs and file is None:
+        return None
+    from orbitfb.effects.files import read_effects
+    from orbitfb.effects.settings import parse_effect
+
+    effects = [*(read_effects(file) if file else ()), *map(parse_effect, specs or ())]
+    return [its.model_dump(mode="json", by_alias=True) for its in effects]
 
 
 def validated(model: type[S], values: dict[str, Any], **options: str) -> S:

@@ -12,11 +12,14 @@ from orbitfb.cli.options import (
     DataDirectory,
     Drift,
     DriftTicks,
+    EffectsFile,
+    EffectSpecs,
     Planes,
     PolicyKind,
     Port,
     Rate,
     Seed,
+    chosen_effects,
     configure,
     show,
 )
@@ -50,13 +53,23 @@ def run(
     port: Port = None,
     drift: Drift = None,
     drift_ticks: DriftTicks = None,
+    effect: EffectSpecs = None,
+    effects: EffectsFile = None,
     metrics_port: Annotated[
         int | None, typer.Option(help="Port of /metrics; 0: any free one [9180].")
     ] = None,
 ) -> None:
     """Close the loop: read the orbit, correct it, learn from it."""
+    from orbitfb.core.errors import ConfigError
     from orbitfb.service import run_service
+    from orbitfb.startup import SIMULATED
 
+    chosen = chosen_effects(effect, effects)
+    if chosen is not None and ioc != SIMULATED:
+        raise ConfigError(
+            f"--effect and --effects are of a simulated ring, but --ioc is {ioc}; give them to "
+            "the `orbitfb ioc` that serves it, or run with --ioc sim"
+        )
     settings = configure(
         config_file,
         data_directory=data,
@@ -68,6 +81,7 @@ def run(
         sim__port=port,
         plant__drift__preset=drift,
         plant__drift__ticks=drift_ticks,
+        effect=chosen,
         observe__port=metrics_port,
     )
     announce = partial(print, flush=True)
@@ -82,6 +96,8 @@ def ioc(
     port: Port = None,
     drift: Drift = None,
     drift_ticks: DriftTicks = None,
+    effect: EffectSpecs = None,
+    effects: EffectsFile = None,
     plain: Annotated[
         bool | None,
         typer.Option("--plain", help="Serve by caproto's documented calls alone (slow reference)."),
@@ -107,6 +123,7 @@ def ioc(
         sim__lockstep=lockstep,
         plant__drift__preset=drift,
         plant__drift__ticks=drift_ticks,
+        effect=chosen_effects(effect, effects),
     )
     where = settings.sim.interface
 
