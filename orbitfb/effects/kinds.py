@@ -79,6 +79,9 @@ class EffectKind(ABC):
         sudden: Whether it commonly begins in the middle of a record: onsets are then tried.
         grows: Whether it grows from nothing at `record.time` = 0. For an onset at t it must be
             given a record whose time is `np.maximum(time − t, 0)`; mixing would make a step of it.
+        vanishes: Whether nothing is left of it when every parameter has its nominal value. An
+            effect without parameters is either there or not, whatever this says; a stuck device
+            has a parameter and is there all the same.
     """
 
     id: ClassVar[str]
@@ -94,6 +97,7 @@ class EffectKind(ABC):
     collective: ClassVar[bool] = True
     sudden: ClassVar[bool] = True
     grows: ClassVar[bool] = False
+    vanishes: ClassVar[bool] = True
 
     @abstractmethod
     def simulate(
