@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Callable, Iterator
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -18,6 +19,8 @@ from orbitfb.cli.app import app
 from orbitfb.config import AppConfig
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState
+from orbitfb.effects.pages import effect_page, effects_index
+from orbitfb.effects.registry import all_effects
 from orbitfb.loop.states import COMMANDS, TABLE, Event
 from orbitfb.observe.metrics_table import metrics_table_markdown
 from orbitfb.physics.places import Planes, Ring
@@ -126,7 +129,8 @@ def _type_name(kind: Any) -> str:
         key, value = get_args(kind)
         return f"table of {_type_name(key)} to {_type_name(value)}"
     if isinstance(kind, type) and issubclass(kind, Settings):
-        return "{ " + ", ".join(kind.model_fields) + " }"
+        fields = kind.model_fields.items()
+        return "{ " + ", ".join(f.serialization_alias or name for name, f in fields) + " }"
     if get_origin(kind) is tuple:
         return f"list of {_type_name(get_args(kind)[0])}"
     members = [member for member in get_args(kind) if member is not NoneType]
@@ -250,12 +254,18 @@ PAGES: dict[str, Callable[[], str]] = {
     "reference/cli.md": cli_page,
     "reference/metrics.md": metrics_table_markdown,
     "explanations/safety.md": safety_page,
+    "reference/effects/index.md": partial(effects_index, NOTE),
+    **{f"reference/effects/{name}.md": partial(effect_page, name, NOTE) for name in all_effects()},
 }
 """Every generated file below `docs/` and what makes it."""
 
 
 def main() -> None:
-    """Write every page."""
+    """Write every page; take away those of effects that are no more."""
+    (DOCS / "reference/effects").mkdir(exist_ok=True)
+    for page in (DOCS / "reference/effects").glob("*.md"):
+        if f"reference/effects/{page.name}" not in PAGES:
+            page.unlink()
     for name, make in PAGES.items():
         (DOCS / name).write_text(make(), encoding="utf-8")
         print(f"docs/{name}")

@@ -143,7 +143,7 @@ class AppConfig(Settings):
     )
     effect: tuple[EffectSettings, ...] = Field(
         default=(),
-        description="Effects that the simulated ring has besides; one `[[effect]]` table each.",
+        description="Effects that the simulated ring has besides; a table `effect` each.",
     )
 
 

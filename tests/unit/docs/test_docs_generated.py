@@ -9,6 +9,7 @@ from orbitfb.cli.app import app
 from orbitfb.config import AppConfig
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState
+from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Ring
 from orbitfb.sim.layout import lay_out
 from orbitfb.sim.pv_table import pv_families
@@ -21,6 +22,8 @@ PAGES = (
     "reference/cli.md",
     "reference/metrics.md",
     "explanations/safety.md",
+    "reference/effects/index.md",
+    *(f"reference/effects/{name}.md" for name in all_effects()),
 )
 
 
@@ -33,6 +36,11 @@ def test_committed_page_is_what_the_generator_writes(generator, docs, name):
 
 def test_every_generated_page_is_compared(generator):
     assert set(generator.PAGES) == set(PAGES)
+
+
+def test_no_page_is_left_of_an_effect_that_is_no_more(docs):
+    pages = {page.stem for page in (docs / "reference/effects").glob("*.md")}
+    assert pages == {*all_effects(), "index"}
 
 
 @pytest.mark.parametrize("planes", ["x", "y", "xy"])
