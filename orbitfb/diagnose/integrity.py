@@ -1,0 +1,42 @@
+"""The integrity screen: what is certain before any statistics, and free.
+
+A false alarm is worse than a miss here: what is missed is still there for the tournament, what
+is said here is believed. So only exact repetitions, exact sums and overwhelming ratios count.
+"""
+
+from orbitfb.diagnose.finding import Finding
+from orbitfb.diagnose.integrity_channels import check_channels
+from orbitfb.diagnose.integrity_model import check_model, check_units
+from orbitfb.diagnose.integrity_readback import check_readback
+from orbitfb.diagnose.integrity_repeats import check_rails, check_repeats
+from orbitfb.diagnose.integrity_writes import check_clock, check_writes
+from orbitfb.effects.record import Record
+
+
+def screen(record: Record) -> list[Finding]:
+    """Look for repeated and clipped readings, lost writes, wrong units, mixed-up channels.
+
+    Args:
+        record: The record.
+
+    Returns:
+        Findings, the gravest first. With a `failure` among them a diagnosis would be nonsense.
+    """
+    found = [
+        *check_repeats(record),
+        *check_rails(record),
+        *check_clock(record),
+        *check_writes(record),
+        *check_readback(record),
+    ]
+    wrong = [*check_units(record), *check_model(record)]
+    found += wrong
+    if not any(finding.severity == "failure" for finding in found):
+        found += check_channels(record)
+    order = {"failure": 0, "warning": 1, "note": 2}
+    return sorted(found, key=lambda finding: order[finding.severity])
+
+
+def is_hopeless(findings: list[Finding]) -> bool:
+    """Tell whether a diagnosis would be nonsense."""
+    return any(finding.severity == "failure" for finding in findings)

@@ -1,0 +1,146 @@
+"""Readings that repeat: frozen BPMs, orbits read twice, readings at a rail.
+
+Readings of few bits repeat by chance. How often is measured on the record itself (share of equal
+neighbours of the BPM and of the median BPM), and a repetition counts only when chance does not
+explain it in a million records.
+"""
+
+import math
+
+import numpy as np
+
+from orbitfb.core.signals import Mask
+from orbitfb.diagnose.finding import Finding, listed
+from orbitfb.diagnose.integrity_steps import inner, runs
+from orbitfb.effects.record import Record
+
+_CHANCE = 1e-6
+_SHORTEST_FREEZE = 8
+_WHOLE = 0.9
+_FEWEST_BPMS = 4
+_MOST_REPEATS = 0.5
+_FEWEST_AT_RAIL = 12
+_RAIL_FACTOR = 4
+_PAIRS = 3
+
+
+def check_repeats(record: Record) -> list[Finding]:
+    """Find frozen BPMs and orbits that were read twice."""
+    n = record.readings.shape[1]
+    # equal[k]: reading k + 1 repeats reading k.
+    equal = np.diff(record.readings, axis=0) == 0.0
+    equal &= inner(record)[:, None] & ~record.filled[1:] & ~record.filled[:-1]
+    usual = float(np.median(equal.mean(axis=0)))
+    # Beside the usual one, at most every tenth BPM may be frozen, so they do not hide a whole.
+    whole = (equal.mean(axis=1) >= _WHOLE) & (n >= _FEWEST_BPMS)
+    if usual > 0.0 and usual ** (_WHOLE * n) * len(whole) > _CHANCE:
+        whole[:] = False
+    found = _whole_orbits(record, whole)
+    if found and found[0].severity == "failure":
+        return found
+    single = equal & ~whole[:, None]
+    usual = float(np.median(single.mean(axis=0)))
+    for column in np.flatnonzero(single.any(axis=0)):
+        found += _frozen(record, int(column), single[:, column], whole, usual)
+    if usual > _MOST_REPEATS:
+        found.append(
+            Finding(
+                "coarse-readings",
+                "warning",
+                (),
+                None,
+                f"{100 * usual:.0f} % of the readings equal the one before: the BPMs are read more "
+                "coarsely than they are noisy; the noise model does not hold",
+            )
+        )
+    return found
+
+
+def _whole_orbits(record: Record, whole: Mask) -> list[Finding]:
+    count = int(whole.sum())
+    if not count:
+        return []
+    rows = np.flatnonzero(whole) + 1
+    span = (int(rows[0]), int(rows[-1]))
+    if count > _MOST_REPEATS * len(whole):
+        text = (
+            f"all BPMs stand still in {100 * count / len(whole):.0f} % of the rows; give a record "
+            "in which the orbit was read"
+        )
+        return [Finding("frozen-orbit", "failure", (), span, text)]
+    text = (
+        f"the whole orbit repeats the one before, to the last bit, in {count} rows (first "
+        f"{span[0]}): those readings were missed and the old ones kept"
+    )
+    return [Finding("repeated-orbit", "warning", (), span, text, effect="missed-read")]
+
+
+def _frozen(record: Record, column: int, equal: Mask, whole: Mask, usual: float) -> list[Finding]:
+    # A whole orbit read twice does not thaw a frozen BPM.
+    through = equal | (whole & (record.readings[1:, column] == record.readings[:-1, column]))
+    spans = runs(through)
+    begin, end = max(spans, key=lambda span: span[1] - span[0])
+    length = end - begin
+    outside = np.ones(len(equal), dtype=np.bool_)
+    outside[begin:end] = False
+    own = float(equal[outside].mean()) if outside.any() else 0.0
+    chance = max(own, usual)
+    label = record.layout.bpms.label(column)
+    tries = math.log(record.readings.size)
+    likely = chance > 0.0 and tries + length * math.log(min(chance, 1.0)) > math.log(_CHANCE)
+    if length >= _SHORTEST_FREEZE and not likely:
+        until = "to the end" if end == len(equal) else f"to row {end}"
+        text = (
+            f"{label} reads {record.readings[end, column] * 1e6:.3f} µm to the last bit from row "
+            f"{begin} {until} ({length + 1} rows) while the others move"
+        )
+        return [Finding("frozen-bpm", "warning", (label,), (begin, end), text, effect="bpm-stuck")]
+    repeats = int(equal.sum())
+    if usual == 0.0 and repeats >= _PAIRS:
+        rows = np.flatnonzero(equal) + 1
+        span = (int(rows[0]), int(rows[-1]))
+        text = f"{label} repeats its reading before, to the last bit, in {repeats} single rows"
+        return [Finding("repeated-readings", "note", (label,), span, text)]
+    return []
+
+
+def check_rails(record: Record) -> list[Finding]:
+    """Find BPMs whose readings are clipped: their extreme value comes again and again."""
+    found: list[Finding] = []
+    fresh = np.ones(record.readings.shape, dtype=np.bool_)
+    fresh[1:] = np.diff(record.readings, axis=0) != 0.0
+    for column in range(record.readings.shape[1]):
+        # Every visit to the rail counts once, so that a frozen BPM is none.
+        visits = record.readings[fresh[:, column] & ~record.filled[:, column], column]
+        moving = record.readings[~record.filled[:, column], column]
+        for sign, word in ((1.0, "above"), (-1.0, "below")):
+            if at := _at_rail(sign * moving, sign * visits):
+                label = record.layout.bpms.label(column)
+                rail = sign * float(np.max(sign * moving))
+                rows = np.flatnonzero(record.readings[:, column] == rail)
+                text = (
+                    f"{label} reads {rail * 1e6:.3f} µm in {at} rows and never goes {word}: its "
+                    "readings are clipped"
+                )
+                span = (int(rows[0]), int(rows[-1]))
+                found.append(Finding("rail", "warning", (label,), span, text))
+    if len(found) > max(2, record.readings.shape[1] // 4):
+        names = [finding.devices[0] for finding in found]
+        text = f"{len(found)} BPMs come again and again to one extreme reading: {listed(names)}"
+        return [Finding("rail", "note", tuple(dict.fromkeys(names)), None, text)]
+    return found
+
+
+def _at_rail(values: np.ndarray, visits: np.ndarray) -> int:
+    """Count readings at the largest value when that is no chance of few bits, else 0."""
+    if len(visits) < _FEWEST_AT_RAIL:
+        return 0
+    top = values.max()
+    count, visited = int((values == top).sum()), int((visits == top).sum())
+    if count < _FEWEST_AT_RAIL or visited < 2:
+        return 0
+    below = values[values < top]
+    if not len(below):
+        return 0
+    second = int((values == below.max()).sum())
+    return count if count > _RAIL_FACTOR * second + _FEWEST_AT_RAIL // 2 else 0

@@ -1,0 +1,50 @@
+"""Steps from row to row, within the unbroken stretches of a record."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Mask
+from orbitfb.effects.record import Record
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """What changes from a row to the next one.
+
+    Args:
+        first: Row before every step, shape (K,).
+        orbit: Change of the readings, shape (K, n) [m].
+        setpoints: Change of the setpoints, shape (K, m) [A].
+        predicted: What the model makes of it, shape (K, n) [m].
+    """
+
+    first: Indices
+    orbit: Matrix
+    setpoints: Matrix
+    predicted: Matrix
+
+
+def inner(record: Record) -> Mask:
+    """Tell which rows are followed by another one of their stretch, shape (N - 1,)."""
+    return ~record.starts[1:]
+
+
+def steps_of(record: Record) -> Steps:
+    """Take the steps of a record; those with a filled-in reading stand still there."""
+    first = np.flatnonzero(inner(record))
+    orbit = record.readings[first + 1] - record.readings[first]
+    setpoints = record.setpoints[first + 1] - record.setpoints[first]
+    predicted = setpoints @ record.layout.response.T
+    unknown = record.filled[first + 1] | record.filled[first]
+    orbit[unknown] = 0.0
+    predicted[unknown] = 0.0
+    return Steps(first, orbit, setpoints, predicted)
+
+
+def runs(mask: Mask) -> list[tuple[int, int]]:
+    """Give the first element and the one after the last of every run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
