@@ -24,6 +24,10 @@ from tests.blind.oracle import Innovations, detectability
 CLOSE = 0.1
 """Relative distance from the wanted d' that is good enough."""
 
+TRIES, FEWEST = 8, 120
+"""A beam that is thrown out sooner than that many rows is no record: other devices are drawn, and
+after half of the tries the effect begins later."""
+
 
 @dataclass(frozen=True)
 class Spec:
@@ -52,6 +56,10 @@ class Spec:
     seed: int
     inside: bool = False
     background: bool = True
+
+
+Chosen = tuple[int, Maker, Draft, float, float]
+"""First row, kind, places, size, d'."""
 
 
 @dataclass
@@ -83,16 +91,11 @@ def make(spec: Spec, folder: Path, suite_seed: int) -> Case:
         rng, ring, spec.ring, spec.planes, spec.ticks + spec.later, spec.dither, spec.background
     )
     filter_ = Innovations(case)
-    chosen: list[tuple[int, Maker, Draft, float, float]] = []
+    chosen: list[Chosen] = []
     log: Log | None = None
     for number, name in enumerate(spec.effects):
-        maker = MAKERS[name]
-        # A seed of its own for what is drawn of the effect, whatever else is in the case.
-        effect_rng = np.random.default_rng([spec.seed, 2, number])
-        draft = maker.draw(case, effect_rng)
-        start = _first_row(case, maker, spec, effect_rng)
-        size, seen, log = _sized(case, draft, start, spec, filter_)
-        chosen.append((start, maker, draft, size, seen))
+        one, log = _draw(case, MAKERS[name], number, spec, filter_)
+        chosen.append(one)
     if len(chosen) != 1 or log is None:
         log = run(
             case, [(start, draft.build(size)) for start, _, draft, size, _ in chosen], spec.seed
@@ -104,10 +107,28 @@ def make(spec: Spec, folder: Path, suite_seed: int) -> Case:
     return Case(_arrays(case, log, 0, split), later, _truth(case, spec, chosen, split))
 
 
-def _first_row(case: Conditions, maker: Maker, spec: Spec, rng: np.random.Generator) -> int:
+def _draw(
+    case: Conditions, maker: Maker, number: int, spec: Spec, filter_: Innovations
+) -> tuple[Chosen, Log]:
+    """Draw an effect, again when the beam does not survive it for long enough."""
+    attempt = 0
+    while True:
+        # A seed of its own for what is drawn of the effect, whatever else is in the case.
+        rng = np.random.default_rng([spec.seed, 2, number, attempt])
+        draft = maker.draw(case, rng)
+        start = _first_row(case, maker, spec, rng, attempt)
+        size, seen, log = _sized(case, draft, start, spec, filter_)
+        attempt += 1
+        if len(log.readings) > FEWEST or attempt == TRIES:
+            return (start, maker, draft, size, seen), log
+
+
+def _first_row(
+    case: Conditions, maker: Maker, spec: Spec, rng: np.random.Generator, attempt: int
+) -> int:
     inside = maker.onset == "inside" or (maker.onset == "either" and spec.inside)
     somewhere = case.warm + int(rng.uniform(0.25, 0.7) * spec.ticks)
-    if inside:
+    if inside or attempt > TRIES // 2:
         return somewhere
     # What would throw the beam out begins with the record; all else has been there for long.
     return case.warm if maker.unstable else 0
@@ -131,10 +152,13 @@ def _sized(
     if not draft.size:
         return size, seen, log
     low, high = 0.0, draft.limit
+    least = draft.least * spec.background
     best = (abs(np.log(max(seen, 1e-9) / spec.target)), size, seen, log)
     for _ in range(14):
         if best[0] < CLOSE or (size >= draft.limit and seen < spec.target):
             break
+        if size <= least and seen > spec.target:
+            return size, seen, log
         if seen < spec.target:
             low = size
         else:
@@ -143,7 +167,7 @@ def _sized(
         if low and high < draft.limit:
             inner = low * (high / low) ** 0.1, high * (low / high) ** 0.1
             guess = guess if inner[0] < guess < inner[1] else np.sqrt(low * high)
-        size = float(min(guess, draft.limit))
+        size = float(np.clip(guess, least, draft.limit))
         seen, log = look(size)
         best = min(best, (abs(np.log(max(seen, 1e-9) / spec.target)), size, seen, log), key=_first)
     return best[1], best[2], best[3]
@@ -159,7 +183,7 @@ def _arrays(case: Conditions, log: Log, start: int, stop: int) -> dict[str, NDAr
     dither = np.diff(case.dither, axis=0, append=case.dither[-1:])[case.warm :]
     meta = {
         "dt_s": case.period,
-        "units": {"orbit": "mm", "action": "A", "setpoint": "A", "current": "A"},
+        "units": {"orbit": "mm", "action": "A", "setpoint": "A", "current": "A", "gap": "m"},
         "planes": case.planes,
         "bpm_noise_rms_mm": None if np.isnan(case.stated_noise) else case.stated_noise * 1e3,
         "note": "orbit feedback, as logged",
@@ -176,6 +200,7 @@ def _arrays(case: Conditions, log: Log, start: int, stop: int) -> dict[str, NDAr
         "reference": case.reference[case.warm :][rows] * 1e3,
         "dither": dither[rows],
         "current": case.current[case.warm :][rows],
+        "gap": case.gap[case.warm :][rows],
         "meta": np.array(json.dumps(meta)),
     }
 
@@ -183,7 +208,7 @@ def _arrays(case: Conditions, log: Log, start: int, stop: int) -> dict[str, NDAr
 def _truth(
     case: Conditions,
     spec: Spec,
-    chosen: list[tuple[int, Maker, Draft, float, float]],
+    chosen: list[Chosen],
     ticks: int,
 ) -> dict[str, Any]:
     effects = []

@@ -39,6 +39,7 @@ class Conditions:
         quad_kicks: Of misplaced quadrupoles, by plane, (warm + T + 1, q) [rad].
         ground: Name of the law by which they move.
         current: Of the beam, (warm + T + 1,) [A].
+        gap: Of an insertion device, (warm + T + 1,) [m].
     """
 
     lattice: Lattice
@@ -61,6 +62,7 @@ class Conditions:
     ground: str
     ground_step: float
     current: Array
+    gap: Array
 
     @property
     def rows(self) -> int:
@@ -234,6 +236,7 @@ def draw(
         ground=kind,
         ground_step=np.exp(rng.uniform(np.log(0.01e-6), np.log(0.08e-6))),
         current=np.zeros(warm + ticks + 1),
+        gap=np.zeros(warm + ticks + 1),
     )
     case.reference = _golden_orbits(case, rng)
     case.dither = _excursions(case, rng)
@@ -241,6 +244,7 @@ def draw(
     for plane in case.all_planes:
         case.quad_kicks[plane] = _ground(case, plane, standing, rng)
     case.current = _top_up(case, rng)
+    case.gap = _gap(case, rng)
     return case
 
 
@@ -319,3 +323,12 @@ def _top_up(case: Conditions, rng: np.random.Generator) -> Array:
     phase = (time / every + rng.random()) % 1.0
     full = rng.uniform(0.2, 0.5)
     return full * (1 - rng.uniform(0.005, 0.03) * phase) + 2e-6 * rng.standard_normal(case.rows)
+
+
+def _gap(case: Conditions, rng: np.random.Generator) -> Array:
+    """A gap that closes, opens half-way and opens, at a finite speed."""
+    knots = np.sort(rng.uniform(0.05, 0.95, 6)) * case.rows
+    least, most = rng.uniform(6e-3, 12e-3), rng.uniform(25e-3, 40e-3)
+    half = least + 0.4 * (most - least)
+    values = [most, least, least, half, half, most]
+    return np.interp(np.arange(case.rows), knots, values)

@@ -25,6 +25,7 @@ class Draft:
         figures: Parameters for a size: name → (value, unit).
         size: Where the search of the size begins; 0 for an effect without a size.
         limit: Largest size that makes sense.
+        least: Size below which it is one of the small errors that every ring has.
         law: How it shows: in the mean, as randomness of every tick, or at rare unknown ticks.
         closed: Expected gain of log-likelihood per row [nats] for a size, where there is a formula
             and no difference of two runs tells it (an upper bound: the moving orbit blurs it).
@@ -36,6 +37,7 @@ class Draft:
     size: float
     limit: float
     law: Law = "mean"
+    least: float = 0.0
     closed: Callable[[float], float] | None = None
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.blind.cases import Spec, make
 from tests.blind.suites import Suite, plan
@@ -32,9 +33,9 @@ def write_case(spec: Spec, name: str, out: Path, truth: Path, suite_seed: int) -
     if truth_file.exists() and (out / "records" / f"{name}.npz").exists():
         return name
     case = make(spec, out, suite_seed)
-    np.savez_compressed(out / "records" / f"{name}.npz", **case.record)
+    _save(out / "records" / f"{name}.npz", case.record)
     if case.later is not None:
-        np.savez_compressed(out / "later" / f"{name}.npz", **case.later)
+        _save(out / "later" / f"{name}.npz", case.later)
     for folder in ("records", "later"):
         file = out / folder / f"{name}.npz"
         if file.exists():
@@ -42,6 +43,10 @@ def write_case(spec: Spec, name: str, out: Path, truth: Path, suite_seed: int) -
     document = {"case": name, "later": case.later is not None, **case.truth}
     truth_file.write_text(json.dumps(document, indent=1), encoding="utf-8")
     return name
+
+
+def _save(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
 def seal(out: Path, truth: Path, suite: str, seed: int) -> str:

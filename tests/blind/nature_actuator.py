@@ -48,6 +48,7 @@ def corrector_gain(case: Conditions, rng: Rng) -> Draft:
         lambda s: {"gain": (way * s, "1")},
         0.15,
         0.95,
+        least=0.05,
     )
 
 
@@ -417,4 +418,5 @@ def missed_write(case: Conditions, rng: Rng) -> Draft:
         0.01,
         0.3,
         law="rare",
+        least=0.003,
     )

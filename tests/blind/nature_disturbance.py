@@ -112,9 +112,10 @@ def insertion_device(case: Conditions, rng: Rng) -> Draft:
     both = case.kick_orbit(quads[[first, first + 1]], plane)
     way, ratio = sign(rng), rng.uniform(-0.9, -0.3)
     shape = both[:, 0] + ratio * both[:, 1]
-    knots = np.sort(rng.uniform(0.05, 0.95, 6)) * case.rows
-    gap = np.interp(np.arange(case.rows), np.sort(knots), [0, 1, 1, 0.3, 0.3, 0])
-    course = np.expm1(1.5 * gap) / np.expm1(1.5)  # fields grow exponentially as the gap closes
+    open_gap, period = case.gap.max(), rng.uniform(20e-3, 60e-3)
+    # Fields grow exponentially as the gap closes.
+    course = np.exp(-np.pi * case.gap / period) - np.exp(-np.pi * open_gap / period)
+    course /= course.max()
     names = ring.names("QUAD")
     return Draft(
         [names[first], names[first + 1]],
@@ -162,7 +163,7 @@ def clock_jitter(case: Conditions, rng: Rng) -> Draft:
     return Draft(
         [],
         lambda s: Jitter(s),
-        lambda s: {"jitter": (s * case.period, "s")},
+        lambda s: {"rms": (s * case.period / np.sqrt(2), "s")},  # early ones only: half of them
         0.05,
         0.6,
         law="random",

@@ -10,6 +10,7 @@ from tests.blind.nature_sensor import sign
 from tests.blind.rings import Array, Index
 
 Rng = np.random.Generator
+BOTH: tuple[Plane, ...] = ("x", "y")
 
 
 class Gradients(Nature):
@@ -33,6 +34,7 @@ def quadrupole_gradient(case: Conditions, rng: Rng) -> Draft:
         lambda s: {"gradient": (way * s, "1/m")},
         2e-3,
         0.05,
+        least=5 * float(np.std(case.lattice.errors)),
     )
 
 
@@ -43,7 +45,7 @@ def tune_direction(case: Conditions, plane: Plane) -> Array:
     families = np.stack([np.where(strength > 0, strength, 0), np.where(strength < 0, strength, 0)])
     shift = np.stack([beta[0] @ families.T, -beta[1] @ families.T]) / (4 * np.pi)
     wanted = np.array([1.0, 0.0]) if plane == "x" else np.array([0.0, 1.0])
-    return np.linalg.solve(shift, wanted) @ families
+    return np.asarray(np.linalg.solve(shift, wanted) @ families, dtype=np.float64)
 
 
 @kind("tune-shift", "optics")
@@ -160,10 +162,10 @@ class Skew(Nature):
         self.place, self.strength = place, strength
 
     def bind(self, case: Conditions, rng: Rng) -> None:
-        self.shape = {p: case.kick_orbit(self.place, p)[:, 0] for p in "xy"}
-        self.reach = {p: case.orbit_at(self.place, p)[0] for p in "xy"}
-        self.ground = {p: case.moved(self.place, p)[:, 0] for p in "xy"}
-        own = [float(case.lattice.response(self.place, self.place, p)[0, 0]) for p in "xy"]
+        self.shape = {p: case.kick_orbit(self.place, p)[:, 0] for p in BOTH}
+        self.reach = {p: case.orbit_at(self.place, p)[0] for p in BOTH}
+        self.ground = {p: case.moved(self.place, p)[:, 0] for p in BOTH}
+        own = [float(case.lattice.response(self.place, self.place, p)[0, 0]) for p in BOTH]
         cross = self.strength * np.array([[0, own[0]], [own[1], 0]])
         self.closed = np.linalg.inv(np.eye(2) - cross)
 

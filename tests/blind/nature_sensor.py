@@ -64,6 +64,7 @@ def bpm_gain(case: Conditions, rng: Rng) -> Draft:
         lambda s: {"gain": (way * s, "1")},
         0.05,
         0.9,
+        least=0.04,
     )
 
 
@@ -151,7 +152,7 @@ def bpm_nonlinearity(case: Conditions, rng: Rng) -> Draft:
     return Draft(
         named(case.bpm_names, columns),
         lambda s: Pickup(columns, 0.0 if even else way * s * 1e4, way * s if even else 0.0),
-        lambda s: {"square": (way * s, "1/m")} if even else {"cubic": (way * s * 1e4, "1/m2")},
+        lambda s: {"quadratic": (way * s, "1/m")} if even else {"cubic": (way * s * 1e4, "1/m²")},
         300.0,
         2e4 if even else 1e5,
     )
@@ -210,7 +211,7 @@ def bpm_latency(case: Conditions, rng: Rng) -> Draft:
     return Draft(
         named(case.bpm_names, columns),
         lambda s: Late(columns, ticks),
-        lambda s: {"delay": (ticks * case.period, "s")},
+        lambda s: {"ticks": (ticks, "1")},
         0.0,
         0.0,
     )
@@ -331,7 +332,7 @@ def noise_correlated(case: Conditions, rng: Rng) -> Draft:
     return Draft(
         named(case.bpm_names, columns),
         lambda s: Common(columns, s),
-        lambda s: {"correlation": (s, "1")},
+        lambda s: {"rms": (float(np.sqrt(s) * case.noise[columns].mean()), "m")},
         0.2,
         0.95,
         law="random",

@@ -108,7 +108,8 @@ class BreathingDelay(OnCurrent):
         if self.memory is None:
             self.memory = [wanted.copy()] * 12
         self.memory = [wanted.copy(), *self.memory[:11]]
-        late = min(self.ticks * np.sin(np.pi * row / self.cycle) ** 2, 10.0)
+        busy = np.sin(2 * np.pi * row / self.cycle) > 0.7  # a quarter of the time
+        late = min(self.ticks * busy, 10.0)
         whole = int(late)
         part = late - whole
         return (1 - part) * self.memory[whole] + part * self.memory[whole + 1]
@@ -195,15 +196,10 @@ class AlternatingCoupling(OnCurrent):
 
     def drive(self, row: int, wanted: Array) -> Array:
         if self.memory is None:
-            self.memory = wanted.copy()
+            # The standing current is held by a supply of its own.
+            self.memory, self.still = wanted.copy(), wanted.copy()
         self.memory = self.memory + (wanted - self.memory) * (1 - np.exp(-1 / self.tau))
-        return wanted - 0.8 * (self.memory - self.start(wanted))
-
-    def start(self, wanted: Array) -> Array:
-        """The standing current is held by a supply of its own."""
-        if not hasattr(self, "_start"):
-            self._start = wanted.copy()
-        return self._start
+        return wanted - 0.8 * (self.memory - self.still)
 
 
 @kind("x-ac-coupled-corrector", "actuator", known=False)

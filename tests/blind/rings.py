@@ -1,6 +1,7 @@
 """The rings of the blind cases: the packaged one, and a second one made from thin lenses."""
 
 import json
+from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -149,7 +150,7 @@ def write_second_ring(folder: Path, rng: np.random.Generator) -> tuple[Path, Pat
     )
     missing = {f"BB_D{int(c):02d}" for c in rng.choice(cells, size=cells // 6, replace=False)}
     missing |= {f"HB_D{int(c):02d}" for c in rng.choice(cells, size=cells // 3, replace=False)}
-    text, counts = [header], dict.fromkeys(("BPM", "COR", "QUAD", "SEXT"), 0)
+    text, counts = [header], Counter[str]()
     for cell in range(cells):
         at = 0.2 + cell * per_cell
         for row, (kind, short, length, strength) in enumerate(line):
@@ -174,7 +175,7 @@ def write_second_ring(folder: Path, rng: np.random.Generator) -> tuple[Path, Pat
         "nu_x": cells * optics[0][1] / (2 * np.pi),
         "nu_y": cells * optics[1][1] / (2 * np.pi),
         "alpha_c": alpha_c,
-        "counts": counts,
+        "counts": dict(counts),
     }
     places, figures = folder / "second-ring.csv", folder / "second-ring.json"
     places.write_text("\n".join(text) + "\n", encoding="utf-8")
