@@ -100,16 +100,19 @@ class _Resonance(ColumnsEffect):
 def _filter(frequency: float, damping: float, period: float) -> tuple[Vector, Vector]:
     """Coefficients of the filter that has the step response of the system at every row.
 
-    With the poles s of the system and its step response
+    With the poles s₁, s₂ of the system, its step response
     y(t) = 1 − (s₂ exp(s₁ t) − s₁ exp(s₂ t)) / (s₂ − s₁): the first answer is y(T), and the sum
     of the numerator is that of the denominator because the gain is 1.
     """
-    if abs(damping - 1.0) < 1e-6:  # two equal poles: the formula is 0/0
-        damping = 1.0 + math.copysign(1e-6, damping - 1.0)
     omega = 2 * math.pi * frequency
-    root = cmath.sqrt(damping**2 - 1.0)
-    first, second = omega * (-damping + root), omega * (-damping - root)
-    left, right = cmath.exp(first * period), cmath.exp(second * period)
-    answer = (1.0 - (second * left - first * right) / (second - first)).real
+    mean, half = complex(-omega * damping), omega * cmath.sqrt(damping**2 - 1.0)
+    left, right = cmath.exp((mean + half) * period), cmath.exp((mean - half) * period)
+    if abs(half * period) < 0.5:  # the same without a difference of nearly equal terms
+        angle = half * period
+        share = period * (cmath.sinh(angle) / angle if abs(angle) > 1e-8 else 1.0)
+        still_to_go = cmath.exp(mean * period) * (cmath.cosh(angle) - mean * share)
+    else:
+        still_to_go = 0.5 * ((left + right) - mean * (left - right) / half)
+    answer = 1.0 - still_to_go.real
     denominator = np.array([1.0, -(left + right).real, (left * right).real])
     return np.array([answer, float(np.sum(denominator)) - answer]), denominator

@@ -16,6 +16,7 @@ from orbitfb.physics.optics import Matrix
 _BINS = 1 << 20  # along u; finer steps than four bins are not looked for
 _HARMONICS = 4
 _APART = 6  # frequencies between two peaks
+_CLOSER = 12  # peaks of single columns that are looked at closely
 
 
 def common_steps(setpoints: Matrix, pull: Matrix, finest: float, count: int) -> list[float]:
@@ -31,19 +32,31 @@ def common_steps(setpoints: Matrix, pull: Matrix, finest: float, count: int) -> 
         Steps, likeliest first [A].
     """
     found = _peaks(setpoints.ravel(), pull.ravel(), finest, count, absolute=True)
-    return [_refined(setpoints, pull, *peak, 9) for peak in found]
+    steps = [
+        _best(setpoints, pull, 1.0 / (frequency + width * np.linspace(-1.0, 1.0, 9)))
+        for _, frequency, width in found
+    ]
+    heights = [_significance(setpoints, pull, step) for step in steps]
+    return [
+        _polished(setpoints, pull, step) if height > 0.5 * max(heights) else step
+        for step, height in zip(steps, heights, strict=True)
+    ]
 
 
 def single_steps(setpoints: Matrix, pull: Matrix, finest: float, count: int) -> list[float]:
     """Find steps that single columns may be rounded to; as `common_steps`."""
-    scored: list[tuple[float, float]] = []
-    for setpoint, its in zip(setpoints.T, pull.T, strict=True):
+    found: list[tuple[float, int, float, float]] = []
+    for column, (setpoint, its) in enumerate(zip(setpoints.T, pull.T, strict=True)):
         # a column moves over a small part of the range, so the phase is left open at first
         centre = 0.5 * float(np.max(setpoint) + np.min(setpoint))
-        for frequency, width in _peaks(setpoint - centre, its, finest, 2, absolute=False):
-            turns = 1 + 8 * int(min(200.0, np.ceil(width * np.max(np.abs(setpoint)))))
-            step = _refined(setpoint, its, frequency, width, turns)
-            scored.append((_significance(setpoint, its, step), step))
+        level = float(np.sqrt(np.mean(its**2))) or 1.0
+        for height, *peak in _peaks(setpoint - centre, its, finest, 2, absolute=False):
+            found.append((height / level, column, peak[0], peak[1]))
+    scored: list[tuple[float, float]] = []
+    for _, column, frequency, width in sorted(found, reverse=True)[:_CLOSER]:
+        one, its = setpoints[:, column], pull[:, column]
+        step = _polished(one, its, _fine(one, its, frequency, width))
+        scored.append((_significance(one, its, step), step))
     return [step for _, step in sorted(scored, reverse=True)[:count]]
 
 
@@ -71,8 +84,8 @@ def read_back_steps(record: Record, count: int) -> list[float]:
 
 def _peaks(
     setpoint: Vector, pull: Vector, finest: float, count: int, *, absolute: bool
-) -> list[tuple[float, float]]:
-    """Frequencies 1/q [1/A] with the highest scores, and how wide a needle is there."""
+) -> list[tuple[float, float, float]]:
+    """Highest scores: height, frequency 1/q, and distance of frequencies [1/A]."""
     reach = float(np.max(np.abs(setpoint)))
     span = float(np.ptp(setpoint))
     if not span:
@@ -92,19 +105,38 @@ def _peaks(
     else:
         score = np.abs(transform[:usable])
     score[: min(usable, int(np.ceil(1.0 / (span * spacing))))] = 0.0  # coarser than the range
-    peaks: list[tuple[float, float]] = []
+    peaks: list[tuple[float, float, float]] = []
     for _ in range(count):
         best = int(np.argmax(score))
         if score[best] <= 0:
             break
-        peaks.append((best * spacing, spacing))
+        peaks.append((float(score[best]), best * spacing, spacing))
         score[max(0, best - _APART) : best + _APART + 1] = 0.0
     return peaks
 
 
-def _refined(setpoints: Matrix, pull: Matrix, frequency: float, width: float, trials: int) -> float:
-    steps = 1.0 / (frequency + width * np.linspace(-1.0, 1.0, trials))
+def _fine(setpoint: Vector, pull: Vector, frequency: float, width: float) -> float:
+    """Find the needle among all whose multiples are right but for whole turns."""
+    turn = 1.0 / float(np.max(np.abs(setpoint)))
+    quarters = min(1000, int(np.ceil(4.0 * width / turn)))
+    trials = 1.0 / (frequency + 0.25 * turn * np.arange(-quarters, quarters + 1.0))
+    heights = [_significance(setpoint, pull, float(step)) for step in trials]
+    near = 0.25 * turn * np.linspace(-0.75, 0.75, 7)
+    closer = [1.0 / (1.0 / trials[i] + near) for i in np.argsort(heights)[::-1][:12]]
+    return _best(setpoint, pull, np.concatenate(closer))
+
+
+def _best(setpoints: Matrix, pull: Matrix, steps: Vector) -> float:
     return max(map(float, steps), key=lambda step: _significance(setpoints, pull, step))
+
+
+def _polished(setpoints: Matrix, pull: Matrix, step: float) -> float:
+    """Climb to the tip of a needle: it is a cusp, which no derivative finds."""
+    turn = 1.0 / float(np.max(np.abs(setpoints)))
+    for share in (0.06, 0.015):
+        nearby = 1.0 / step + share * turn * np.linspace(-1.0, 1.0, 9)
+        step = _best(setpoints, pull, 1.0 / nearby)
+    return step
 
 
 def _significance(setpoints: Matrix, pull: Matrix, step: float) -> float:
