@@ -19,6 +19,8 @@ from orbitfb.cli.app import app
 from orbitfb.config import AppConfig
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState
+from orbitfb.diagnose.answer import schema as diagnosis_schema
+from orbitfb.diagnose.answer_page import answer_page
 from orbitfb.effects.pages import effect_page, effects_index
 from orbitfb.effects.registry import all_effects
 from orbitfb.loop.states import COMMANDS, TABLE, Event
@@ -254,6 +256,8 @@ PAGES: dict[str, Callable[[], str]] = {
     "reference/cli.md": cli_page,
     "reference/metrics.md": metrics_table_markdown,
     "explanations/safety.md": safety_page,
+    "reference/diagnosis.md": partial(answer_page, NOTE),
+    "reference/diagnosis.schema.json": diagnosis_schema,
     "reference/effects/index.md": partial(effects_index, NOTE),
     **{f"reference/effects/{name}.md": partial(effect_page, name, NOTE) for name in all_effects()},
 }

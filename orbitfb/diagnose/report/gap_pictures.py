@@ -36,7 +36,8 @@ def stages(by_stage: Mapping[str, float | None]) -> str:
         axes = figure.subplots()
         names = list(by_stage)
         heights = values(list(by_stage.values()))
-        axes.barh(names, heights, color=[STAGES.get(name, GREY) for name in names])
+        axes.set_yticks(range(len(names)), [shorten(name) for name in names])
+        axes.barh(range(len(names)), heights, color=[STAGES.get(name, GREY) for name in names])
         for index, height in enumerate(heights):
             said = "not resolved" if np.isnan(height) else f"{height:.3g}"
             axes.annotate(
@@ -159,7 +160,11 @@ def _pieces(axes: Axes, pieces: Sequence[GapPiece], label: str) -> None:
         if piece.nats_per_tick is None:
             axes.axvspan(place, place + width, ymax=0.06, **NOT_RESOLVED)
             continue
-        look: dict[str, Any] = {"color": BLUE} if piece.resolved else NOT_RESOLVED
+        look: dict[str, Any] = (
+            {"facecolor": BLUE, "edgecolor": "white", "linewidth": 0.6}
+            if piece.resolved
+            else NOT_RESOLVED
+        )
         axes.bar(place, piece.nats_per_tick, width, align="edge", **look)
     if logarithmic:
         axes.set_xscale("log")

@@ -22,6 +22,8 @@ PAGES = (
     "reference/cli.md",
     "reference/metrics.md",
     "explanations/safety.md",
+    "reference/diagnosis.md",
+    "reference/diagnosis.schema.json",
     "reference/effects/index.md",
     *(f"reference/effects/{name}.md" for name in all_effects()),
 )

@@ -1,0 +1,149 @@
+"""The command that diagnoses a record."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from orbitfb.cli.options import AsJson
+from orbitfb.cli.record_first import DEFAULT, RecordFirst
+
+if TYPE_CHECKING:
+    from orbitfb.diagnose.answer import Diagnosis
+    from orbitfb.diagnose.run import Progress
+
+NOT_INTACT = 3
+"""Exit code when the record failed the integrity screen."""
+
+diagnose = typer.Typer(
+    cls=RecordFirst,
+    help="Find where the gap between simulator and machine lies, which effect causes it, and how "
+    "far it shrinks. `orbitfb diagnose RECORD` is `orbitfb diagnose record RECORD`; a file that is "
+    "called like a command is reached as ./NAME.",
+    no_args_is_help=True,
+    subcommand_metavar="RECORD [OPTIONS] | COMMAND [ARGS]",
+)
+
+
+@diagnose.command(DEFAULT)
+def diagnose_record(
+    record: Annotated[
+        Path,
+        typer.Argument(
+            help="Record in question: an archive or a segment of it, an .npz or an HDF5 file."
+        ),
+    ],
+    reference: Annotated[
+        Path | None,
+        typer.Option(help="Record of a time without a gap; calibrates the floor of the noise."),
+    ] = None,
+    holdout: Annotated[
+        Path | None,
+        typer.Option(help="Later record, to tell how far the gap shrinks [the record's end]."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Directory for diagnosis.json, report.html and effect.toml [beside the record, "
+            "NAME.diagnosis]."
+        ),
+    ] = None,
+    planes: Annotated[
+        str | None, typer.Option(help="Planes to look at: x, y or xy [those of the record].")
+    ] = None,
+    places: Annotated[
+        Path | None, typer.Option(help="Table of places (CSV) [that of the default ring].")
+    ] = None,
+    ring: Annotated[
+        Path | None,
+        typer.Option(help="Parameters of the ring (JSON) [those of the default ring]."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Diagnose a record: exit code 0 answered, 3 the record is not intact, 2 any other error."""
+    from orbitfb.core.errors import ConfigError
+    from orbitfb.diagnose.answer import document
+    from orbitfb.diagnose.run import diagnose_files
+    from orbitfb.diagnose.writing import check_directory, write
+    from orbitfb.physics.places import Ring
+
+    if planes not in (None, "x", "y", "xy"):
+        raise ConfigError(f"--planes: there is no {planes!r}; choose x, y or xy")
+    target = out or beside(record)
+    check_directory(target)
+    known = Ring.load(places, ring)
+    with _progress(as_json) as progress:
+        answer = diagnose_files(
+            record, reference, holdout, planes=planes, ring=known, seed=seed, progress=progress
+        )
+    written = write(answer, target)
+    if as_json:
+        print(document(answer), end="")
+    else:
+        _show(answer, written)
+    if answer.failed:
+        raise typer.Exit(NOT_INTACT)
+
+
+def beside(record: Path) -> Path:
+    """Name the directory for a diagnosis whose place was not chosen."""
+    whole = record.resolve()
+    name = whole.name if whole.is_dir() else whole.stem
+    return whole.with_name(f"{name}.diagnosis")
+
+
+@contextmanager
+def _progress(quiet: bool) -> "Iterator[Progress]":
+    """Draw a bar on standard error while a diagnosis runs."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description:<14}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet) as bar:
+        task = bar.add_task("reading", total=1.0)
+
+        def progress(what: str, share: float) -> None:
+            bar.update(task, description=what, completed=share)
+
+        yield progress
+
+
+def _show(answer: "Diagnosis", written: tuple[Path, ...]) -> None:
+    """Print the headline, what was found and a table of the causes, as plain text."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from orbitfb.diagnose.wording import parameter, places
+
+    console = Console()
+
+    def say(text: str) -> None:
+        # what a record brought must move no cursor
+        shown = "".join(sign for sign in text if sign.isprintable())
+        console.print(Text(shown), soft_wrap=True)
+
+    say(f"{answer.state or 'not intact'}: {answer.headline}")
+    for finding in answer.findings:
+        if finding.severity != "note":
+            say(f"{finding.severity}: {finding.text}")
+    if answer.causes:
+        table = Table("effect", "where", "parameters", "P", "class", box=None, pad_edge=False)
+        for cause in answer.causes:
+            values = [f"{name} = {parameter(its)}" for name, its in cause.parameters.items()]
+            sure = "-" if cause.probability is None else f"{min(cause.probability, 0.999):.3g}"
+            cells = (cause.effect, places(cause) or "ring", ", ".join(values), sure)
+            table.add_row(*(Text(cell) for cell in (*cells, ", ".join(cause.alternatives) or "-")))
+        console.print(table)
+    if answer.experiment is not None:
+        say(f"experiment: {answer.experiment.text}")
+    for path in written:
+        say(f"written: {path}")

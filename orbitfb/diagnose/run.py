@@ -1,0 +1,97 @@
+"""From the files of records to a diagnosis: read, screen, ask the engine."""
+
+import platform
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from orbitfb import __version__
+from orbitfb.diagnose.answer import Diagnosis
+from orbitfb.diagnose.answer_parts import Finding, Provenance
+from orbitfb.diagnose.engine import diagnose
+from orbitfb.diagnose.finding import Finding as Found
+from orbitfb.diagnose.integrity import screen
+from orbitfb.diagnose.load import load
+from orbitfb.diagnose.wording import headline
+from orbitfb.effects.record import Record
+from orbitfb.physics.places import Planes, Ring
+
+Progress = Callable[[str, float], None]
+"""Told what is being done and what share of the whole is done."""
+
+
+def diagnose_files(
+    record: Path,
+    reference: Path | None,
+    holdout: Path | None,
+    *,
+    planes: Planes | None,
+    ring: Ring | None,
+    seed: int,
+    progress: Progress,
+) -> Diagnosis:
+    """Diagnose a record of a file.
+
+    Args:
+        record: The record in question.
+        reference: Of a time without a gap, to calibrate the floor of the noise.
+        holdout: A later one, to tell how far the gap shrinks.
+        planes: Plane(s) to look at; all that the record has when None.
+        ring: Whose names the devices may have; the default ring when None.
+        seed: Of the bootstrap.
+        progress: Is told how far it is.
+
+    Raises:
+        RecordError: A record cannot be read, or has an array that is wrong.
+    """
+    progress("reading", 0.0)
+    loaded = load(record, planes=planes, ring=ring)
+    others = [
+        None if path is None else load(path, planes=planes, ring=ring).record
+        for path in (reference, holdout)
+    ]
+    progress("screening", 0.0)
+    findings = reported((*loaded.findings, *screen(loaded.record)))
+    if any(finding.severity == "failure" for finding in findings):
+        return _refused(loaded.record, findings, seed)
+    answer = diagnose(loaded.record, *others, seed=seed, progress=progress)
+    merged = tuple(dict.fromkeys((*findings, *answer.findings)))
+    return answer.model_copy(update={"findings": merged})
+
+
+def reported(findings: Iterable[Found]) -> tuple[Finding, ...]:
+    """Put findings of the screen in the form of the answer."""
+    return tuple(Finding(**asdict(finding)) for finding in findings)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what computes a diagnosis."""
+    return {
+        "orbitfb": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+
+
+def _refused(record: Record, findings: tuple[Finding, ...], seed: int) -> Diagnosis:
+    layout = record.layout
+    return Diagnosis(
+        state=None,
+        headline=headline(None, findings=findings),
+        findings=findings,
+        provenance=Provenance(
+            data_sha256=record.digest,
+            seed=seed,
+            versions=versions(),
+            source=record.source,
+            ticks=len(record),
+            bpms=len(layout.bpms),
+            correctors=len(layout.correctors),
+            planes="".join(layout.planes),
+            period_s=layout.period,
+        ),
+    )

@@ -1,0 +1,173 @@
+"""`orbitfb diagnose`: what it writes, how it ends, what it refuses."""
+
+import importlib
+import json
+import sys
+import tomllib
+from types import ModuleType, SimpleNamespace
+
+import examples
+import pytest
+from typer.testing import CliRunner
+
+from orbitfb.cli.app import app
+from orbitfb.core.errors import ConfigError, RecordError
+from orbitfb.diagnose import writing
+from orbitfb.diagnose.answer import read_diagnosis
+from orbitfb.diagnose.finding import Finding
+from orbitfb.effects.files import read_effects
+
+
+@pytest.fixture
+def engine(monkeypatch):
+    """What reads, screens and estimates, with answers to be chosen."""
+    its = SimpleNamespace(answer=examples.named(), findings=(), noticed=(), calls=[])
+
+    def diagnose(record, reference, holdout, *, seed, progress):
+        progress("scanning", 0.5)
+        its.calls.append((record, reference, holdout, seed))
+        return its.answer
+
+    stub = ModuleType("orbitfb.diagnose.engine")
+    stub.diagnose = diagnose
+    monkeypatch.setitem(sys.modules, "orbitfb.diagnose.engine", stub)
+    monkeypatch.delitem(sys.modules, "orbitfb.diagnose.run", raising=False)
+    run = importlib.import_module("orbitfb.diagnose.run")
+
+    layout = SimpleNamespace(bpms="ab", correctors="a", planes=("x",), period=0.1)
+
+    class Record(SimpleNamespace):
+        def __len__(self):
+            return 7
+
+    def load(path, **_):
+        if not path.exists():
+            raise RecordError(f"{path}: cannot be read")
+        record = Record(name=path.name, layout=layout, digest="aa", source=str(path))
+        return SimpleNamespace(record=record, findings=its.noticed)
+
+    monkeypatch.setattr(run, "load", load)
+    monkeypatch.setattr(run, "screen", lambda record: its.findings)
+    yield its
+    sys.modules.pop("orbitfb.diagnose.run", None)
+
+
+@pytest.fixture
+def record(tmp_path):
+    path = tmp_path / "shift.npz"
+    path.write_bytes(b"")
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["diagnose", *map(str, arguments)])
+
+
+def finding(severity):
+    return Finding("readback-differs", severity, ("COR04",), (3, 9), "the readback stays")
+
+
+def test_a_record_is_answered_with_three_files_beside_it(engine, record, tmp_path):
+    result = run(record, "--seed", 3)
+    assert result.exit_code == 0, result.output
+    assert "named: Gap 0.42" in result.stdout
+    assert "corrector-lag" in result.stdout
+    out = tmp_path / "shift.diagnosis"
+    assert {path.name for path in out.iterdir()} == {
+        "diagnosis.json",
+        "report.html",
+        "effect.toml",
+    }
+    assert read_diagnosis(out / "diagnosis.json").state == "named"
+    assert engine.calls[0][1:] == (None, None, 3)
+
+
+def test_the_word_record_may_be_typed_and_options_may_come_first(engine, record, tmp_path):
+    assert run("record", record).exit_code == 0
+    assert run("--out", tmp_path / "here", record).exit_code == 0
+    assert (tmp_path / "here/diagnosis.json").exists()
+
+
+def test_reference_and_later_record_reach_the_engine(engine, record, tmp_path):
+    later = tmp_path / "later.npz"
+    later.write_bytes(b"")
+    assert run(record, "--reference", record, "--holdout", later).exit_code == 0
+    assert [its.name for its in engine.calls[0][:3]] == ["shift.npz", "shift.npz", "later.npz"]
+
+
+def test_json_on_the_terminal_is_the_file_and_nothing_else(engine, record, tmp_path):
+    result = run(record, "--json")
+    assert json.loads(result.stdout) == json.loads(
+        (tmp_path / "shift.diagnosis/diagnosis.json").read_text(encoding="utf-8")
+    )
+
+
+def test_the_fragment_is_what_the_simulator_reads(engine, record, tmp_path):
+    run(record)
+    file = tmp_path / "shift.diagnosis/effect.toml"
+    (effect,) = read_effects(file)
+    assert effect.id == "corrector-lag"
+    assert effect.names == tuple(f"COR{i:02d}" for i in range(6, 12))
+    assert effect.values == {"tau": 0.093}
+    assert effect.since == 112.4
+
+
+def test_planes_of_a_cause_are_read_off_its_places():
+    cause = examples.lag_cause().model_copy(update={"places": ("A (y)", "B (y)"), "onset_s": None})
+    (effect,) = writing.effects_of((cause,))
+    assert (effect.names, effect.planes, effect.since) == (("A", "B"), "y", 0.0)
+
+
+def test_a_headline_cannot_write_into_the_fragment():
+    its = examples.named(headline='x\n[[effect]]\nid = "bpm-gain"\x00')
+    assert len(tomllib.loads(writing.fragment(its))["effect"]) == 1
+
+
+def test_a_record_that_is_not_intact_ends_with_3_and_its_findings(engine, record, tmp_path):
+    out = tmp_path / "shift.diagnosis"
+    run(record)
+    engine.findings = (finding("failure"),)
+    result = run(record)
+    assert result.exit_code == 3
+    answer = read_diagnosis(out / "diagnosis.json")
+    assert answer.state is None
+    assert answer.findings[0].rows == (3, 9)
+    assert len(engine.calls) == 1
+    assert not (out / "effect.toml").exists()
+
+
+def test_findings_of_reading_and_screening_are_in_the_answer_once(engine, record, tmp_path):
+    engine.findings = engine.noticed = (finding("warning"),)
+    assert run(record).exit_code == 0
+    answer = read_diagnosis(tmp_path / "shift.diagnosis/diagnosis.json")
+    assert [its.check for its in answer.findings] == ["readback-differs", "repeated-samples"]
+
+
+def test_a_wrong_record_writes_nothing(engine, tmp_path):
+    result = run(tmp_path / "none.npz")
+    assert isinstance(result.exception, RecordError)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("below", ["", "deeper"])
+def test_a_directory_that_is_a_file_is_refused_before_the_work(engine, record, tmp_path, below):
+    (tmp_path / "file").write_text("in the way")
+    result = run(record, "--out", tmp_path / "file" / below)
+    assert isinstance(result.exception, RecordError)
+    assert "--out" in str(result.exception)
+    assert not engine.calls
+    assert (tmp_path / "file").read_text() == "in the way"
+
+
+def test_a_plane_that_there_is_not_is_refused(engine, record):
+    assert isinstance(run(record, "--planes", "z").exception, ConfigError)
+
+
+def test_a_write_that_fails_leaves_the_old_file_whole(monkeypatch, tmp_path):
+    writing.write(examples.unknown(), tmp_path)
+    before = (tmp_path / "diagnosis.json").read_text(encoding="utf-8")
+    monkeypatch.setattr(writing.os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "full")))
+    with pytest.raises(RecordError, match="full"):
+        writing.write(examples.bare(), tmp_path)
+    assert (tmp_path / "diagnosis.json").read_text(encoding="utf-8") == before
+    assert len(list(tmp_path.iterdir())) == 3
