@@ -223,7 +223,10 @@ class SourceKind(EffectKind):
     target = "source"
     periodic: ClassVar[bool] = False
     """Whether it is `cosine` cos ωt + `sine` sin ωt of a `frequency` [Hz]: all frequencies are
-    then scanned at once by `orbitfb.effects.spectrum`, which `grid` does not do."""
+    then scanned at once by a Fourier transform of the scores."""
+    scattered: ClassVar[bool] = False
+    """Whether all places have it at once, in normal sizes whose rms is the first parameter: a
+    covariance Σ δ_p δ_pᵀ of the prediction, δ_p of place p at the first parameter's value."""
 
     @abstractmethod
     def places_of(self, layout: Layout) -> tuple[str, ...]:
@@ -273,7 +276,9 @@ class NoiseKind(EffectKind):
     """Ticks between the two readings whose covariance gains κ b bᵀ."""
     colour: ClassVar[Literal["white", "walk"]] = "white"
     """`white`: κ b bᵀ is added to the covariance of the readings. `walk`: to that of the steps
-    that the orbit makes from tick to tick (each of them stays), κ per tick."""
+    that the orbit makes from tick to tick (each of them stays), κ per tick; in `variance` and
+    `size` the usual rms amplitude of a place's own steps then stands for the reading noise. Of a
+    kind on the `ring` all places have it together."""
     rare: ClassVar[bool] = False
     """Whether the added randomness comes in few large strokes (its steps have heavy tails) rather
     than a little at every tick."""

@@ -1,0 +1,107 @@
+"""Gradient errors of quadrupoles: what they make of the orbit of the correctors."""
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.kinds import Courses
+from orbitfb.effects.layout import ChannelPlane, Layout
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix, green, green_with_gradient_errors
+from orbitfb.physics.places import Indices, Ring, plane_row
+
+PLANES: tuple[ChannelPlane, ChannelPlane] = ("x", "y")
+SIGN = {"x": -1.0, "y": 1.0}
+"""An orbit z in a gradient that is Δk too strong is kicked by SIGN · Δk · z."""
+
+
+def gradient_kicks(layout: Layout, gradients: Matrix, currents: Matrix) -> Courses:
+    """Kicks of every quadrupole with a gradient error, each alone in the ring, both planes.
+
+    Exact for one thin quadrupole: ∓Δk z / (1 ± Δk G_qq) with z the orbit that the correctors make
+    there. The orbit that disturbances make there is left out on purpose: what stands still
+    is part of the orbit at the start, and what walks on by some nanometres a tick is changed by a
+    few per cent of that, unseen beside the walk itself.
+
+    Args:
+        layout: Devices and ring.
+        gradients: Δk1L, shape (N, q) or (1, q) [1/m].
+        currents: That act on the beam, shape (N, m) [A].
+
+    Returns:
+        Shape (2, N, q) [rad].
+    """
+    ring = layout.known_ring
+    kicks = np.zeros((2, len(currents), gradients.shape[1]))
+    for row, plane in enumerate(PLANES):
+        if plane not in layout.planes:
+            continue
+        own = np.diag(green(ring, "QUAD", "QUAD", plane))
+        strength = SIGN[plane] * gradients
+        columns = layout.correctors.in_plane(plane)
+        at = layout.orbit_at("QUAD", plane)[:, columns]
+        kicks[row] = (currents[:, columns] @ at.T) * (strength / (1.0 - strength * own))
+    return kicks
+
+
+def response_with(layout: Layout, gradients: Vector) -> Matrix:
+    """Response of a ring with gradient errors, shape (n, m) [m/A].
+
+    Args:
+        layout: Devices and ring.
+        gradients: Δk1L of every quadrupole, shape (q,) [1/m].
+    """
+    ring = layout.known_ring
+    found = np.zeros((len(layout.bpms), len(layout.correctors)))
+    for plane in layout.planes:
+        rows, columns = layout.bpms.in_plane(plane), layout.correctors.in_plane(plane)
+        bpms = indices_of(ring, [layout.bpms.names[int(i)] for i in rows])
+        sources = indices_of(ring, [layout.correctors.names[int(i)] for i in columns])
+        per_kick = green_with_gradient_errors(ring, bpms, sources, plane, gradients)
+        calibration = ring.table.calibration[plane_row(plane), sources]
+        found[np.ix_(rows, columns)] = per_kick * calibration
+    return found
+
+
+def indices_of(ring: Ring, names: list[str]) -> Indices:
+    """Where names stand in the table of places."""
+    place = {name: index for index, name in enumerate(ring.table.name)}
+    return np.array([place[name] for name in names], dtype=np.intp)
+
+
+class ChangedGradients(Effect):
+    """Quadrupoles whose gradients are wrong, all together, constant or growing with time.
+
+    With D = diag(∓Δk) the orbit gains G_bq s D (1 − s G_qq D)⁻¹ z; the inverse is taken through
+    the eigenvalues of G_qq D, so that it costs little when the scale s changes at every tick.
+
+    Args:
+        layout: Devices and ring.
+        quadrupoles: Positions among the ring's quadrupoles, shape (k,).
+        gradients: Δk1L of each (per second if they grow), shape (k,) [1/m].
+        growing: Whether they grow with time from nothing.
+    """
+
+    def __init__(
+        self, layout: Layout, quadrupoles: Indices, gradients: Vector, growing: bool = False
+    ) -> None:
+        ring = layout.known_ring
+        places = ring.places("QUAD")[quadrupoles]
+        self._period = layout.period if growing else 0.0
+        self._parts: list[tuple[Matrix, Matrix, Vector]] = []
+        for plane in layout.planes:
+            kick = SIGN[plane] * gradients
+            values, vectors = np.linalg.eig(green(ring, places, places, plane) * kick)
+            into = np.linalg.solve(vectors, layout.orbit_at(places, plane).astype(complex))
+            back = (layout.orbit_per_kick(places, plane) * kick) @ vectors
+            self._parts.append((back, into, values))
+
+    def respond(self, orbit: Matrix, currents: Matrix, tick: int) -> Matrix:
+        """Add what the errors make of the correctors' orbit."""
+        scale = self._period * tick if self._period else 1.0
+        if scale == 0.0:
+            return orbit
+        for back, into, values in self._parts:
+            at = into @ currents
+            factor = scale / (1.0 - scale * values)
+            orbit = orbit + (back @ (factor.reshape(-1, *[1] * (at.ndim - 1)) * at)).real
+        return orbit

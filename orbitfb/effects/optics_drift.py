@@ -1,0 +1,70 @@
+"""Optics that drift: gradients of quadrupoles that change steadily."""
+
+import numpy as np
+
+from orbitfb.effects.gradients import ChangedGradients, gradient_kicks
+from orbitfb.effects.kicks import two_planes
+from orbitfb.effects.kinds import Courses, Parameter, SourceKind, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+
+class OpticsDrift(SourceKind):
+    """R(t) = R₀ + t ΔR, ΔR of quadrupoles that change at rates of their own."""
+
+    id = "optics-drift"
+    stage = "optics"
+    target = "quadrupole"
+    scattered = True
+    parameters = (
+        Parameter(
+            name="rate",
+            unit="1/s",
+            low=-1e-2,
+            high=1e-2,
+            nominal=0.0,
+            typical=1e-4,
+            description="Relative change Δk/k of the gradient per second; of several quadrupoles "
+            "together: its rms, each with a rate of its own.",
+        ),
+    )
+    title = "drift of the optics"
+    sentence = (
+        "The response moves away from the model as time goes on, because the gradients of "
+        "quadrupoles change (temperature, power supplies, an insertion device that moves); "
+        "measure the response again."
+    )
+    equation = (
+        "R(t) = R₀ + ΔR(Δk(t)), Δk_q(t) = r_q k_q t, r_q normal; ΔR as of quadrupole-gradient"
+    )
+    linear = "rate"
+    confused_with = ("quadrupole-gradient", "tune-drift", "tune-shift")
+    splits = "the same dither at the beginning and at the end of an hour; the measured tunes"
+    collective = True
+    sudden = False
+    grows = True
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Let gradients grow: one at the rate, several at random rates of that rms."""
+        strength = np.nan_to_num(layout.known_ring.strength("QUAD"))[places]
+        rates = rng.standard_normal(len(places)) if len(places) > 1 else np.ones(len(places))
+        return ChangedGradients(layout, places, values["rate"] * rates * strength, growing=True)
+
+    def places_of(self, layout: Layout) -> tuple[str, ...]:
+        """Every quadrupole."""
+        return layout.known_ring.names("QUAD")
+
+    def patterns(self, layout: Layout) -> Matrix:
+        """Orbit per kick, both planes."""
+        return two_planes(layout, "QUAD")
+
+    def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
+        """Kicks by the orbit of the correctors in gradients that grow."""
+        strength = np.nan_to_num(record.layout.known_ring.strength("QUAD"))
+        gradients = np.outer(values["rate"] * record.time, strength)
+        return gradient_kicks(record.layout, gradients, currents)

@@ -1,0 +1,67 @@
+"""A quadrupole whose gradient is not the model's."""
+
+import numpy as np
+
+from orbitfb.effects.gradients import ChangedGradients, gradient_kicks
+from orbitfb.effects.kicks import two_planes
+from orbitfb.effects.kinds import Courses, Parameter, SourceKind, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+
+class QuadrupoleGradient(SourceKind):
+    """R_x loses Δk / (1 + Δk G_qq) G_bq G_qc, R_y gains the like."""
+
+    id = "quadrupole-gradient"
+    stage = "optics"
+    target = "quadrupole"
+    parameters = (
+        Parameter(
+            name="gradient",
+            unit="1/m",
+            low=-0.04,
+            high=0.04,
+            nominal=0.0,
+            typical=0.005,
+            description="Error Δk1L of the integrated gradient, positive where the quadrupole "
+            "focuses more in x.",
+        ),
+    )
+    title = "gradient error of a quadrupole"
+    sentence = (
+        "The quadrupole focuses more or less than the model says, which changes the response of "
+        "all BPMs to all correctors; look at its current, its shunt and its temperature."
+    )
+    equation = (
+        "ΔR_x = −Δk / (1 + Δk G_qq) · G_bq G_qc, opposite sign of Δk in y; exact for one thin "
+        "quadrupole (J. Safranek, Nucl. Instrum. Meth. A 388 (1997) 27)"
+    )
+    linear = "gradient"
+    confused_with = ("optics-drift", "tune-shift", "corrector-gain", "bpm-gain", "sextupole")
+    splits = (
+        "tones of low-order modes and correctors at other phases, in both planes; the measured "
+        "tunes; neighbours at the same phase stay alike"
+    )
+    collective = False
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Solve the closed orbit with the errors of all places together."""
+        return ChangedGradients(layout, places, np.full(len(places), values["gradient"]))
+
+    def places_of(self, layout: Layout) -> tuple[str, ...]:
+        """Every quadrupole."""
+        return layout.known_ring.names("QUAD")
+
+    def patterns(self, layout: Layout) -> Matrix:
+        """Orbit per kick, both planes."""
+        return two_planes(layout, "QUAD")
+
+    def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
+        """Kicks by the orbit of the correctors, plane by plane."""
+        count = len(record.layout.known_ring.places("QUAD"))
+        return gradient_kicks(record.layout, np.full((1, count), values["gradient"]), currents)

@@ -1,0 +1,117 @@
+"""A sextupole that the linear model does not have, or has too strong."""
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.gradients import PLANES
+from orbitfb.effects.kicks import interpolation, two_planes
+from orbitfb.effects.kinds import Courses, Parameter, SourceKind, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix, green
+from orbitfb.physics.places import Indices
+
+_ITERATIONS = 8
+
+
+class Sextupole(SourceKind):
+    """The kick −Δb2L (x² − y²) in x and +2 Δb2L x y in y."""
+
+    id = "sextupole"
+    stage = "optics"
+    target = "sextupole"
+    parameters = (
+        Parameter(
+            name="strength",
+            unit="1/m²",
+            low=-300.0,
+            high=300.0,
+            nominal=0.0,
+            typical=5.0,
+            description="Integrated strength b2L beyond the model's, which has none if it is "
+            "linear.",
+        ),
+    )
+    title = "sextupole that the model does not have"
+    sentence = (
+        "The response depends on the orbit in this sextupole: its strength differs from the "
+        "model's, or the model is linear and the orbit is large there."
+    )
+    equation = (
+        "Δx = −G_bs b2L (x_s² − y_s²), Δy = +2 G_bs b2L x_s y_s, x_s and y_s from the correctors "
+        "and, interpolated between BPMs, from all else (feed-down 2 b2L x_s is in it)"
+    )
+    linear = "strength"
+    confused_with = ("quadrupole-gradient", "bpm-nonlinearity")
+    splits = "two amplitudes of the same excitation, or two reference orbits: it doubles tones"
+    collective = False
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Find the closed orbit through the sextupoles, tick by tick."""
+        return _ThroughSextupoles(layout, places, values["strength"])
+
+    def places_of(self, layout: Layout) -> tuple[str, ...]:
+        """Every sextupole."""
+        return layout.known_ring.names("SEXT")
+
+    def patterns(self, layout: Layout) -> Matrix:
+        """Orbit per kick, both planes."""
+        return two_planes(layout, "SEXT")
+
+    def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
+        """Kicks to second order in the orbit."""
+        layout = record.layout
+        besides = orbit - currents @ layout.response.T
+        x, y = (
+            currents @ layout.orbit_at("SEXT", plane).T
+            + besides @ interpolation(layout, "SEXT", plane).T
+            for plane in PLANES
+        )
+        return np.stack(_kicks(values["strength"], x, y))
+
+
+def _kicks(strength: float, x: Matrix, y: Matrix) -> tuple[Matrix, Matrix]:
+    return -strength * (x**2 - y**2), 2.0 * strength * x * y
+
+
+class _ThroughSextupoles(Effect):
+    """The orbit in sextupoles is that of the correctors, exactly, and what the BPMs see besides.
+
+    It acts among the disturbances because these move the orbit in the sextupoles too; the
+    currents are remembered from `actuate`, so effects on correctors must come before it.
+    """
+
+    def __init__(self, layout: Layout, sextupoles: Indices, strength: float) -> None:
+        ring = layout.known_ring
+        places = ring.places("SEXT")[sextupoles]
+        self._response, self._strength = layout.response, strength
+        self._reach = [layout.orbit_at(places, plane) for plane in PLANES]
+        self._between = [interpolation(layout, "SEXT", plane)[sextupoles] for plane in PLANES]
+        self._own = [green(ring, places, places, plane) for plane in PLANES]
+        self._back = [layout.orbit_per_kick(places, plane) for plane in PLANES]
+        self._planes = [plane in layout.planes for plane in PLANES]
+        self._currents = np.zeros(len(layout.correctors))
+
+    def actuate(self, setpoints: Vector, tick: int) -> Vector:
+        """Remember the currents."""
+        self._currents = setpoints
+        return setpoints
+
+    def disturb(self, orbit: Vector, tick: int) -> Vector:
+        """Add the orbit of the sextupoles' kicks."""
+        besides = orbit - self._response @ self._currents
+        start = [
+            reach @ self._currents + between @ besides
+            for reach, between in zip(self._reach, self._between, strict=True)
+        ]
+        here, kicks = start, _kicks(self._strength, start[0], start[1])
+        for _ in range(_ITERATIONS):
+            here = [
+                z + own @ kick if there else z
+                for z, own, kick, there in zip(start, self._own, kicks, self._planes, strict=True)
+            ]
+            kicks = _kicks(self._strength, here[0], here[1])
+        return orbit + self._back[0] @ kicks[0] + self._back[1] @ kicks[1]
