@@ -1,4 +1,4 @@
-"""A record under a set of causes: what is left, how likely it is, and which way it would improve."""
+"""A record under a set of causes: what is left, how likely it is, which way it would improve."""
 
 from collections.abc import Sequence
 
@@ -43,7 +43,7 @@ class Bench:
         self.record = record
         self.causes = tuple(causes)
         self.scale = background
-        self._told_floor = floor is not None
+        self.told_floor = floor is not None
         modes = noise_modes(record.layout) if modes is None else modes
         self.currents = actuated(record, self.causes)
         self.orbit = record.readings

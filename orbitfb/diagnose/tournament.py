@@ -1,0 +1,155 @@
+"""The tournament: every kind of effect, at every place, against every other and against none.
+
+Each kind proposes its best candidates (scan); the best of all are fitted exactly; each has an
+evidence: what the likelihood gains, over the scatter of its scores beyond the noise model, less
+what the choice of values, place, onset and kind costs. Nothing here is calibrated on a library of
+cases: a candidate that is wrong leaves scores that scatter more than they should, and pays.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.fit import Fit, fit
+from orbitfb.diagnose.randomness import latent_candidates, noise_candidates
+from orbitfb.diagnose.scan import Candidate, Scanner
+from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
+
+FINALISTS = 14
+"""Candidates that are fitted exactly."""
+REFITTED = 6
+"""Of them, those that are fitted again under the floor that the best one leaves."""
+_ONSET_WORTH = 4.0
+"""Rows before an onset must speak against the effect by this much [nats]."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """A candidate and what it is worth.
+
+    Args:
+        candidate: As proposed.
+        fit: As fitted; None for an effect without a course in time, whose gain is that of the
+            scan.
+        weight: Log of posterior over prior odds against "no effect", per kind [nats].
+    """
+
+    candidate: Candidate
+    fit: Fit | None
+    weight: float
+
+    @property
+    def cause(self) -> Cause:
+        """With its best values."""
+        return self.candidate.cause if self.fit is None else self.fit.causes[0]
+
+    @property
+    def kind(self) -> EffectKind:
+        """What it is."""
+        return self.candidate.cause.kind
+
+    @property
+    def held_out(self) -> float:
+        """Gain on ticks that were not used for its values [nats]."""
+        return self.candidate.gain if self.fit is None else self.fit.held_out
+
+
+def tournament(
+    bench: Bench, kinds: Sequence[EffectKind], progress: Progress | None = None
+) -> list[Entry]:
+    """Let every kind compete to explain what a bench leaves.
+
+    Args:
+        bench: The record under the causes accepted so far.
+        kinds: Those that the record can show.
+        progress: Told what is done and which share of all.
+
+    Returns:
+        The best entry of every kind and of close places, best first.
+    """
+    tell = progress or (lambda what, share: None)
+    proposals = propose(bench, kinds, lambda what, share: tell(what, 0.6 * share))
+    entries = [_enter(bench, candidate) for candidate in proposals]
+    tell("fitting", 0.8)
+    entries.sort(key=lambda entry: entry.weight, reverse=True)
+    if entries and entries[0].fit is not None and entries[0].weight > 0.0:
+        entries = _again(bench, entries)
+    tell("fitting", 1.0)
+    return entries
+
+
+def propose(
+    bench: Bench, kinds: Sequence[EffectKind], progress: Progress | None = None
+) -> list[Candidate]:
+    """List the candidates that deserve a fit, best first."""
+    scanner = Scanner(bench)
+    found: list[Candidate] = []
+    for index, kind in enumerate(kinds):
+        if isinstance(kind, NoiseKind):
+            found += noise_candidates(bench, kind)
+        elif isinstance(kind, LatentKind):
+            found += latent_candidates(bench, kind)
+        else:
+            found += scanner.candidates(kind)
+        if progress is not None:
+            progress(kind.id, (index + 1) / len(kinds))
+    found.sort(key=_net, reverse=True)
+    return found[:FINALISTS]
+
+
+def _net(candidate: Candidate) -> float:
+    return candidate.gain - float(np.log(candidate.choices))
+
+
+def _enter(bench: Bench, candidate: Candidate) -> Entry:
+    kind = candidate.cause.kind
+    if isinstance(kind, NoiseKind | LatentKind):
+        return Entry(candidate, None, _net(candidate) - len(kind.parameters))
+    entry = _fitted(bench, candidate)
+    return max((entry, *_later(bench, entry)), key=lambda one: one.weight)
+
+
+def _fitted(bench: Bench, candidate: Candidate) -> Entry:
+    found = fit(bench, (candidate.cause,))
+    return Entry(candidate, found, found.evidence - float(np.log(candidate.choices)))
+
+
+def _later(bench: Bench, entry: Entry) -> list[Entry]:
+    """Try the same effect from a later row on, if the rows before speak against it."""
+    if entry.fit is None or not entry.kind.sudden or entry.cause.onset:
+        return []
+    course = np.cumsum(entry.fit.gains_by_row)
+    row = int(np.argmin(course))
+    if course[row] > -_ONSET_WORTH or row + 1 >= len(course):
+        return []
+    candidate = replace(
+        entry.candidate,
+        cause=replace(entry.cause, onset=row + 1),
+        choices=entry.candidate.choices * len(course),
+    )
+    return [_fitted(bench, candidate)]
+
+
+def _again(bench: Bench, entries: list[Entry]) -> list[Entry]:
+    """Fit the best ones under the floor that the best one leaves: the floor was inflated by it."""
+    best = entries[0]
+    clean = Bench(
+        bench.record,
+        (*bench.causes, best.cause),
+        None if not bench.told_floor else bench.floor,
+        bench.floor.modes,
+        bench.scale,
+    ).floor
+    fresh = Bench(bench.record, bench.causes, clean, clean.modes, bench.scale)
+    again = [
+        _fitted(fresh, replace(entry.candidate, cause=entry.cause))
+        if entry.fit is not None
+        else entry
+        for entry in entries[:REFITTED]
+    ]
+    return sorted((*again, *entries[REFITTED:]), key=lambda entry: entry.weight, reverse=True)
