@@ -11,15 +11,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.physics.places import Planes, Ring
-from tests.blind import nature_actuator as _actuators  # noqa: F401  enter their makers
-from tests.blind import nature_disturbance as _disturbances  # noqa: F401
-from tests.blind import nature_optics as _optics  # noqa: F401
-from tests.blind import nature_sensor as _sensors  # noqa: F401
-from tests.blind import nature_unknown as _unknown  # noqa: F401
-from tests.blind.conditions import Conditions, Dither, draw, second_ring
+from tests.blind import (
+    invented_actuator,
+    invented_sensor,
+    nature_actuator,
+    nature_disturbance,
+    nature_limits,
+    nature_link,
+    nature_noise,
+    nature_optics,
+    nature_sensor,
+)
+from tests.blind.conditions import Conditions, Dither, second_ring
 from tests.blind.draft import MAKERS, Draft, Maker
+from tests.blind.drawing import draw
 from tests.blind.machine import Log, Nature, run
 from tests.blind.oracle import Innovations, detectability
+
+NATURE = (
+    nature_sensor,
+    nature_noise,
+    nature_actuator,
+    nature_limits,
+    nature_link,
+    nature_optics,
+    nature_disturbance,
+    invented_sensor,
+    invented_actuator,
+)
+"""Modules that enter what can be drawn."""
 
 CLOSE = 0.1
 """Relative distance from the wanted d' that is good enough."""

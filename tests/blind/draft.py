@@ -10,7 +10,7 @@ from tests.blind.conditions import Conditions
 from tests.blind.machine import Nature
 
 Stage = Literal["sensor", "actuator", "optics", "disturbance", "noise", "timing"]
-Law = Literal["mean", "random", "rare"]
+Law = Literal["mean", "random", "rare", "spikes"]
 Onset = Literal["start", "inside", "either"]
 Drawer = Callable[[Conditions, np.random.Generator], "Draft"]
 
@@ -26,7 +26,8 @@ class Draft:
         size: Where the search of the size begins; 0 for an effect without a size.
         limit: Largest size that makes sense.
         least: Size below which it is one of the small errors that every ring has.
-        law: How it shows: in the mean, as randomness of every tick, or at rare unknown ticks.
+        law: How it shows: in the mean, as randomness of every tick, at rare
+            unknown ticks, or in rare unknown readings.
         closed: Expected gain of log-likelihood per row [nats] for a size, where there is a formula
             and no difference of two runs tells it (an upper bound: the moving orbit blurs it).
     """

@@ -26,12 +26,16 @@ def source(case: Conditions, rng: Rng) -> tuple[str, Plane, Array]:
 def periodic(case: Conditions, rng: Rng) -> Draft:
     name, _, shape = source(case, rng)
     frequency, phase = rng.uniform(0.01, 0.49) / case.period, rng.uniform(0, 2 * np.pi)
-    time = np.arange(case.rows) * case.period
+    time = (np.arange(case.rows) - case.warm) * case.period
     wave = np.sin(2 * np.pi * frequency * time + phase)
     return Draft(
         [name],
         lambda s: Motion(s * np.outer(wave, shape)),
-        lambda s: {"amplitude": (s, "rad"), "frequency": (frequency, "Hz")},
+        lambda s: {
+            "cosine": (s * float(np.sin(phase)), "rad"),
+            "sine": (s * float(np.cos(phase)), "rad"),
+            "frequency": (frequency, "Hz"),
+        },
         3e-9,
         1e-5,
     )
@@ -101,7 +105,7 @@ def local_kick(case: Conditions, rng: Rng) -> Draft:
 
 @kind("insertion-device", "disturbance", onset="start")
 def insertion_device(case: Conditions, rng: Rng) -> Draft:
-    """Two kicks at the ends of a straight section, as its gap goes to and fro."""
+    """Kicks at the ends of a straight section, as its gap goes to and fro."""
     ring = case.lattice.ring
     quads = case.lattice.quads
     straights = np.flatnonzero(
@@ -110,7 +114,8 @@ def insertion_device(case: Conditions, rng: Rng) -> Draft:
     first = int(rng.choice(straights))
     plane = case.all_planes[int(rng.integers(len(case.all_planes)))]
     both = case.kick_orbit(quads[[first, first + 1]], plane)
-    way, ratio = sign(rng), rng.uniform(-0.9, -0.3)
+    # A dipole error at one end, or at both.
+    way, ratio = sign(rng), rng.choice([0.0, rng.uniform(-0.9, -0.3)])
     shape = both[:, 0] + ratio * both[:, 1]
     open_gap, period = case.gap.max(), rng.uniform(20e-3, 60e-3)
     # Fields grow exponentially as the gap closes.
@@ -118,7 +123,7 @@ def insertion_device(case: Conditions, rng: Rng) -> Draft:
     course /= course.max()
     names = ring.names("QUAD")
     return Draft(
-        [names[first], names[first + 1]],
+        [names[first], names[first + 1]] if ratio else [names[first]],
         lambda s: Motion(way * s * np.outer(course, shape)),
         lambda s: {"kick": (way * s, "rad")},
         5e-7,
@@ -135,7 +140,7 @@ def telegraph(case: Conditions, rng: Rng) -> Draft:
     return Draft(
         [name],
         lambda s: Motion(s * np.outer(state, shape)),
-        lambda s: {"kick": (s, "rad"), "rate": (1 / (stay * case.period), "1/s")},
+        lambda s: {"kick": (s / 2, "rad"), "probability": (1 / stay, "1")},
         3e-8,
         1e-5,
     )

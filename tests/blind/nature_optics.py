@@ -55,27 +55,55 @@ def tune_shift(case: Conditions, rng: Rng) -> Draft:
     return Draft(
         [],
         lambda s: Gradients([(0, s * unit)]),
-        lambda s: {f"shift_{plane}": (way * s, "1")},
+        lambda s: {f"dnu_{plane}": (way * s, "1")},
         0.004,
         0.05,
     )
 
 
-@kind("optics-drift", "optics", onset="start")
-def optics_drift(case: Conditions, rng: Rng) -> Draft:
-    quads = len(case.lattice.quads)
-    errors = case.lattice.ring.strength("QUAD") * rng.standard_normal(quads)
-    ring = case.lattice.ring
-    beta = ring.table.beta[:, case.lattice.quads]
-    errors -= np.linalg.pinv(beta) @ (beta @ errors)  # a running ring holds its tunes
+def growing(case: Conditions, errors: Array) -> Gradients:
+    """Errors that grow from nothing to the given ones, in 25 steps over the record."""
     rows = np.linspace(0, case.rows, 25, endpoint=False).astype(int)
     share = np.linspace(0, 1, 25)
+    return Gradients([(int(r), f * errors) for r, f in zip(rows, share, strict=True)])
+
+
+@kind("optics-drift", "optics", onset="start")
+def optics_drift(case: Conditions, rng: Rng) -> Draft:
+    """A family of supplies that drifts apart, or a single one."""
+    strength = case.lattice.ring.strength("QUAD")
+    length = case.rows * case.period
+    places: list[str] = []
+    if rng.random() < 0.5:
+        quad = int(rng.integers(len(strength)))
+        places = [case.lattice.ring.names("QUAD")[quad]]
+        relative = np.eye(len(strength))[quad] * sign(rng)
+    else:
+        relative = rng.standard_normal(len(strength))
+        beta = case.lattice.ring.table.beta[:, case.lattice.quads]
+        # A running ring holds its tunes.
+        relative -= np.linalg.pinv(beta * strength) @ (beta * strength @ relative)
+    rate = float(relative.sum() if places else np.std(relative)) / length
+    return Draft(
+        places,
+        lambda s: growing(case, s * relative * strength),
+        lambda s: {"rate": (s * rate, "1/s")},
+        0.01,
+        0.2,
+    )
+
+
+@kind("tune-drift", "optics", onset="start")
+def tune_drift(case: Conditions, rng: Rng) -> Draft:
+    plane, way = case.all_planes[int(rng.integers(len(case.all_planes)))], sign(rng)
+    unit = tune_direction(case, plane) * way
+    length = case.rows * case.period
     return Draft(
         [],
-        lambda s: Gradients([(int(r), s * f * errors) for r, f in zip(rows, share, strict=True)]),
-        lambda s: {"relative_gradient": (s, "1")},
-        0.01,
-        0.1,
+        lambda s: growing(case, s * unit),
+        lambda s: {f"rate_{plane}": (way * s / length, "1/s")},
+        0.004,
+        0.05,
     )
 
 
@@ -140,6 +168,19 @@ def energy_drift(case: Conditions, rng: Rng) -> Draft:
         lambda s: {"rate": (way * s * float((course[-1] - course[0]) / time[-1]), "1/s")},
         1e-7,
         1e-3,
+    )
+
+
+@kind("energy-walk", "optics", planes="x", onset="start")
+def energy_walk(case: Conditions, rng: Rng) -> Draft:
+    walk = np.cumsum(rng.standard_normal(case.rows))
+    return Draft(
+        [],
+        lambda s: Motion(s * np.outer(walk, case.dispersion)),
+        lambda s: {"step": (s, "1")},
+        1e-7,
+        1e-4,
+        law="random",
     )
 
 

@@ -66,12 +66,23 @@ def detectability(
     white = filter_.whiten(log.readings[:rows] - without.readings[:rows])
     if law == "mean":
         return float(np.linalg.norm(white)), log
-    if law == "rare":
-        # Nobody knows the ticks: every strike pays for its being looked for.
-        per = np.sum(white**2, axis=1)
-        return float(np.sqrt(np.sum(np.maximum(per - 2 * np.log(rows), 0)))), log
+    if law == "rare":  # whole ticks
+        struck = np.any(log.readings[:rows] != without.readings[:rows], axis=1)
+        return _mixture(np.sum(white**2, axis=1), float(struck.mean())), log
+    if law == "spikes":  # single readings: seen against the noise of each, next to nothing else
+        alone = ((log.readings[:rows] - without.readings[:rows]) / filter_.noise) ** 2
+        columns = alone.any(axis=0)
+        return _mixture(alone[:, columns].ravel(), float((alone[:, columns] > 0).mean())), log
     power = np.maximum(np.linalg.eigvalsh(white.T @ white / rows), 0)
     return float(np.sqrt(rows * np.sum(power - np.log1p(power)))), log
+
+
+def _mixture(power: Array, share: float) -> float:
+    """d' of strikes that nobody knows: each is found only if it is rarer by itself than strikes."""
+    if share == 0:
+        return 0.0
+    gain = np.logaddexp(np.log1p(-share), np.log(share) + power / 2)
+    return float(np.sqrt(2 * max(np.sum(gain), 0.0)))
 
 
 def _extend(case: Conditions, sent: Array) -> Array:
