@@ -13,6 +13,8 @@ from orbitfb.physics.optics import Matrix, green
 from orbitfb.physics.places import Indices
 
 _ITERATIONS = 8
+_APERTURE = 0.03
+"""Largest orbit that is looked at; the beam would hit the wall [m]."""
 
 
 class Sextupole(SourceKind):
@@ -110,7 +112,7 @@ class _ThroughSextupoles(Effect):
         here, kicks = start, _kicks(self._strength, start[0], start[1])
         for _ in range(_ITERATIONS):
             here = [
-                z + own @ kick if there else z
+                np.clip(z + own @ kick, -_APERTURE, _APERTURE) if there else z
                 for z, own, kick, there in zip(start, self._own, kicks, self._planes, strict=True)
             ]
             kicks = _kicks(self._strength, here[0], here[1])
