@@ -3,52 +3,104 @@
 The steps of the orbit are compared with what the model makes of the steps of the setpoints, under
 fixed alternatives: a sign turned, two names swapped. No slope is fitted. The noise of a reading
 is in the action after it and makes a fitted slope wrong, but it makes the right signs and names
-look even better than they are: errors are misses, not false alarms.
+look even better than they are: errors are misses, not false alarms. One alternative is told, the
+one that explains most, and only if it explains a good part of everything that is wrong.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
-from orbitfb.core.signals import Mask, Vector
-from orbitfb.diagnose.finding import Finding, listed
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.integrity_steps import Steps, steps_of
 from orbitfb.effects.layout import Devices
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 
 _SURE = 50.0
-"""Log likelihood by which an alternative must win; rows count once, BPMs are not independent."""
+"""Log likelihood by which an alternative must win."""
 
 _EXPLAINED = 0.7
+_MOST = 0.8
 _MANY = 0.2
-_FEWEST = 50
+_LIKE_OTHERS = 3.0
+_FEWEST = 30
 _FEWEST_CHANNELS = 4
+_TRIED = 4
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Alternative:
+    """Another sign or name, and by how much it wins over the model as it is."""
+
+    gain: float
+    kind: str
+    columns: tuple[int, ...]
+
+
+_TEXTS = {
+    "bpm-polarity": "reads with the wrong sign: its steps are those of the model, turned",
+    "bpm-swap": "each read what the model says of the other: their cables or names are swapped",
+    "corrector-polarity": "acts with the wrong sign: the orbit steps against the model with it",
+    "corrector-swap": "each act where the model has the other: their cables or names are swapped",
+}
 
 
 def check_channels(record: Record) -> list[Finding]:
     """Find BPMs and correctors with a turned sign or swapped names."""
     steps = steps_of(record)
-    # The largest steps hold the evidence, and in them the share of noise is least.
     if len(steps.first) < _FEWEST or not steps.predicted.any():
         return []
-    both = _whole(steps)
-    if both:
-        return both
+    if whole := _whole(steps):
+        return whole
     bpms, correctors = record.layout.bpms, record.layout.correctors
-    found = _bpm_signs(steps, bpms) + _bpm_names(steps, bpms)
-    if not found:
-        residual = steps.orbit - steps.predicted
-        found = _corrector_signs(steps, residual, record.layout.response, correctors)
-        found += _corrector_names(steps, residual, record.layout.response, correctors)
-    return found
+    response = record.layout.response.copy()
+    found: list[Finding] = []
+    for _ in range(_ROUNDS):
+        best = max(
+            [*_bpms(steps), *_correctors(steps, response)],
+            key=lambda each: each.gain,
+            default=None,
+        )
+        if best is None:
+            return found
+        found.append(_told(best, bpms if best.kind.startswith("bpm") else correctors))
+        steps, response = _applied(steps, response, best)
+    # Where one correction calls for the next, something else is wrong.
+    return []
+
+
+def _told(best: _Alternative, devices: Devices) -> Finding:
+    names = tuple(devices.label(column) for column in best.columns)
+    text = f"{' and '.join(names)} {_TEXTS[best.kind]}"
+    return Finding("channels", "warning", names, None, text, effect=best.kind)
+
+
+def _applied(steps: Steps, response: Matrix, best: _Alternative) -> tuple[Steps, Matrix]:
+    """Correct the record by an alternative, to look for the next one."""
+    columns = list(best.columns)
+    orbit, response = steps.orbit.copy(), response.copy()
+    if best.kind == "bpm-polarity":
+        orbit[:, columns] *= -1.0
+    elif best.kind == "bpm-swap":
+        orbit[:, columns] = orbit[:, columns[::-1]]
+    elif best.kind == "corrector-polarity":
+        response[:, columns] *= -1.0
+    else:
+        response[:, columns] = response[:, columns[::-1]]
+    return Steps(steps.first, orbit, steps.setpoints, steps.setpoints @ response.T), response
 
 
 def _whole(steps: Steps) -> list[Finding]:
     """Tell a model whose sign, or whose order of rows, is wrong altogether."""
     count = len(steps.first)
-    total = float(np.sum(steps.orbit**2))
-    right = float(np.sum((steps.orbit - steps.predicted) ** 2))
-    turned = float(np.sum((steps.orbit + steps.predicted) ** 2))
-    if turned < _EXPLAINED * total and 0.5 * count * np.log(right / turned) > _SURE:
+    right = np.sum((steps.orbit - steps.predicted) ** 2, axis=0)
+    turned = np.sum((steps.orbit + steps.predicted) ** 2, axis=0)
+    seen = np.sum(steps.orbit**2, axis=0)
+    against = (turned < _EXPLAINED * seen) & (_gain(count, right, turned) > _SURE)
+    if against.mean() > _MOST:
         text = (
             "the orbit moves against the model: model_R, the setpoints or the orbit have the "
             "wrong sign altogether; turn one of them"
@@ -57,8 +109,7 @@ def _whole(steps: Steps) -> list[Finding]:
     likeness = _likeness(steps)
     own = np.diag(likeness)
     best = likeness.max(axis=1)
-    gain = 0.5 * count * np.log((1 - own * np.abs(own)) / (1 - np.minimum(best, 0.999999) ** 2))
-    elsewhere = gain > _SURE
+    elsewhere = _gain(count, 1 - own * np.abs(own), 1 - np.minimum(best, 0.999999) ** 2) > _SURE
     n = len(own)
     if n >= _FEWEST_CHANNELS and elsewhere.sum() >= max(3, _MANY * n):
         targets = likeness.argmax(axis=1)[elsewhere]
@@ -71,6 +122,13 @@ def _whole(steps: Steps) -> list[Finding]:
     return []
 
 
+def _gain(count: int, left: Vector, left_otherwise: Vector) -> Vector:
+    """Log likelihood by which sums of squares win, shape as given."""
+    valid = (left > 0) & (left_otherwise > 0)
+    ratio = np.divide(left, left_otherwise, out=np.ones_like(left), where=valid)
+    return 0.5 * count * np.log(ratio)
+
+
 def _likeness(steps: Steps) -> Matrix:
     """Correlation of the step of every BPM with what the model says of every other, (n, n)."""
     seen = np.sqrt(np.sum(steps.orbit**2, axis=0))
@@ -79,130 +137,66 @@ def _likeness(steps: Steps) -> Matrix:
     return (steps.orbit.T @ steps.predicted) / scale
 
 
-def _bpm_signs(steps: Steps, bpms: Devices) -> list[Finding]:
-    count = len(steps.first)
-    seen = np.sum(steps.orbit**2, axis=0)
-    right = np.sum((steps.orbit - steps.predicted) ** 2, axis=0)
-    turned = np.sum((steps.orbit + steps.predicted) ** 2, axis=0)
-    moved = seen > 0
-    gain = np.zeros(len(seen))
-    gain[moved] = 0.5 * count * np.log(right[moved] / turned[moved])
-    hit = (gain > _SURE) & (turned < _EXPLAINED * seen)
-    return _told(
-        hit,
-        bpms,
-        "bpm-polarity",
-        "reads with the wrong sign: its steps are those of the model, turned",
-    )
-
-
-def _bpm_names(steps: Steps, bpms: Devices) -> list[Finding]:
-    """Find pairs of BPMs that each read what the model says of the other."""
+def _bpms(steps: Steps) -> list[_Alternative]:
+    """Turned and swapped BPMs that then look like the others."""
     count, n = steps.orbit.shape
     cross = steps.orbit.T @ steps.predicted
     seen = np.sum(steps.orbit**2, axis=0)
     made = np.sum(steps.predicted**2, axis=0)
-    left = seen[:, None] - 2 * cross + made[None, :]
-    own = np.diag(left)
+    own = seen - 2 * np.diag(cross) + made
+    usual = _LIKE_OTHERS * float(np.median(own))
+    found: list[_Alternative] = []
+    turned = seen + 2 * np.diag(cross) + made
+    gain = _gain(count, own, turned)
+    for i in np.flatnonzero((gain > _SURE) & (turned < usual) & (turned < _EXPLAINED * seen)):
+        found.append(_Alternative(float(gain[i]), "bpm-polarity", (int(i),)))
     # Against a gain of its own, so that a wrong gain is no swap.
     slope = np.divide(np.diag(cross), made, out=np.zeros(n), where=made > 0)
-    scaled = seen - slope * np.diag(cross)
-    usable = (own > 0) & (scaled > 0)
-    if usable.sum() < 2:
-        return []
-    reach = np.where(usable, np.minimum(own, scaled), np.nan)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        gain = 0.5 * count * np.log(reach[:, None] / np.maximum(left, 1e-300))
-    gain[~np.isfinite(gain)] = -np.inf
-    good = (gain > _SURE) & (left < _EXPLAINED * seen[:, None])
-    pairs = np.argwhere(np.triu(good & good.T, 1))
-    mutual = [(int(i), int(j)) for i, j in pairs
-              if gain[i].argmax() == j and gain[j].argmax() == i]  # fmt: skip
-    return [
-        Finding(
-            "swapped-bpms",
-            "warning",
-            (bpms.label(i), bpms.label(j)),
-            None,
-            f"{bpms.label(i)} and {bpms.label(j)} each read what the model says of the other: "
-            "their cables or names are swapped",
-            effect="bpm-swap",
-        )
-        for i, j in mutual
-    ]
+    reach = np.maximum(np.minimum(own, seen - slope * np.diag(cross)), 0.0)
+    left = np.maximum(seen[:, None] - 2 * cross + made[None, :], 0.0)
+    gains = _gain(count, np.broadcast_to(reach[:, None], left.shape).copy(), left)
+    good = (gains > _SURE) & (left < usual) & (left < _EXPLAINED * seen[:, None])
+    for i, j in np.argwhere(np.triu(good & good.T, 1)):
+        both = float(gains[i, j] + gains[j, i])
+        found.append(_Alternative(both, "bpm-swap", (int(i), int(j))))
+    return found
 
 
-def _corrector_signs(
-    steps: Steps, residual: Matrix, response: Matrix, correctors: Devices
-) -> list[Finding]:
-    pull, size = _scores(steps, residual, response)
-    slope = np.divide(pull, size, out=np.zeros(len(pull)), where=size > 0)
-    gain = -2.0 * (pull + size)
-    hit = (gain > _SURE) & (slope < -1.5) & (slope > -2.6)
-    return _told(
-        hit,
-        correctors,
-        "corrector-polarity",
-        "acts with the wrong sign: the orbit steps against the model with it",
-    )
-
-
-def _corrector_names(
-    steps: Steps, residual: Matrix, response: Matrix, correctors: Devices
-) -> list[Finding]:
-    """Find pairs of correctors that each act where the model has the other."""
-    weights = _weights(residual)
-    scores = (residual * weights @ response).T @ steps.setpoints
+def _correctors(steps: Steps, response: Matrix) -> list[_Alternative]:
+    """Turned and swapped correctors without which much less is left, at most BPMs."""
+    residual = steps.orbit - steps.predicted
+    own = np.sum(residual**2, axis=0)
+    weights = np.divide(1.0, own, out=np.zeros_like(own), where=own > 0)
+    scores = ((residual * weights) @ response).T @ steps.setpoints
     overlap = response.T @ (weights[:, None] * response)
     moves = steps.setpoints.T @ steps.setpoints
-    own = np.diag(scores)
-    pull = own[:, None] - scores - scores.T + own[None, :]
+    pull, size = np.diag(scores), np.diag(overlap) * np.diag(moves)
+    found: list[_Alternative] = []
+    turning = -2.0 * (pull + size)
+    for j in np.argsort(turning)[-_TRIED:]:
+        if turning[j] > 0:
+            change = 2.0 * np.outer(steps.setpoints[:, j], response[:, j])
+            found += _judged(steps, own, residual + change, "corrector-polarity", (int(j),))
+    pulls = pull[:, None] - scores - scores.T + pull[None, :]
     apart = np.diag(overlap)[:, None] - 2 * overlap + np.diag(overlap)[None, :]
     travel = np.diag(moves)[:, None] - 2 * moves + np.diag(moves)[None, :]
-    gain = -pull - 0.5 * apart * travel
-    size = np.diag(overlap) * np.diag(moves)
-    alone = np.divide(own**2, 2 * size, out=np.zeros(len(own)), where=size > 0)
-    gain -= alone[:, None] + alone[None, :]
-    np.fill_diagonal(gain, -np.inf)
-    best = gain.argmax(axis=1)
-    return [
-        Finding(
-            "swapped-correctors",
-            "warning",
-            (correctors.label(i), correctors.label(int(j))),
-            None,
-            f"{correctors.label(i)} and {correctors.label(int(j))} each act where the model has "
-            "the other: their cables or names are swapped",
-            effect="corrector-swap",
-        )
-        for i, j in enumerate(best)
-        if i < j and best[j] == i and gain[i, j] > _SURE
-    ]
+    swapping = np.triu(-pulls - 0.5 * apart * travel, 1)
+    for flat in np.argsort(swapping, axis=None)[-_TRIED:]:
+        j, k = (int(i) for i in np.unravel_index(flat, swapping.shape))
+        if swapping[j, k] > 0:
+            difference = steps.setpoints[:, j] - steps.setpoints[:, k]
+            change = np.outer(difference, response[:, j] - response[:, k])
+            found += _judged(steps, own, residual + change, "corrector-swap", (j, k))
+    return found
 
 
-def _scores(steps: Steps, residual: Matrix, response: Matrix) -> tuple[Vector, Vector]:
-    """Project what is left on what every corrector alone makes, and size of the latter, (m,)."""
-    weights = _weights(residual)
-    pull = np.sum((residual * weights @ response) * steps.setpoints, axis=0)
-    size = np.sum(response**2 * weights[:, None], axis=0) * np.sum(steps.setpoints**2, axis=0)
-    return pull, size
-
-
-def _weights(residual: Matrix) -> Vector:
-    """One over the variance of every BPM, and over the number of BPMs: rows count once."""
-    variance = np.mean(residual**2, axis=0)
-    weights = np.divide(1.0, variance, out=np.zeros(len(variance)), where=variance > 0)
-    return weights / np.sqrt(len(weights))
-
-
-def _told(hit: Mask, devices: Devices, effect: str, text: str) -> list[Finding]:
-    """Name channels with a turned sign; many of them have another cause."""
-    names = [devices.label(int(i)) for i in np.flatnonzero(hit)]
-    if not names:
-        return []
-    if len(names) > max(2, _MANY * len(devices)):
-        many = f"{len(names)} devices ({listed(names)}) seem to have the wrong sign at once"
-        return [Finding(effect, "note", tuple(names), None, many)]
-    return [
-        Finding(effect, "warning", (name,), None, f"{name} {text}", effect=effect) for name in names
-    ]
+def _judged(
+    steps: Steps, own: Vector, left: Matrix, kind: str, columns: tuple[int, ...]
+) -> list[_Alternative]:
+    """Keep an alternative when most BPMs have much less left with it."""
+    then = np.sum(left**2, axis=0)
+    gains = _gain(len(steps.first), own, then)
+    # Neighbouring BPMs see one orbit, not many.
+    gain = float(np.sum(gains)) / np.sqrt(len(own))
+    convincing = float(np.median(then / np.where(own > 0, own, np.inf))) < _EXPLAINED
+    return [_Alternative(gain, kind, columns)] if gain > _SURE and convincing else []

@@ -4,7 +4,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.finding import Finding, listed
-from orbitfb.diagnose.integrity_steps import inner
+from orbitfb.diagnose.integrity_steps import inner, runs
 from orbitfb.effects.record import Record
 from orbitfb.physics.places import Indices
 
@@ -34,15 +34,15 @@ def check_readback(record: Record) -> list[Finding]:
     for column in np.flatnonzero(strange):
         label = record.layout.correctors.label(int(column))
         pair = (setpoints[:, column], readback[:, column])
-        told = _stuck(label, rows, *pair) or _clipped(label, rows, *pair)
+        told = _clipped(label, rows, *pair) or _stuck(label, rows, *pair)
         if told:
             found.append(told)
         else:
             rest.append(label)
     if rest:
         text = (
-            f"the readback of {len(rest)} correctors ({listed(rest)}) goes its own way, more than "
-            f"{_FACTOR:.0f} times further from the setpoint than that of the others"
+            f"correctors whose readback goes its own way, more than {_FACTOR:.0f} times further "
+            f"from the setpoint than that of the others: {listed(rest)}"
         )
         found.append(Finding("readback", "note", tuple(rest), None, text))
     if usual > 0.02 * float(np.median(moving)) and usual > float(np.median(exact)):
@@ -70,6 +70,10 @@ def _stuck(label: str, rows: Indices, setpoint: Vector, readback: Vector) -> Fin
         f"the readback of {label} stays at {last:.6g} A from row {span[0]} to the end while its "
         f"setpoint moves over {travel:.3g} A: the supply does not follow"
     )
+    before = readback[:begin]
+    if begin and (last >= before.max() or last <= before.min()):
+        text += " (stuck, or at its limit)"
+        return Finding("readback-stuck", "warning", (label,), span, text)
     return Finding("readback-stuck", "warning", (label,), span, text, effect="corrector-stuck")
 
 
@@ -86,6 +90,8 @@ def _clipped(label: str, rows: Indices, setpoint: Vector, readback: Vector) -> F
         if np.median(apart[inside]) > 0.1 * np.median(apart[beyond]):
             continue
         hit = rows[at]
+        if len(runs(at)) == 1:
+            continue  # stuck at its extreme, or at its limit: nobody can tell
         text = (
             f"the readback of {label} stops at {sign * top:.6g} A in {int(at.sum())} rows whose "
             "setpoints go beyond: the supply is at its limit"

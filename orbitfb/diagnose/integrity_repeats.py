@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from orbitfb.core.signals import Mask
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.finding import Finding, listed
 from orbitfb.diagnose.integrity_steps import inner, runs
 from orbitfb.effects.record import Record
@@ -22,6 +22,10 @@ _MOST_REPEATS = 0.5
 _FEWEST_AT_RAIL = 12
 _RAIL_FACTOR = 4
 _PAIRS = 3
+_COARSE = 0.25
+_FEW_VALUES = 0.1
+_MARGIN = 1.5
+_FEWEST_OTHERS = 20
 
 
 def check_repeats(record: Record) -> list[Finding]:
@@ -31,6 +35,13 @@ def check_repeats(record: Record) -> list[Finding]:
     equal = np.diff(record.readings, axis=0) == 0.0
     equal &= inner(record)[:, None] & ~record.filled[1:] & ~record.filled[:-1]
     usual = float(np.median(equal.mean(axis=0)))
+    if usual > _COARSE and np.median(_distinct(record)) < _FEW_VALUES:
+        text = (
+            f"{100 * usual:.0f} % of the readings equal the one before: the BPMs are read more "
+            "coarsely than they are noisy, so that frozen ones cannot be told and the noise model "
+            "does not hold"
+        )
+        return [Finding("coarse-readings", "warning", (), None, text)]
     # Beside the usual one, at most every tenth BPM may be frozen, so they do not hide a whole.
     whole = (equal.mean(axis=1) >= _WHOLE) & (n >= _FEWEST_BPMS)
     if usual > 0.0 and usual ** (_WHOLE * n) * len(whole) > _CHANCE:
@@ -42,18 +53,13 @@ def check_repeats(record: Record) -> list[Finding]:
     usual = float(np.median(single.mean(axis=0)))
     for column in np.flatnonzero(single.any(axis=0)):
         found += _frozen(record, int(column), single[:, column], whole, usual)
-    if usual > _MOST_REPEATS:
-        found.append(
-            Finding(
-                "coarse-readings",
-                "warning",
-                (),
-                None,
-                f"{100 * usual:.0f} % of the readings equal the one before: the BPMs are read more "
-                "coarsely than they are noisy; the noise model does not hold",
-            )
-        )
     return found
+
+
+def _distinct(record: Record) -> Vector:
+    """Number of different readings of every BPM per row, shape (n,)."""
+    ordered = np.sort(record.readings, axis=0)
+    return (1 + np.count_nonzero(np.diff(ordered, axis=0), axis=0)) / len(ordered)
 
 
 def _whole_orbits(record: Record, whole: Mask) -> list[Finding]:
@@ -84,16 +90,21 @@ def _frozen(record: Record, column: int, equal: Mask, whole: Mask, usual: float)
     outside = np.ones(len(equal), dtype=np.bool_)
     outside[begin:end] = False
     own = float(equal[outside].mean()) if outside.any() else 0.0
-    chance = max(own, usual)
+    chance = min(_MARGIN * max(own, usual), 1.0)
     label = record.layout.bpms.label(column)
     tries = math.log(record.readings.size)
-    likely = chance > 0.0 and tries + length * math.log(min(chance, 1.0)) > math.log(_CHANCE)
+    likely = chance > 0.0 and tries + length * math.log(chance) > math.log(_CHANCE)
     if length >= _SHORTEST_FREEZE and not likely:
         until = "to the end" if end == len(equal) else f"to row {end}"
         text = (
             f"{label} reads {record.readings[end, column] * 1e6:.3f} µm to the last bit from row "
             f"{begin} {until} ({length + 1} rows) while the others move"
         )
+        others = np.delete(record.readings[:, column], np.s_[begin : end + 1])
+        value = record.readings[end, column]
+        if len(others) >= _FEWEST_OTHERS and (value >= others.max() or value <= others.min()):
+            text += "; it never reads beyond, so that it may be clipped and not frozen"
+            return [Finding("rail", "warning", (label,), (begin, end), text)]
         return [Finding("frozen-bpm", "warning", (label,), (begin, end), text, effect="bpm-stuck")]
     repeats = int(equal.sum())
     if usual == 0.0 and repeats >= _PAIRS:
@@ -106,6 +117,8 @@ def _frozen(record: Record, column: int, equal: Mask, whole: Mask, usual: float)
 
 def check_rails(record: Record) -> list[Finding]:
     """Find BPMs whose readings are clipped: their extreme value comes again and again."""
+    if np.median(_distinct(record)) < _FEW_VALUES:
+        return []
     found: list[Finding] = []
     fresh = np.ones(record.readings.shape, dtype=np.bool_)
     fresh[1:] = np.diff(record.readings, axis=0) != 0.0

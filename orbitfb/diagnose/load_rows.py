@@ -14,7 +14,7 @@ from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
-FEWEST_ROWS = 50
+FEWEST_ROWS = 30
 """Fewest transitions of which anything can be said."""
 
 _GAP = 0.6
