@@ -23,6 +23,7 @@ from orbitfb.history.buffer import History
 from orbitfb.learn.builders import ResponsePolicy, loop_gain, masked
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.dither import Dither
+from orbitfb.loop.excitation import Excitation, Progress
 from orbitfb.loop.masked import MaskedMachine
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
@@ -48,6 +49,7 @@ from orbitfb.startup import (
     dither_settings,
     find_ring,
     make_directory,
+    planned,
     start_state,
     take_ring,
 )
@@ -67,6 +69,7 @@ def run_service(
     duration: float | None = None,
     summary_file: Path | None = None,
     announce: Callable[[str], None] = lambda _: None,
+    excite: Path | None = None,
 ) -> int:
     """Run the loop until a signal, the end of the duration, or FAULT.
 
@@ -77,6 +80,7 @@ def run_service(
         duration: Time to run [s]; None: until a signal.
         summary_file: Where to write the figures of the run.
         announce: Gets a few lines about what was started where.
+        excite: File of an excitation, to be done once.
 
     Returns:
         The exit code: 0, or 1 after FAULT.
@@ -91,7 +95,7 @@ def run_service(
         check_place(summary_file)
     with StopSignals() as signals, ExitStack() as stack:
         try:
-            service = Service(config, ioc, state, duration, stack)
+            service = Service(config, ioc, state, duration, stack, excite)
         except OrbitFeedbackError as error:
             if structlog.is_configured():  # the log is open
                 _log.error("start_failed", problem=str(error))
@@ -115,6 +119,7 @@ class Service:
         start: State to start in.
         duration: Time to run [s], for the display; None: until stopped.
         stack: Closes what is opened here, in reverse order.
+        excite: File of an excitation.
     """
 
     def __init__(
@@ -124,10 +129,12 @@ class Service:
         start: LoopState,
         duration: float | None,
         stack: ExitStack,
+        excite: Path | None = None,
     ) -> None:
         directory = config.data_directory
         ring = config.ring.load()
         self.channels = ring.channels(config.ring.planes)
+        waveform = planned(config, ring, excite, duration) if excite else None
         epics = find_ring(config, ioc)
         make_directory(directory)
         stack.enter_context(
@@ -166,6 +173,8 @@ class Service:
             directory / "archive", self.channels, config.history.archive, self._archive_failed
         )
         stack.callback(archive.close)
+        below = Dither(dither_settings(config), nominal.response, loop_gain(nominal), movable)
+        self._dither = Excitation(waveform, below) if waveform else below
         self.runner = Runner(
             machine,
             self.slot,
@@ -174,7 +183,7 @@ class Service:
             config.interlocks,
             np.zeros(len(self.channels.bpms)),
             clock,
-            dither=Dither(dither_settings(config), nominal.response, loop_gain(nominal), movable),
+            dither=self._dither,
             start=start,
             subscribers=(self.history, archive, self.statistics, self.events),
         )
@@ -260,9 +269,17 @@ class Service:
             stop.set()
             watcher.join()
             self.final = self.statistics.snapshot()
+            self._say_excitation()
             if self.runner.failure is not None:
                 _log.error("loop_failed", exc_info=self.runner.failure)
             _log.info("service_stopped", state=self.runner.state, reason=self.runner.reason)
+
+    def _say_excitation(self) -> None:
+        """Say how far a planned excitation came."""
+        if isinstance(self._dither, Excitation):
+            progress = self._dither.progress
+            say = _log.info if progress is Progress.DONE else _log.warning
+            say("excitation", progress=progress, ticks=self._dither.rows)
 
     def _watch_child(self, stop: threading.Event) -> None:
         """Say it when the simulated ring of our own has died; the loop holds until one is back."""

@@ -18,6 +18,12 @@ from orbitfb.core.errors import ConfigError
 from orbitfb.core.signals import Channels, LoopState
 from orbitfb.epics.settings import LOWEST_PORT, EpicsSettings
 from orbitfb.loop.dither import DitherSettings
+from orbitfb.loop.excitation import Waveform
+from orbitfb.loop.excitation_design import check_excitation
+from orbitfb.loop.excitation_file import read_excitation
+from orbitfb.physics.places import Ring
+from orbitfb.physics.response import response
+from orbitfb.policies.masking import mask_of
 
 SIMULATED = "sim"
 ENVIRONMENT = "env"
@@ -239,6 +245,33 @@ def dither_settings(config: AppConfig) -> DitherSettings:
     """Give the dither the seed of the run, unless it has one of its own."""
     own = "seed" in config.dither.model_fields_set
     return config.dither if own else config.dither.model_copy(update={"seed": config.seed})
+
+
+def planned(config: AppConfig, ring: Ring, file: Path, duration: float | None) -> Waveform:
+    """Read an excitation and see that the loop can do it.
+
+    Args:
+        config: Has the limits, the interlocks, the masks.
+        ring: The ring.
+        file: What to do.
+        duration: Of the run [s]; None: until stopped.
+
+    Raises:
+        ConfigError: It cannot be read, is of another ring, is beyond a limit or too long.
+    """
+    channels = ring.channels(config.ring.planes)
+    matrix = response(ring, config.ring.planes)
+    period = config.loop.period
+    waveform = read_excitation(file, channels, matrix, period)
+    movable = mask_of(channels, config.masks)[1]
+    largest = config.interlocks.distortion_rms
+    check_excitation(waveform, channels, matrix, config.limits, largest, movable)
+    needed = (waveform.wait + len(waveform.excursion) + 1) * period
+    if duration is not None and duration < needed:
+        raise ConfigError(
+            f"--duration {duration:g}: the excitation {file} needs {needed:.4g} s of a closed loop"
+        )
+    return waveform
 
 
 def announcement(where: Mapping[str, object], simulated: bool) -> Iterator[str]:

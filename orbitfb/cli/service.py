@@ -55,6 +55,13 @@ def run(
     drift_ticks: DriftTicks = None,
     effect: EffectSpecs = None,
     effects: EffectsFile = None,
+    excite: Annotated[
+        Path | None,
+        typer.Option(
+            help="Move the setpoints besides as this file says, once, some time after the loop "
+            "has closed (TOML or .npz, as a diagnosis recommends it); it is logged as dither."
+        ),
+    ] = None,
     metrics_port: Annotated[
         int | None, typer.Option(help="Port of /metrics; 0: any free one [9180].")
     ] = None,
@@ -85,7 +92,7 @@ def run(
         observe__port=metrics_port,
     )
     announce = partial(print, flush=True)
-    raise typer.Exit(run_service(settings, ioc, start, duration, summary, announce))
+    raise typer.Exit(run_service(settings, ioc, start, duration, summary, announce, excite))
 
 
 def ioc(

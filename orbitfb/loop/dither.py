@@ -103,6 +103,10 @@ class Dither:
         if self._amplitude:
             self._excursion = self._excursion + change
 
-    def restart(self) -> None:
-        """Take the setpoints as they are for those of the feedback."""
+    def restart(self, held: bool = False) -> None:
+        """Take the setpoints as they are for those of the feedback.
+
+        Args:
+            held: Whether the loop was only HELD in between.
+        """
         self._excursion = np.zeros_like(self._excursion)

@@ -79,7 +79,7 @@ class Engine:
         after = remember.move(self.memory, event, reason, now, recloses)
         if after.state is LoopState.CLOSED and before is not LoopState.CLOSED:
             after = replace(after, policy_state=self.policy.initial_state())
-            self._dither.restart()
+            self._dither.restart(before is LoopState.HELD)
         self.memory = after
 
     def without_orbit(self, intake: Intake) -> int:

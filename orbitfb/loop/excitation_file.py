@@ -1,0 +1,111 @@
+"""The file of an excitation: a description (TOML) or a waveform (`.npz`).
+
+TOML, parts one after the other::
+
+    start = 10.0             # s after the loop has closed
+    seed = 1
+    [[part]]
+    kind = "prbs"            # prbs or white: random levels; ladder: the levels in their order
+    modes = [1, 2, 3]        # singular modes of the nominal response, the strongest is 1; or
+    correctors = ["CL1A_C01"]
+    planes = "x"             # of the correctors that are named
+    amplitude = [0.05, 0.1]  # A: rms of every mode's or corrector's excursion, or one for all
+    levels = [1, -1, 2, -2]  # of a ladder, times the amplitude
+    hold = 2                 # ticks at every level
+    duration = 60.0          # s
+
+`.npz`: `waveform` (T, k) [A], `corr_names` (k,), and, where both planes are there, `planes` (k,);
+`start_s` () if it is not to be the default.
+"""
+
+import tomllib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from orbitfb.core.errors import ConfigError
+from orbitfb.core.signals import Channels
+from orbitfb.loop.excitation import Waveform
+from orbitfb.loop.excitation_design import (
+    DEFAULT_START,
+    LONGEST,
+    ExcitationSettings,
+    columns_of,
+    design,
+)
+
+Matrix = NDArray[np.float64]
+_LARGEST = 1 << 30
+
+
+def read_excitation(path: Path, channels: Channels, response: Matrix, period: float) -> Waveform:
+    """Read what to do from a file.
+
+    Args:
+        path: `.npz`: a waveform; any other: a description.
+        channels: Of the ring.
+        response: Nominal, shape (n, m) [m/A].
+        period: Of the loop [s].
+
+    Raises:
+        ConfigError: It cannot be read, or names what the ring does not have.
+    """
+    try:
+        if path.suffix == ".npz":
+            return _from_arrays(path, channels, period)
+        with path.open("rb") as file:
+            tree = tomllib.load(file)
+    except OSError as error:
+        raise ConfigError(f"--excite {path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"--excite {path}: is not TOML: {error}") from None
+    try:
+        settings = ExcitationSettings.model_validate(tree)
+    except ValidationError as error:
+        problems = "; ".join(
+            f"{'.'.join(map(str, p['loc']))}: {p['msg']}, got {p['input']!r}"
+            for p in error.errors()
+        )
+        raise ConfigError(f"--excite {path}: {problems}") from None
+    return design(settings, channels, response, period, f"--excite {path}")
+
+
+def _from_arrays(path: Path, channels: Channels, period: float) -> Waveform:
+    where = f"--excite {path}"
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > _LARGEST:
+                raise ConfigError(f"{where}: unpacks to more than {_LARGEST >> 20} MiB")
+        with np.load(path, allow_pickle=False) as arrays:
+            given = {name: np.asarray(arrays[name]) for name in arrays.files}
+    except (zipfile.BadZipFile, ValueError, EOFError, KeyError) as error:
+        raise ConfigError(f"{where}: is no file of arrays that can be read: {error}") from None
+    missing = {"waveform", "corr_names"} - set(given)
+    if missing:
+        raise ConfigError(f"{where}: has no {' and no '.join(sorted(missing))}")
+    rows, names = given["waveform"], [str(name) for name in np.atleast_1d(given["corr_names"])]
+    if rows.ndim != 2 or rows.shape[1] != len(names) or not 0 < len(rows) <= LONGEST:
+        raise ConfigError(
+            f"{where}: waveform has shape {rows.shape}; it must be (T, {len(names)}), T from 1 to "
+            f"{LONGEST}, one column for each of corr_names"
+        )
+    if rows.dtype.kind not in "fiu" or not np.isfinite(rows).all():
+        raise ConfigError(f"{where}: waveform must be finite numbers [A]")
+    planes = [str(plane) for plane in given.get("planes", np.array([channels.planes] * len(names)))]
+    if len(planes) != len(names):
+        raise ConfigError(f"{where}: planes must have one element for each of corr_names")
+    excursion = np.zeros((len(rows), len(channels.correctors)))
+    used: set[int] = set()
+    for column, (name, plane) in enumerate(zip(names, planes, strict=True)):
+        hits = columns_of([name], plane, channels, where)
+        if len(hits) > 1 or hits[0] in used:
+            raise ConfigError(f"{where}: {name} is not unique; say in `planes` which is x, which y")
+        used.add(hits[0])
+        excursion[:, hits[0]] = rows[:, column]
+    start = float(given["start_s"]) if "start_s" in given else DEFAULT_START
+    if not 0 <= start < 1e6:
+        raise ConfigError(f"{where}: start_s is {start:g}; give seconds from 0 on")
+    return Waveform(excursion, round(start / period))
