@@ -18,9 +18,12 @@ def gradient_kicks(layout: Layout, gradients: Matrix, currents: Matrix) -> Cours
     """Kicks of every quadrupole with a gradient error, each alone in the ring, both planes.
 
     Exact for one thin quadrupole: ∓Δk z / (1 ± Δk G_qq) with z the orbit that the correctors make
-    there. The orbit that disturbances make there is left out on purpose: what stands still
-    is part of the orbit at the start, and what walks on by some nanometres a tick is changed by a
-    few per cent of that, unseen beside the walk itself.
+    there. The orbit that disturbances make there is left out on purpose: what stands still is
+    part of the orbit at the start, and what walks on by some nanometres a tick is changed by a few
+    per cent of that, unseen beside the walk itself. (Simulated with disturbances that do feel the
+    gradient, the log-likelihood is the same within 0.5 nats at Δk = 0.003, and 8 to 50 nats of
+    some thousands higher at 0.02, than with the orbit interpolated from the BPMs, which brings in
+    the noise of the prediction.)
 
     Args:
         layout: Devices and ring.
