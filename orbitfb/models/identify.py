@@ -18,6 +18,7 @@ mode in metres per tick, whose regressor is 1.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
@@ -218,17 +219,30 @@ class Identifier:
     def _update(self, block: "_Block") -> None:
         levels = self._noise.levels
         variances = self._noise.innovation_variances
-        identity = np.eye(self._rows.shape[1])
         for level, regressor in enumerate(block.regressors):
-            before = self._covariances[level]
-            information = regressor.T @ regressor / variances[level]
-            after = np.linalg.solve(identity + before @ information, before)
-            after = 0.5 * (after + after.T)
             members = levels == level
-            if members.any():
-                pull = block.innovations[level][:, members].T @ regressor / variances[level]
-                self._rows[members] += pull @ after
+            after, gain = _posterior(self._covariances[level], regressor, variances[level])
+            self._rows[members] += block.innovations[level][:, members].T @ gain
             self._covariances[level] = after
+
+
+def _posterior(before: Vector, regressor: Vector, variance: float) -> tuple[Vector, Vector]:
+    """Give P⁺, shape (k, k), and what the innovations of T rows are worth, Φ P⁺ / S, (T, k).
+
+    In covariance form, P⁺ = P − P Φᵀ (S I + Φ P Φᵀ)⁻¹ Φ P, where there are fewer rows than
+    coefficients; in information form otherwise.
+    """
+    count, size = regressor.shape
+    if count < size:
+        seen = regressor @ before
+        factor = np.linalg.cholesky(seen @ regressor.T + variance * np.eye(count))
+        root = solve_triangular(factor, seen, lower=True, check_finite=False)
+        gain = solve_triangular(factor, root, lower=True, trans=1, check_finite=False)
+        return before - root.T @ root, gain
+    information = regressor.T @ regressor / variance
+    after = np.linalg.solve(np.eye(size) + before @ information, before)
+    after = 0.5 * (after + after.T)
+    return after, regressor @ after / variance
 
 
 @dataclass(frozen=True, slots=True)

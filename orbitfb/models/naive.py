@@ -6,6 +6,10 @@ from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
 from orbitfb.models.rows import Rows
 
+_WORST_PIVOT = 1e-5
+"""Ratio of Cholesky pivots below which the normal equations are not trusted; its square is about
+the inverse of their condition number, so that at least 5 digits remain."""
+
 
 def naive_least_squares(rows: Rows) -> Vector:
     """Regress s_{n+1} − s_n on a_n, as the paper's formula for R̂ does.
@@ -29,5 +33,14 @@ def naive_least_squares(rows: Rows) -> Vector:
             f"{len(rows)} transitions do not determine the response to {correctors} correctors; "
             "record longer"
         )
-    transposed = np.linalg.lstsq(rows.change, rows.difference, rcond=None)[0]
+    changes, differences = rows.change, rows.difference
+    moment = changes.T @ changes
+    try:
+        diagonal = np.diag(np.linalg.cholesky(moment))
+    except np.linalg.LinAlgError:
+        diagonal = np.zeros(1)
+    if np.min(diagonal) > _WORST_PIVOT * np.max(diagonal):
+        transposed = np.linalg.solve(moment, changes.T @ differences)
+    else:  # directions that were hardly excited: slower, and without squaring
+        transposed = np.linalg.lstsq(changes, differences, rcond=None)[0]
     return np.asarray(transposed.T, dtype=np.float64)
