@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from orbitfb.diagnose.answer import Diagnosis
 from orbitfb.diagnose.answer_parts import Cause, Experiment
-from orbitfb.diagnose.report.draw import BLUE, GREEN, ORANGE, PURPLE, RED
+from orbitfb.diagnose.report.draw import BLUE
 from orbitfb.diagnose.report.html import (
     figure_of,
     interval,
@@ -18,14 +18,15 @@ from orbitfb.diagnose.report.html import (
 )
 
 _STATES = {
-    "no_gap": ("no gap", GREEN),
+    "no_gap": ("no gap", "#00724f"),
     "named": ("cause named", BLUE),
-    "ambiguous": ("ambiguous", "#9a6a00"),
+    "ambiguous": ("ambiguous", "#805600"),
     "named_plus_remainder": ("cause named, a part remains", BLUE),
     "unknown": ("unknown cause", "#8a3d6f"),
-    None: ("record not intact", RED),
+    None: ("record not intact", "#a33a00"),
 }
-_SEVERITIES = {"failure": RED, "warning": ORANGE, "note": PURPLE}
+_SEVERITIES = {"failure": "#a33a00", "warning": "#805600", "note": "#5b6670"}
+"""Dark enough to be read as text."""
 
 
 def card(its: Diagnosis) -> str:
@@ -189,7 +190,7 @@ def experiment(its: Diagnosis) -> str:
     return section(
         "experiment",
         "Recommended experiment",
-        f'<div class="card" style="--badge: {GREEN}"><span class="badge">{text(plan.kind)}</span>'
+        f'<div class="card" style="--badge: #00724f"><span class="badge">{text(plan.kind)}</span>'
         f'<p class="said">{text(plan.text)}</p></div>',
         table(("", ""), rows),
     )

@@ -19,8 +19,9 @@ nav a { margin-right: 1rem; color: #0072b2; white-space: nowrap }
 .badge { display: inline-block; background: var(--badge, #5b6670); color: #fff; font-weight: 600;
   border-radius: .25rem; padding: .05rem .55rem }
 .tiles { display: flex; flex-wrap: wrap; gap: .7rem; margin: 1rem 0 }
-.tile { border: 1px solid var(--line); border-radius: .4rem; padding: .5rem .8rem; flex: 1 1 9rem }
-.tile b { display: block; font-size: 1.15rem; font-variant-numeric: tabular-nums }
+.tile { border: 1px solid var(--line); border-radius: .4rem; padding: .5rem .8rem;
+  flex: 1 1 9.5rem }
+.tile b { display: block; font-size: 1.05rem; font-variant-numeric: tabular-nums }
 .tile span { color: var(--soft); font-size: .85rem }
 .wide { overflow-x: auto } table { border-collapse: collapse; margin: .6rem 0;
   font-variant-numeric: tabular-nums; font-size: .92rem }
