@@ -14,14 +14,20 @@ from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
 
+_TRAVEL = 20e-3
+"""Way of a gap that makes the whole kick; a scale of its own for other records too [m]."""
+
+
 class InsertionDevice(SourceKind):
-    """x += G_bq θ g(t), g from 0 (open) to 1 (closed)."""
+    """x += G_bq θ g(t), g from 0 (open) to 1 (20 mm nearer)."""
 
     id = "insertion-device"
     stage = "disturbance"
     grows = True
     parameters = (
-        Parameter("kick", "rad", -1e-3, 1e-3, 0.0, 5e-7, "Kick of the closed device."),
+        Parameter(
+            "kick", "rad", -1e-3, 1e-3, 0.0, 5e-7, "Kick of the closed device, per 20 mm of a gap."
+        ),
         Parameter(
             "duration",
             "s",
@@ -39,8 +45,8 @@ class InsertionDevice(SourceKind):
         "wrong or missing. Measure its table again."
     )
     equation = (
-        "x += G_bq θ g, g = (gap_max − gap) / (gap_max − gap_min) of the recorded gap; without "
-        "one g = min(t / duration, 1) from the onset on"
+        "x += G_bq θ g, g = (gap at first − gap) / 20 mm by the recorded gap; without one "
+        "g = min(t / duration, 1) from the onset on"
     )
     linear = "kick"
     confused_with = ("local-kick", "thermal-drift", "telegraph", "quadrupole-gradient")
@@ -78,7 +84,7 @@ class InsertionDevice(SourceKind):
         if gap is None:
             closed = np.minimum(record.time / values["duration"], 1.0)
         else:
-            closed = (gap.max() - gap) / (gap.max() - gap.min())
+            closed = (gap[0] - gap) / _TRAVEL
         return values["kick"] * closed[:, None]
 
 
