@@ -13,13 +13,12 @@ from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
-
 _TRAVEL = 20e-3
 """Way of a gap that makes the whole kick; a scale of its own for other records too [m]."""
 
 
 class InsertionDevice(SourceKind):
-    """x += G_bq θ g(t), g from 0 (open) to 1 (20 mm nearer)."""
+    """x += G_bq θ g(t), g = 1 when closed."""
 
     id = "insertion-device"
     stage = "disturbance"
