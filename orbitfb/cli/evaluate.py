@@ -8,7 +8,10 @@ import typer
 from orbitfb.cli.options import (
     ConfigFile,
     Drift,
+    EffectsFile,
+    EffectSpecs,
     PolicyKind,
+    chosen_effects,
     configure,
     make_out,
     show,
@@ -29,17 +32,21 @@ def evaluate_refit_command(
     ] = False,
     ticks: Annotated[int, typer.Option(help="Length of each run [ticks].")] = 4000,
     seed: Annotated[int, typer.Option(help="Seed of ring, noise and drift.")] = 1,
+    effect: EffectSpecs = None,
+    effects: EffectsFile = None,
     config_file: ConfigFile = None,
 ) -> None:
     """Refits of the learner beside naive ones, a frozen and a true response, in process."""
     from orbitfb.evaluate.refit import RefitEvaluationSettings, evaluate_refit, write
 
-    settings = configure(config_file)
+    settings = configure(config_file, effect=chosen_effects(effect, effects))
     asked = {"drift": "none" if no_drift else drift, "ticks": ticks, "seed": seed}
     common = {
         "planes": settings.ring.planes,
         "policy": settings.policy.svd,
         "learn": settings.learn,
+        "effects": settings.effect,
+        "period": settings.loop.period,
     }
     asked_for = validated(RefitEvaluationSettings, {**asked, **common})
     make_out(out)
@@ -64,17 +71,20 @@ def evaluate_live_command(
             "lockstep, as fast as they go]."
         ),
     ] = None,
+    effect: EffectSpecs = None,
+    effects: EffectsFile = None,
     config_file: ConfigFile = None,
 ) -> None:
     """The learner in the real loop over Channel Access, on a drifting ring."""
     from orbitfb.evaluate.live import LiveSettings, evaluate_live, figures
     from orbitfb.evaluate.live_report import LiveResult, write
 
-    settings = configure(config_file, policy__kind=policy)
+    settings = configure(config_file, policy__kind=policy, effect=chosen_effects(effect, effects))
     common = {
         "planes": settings.ring.planes,
         "policy": settings.policy,
         "learn": settings.learn,
+        "effects": settings.effect,
     }
     results: list[LiveResult] = []
     for number in range(seed, seed + seeds):

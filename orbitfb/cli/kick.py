@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from orbitfb.cli.options import ConfigFile, configure, make_out, validated
+from orbitfb.cli.options import (
+    ConfigFile,
+    EffectsFile,
+    EffectSpecs,
+    chosen_effects,
+    configure,
+    make_out,
+    validated,
+)
 
 
 def evaluate_kick_command(
@@ -37,6 +45,8 @@ def evaluate_kick_command(
     settle: Annotated[int, typer.Option(help="Ticks before the first kick.")] = 400,
     seed: Annotated[int, typer.Option(help="Seed of ring, noise, errors and kicks.")] = 1,
     rate: Annotated[float, typer.Option(help="Ticks per second: an accelerated clock.")] = 50.0,
+    effect: EffectSpecs = None,
+    effects: EffectsFile = None,
     config_file: ConfigFile = None,
 ) -> None:
     """Recovery from random kicks over Channel Access, the response wrong by a stated amount."""
@@ -44,7 +54,7 @@ def evaluate_kick_command(
     from orbitfb.evaluate.kick_report import table, write
     from orbitfb.evaluate.kick_settings import KickSettings
 
-    settings = configure(config_file)
+    settings = configure(config_file, effect=chosen_effects(effect, effects))
     asked = {
         "error": error,
         "matrix_error": matrix_error,
@@ -57,7 +67,12 @@ def evaluate_kick_command(
         "rate_hz": rate,
     }
     laws = {"laws": tuple(law)} if law else {}
-    common = {"planes": settings.ring.planes, "policy": settings.policy, "learn": settings.learn}
+    common = {
+        "planes": settings.ring.planes,
+        "policy": settings.policy,
+        "learn": settings.learn,
+        "effects": settings.effect,
+    }
     kind = settings.policy.kind
     chosen = {} if kind == "svd" else {"network_kind": kind}
     asked_for = validated(

@@ -11,7 +11,10 @@ from orbitfb.cli.options import (
     ConfigFile,
     DataDirectory,
     Drift,
+    EffectsFile,
+    EffectSpecs,
     Planes,
+    chosen_effects,
     configure,
     show,
     validated,
@@ -89,6 +92,8 @@ def policies_compare(
     seed: Annotated[int, typer.Option(help="First seed of ring, noise and drift.")] = 1,
     seeds: Annotated[int, typer.Option(help="How many seeds.")] = 4,
     drift: Drift = None,
+    effect: EffectSpecs = None,
+    effects: EffectsFile = None,
     config_file: ConfigFile = None,
     data: DataDirectory = None,
     planes: Planes = None,
@@ -109,6 +114,7 @@ def policies_compare(
         ring__planes=planes,
         plant__drift__preset=drift,
         plant__drift__ticks=None if drift is None else ticks,
+        effect=chosen_effects(effect, effects),
     )
     settings = validated(
         CompareSettings,
@@ -118,6 +124,8 @@ def policies_compare(
             "seeds": seeds,
             "planes": config.ring.planes,
             "plant": config.plant,
+            "effects": config.effect,
+            "period": config.loop.period,
         },
     )
     ring = config.ring.load()

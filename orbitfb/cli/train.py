@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from orbitfb.cli.options import AsJson, ConfigFile, DataDirectory, Planes, configure, show
+from orbitfb.cli.options import (
+    AsJson,
+    ConfigFile,
+    DataDirectory,
+    EffectsFile,
+    EffectSpecs,
+    Planes,
+    chosen_effects,
+    configure,
+    show,
+)
 
 if TYPE_CHECKING:
     from orbitfb.training.request import Progress
@@ -24,8 +34,8 @@ def train(
     start: Annotated[
         str,
         typer.Option(
-            help="Response to begin from: nominal (that of the optics), or the id of a stored "
-            "policy."
+            help="Response to begin from: nominal (that of the optics, and what the effects make "
+            "of it), or the id of a stored policy."
         ),
     ] = "nominal",
     archive: Annotated[
@@ -59,6 +69,8 @@ def train(
     activate: Annotated[
         bool, typer.Option("--activate", help="Put the policy in force when it is trained.")
     ] = False,
+    effect: EffectSpecs = None,
+    effects: EffectsFile = None,
     config_file: ConfigFile = None,
     data: DataDirectory = None,
     planes: Planes = None,
@@ -69,7 +81,12 @@ def train(
     from orbitfb.training.policy import train_policy
     from orbitfb.training.request import FORWARD, TrainingRequest
 
-    settings = configure(config_file, data_directory=data, ring__planes=planes)
+    settings = configure(
+        config_file,
+        data_directory=data,
+        ring__planes=planes,
+        effect=chosen_effects(effect, effects),
+    )
     request = TrainingRequest(
         method=method,
         start=start,

@@ -15,10 +15,12 @@ from orbitfb.core.errors import ConfigError
 from orbitfb.core.ports import Policy
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.effects.build import plant_with
+from orbitfb.effects.settings import EffectSettings
 from orbitfb.evaluate.simulate import ClosedLoop
 from orbitfb.learn.judge import gain_of
 from orbitfb.physics.places import Planes, Ring
-from orbitfb.physics.plant import Plant, PlantSettings
+from orbitfb.physics.plant import PlantSettings
 
 NEAR = 50e-6
 """The orbit that counts as corrected, rms [m]: the paper's 0.05 mm."""
@@ -34,6 +36,10 @@ class CompareSettings(Settings):
     seeds: int = Field(default=4, ge=1, description="How many seeds.")
     planes: Planes = Field(default="x", description="Planes under feedback.")
     plant: PlantSettings = Field(default=PlantSettings(), description="The simulated ring.")
+    effects: tuple[EffectSettings, ...] = Field(
+        default=(), description="Effects that the ring has besides."
+    )
+    period: float = Field(default=0.1, gt=0, description="By which effects count time [s].")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +117,9 @@ def _run(
     half = settings.ticks // 2
     true, observed, changes, steps, growth, lost = [], [], [], [], [], 0
     for seed in range(settings.seed, settings.seed + settings.seeds):
-        plant = Plant(ring, settings.planes, settings.plant, seed)
+        plant = plant_with(
+            ring, settings.planes, settings.plant, seed, settings.effects, settings.period
+        )
         loop = ClosedLoop(plant, policy, settings.ticks, ramp=1, valid=valid).run()
         lost += loop.lost
         true.append(np.mean(loop.true_rms[half:] ** 2))

@@ -193,5 +193,6 @@ def _job(settings: KickSettings) -> SimJob:
         planes=settings.planes,
         seed=settings.seed,
         plant=settings.plant(),
+        effects=settings.effects,
         sim=SimSettings(port=0, rate_hz=settings.rate_hz),
     )

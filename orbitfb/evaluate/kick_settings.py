@@ -8,6 +8,7 @@ from pydantic import Field
 
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Vector
+from orbitfb.effects.settings import EffectSettings
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.physics.drift import DriftSettings
 from orbitfb.physics.effect import generator
@@ -58,6 +59,9 @@ class KickSettings(Settings):
         default=PolicySettings(), description="Settings of every kind; `kind` is not looked at."
     )
     learn: LearnSettings = Field(default=LearnSettings(), description="The learner.")
+    effects: tuple[EffectSettings, ...] = Field(
+        default=(), description="Effects that the ring has besides."
+    )
 
     @property
     def ticks(self) -> int:

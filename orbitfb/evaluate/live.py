@@ -23,6 +23,7 @@ from orbitfb.core.clock import SystemClock
 from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState, TickRecord, Vector
+from orbitfb.effects.settings import EffectSettings
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 from orbitfb.history.buffer import History
@@ -52,6 +53,8 @@ _LOST = 5e-3
 _STEP = 5
 """Ticks between two looks of the learner in lockstep: half a second of a loop at 10 Hz."""
 _POLL = 0.02
+_EFFECTS_PERIOD = 0.1
+"""By which effects count time in lockstep: that of a loop at 10 Hz [s]."""
 _SLACK = 0.3
 """How long the loop waits for an orbit before it holds [s]: the clock is the computer's own."""
 
@@ -72,6 +75,9 @@ class LiveSettings(Settings):
     )
     policy: PolicySettings = Field(
         default=PolicySettings(), description="Kind and settings of all the laws."
+    )
+    effects: tuple[EffectSettings, ...] = Field(
+        default=(), description="Effects that the ring has besides."
     )
     learn: LearnSettings = Field(default=LearnSettings(), description="The learner.")
 
@@ -163,6 +169,8 @@ class _Live:
             planes=settings.planes,
             seed=settings.seed,
             plant=settings.plant(),
+            effects=settings.effects,
+            period=1.0 / settings.rate_hz if settings.rate_hz else _EFFECTS_PERIOD,
             sim=_LOCKSTEP_RING
             if settings.rate_hz is None
             else SimSettings(port=0, rate_hz=settings.rate_hz),

@@ -23,6 +23,8 @@ from orbitfb.core.ports import Policy
 from orbitfb.core.refit import Decision, RefitReport
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Vector
+from orbitfb.effects.build import plant_with
+from orbitfb.effects.settings import EffectSettings
 from orbitfb.evaluate.simulate import ClosedLoop
 from orbitfb.learn.builders import builder
 from orbitfb.learn.learner import Learner
@@ -65,6 +67,10 @@ class RefitEvaluationSettings(Settings):
     naive_every: int = Field(
         default=500, ge=200, description="Ticks between two naive refits [ticks]."
     )
+    effects: tuple[EffectSettings, ...] = Field(
+        default=(), description="Effects that the ring has besides."
+    )
+    period: float = Field(default=0.1, gt=0, description="By which effects count time [s].")
     policy: SvdSettings = Field(default=SvdSettings(), description="Gain and λ of all the laws.")
     learn: LearnSettings = Field(default=LearnSettings(), description="The learner.")
 
@@ -167,7 +173,9 @@ def _run(
     plant_settings = PlantSettings(drift=drift_settings(settings), bpm_noise_rms=settings.bpm_noise)
 
     def plant() -> Plant:
-        return Plant(ring, settings.planes, plant_settings, settings.seed)
+        return plant_with(
+            ring, settings.planes, plant_settings, settings.seed, settings.effects, settings.period
+        )
 
     def begin(policy: Policy) -> ClosedLoop:
         return ClosedLoop(plant(), policy, settings.ticks)

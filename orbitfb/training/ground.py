@@ -6,6 +6,7 @@ from orbitfb.config import AppConfig
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Channels, Vector
 from orbitfb.core.transitions import Transitions
+from orbitfb.effects.build import layout_of, measured_response
 from orbitfb.history.archive import read_archive
 from orbitfb.maintenance import open_store
 from orbitfb.models.identify import Identifier
@@ -39,6 +40,7 @@ def find_ground(config: AppConfig, request: TrainingRequest) -> Ground:
     """Read what is named.
 
     Raises:
+        ConfigError: An effect is to be where nothing is.
         StoreError: There is no such policy, or it is of another ring.
         ArchiveError: The archive cannot be read, or is of another ring.
         EstimationError: The response cannot be identified from it.
@@ -48,6 +50,9 @@ def find_ground(config: AppConfig, request: TrainingRequest) -> Ground:
     start: StoredPolicy | None = None
     if request.start == NOMINAL:
         matrix = response(ring, config.ring.planes)
+        if config.effect:
+            layout = layout_of(ring, config.ring.planes, config.loop.period, matrix)
+            matrix = measured_response(layout, config.effect, config.seed)
     else:
         start = open_store(config).load(request.start, channels)
         matrix = start.response

@@ -108,12 +108,14 @@ def untouched(hook, *arrays):
 def run(effect, layout, setpoints):
     """Readings and currents of the plant with one effect, watching that it changes no argument."""
     readings, all_currents = [], []
-    noise = 1e-6 * np.random.default_rng(3).standard_normal((len(setpoints), len(layout.bpms)))
+    rng = np.random.default_rng(3)
+    noise, steps = 1e-6 * rng.standard_normal((2, len(setpoints), len(layout.bpms)))
+    motion = np.cumsum(steps, axis=0)
     for tick, wanted in enumerate(setpoints):
         currents = untouched(lambda u, t=tick: effect.actuate(u, t), wanted)
         orbit = layout.response @ currents
         orbit = untouched(lambda x, u, t=tick: effect.respond(x, u, t), orbit, currents)
-        orbit = untouched(lambda x, t=tick: effect.disturb(x, t), orbit)
+        orbit = untouched(lambda x, t=tick: effect.disturb(x, t), orbit + motion[tick])
         readings.append(untouched(lambda x, t=tick: effect.sense(x, t), orbit + noise[tick]).copy())
         all_currents.append(currents.copy())
     return np.array(readings), np.array(all_currents)
