@@ -1,7 +1,6 @@
 """Write `diagnosis.json`, `report.html` and `effect.toml`, each whole or not at all."""
 
 import os
-import re
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +15,6 @@ from orbitfb.effects.registry import effect
 from orbitfb.effects.settings import EffectSettings, read_effect
 
 ANSWER, REPORT, EFFECTS = "diagnosis.json", "report.html", "effect.toml"
-_PLANE = re.compile(r" \(([xy])\)$")
 
 
 def check_directory(directory: Path) -> None:
@@ -91,11 +89,9 @@ def _settings(cause: Cause) -> EffectSettings:
     if cause.onset_s is not None and cause.onset_s > 0:
         table["from"] = cause.onset_s
     if kind.target != "ring" and cause.places:
-        found = {match.group(1) for name in cause.places if (match := _PLANE.search(name))}
-        planes = "".join(sorted(found)) or cause.planes
-        table["names"] = list(dict.fromkeys(_PLANE.sub("", name) for name in cause.places))
-        if planes != "xy":
-            table["planes"] = planes
+        table["names"] = list(cause.places)
+        if cause.planes != "xy":
+            table["planes"] = cause.planes
     return read_effect(table, f"cause {cause.effect}")
 
 

@@ -15,7 +15,10 @@ from orbitfb.core.errors import ConfigError, RecordError
 from orbitfb.diagnose import writing
 from orbitfb.diagnose.answer import read_diagnosis
 from orbitfb.diagnose.finding import Finding
+from orbitfb.effects.build import layout_of
 from orbitfb.effects.files import read_effects
+from orbitfb.effects.places import resolve
+from orbitfb.physics.places import Ring
 
 
 @pytest.fixture
@@ -112,10 +115,13 @@ def test_the_fragment_is_what_the_simulator_reads(engine, record, tmp_path):
     assert effect.since == 112.4
 
 
-def test_planes_of_a_cause_are_read_off_its_places():
-    cause = examples.lag_cause().model_copy(update={"places": ("A (y)", "B (y)"), "onset_s": None})
+def test_a_cause_comes_back_as_the_same_columns_of_the_ring():
+    layout = layout_of(Ring.load(), "xy", 0.1)
+    columns = [3, 200]
+    places = tuple(layout.correctors.label(column) for column in columns)
+    cause = examples.lag_cause().model_copy(update={"places": places, "onset_s": None})
     (effect,) = writing.effects_of((cause,))
-    assert (effect.names, effect.planes, effect.since) == (("A", "B"), "y", 0.0)
+    assert resolve(effect, layout).tolist() == columns
 
 
 def test_a_headline_cannot_write_into_the_fragment():
