@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: run test test-system venv lint types layers format bench clean
+.PHONY: run test test-system venv lint types layers format bench clean blind
 
 run: venv
 	$(BIN)/orbitfb run --ioc sim
@@ -34,6 +34,9 @@ format: venv
 
 bench: venv
 	$(BIN)/python -m benchmarks.loop --out benchmarks/loop.json
+
+blind: venv
+	$(BIN)/orbitfb diagnose blind --suite $(or $(SUITE),fast) --out $(or $(OUT),orbitfb-data/blind)
 
 test-system:
 	@echo "skipped: no test needs a Debian package yet"

@@ -10,6 +10,7 @@ import typer
 from orbitfb import __version__
 from orbitfb.cli.config import config
 from orbitfb.cli.diagnose import diagnose
+from orbitfb.cli.diagnose_blind import diagnose_blind
 from orbitfb.cli.effects import effects
 from orbitfb.cli.evaluate import evaluate
 from orbitfb.cli.kick import evaluate_kick_command
@@ -30,6 +31,7 @@ for _function in (run, ioc, train, refit, command):
 evaluate.command("kick")(evaluate_kick_command)
 app.add_typer(policies, name="policies")
 app.add_typer(evaluate, name="evaluate")
+diagnose.command("blind")(diagnose_blind)
 app.add_typer(diagnose, name="diagnose")
 app.add_typer(effects, name="effects")
 app.add_typer(config, name="config")

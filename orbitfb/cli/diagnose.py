@@ -61,6 +61,10 @@ def diagnose_record(
         typer.Option(help="Parameters of the ring (JSON) [those of the default ring]."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(help="Id of an effect that is not to be considered; may be repeated."),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Diagnose a record: exit code 0 answered, 3 the record is not intact, 2 any other error."""
@@ -68,16 +72,25 @@ def diagnose_record(
     from orbitfb.diagnose.answer import document
     from orbitfb.diagnose.run import diagnose_files
     from orbitfb.diagnose.writing import check_directory, write
+    from orbitfb.effects.registry import effect
     from orbitfb.physics.places import Ring
 
     if planes not in (None, "x", "y", "xy"):
         raise ConfigError(f"--planes: there is no {planes!r}; choose x, y or xy")
+    left_out = frozenset(effect(name).id for name in without or ())
     target = out or beside(record)
     check_directory(target)
     known = Ring.load(places, ring)
     with _progress(as_json) as progress:
         answer = diagnose_files(
-            record, reference, holdout, planes=planes, ring=known, seed=seed, progress=progress
+            record,
+            reference,
+            holdout,
+            planes=planes,
+            ring=known,
+            seed=seed,
+            without=left_out,
+            progress=progress,
         )
     written = write(answer, target)
     if as_json:

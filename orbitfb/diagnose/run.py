@@ -31,6 +31,7 @@ def diagnose_files(
     planes: Planes | None,
     ring: Ring | None,
     seed: int,
+    without: frozenset[str] = frozenset(),
     progress: Progress,
 ) -> Diagnosis:
     """Diagnose a record of a file.
@@ -42,6 +43,7 @@ def diagnose_files(
         planes: Plane(s) to look at; all that the record has when None.
         ring: Whose names the devices may have; the default ring when None.
         seed: Of the bootstrap.
+        without: Ids of effects that are not to be considered.
         progress: Is told how far it is.
 
     Raises:
@@ -57,7 +59,7 @@ def diagnose_files(
     findings = reported((*loaded.findings, *screen(loaded.record)))
     if any(finding.severity == "failure" for finding in findings):
         return _refused(loaded.record, findings, seed)
-    answer = diagnose(loaded.record, *others, seed=seed, progress=progress)
+    answer = diagnose(loaded.record, *others, seed=seed, without=without, progress=progress)
     merged = tuple(dict.fromkeys((*findings, *answer.findings)))
     return answer.model_copy(update={"findings": merged})
 

@@ -26,7 +26,7 @@ def engine(monkeypatch):
     """What reads, screens and estimates, with answers to be chosen."""
     its = SimpleNamespace(answer=examples.named(), findings=(), noticed=(), calls=[])
 
-    def diagnose(record, reference, holdout, *, seed, progress):
+    def diagnose(record, reference, holdout, *, seed, without, progress):
         progress("scanning", 0.5)
         its.calls.append((record, reference, holdout, seed))
         return its.answer

@@ -1,0 +1,1 @@
+"""Simpler methods, in the same table: what the diagnosis has to beat."""
