@@ -5,7 +5,8 @@
 2n of the h hidden units carry it. In the first layer unit i is x_i = tanh(α z_i / s), in the
 linear range, and unit n + i is tanh(z_i / δ_i). The second and third layer hand both on, the
 latter made small (α) so that it is not bent again, and the last matrix puts them together:
-column i is −K U_i far_i s / α, column n + i is K U_i (1 − L_i) δ_i / α.
+column i is −K U_i s / α, column n + i is (K − K_near L_i) U_i δ_i / α; in a mode without a
+threshold they are −K_near L_i U_i s / α and 0.
 
 What is lost: three tanh of x differ from x by a relative x², that is (α z/s)²: for α = 10⁻⁴ and
 s = 250 µm 10⁻⁸ of a mode's amplitude at 250 µm and 2 · 10⁻⁵ at 10 mm; and single precision
@@ -109,13 +110,12 @@ def _first(law: ModalPolicy, settings: NetworkSettings, linear_range: float) -> 
 
 def _last(law: ModalPolicy, settings: NetworkSettings, linear_range: float) -> NDArray[np.float32]:
     n = len(law.gains)
-    reached = law.inverse @ law.modes
+    far, near = law.inverse @ law.modes, law.near_inverse @ law.modes * law.gains
     linear = np.isinf(law.thresholds)
-    far = np.where(linear, law.gains, 1.0)
-    bend = (1.0 - law.gains) * np.where(linear, 0.0, law.thresholds)
-    last = np.zeros((len(reached), hidden_width(n)), dtype=np.float32)
-    last[:, :n] = -reached * (far * settings.input_scale / linear_range)
-    last[:, n : 2 * n] = reached * (bend / linear_range)
+    last = np.zeros((len(far), hidden_width(n)), dtype=np.float32)
+    last[:, :n] = -np.where(linear, near, far) * (settings.input_scale / linear_range)
+    bend = np.where(linear, 0.0, law.thresholds)
+    last[:, n : 2 * n] = (far - near) * (bend / linear_range)
     return last
 
 

@@ -15,6 +15,13 @@ variance r² no law of any memory does better at rest than the constant gain
 with M the variance of the predicted orbit: the stationary Kalman filter, and because a change
 moves the orbit at once, also the LQG law without a cost of changes.
 
+Where R is ill-conditioned, K is damped by λ or by the doubt about R, and the gain of a weak mode at
+rest, L times what the damping leaves, may be so small that a slow creep of the orbit grows large
+in it. At the floor a mistake costs little, for changes are small there. So there K_near may stand
+for K, damped by a share of λ² and of the doubt:
+
+    a = −K U z + (K − K_near L) U δ tanh(z / δ),    z = Uᵀ e.
+
 By default q_i² of mode i is g² σ_i² / mean(σ²): kicks at many places along the ring reach the
 modes as the correctors do. On the default ring that is within a factor 2 of what moving
 quadrupoles make in the modes that count.
@@ -57,6 +64,12 @@ class ModalSettings(Settings):
     minimum_gain: float = Field(
         default=0.02, gt=0.0, le=1.0, description="Smallest gain of a mode at the noise floor [1]."
     )
+    near_caution: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=1.0,
+        description="Share of λ² and of the doubt about R̂ that counts at the noise floor [1].",
+    )
     threshold: float | None = Field(
         default=5.0,
         ge=0.0,
@@ -84,7 +97,8 @@ class ModalPolicy:
     Attributes:
         response, modes, gains, thresholds, covariance, settings: As given or made.
         inverse: K, shape (m, n) [A/m].
-        gain_matrix: Slope at zero, K U diag(L) Uᵀ, shape (m, n) [A/m].
+        near_inverse: K_near, shape (m, n) [A/m].
+        gain_matrix: Slope at zero, K_near U diag(L) Uᵀ, shape (m, n) [A/m].
 
     Raises:
         RingError: A matrix is not finite, has the wrong shape, or modes are not orthonormal.
@@ -116,18 +130,22 @@ class ModalPolicy:
             settings, self.response, self.modes, self.gains, self.thresholds, self.covariance
         )
         self.inverse = regularised_inverse(self.response, settings.regularisation, self.covariance)
+        self.near_inverse = self._near_inverse()
+        two_scales = self.near_inverse is not self.inverse
         # In units of its threshold, y = z / δ, a bent mode is δ (y − (1 − L) tanh y): the units
         # go into the matrices on both sides, and a mode that is linear all over is one of them.
-        bent = np.isfinite(self.thresholds) & (self.thresholds > 0.0) & (self.gains < 1.0)
+        bent = np.isfinite(self.thresholds) & (self.thresholds > 0.0)
+        bent &= (self.gains < 1.0) | two_scales
         units = np.where(bent, self.thresholds, settings.reading_noise)
-        far = np.where(np.isinf(self.thresholds), self.gains, 1.0)
-        steered = self.inverse @ self.modes
+        far, near = self.inverse @ self.modes, self.near_inverse @ self.modes * self.gains
+        slopes = np.where(self.thresholds == 0.0, far, near)
+        outward = np.where(np.isinf(self.thresholds), near, far)
         self._inward = frozen(self.modes.T / units[:, None])
-        self._outward = frozen(-steered * (far * units))
+        self._outward = frozen(-outward * units)
         self._bend = frozen(np.where(bent, 1.0 - self.gains, 0.0))
+        self._back = frozen(np.where(bent, far - near, 0.0) * units) if two_scales else None
         self._linear = not bent.any()
-        slopes = np.where(self.thresholds == 0.0, 1.0, self.gains)
-        self.gain_matrix = frozen(steered * slopes @ self.modes.T)
+        self.gain_matrix = frozen(slopes @ self.modes.T)
         self._infill = Infill(self.response)
 
     @property
@@ -155,7 +173,10 @@ class ModalPolicy:
         if self._linear:
             return -self.gain_matrix.dot(error), None
         amplitudes = self._inward.dot(error)
-        amplitudes -= self._bend * np.tanh(amplitudes)
+        bent = np.tanh(amplitudes)
+        if self._back is not None:
+            return self._outward.dot(amplitudes) + self._back.dot(bent), None
+        amplitudes -= self._bend * bent
         return self._outward.dot(amplitudes), None
 
     def changes(self, errors: Vector) -> Vector:
@@ -170,8 +191,18 @@ class ModalPolicy:
         if self._linear:
             return -(errors @ self.gain_matrix.T)
         amplitudes = errors @ self._inward.T
-        amplitudes -= self._bend * np.tanh(amplitudes)
+        bent = np.tanh(amplitudes)
+        if self._back is not None:
+            return amplitudes @ self._outward.T + bent @ self._back.T
+        amplitudes -= self._bend * bent
         return amplitudes @ self._outward.T
+
+    def _near_inverse(self) -> Vector:
+        share, strength = self.settings.near_caution, self.settings.regularisation
+        if share == 1.0 or (strength == 0.0 and self.covariance is None):
+            return self.inverse
+        doubt = None if self.covariance is None else share * self.covariance
+        return regularised_inverse(self.response, np.sqrt(share) * strength, doubt)
 
 
 def left_modes(response: Vector) -> Vector:

@@ -13,6 +13,30 @@ from orbitfb.policies.trajectory_settings import FineTuneSettings
 
 PolicyKind = Literal["svd", "modal", "network", "supervised", "trajectory"]
 
+_CAUTION = 0.1
+
+
+class LiveModalSettings(ModalSettings):
+    """The noise-aware law of a loop that runs on whatever the ring does.
+
+    A ring whose weakest modes change their sign lost the beam without regularisation, even where
+    the law was told the true response; and with the lowest gain that a quiet ring allows, its
+    creep was not held.
+    """
+
+    regularisation: float = Field(
+        default=1e-5, ge=0.0, description="Tikhonov λ, compared with the singular values [m/A]."
+    )
+    minimum_gain: float = Field(
+        default=0.1, gt=0.0, le=1.0, description="Smallest gain of a mode at the noise floor [1]."
+    )
+    near_caution: float = Field(
+        default=0.05,
+        gt=0.0,
+        le=1.0,
+        description="Share of λ² and of the doubt about R̂ that counts at the noise floor [1].",
+    )
+
 
 class PolicySettings(Settings):
     """Which law runs, and of which refits make candidates."""
@@ -23,15 +47,18 @@ class PolicySettings(Settings):
         "network: the same law in the paper's network; supervised: the network, trained on the "
         "answers of that law; trajectory: the network, improved by trajectory optimisation.",
     )
-    caution: float = Field(
-        default=1.0,
+    caution: float | None = Field(
+        default=None,
         ge=0.0,
         le=1.0,
-        description="Share of the uncertainty of R̂ that lowers the gain of a candidate [1]; "
-        "0: none.",
+        description="Share of the uncertainty of R̂ that lowers the gain of a candidate [1]; 0: "
+        "none; unset: 1 for svd, 0.1 for the others, which answer a small orbit with a low gain.",
     )
     svd: SvdSettings = Field(default=SvdSettings(), description="The linear baseline.")
-    modal: ModalSettings = Field(default=ModalSettings(), description="The noise-aware law.")
+    modal: LiveModalSettings = Field(
+        default=LiveModalSettings(),
+        description="The noise-aware law, which the networks hold as well.",
+    )
     network: NetworkSettings = Field(default=NetworkSettings(), description="The network.")
     supervised: SupervisedSettings = Field(
         default=SupervisedSettings(), description="Training of a network on answers of a law."
@@ -40,3 +67,10 @@ class PolicySettings(Settings):
         default=FineTuneSettings(),
         description="Trajectory optimisation of a candidate from the incumbent's weights.",
     )
+
+    @property
+    def doubt(self) -> float:
+        """The caution of this kind, from 0 to 1 [1]."""
+        if self.caution is not None:
+            return self.caution
+        return 1.0 if self.kind == "svd" else _CAUTION

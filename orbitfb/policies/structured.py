@@ -190,7 +190,9 @@ class StructuredLaw(torch.nn.Module):
             doubt = self._values * np.exp(-_values(self.far)) / len(self._response)
             added = (self._directions * doubt) @ self._directions.T
             covariance = added if covariance is None else covariance + added
-        return ModalPolicy(self._response, law.settings, law.modes, gains, thresholds, covariance)
+        # What was trained has one inverse, near zero and far from it.
+        settings = law.settings.model_copy(update={"near_caution": 1.0})
+        return ModalPolicy(self._response, settings, law.modes, gains, thresholds, covariance)
 
 
 def _parameter(values: Vector, trained: bool) -> torch.nn.Parameter:

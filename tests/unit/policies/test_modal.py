@@ -32,13 +32,13 @@ def formula(policy, error):
     total = np.zeros(policy.response.shape[1])
     for i, mode in enumerate(policy.modes.T):
         z, gain, delta = float(mode @ error), policy.gains[i], policy.thresholds[i]
+        far, near = policy.inverse @ mode, gain * policy.near_inverse @ mode
         if np.isinf(delta):
-            answer = gain * z
+            total -= near * z
         elif delta == 0.0:
-            answer = z
+            total -= far * z
         else:
-            answer = z - (1.0 - gain) * delta * np.tanh(z / delta)
-        total -= policy.inverse @ mode * answer
+            total -= far * z - (far - near) * delta * np.tanh(z / delta)
     return total
 
 
@@ -48,21 +48,24 @@ def formula(policy, error):
     st.integers(1, 10),
     st.integers(1, 10),
     st.floats(-8.0, -3.0),
-    st.floats(0.0, 1e-4),
+    st.floats(0.0, 1e-3),
+    st.sampled_from([1.0, 0.05]),
 )
-def test_it_is_its_formula(seed, bpms, correctors, size, strength):
+def test_it_is_its_formula(seed, bpms, correctors, size, strength, share):
     rng = np.random.default_rng(seed)
     thresholds = rng.choice([0.0, 1e-6, 3e-5, np.inf], size=bpms)
     policy = ModalPolicy(
         make_response(seed, bpms, correctors),
-        ModalSettings(regularisation=strength),
-        gains=rng.uniform(0.01, 1.0, size=bpms),
+        ModalSettings(regularisation=strength, near_caution=share),
+        gains=rng.choice([0.01, 0.3, 1.0], size=bpms),
         thresholds=thresholds,
     )
     error = 10.0**size * rng.normal(size=bpms)
     expected = formula(policy, error)
-    scale = np.abs(policy.inverse).max() * np.abs(error).max()
-    np.testing.assert_allclose(act(policy, error), expected, rtol=1e-8, atol=1e-12 * scale)
+    scale = np.abs(policy.near_inverse).max() * np.abs(error).max()
+    tolerance = {"rtol": 1e-8, "atol": 1e-12 * scale}
+    np.testing.assert_allclose(act(policy, error), expected, **tolerance)
+    np.testing.assert_allclose(policy.changes(np.array([error]))[0], expected, **tolerance)
 
 
 def test_far_away_it_is_the_inverse_and_near_zero_it_has_its_gains():
@@ -87,6 +90,28 @@ def test_doubt_about_the_response_makes_it_cautious():
     policy = ModalPolicy(matrix, ModalSettings(), covariance=covariance)
     expected = np.linalg.solve(matrix.T @ matrix + 12 * covariance, matrix.T)
     np.testing.assert_allclose(policy.inverse, expected, rtol=1e-9)
+
+
+def test_near_zero_a_share_of_the_caution_counts():
+    """The slope at zero is that of an inverse with a share of λ² and of the doubt."""
+    matrix = make_response()
+    root = 3e-4 * np.random.default_rng(2).normal(size=(9, 9))
+    covariance, gains = root @ root.T, np.linspace(0.05, 0.9, 12)
+    policy = ModalPolicy(
+        matrix,
+        ModalSettings(regularisation=2e-4, near_caution=0.1),
+        gains=gains,
+        covariance=covariance,
+    )
+    square = matrix.T @ matrix
+    damping = 12 * covariance + 4e-8 * np.eye(9)
+    far = np.linalg.solve(square + damping, matrix.T)
+    near = np.linalg.solve(square + 0.1 * damping, matrix.T)
+    slope = near @ policy.modes @ np.diag(gains) @ policy.modes.T
+    np.testing.assert_allclose(policy.gain_matrix, slope, rtol=1e-9)
+    tiny, large = 1e-12 * np.ones(12), 1.0 * np.ones(12)
+    np.testing.assert_allclose(act(policy, tiny), -slope @ tiny, rtol=1e-8)
+    np.testing.assert_allclose(act(policy, large), -far @ large, rtol=1e-4)
 
 
 @pytest.mark.parametrize("ratio", [1e-4, 0.04, 1.0, 30.0])

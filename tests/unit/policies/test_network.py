@@ -172,7 +172,12 @@ def test_an_embedded_law_is_the_law(ring_response, amplitude):
     condition number.
     """
     errors = amplitude * np.random.default_rng(0).normal(size=(40, 180))
-    for law in (some_law(ring_response), ModalPolicy(ring_response, ModalSettings())):
+    two_scales = ModalSettings(regularisation=2e-5, near_caution=0.05)
+    for law in (
+        some_law(ring_response),
+        ModalPolicy(ring_response, ModalSettings()),
+        ModalPolicy(ring_response, two_scales),
+    ):
         policy = embed(law)
         difference = policy.changes(errors) - law.changes(errors)
         tolerance = 5e-5 if amplitude < 1e-6 else 2e-6

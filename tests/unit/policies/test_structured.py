@@ -43,7 +43,7 @@ def test_law_in_training_and_law_exported_act_alike(shape, doubt) -> None:
     response = ring(*shape)
     covariance = None if doubt is None else doubt**2 * np.diag(np.linspace(0.0, 1.0, shape[1]))
     # More correctors than BPMs leave directions that nothing but regularisation determines.
-    settings = ModalSettings(regularisation=1e-5)
+    settings = ModalSettings(regularisation=1e-5, near_caution=0.05)
     law = ModalPolicy(response, settings, gains=0.2, thresholds=1e-6, covariance=covariance)
     module = StructuredLaw(response, law, StructuredSettings())
     with torch.no_grad():
