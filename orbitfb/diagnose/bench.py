@@ -1,5 +1,6 @@
 """A record under a set of causes: what is left, how likely it is, which way it would improve."""
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -86,10 +87,33 @@ class Bench:
             white = self.floor.whiten(leftover.left - self.background.orbit(sizes), record.starts)
         return white, sizes, leftover.log_jacobian
 
+    def with_floor(self, floor: NoiseFloor) -> "Bench":
+        """The same causes judged under another floor; the background's information stays."""
+        other = copy.copy(self)
+        other.floor = floor
+        other.white, other.sizes, other.jacobian = other.residual(())
+        other.slope = floor.adjoint(other.white, self.record.starts)
+        return other
+
+    def floor_without(self, causes: Sequence[Cause]) -> NoiseFloor:
+        """Estimate the floor that more causes leave; a floor that was told stays."""
+        if self.told_floor:
+            return self.floor
+        record = self.record
+        left = explain(record, (*self.causes, *causes), self.orbit).left
+        slope = self.floor.adjoint(self.floor.whiten(left, record.starts), record.starts)
+        left = left - self.background.orbit(self.background.best(slope))
+        return estimate_floor(left, record.starts, self.floor.modes)
+
     @property
     def log_likelihood(self) -> float:
-        """Of the record under the causes, up to a constant of the floor [nats]."""
+        """Of the record under the causes [nats], comparable under one floor."""
         return log_likelihood(self.white, self.sizes, self.jacobian)
+
+    @property
+    def full_log_likelihood(self) -> float:
+        """Of the record under the causes [nats], comparable between floors too."""
+        return self.log_likelihood + float(np.sum(self.floor.log_density_terms(self.record.starts)))
 
 
 def log_likelihood(white: Matrix, sizes: Vector, jacobian: Vector) -> float:

@@ -61,7 +61,7 @@ class Fit:
 
     @property
     def evidence(self) -> float:
-        """Log of the Bayes factor for given places [nats]."""
+        """Log of the Bayes factor for given places under this floor [nats]."""
         return self.gain / self.inflation - self.occam
 
 
@@ -130,6 +130,9 @@ def fit(bench: Bench, causes: Sequence[Cause]) -> Fit:
         if not slopes:
             break
         gradient, curvature = _normal_equations(now, slopes)
+        if not (np.isfinite(curvature).all() and np.isfinite(gradient).all()):
+            slopes = []
+            break
         move = np.linalg.lstsq(curvature, gradient, rcond=1e-12)[0]
         if gradient @ move < _ENOUGH and step:
             break

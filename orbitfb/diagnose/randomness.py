@@ -3,7 +3,8 @@
 With g = S⁻¹ e, adding κ b bᵀ to the covariance of the innovations changes the log-likelihood by
 −½ N log(1 + κ a) + ½ κ / (1 + κ a) Σ (bᵀ g)², a = bᵀ S⁻¹ b (matrix determinant lemma), which is
 largest where 1 + κ a is the mean of (bᵀ g)² / a. A strike z d at one tick has the score λ·d and
-the information dᵀ W d, so its likelihood ratio is known tick by tick for a z that is one, or normal.
+the information dᵀ W d, so its likelihood ratio is known tick by tick for a z that is one, or is
+normal.
 """
 
 from collections.abc import Iterator
@@ -20,12 +21,21 @@ from orbitfb.physics.optics import Matrix
 _LEAST_SCATTER = 0.05
 """Relative scatter of a healthy variance between devices, beyond chance."""
 _RARE = np.geomspace(0.0005, 0.5, 25)
+_LEVELS = ("noise-level", "ground-motion-level")
+"""Kinds that may strike every place alike."""
+_LEVEL_SCATTER = 0.1
+"""Scatter of the logarithm of a healthy level between times of a record, or records."""
+_LEAST_SPIKE = 4.0
+"""Spikes are larger than this many standard deviations; what is smaller is plain noise."""
+_MOST_SPIKES = 0.05
 _KEPT = 3
 _EDGE = 60
 
 
 def noise_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
     """Find where innovations scatter more (or less) than the floor says, best first."""
+    if kind.target == "ring" and kind.id in _LEVELS:
+        return []  # all places share one size: `level_candidates`
     patterns = kind.patterns(bench.record.layout)
     if not patterns.shape[1]:
         return []
@@ -33,6 +43,49 @@ def noise_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
     if kind.sudden and kind.lag == 0:
         found += [*_sudden(bench, kind, patterns)]
     return sorted(found, key=lambda c: c.gain - np.log(c.choices), reverse=True)[:_KEPT]
+
+
+def level_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
+    """Try another level of all the reading noise, or of all the walk, from some row on.
+
+    The variance of a mode's innovation goes with q as its share L / (2 − L), and with r² as the
+    rest. Without a reference the level of the whole record is what the floor was fitted to; a
+    change within it is judged against the record's own other part.
+    """
+    if kind.id not in _LEVELS:
+        return []
+    record = bench.record
+    share = bench.floor.gains / (2.0 - bench.floor.gains)
+    share = share if kind.colour == "walk" else 1.0 - share
+    squares = bench.white**2
+    factors = np.exp(np.linspace(-3.0, 5.0, 41))
+    by_row = np.empty((len(factors), len(squares)))
+    for index, factor in enumerate(factors):
+        more = (factor - 1.0) * share
+        by_row[index] = -0.5 * np.sum(np.log1p(more)) + 0.5 * squares @ (more / (1.0 + more))
+    by_row[:, record.starts] = 0.0
+    before = np.cumsum(by_row, axis=1)
+    whole = before[:, -1]
+    if bench.told_floor:
+        row, late = 0, int(np.argmax(whole))
+        gain, ratio, choices = float(whole[late]), float(factors[late]), 1.0
+    else:
+        after = whole[:, None] - before
+        steps = before.max(axis=0) + after.max(axis=0) - float(whole.max())
+        steps[:_EDGE] = 0.0
+        steps[-_EDGE:] = 0.0
+        row = int(np.argmax(steps))
+        gain, choices = float(steps[row]), float(len(steps))
+        early, late = int(np.argmax(before[:, row])), int(np.argmax(after[:, row]))
+        ratio = float(factors[late] / factors[early])
+    # Levels of healthy rings wander: a factor is judged against their usual scatter too.
+    tolerance = 0.5 * (np.log(ratio) / _LEVEL_SCATTER) ** 2
+    gain = gain * tolerance / (gain + tolerance) if gain + tolerance > 0 else 0.0
+    places: tuple[int, ...] = () if kind.target == "ring" else tuple(range(len(record.layout.bpms)))
+    values = {p.name: p.typical for p in kind.parameters}
+    values[kind.parameters[0].name] = float(np.sqrt(ratio))
+    cause = Cause(kind, places, values, row + 1 if row else 0)
+    return [Candidate(cause, gain, choices, "all")] if gain > 0 else []
 
 
 def projections(bench: Bench, patterns: Matrix) -> tuple[Matrix, Vector]:
@@ -144,6 +197,7 @@ def _latent_grid(kind: LatentKind, score: Matrix, info: Matrix) -> Iterator[Valu
         for share in _RARE[(first.low <= _RARE) & (first.high >= _RARE)]:
             yield {first.name: float(share)}
         return
+    few = _RARE[_RARE <= _MOST_SPIKES]
     typical = np.sqrt(1.0 / np.maximum(np.median(info[info > 0]), 1e-300)) if info.any() else 1.0
     sizes = typical * np.geomspace(0.02, 50.0, 30)
     if kind.strength == "normal":
@@ -151,8 +205,9 @@ def _latent_grid(kind: LatentKind, score: Matrix, info: Matrix) -> Iterator[Valu
             yield {first.name: float(size)}
         return
     second = kind.parameters[1]
-    for share in _RARE[::2]:
-        for size in sizes[10::2]:
+    large = typical * np.geomspace(_LEAST_SPIKE, 100.0, 12)
+    for share in few[::2]:
+        for size in large:
             if first.low <= share <= first.high and second.low <= size <= second.high:
                 yield {first.name: float(share), second.name: float(size)}
 

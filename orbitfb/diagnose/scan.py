@@ -125,7 +125,12 @@ class Scanner:
     def _placed(self, kind: ActuatorKind | SensorKind | SourceKind) -> Iterator[Candidate]:
         """Scan a grid of values for single places and for all; look closer at the best values."""
         closer: dict[str, tuple[float, Values, Changes]] = {}
-        for values in kind.grid(self._bench.record):
+        bench = self._bench
+        grid = [*kind.grid(bench.record)]
+        if isinstance(kind, ActuatorKind):
+            pull = bench.slope @ bench.record.layout.response
+            grid += kind.hints(bench.currents, pull, bench.record)
+        for values in grid:
             changes = self.changes(kind, values)
             steady = list(self._steady(kind, values, changes))
             yield from steady
@@ -221,6 +226,12 @@ class Scanner:
         score = self._scores(changes)
         later_score = np.cumsum(score[::-1], axis=0)[::-1]
         later = np.zeros_like(later_score)
+        # What a corrector holds is what it had at the onset: there is no jump then.
+        holds = isinstance(kind, ActuatorKind) and not kind.vanishes
+        if holds:
+            (patterns, drivers), *_ = changes.parts
+            pull = np.cumsum((self._bench.slope @ patterns)[::-1], axis=0)[::-1]
+            later_score = later_score - pull * drivers
         for patterns, drivers in changes.parts:
             shapes = self._ladder.shapes(patterns)
             for shape, course, feedback in zip(
@@ -228,7 +239,8 @@ class Scanner:
             ):
                 size = np.sum(shape**2, axis=0)
                 later += size * np.cumsum((course**2)[::-1], axis=0)[::-1]
-                later += size * drivers**2 / (1.0 - feedback**2)
+                if not holds:
+                    later += size * drivers**2 / (1.0 - feedback**2)
         strength, gain = _best_strength(kind, later_score, later)
         gain[:_FIRST_ONSET] = 0.0
         gain[len(gain) - _LAST_ONSET :] = 0.0

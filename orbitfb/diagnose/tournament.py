@@ -14,7 +14,11 @@ import numpy as np
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
-from orbitfb.diagnose.randomness import latent_candidates, noise_candidates
+from orbitfb.diagnose.randomness import (
+    latent_candidates,
+    level_candidates,
+    noise_candidates,
+)
 from orbitfb.diagnose.scan import Candidate, Scanner
 from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
 
@@ -22,6 +26,8 @@ FINALISTS = 14
 """Candidates that are fitted exactly."""
 REFITTED = 6
 """Of them, those that are fitted again under the floor that the best one leaves."""
+_ABSURD = 2.0
+"""Rms of the background's sizes, in units of their scatter, that no healthy ring has."""
 _ONSET_WORTH = 4.0
 """Rows before an onset must speak against the effect by this much [nats]."""
 
@@ -70,17 +76,31 @@ def tournament(
         progress: Told what is done and which share of all.
 
     Returns:
-        The best entry of every kind and of close places, best first.
+        The entries that were fitted, best first; several places of a kind may be among them.
     """
     tell = progress or (lambda what, share: None)
-    proposals = propose(bench, kinds, lambda what, share: tell(what, 0.6 * share))
-    entries = [_enter(bench, candidate) for candidate in proposals]
-    tell("fitting", 0.8)
+    proposals = propose(bench, kinds, lambda what, share: tell(what, 0.5 * share))
+    if np.sqrt(np.mean(bench.sizes**2)) > _ABSURD if len(bench.sizes) else False:
+        # Healthy errors cannot be that large: they have swallowed the cause. Look without them.
+        bare = Bench(bench.record, bench.causes, None, bench.floor.modes, 0.0)
+        proposals = _distinct([*propose(bare, kinds), *proposals])
+    entries: list[Entry] = []
+    for index, candidate in enumerate(proposals):
+        tell("fitting", 0.5 + 0.3 * index / len(proposals))
+        entries.append(_enter(bench, candidate))
     entries.sort(key=lambda entry: entry.weight, reverse=True)
-    if entries and entries[0].fit is not None and entries[0].weight > 0.0:
-        entries = _again(bench, entries)
+    again = [_profiled(bench, entry) for entry in entries[:REFITTED]]
     tell("fitting", 1.0)
-    return entries
+    return sorted((*again, *entries[REFITTED:]), key=lambda entry: entry.weight, reverse=True)
+
+
+def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Leave out what was proposed twice."""
+    kept: dict[tuple[str, tuple[int, ...], bool], Candidate] = {}
+    for candidate in candidates:
+        cause = candidate.cause
+        kept.setdefault((cause.kind.id, cause.places, cause.onset > 0), candidate)
+    return list(kept.values())
 
 
 def propose(
@@ -92,6 +112,7 @@ def propose(
     for index, kind in enumerate(kinds):
         if isinstance(kind, NoiseKind):
             found += noise_candidates(bench, kind)
+            found += level_candidates(bench, kind)
         elif isinstance(kind, LatentKind):
             found += latent_candidates(bench, kind)
         else:
@@ -135,21 +156,15 @@ def _later(bench: Bench, entry: Entry) -> list[Entry]:
     return [_fitted(bench, candidate)]
 
 
-def _again(bench: Bench, entries: list[Entry]) -> list[Entry]:
-    """Fit the best ones under the floor that the best one leaves: the floor was inflated by it."""
-    best = entries[0]
-    clean = Bench(
-        bench.record,
-        (*bench.causes, best.cause),
-        None if not bench.told_floor else bench.floor,
-        bench.floor.modes,
-        bench.scale,
-    ).floor
-    fresh = Bench(bench.record, bench.causes, clean, clean.modes, bench.scale)
-    again = [
-        _fitted(fresh, replace(entry.candidate, cause=entry.cause))
-        if entry.fit is not None
-        else entry
-        for entry in entries[:REFITTED]
-    ]
-    return sorted((*again, *entries[REFITTED:]), key=lambda entry: entry.weight, reverse=True)
+def _profiled(bench: Bench, entry: Entry) -> Entry:
+    """Judge an entry under the floor that it leaves itself: it had inflated the floor."""
+    if entry.fit is None or entry.weight < 0.0:
+        return entry
+    floor = bench.floor_without(entry.fit.causes)
+    own = bench.with_floor(floor)
+    found = fit(own, entry.fit.causes)
+    gain = found.gain + own.full_log_likelihood - bench.full_log_likelihood
+    weight = gain / found.inflation - found.occam - float(np.log(entry.candidate.choices))
+    if weight <= entry.weight:
+        return entry
+    return Entry(entry.candidate, replace(found, gain=gain), weight)
