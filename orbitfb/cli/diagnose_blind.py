@@ -112,7 +112,7 @@ def _tasks(data: Path, answers: Path, without: dict[str, str] | None = None) -> 
     for record in sorted((data / "records").glob("*.npz")):
         name = record.stem
         target = answers / name
-        if (without is not None and name not in without) or (target / "run.json").exists():
+        if (without is not None and name not in without) or _answered(target):
             continue
         later = data / "later" / record.name
         rings: tuple[str, ...] = ()
@@ -125,6 +125,12 @@ def _tasks(data: Path, answers: Path, without: dict[str, str] | None = None) -> 
             rings=rings,
             without="" if without is None else without[name],
         )
+
+
+def _answered(target: Path) -> bool:
+    """Tell whether a record was diagnosed already; one that failed is tried again."""
+    told = target / "run.json"
+    return told.exists() and json.loads(told.read_text(encoding="utf-8"))["exit"] in (0, 3)
 
 
 def _on_ring(record: Path, places: Path) -> bool:

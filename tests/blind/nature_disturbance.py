@@ -125,7 +125,7 @@ def insertion_device(case: Conditions, rng: Rng) -> Draft:
     return Draft(
         [names[first], names[first + 1]] if ratio else [names[first]],
         lambda s: Motion(way * s * np.outer(course, shape)),
-        lambda s: {"kick": (way * s, "rad")},
+        lambda s: {"kick_when_closed": (way * s, "rad")},
         5e-7,
         1e-4,
     )
