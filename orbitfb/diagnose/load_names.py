@@ -114,10 +114,8 @@ def _second_block(names: tuple[str, ...], repeat: int, ring: Ring) -> int:
     """Where y begins: at the first repeated name, or before, where the ring begins anew."""
     place = {name: index for index, name in enumerate(ring.table.name)}
     at = [place.get(name, -1) for name in names[: repeat + 1]]
-    for row in range(repeat, 0, -1):
-        if at[row] < at[row - 1]:
-            return row
-    return repeat
+    drops = [row for row in range(1, repeat + 1) if at[row] < at[row - 1]]
+    return drops[0] if len(drops) == 1 else repeat
 
 
 def known_ring(raw: Raw, named: Sequence[Named], ring: Ring) -> tuple[Ring | None, list[Finding]]:
@@ -186,7 +184,8 @@ def complete_planes(
     """
     found: list[Finding] = []
     if not bpms.planes and not correctors.planes:
-        told = meta.planes or wanted or ""
+        # Names of a ring would stand there twice if there were two planes.
+        told = meta.planes or ("" if wanted == "xy" and ring is not None else wanted) or ""
         if told == "xy":
             half = (len(bpms.names) + 1) // 2
             bpms = replace(
