@@ -17,6 +17,8 @@ _TOO_WILD = 200.0
 _SURE = 5.0
 _LIKE = 0.9
 _UNLIKE = 0.7
+_TURNED = 0.98
+_CLOSER = 0.1
 _STRANGE = 0.5
 _FEWEST = 20
 _SCALE = 30.0
@@ -96,14 +98,15 @@ def check_model(record: Record) -> list[Finding]:
 
 def _compare(block: Matrix, own: Matrix, other: Matrix, plane: ChannelPlane) -> list[Finding]:
     likeness = correlation(block, own)
-    if likeness < _UNLIKE:
-        if correlation(block, other) > _LIKE:
-            text = (
-                f"model_R is that of the other plane than {plane}, which the columns are said to "
-                "be in; correct the planes"
-            )
-            return [Finding("swapped-planes", "failure", (), None, text)]
-        if block.shape[0] == block.shape[1] and correlation(block.T, own) > _LIKE:
+    if likeness < _UNLIKE and correlation(block, other) > _LIKE:
+        text = (
+            f"model_R is that of the other plane than {plane}, which the columns are said to "
+            "be in; correct the planes"
+        )
+        return [Finding("swapped-planes", "failure", (), None, text)]
+    if block.shape[0] == block.shape[1] and likeness < _TURNED:
+        # Where BPMs and correctors alternate a response is nearly symmetric.
+        if 1.0 - correlation(block.T, own) < _CLOSER * (1.0 - likeness):
             text = f"model_R is transposed in {plane}: rows are BPMs, columns are correctors"
             return [Finding("transposed-model", "failure", (), None, text)]
     if abs(likeness) < _STRANGE:

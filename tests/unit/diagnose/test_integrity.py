@@ -1,0 +1,279 @@
+"""The screen says nothing of clean records, and what is certain of broken ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from record_files import record, ring
+
+from orbitfb.diagnose.integrity import is_hopeless, screen
+from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.plant import PlantSettings
+
+CLEAN = (
+    {},
+    {"dither": 1e-4},
+    {"planes": "y", "gain": 0.8},
+    {"gain": 0.05, "steering": 0},
+    {"readback": True, "plant": PlantSettings(bpm_noise_rms=1e-6)},
+)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_clean_record_gives_no_finding(seed):
+    made = simulate_record(ring(), ticks=600, seed=seed, **CLEAN[seed % len(CLEAN)])
+    assert screen(made) == []
+
+
+def test_a_clean_record_in_both_planes_gives_no_finding():
+    assert screen(record("xy", ticks=400, dither=2e-5)) == []
+
+
+class Sensing(Effect):
+    """Any change of the readings."""
+
+    def __init__(self, change):
+        self.change = change
+
+    def sense(self, orbit, tick):
+        return self.change(orbit.copy())
+
+
+class Acting(Effect):
+    """Any change of the currents."""
+
+    def __init__(self, change):
+        self.change = change
+
+    def actuate(self, setpoints, tick):
+        return self.change(setpoints.copy())
+
+
+def turn(column):
+    def change(values):
+        values[column] *= -1.0
+        return values
+
+    return change
+
+
+def swap(first, second):
+    def change(values):
+        values[[first, second]] = values[[second, first]]
+        return values
+
+    return change
+
+
+def memory(share):
+    kept = []
+
+    def change(values):
+        before = kept[-1] if kept else values
+        kept.append(share * before + (1.0 - share) * values)
+        return kept[-1]
+
+    return change
+
+
+def only(made, check):
+    """The one finding that there is."""
+    (found,) = screen(made)
+    assert found.check == check
+    return found
+
+
+@pytest.mark.parametrize(
+    ("effect", "proven", "devices"),
+    [
+        (Sensing(turn(40)), "bpm-polarity", ["PL2B_C06 (x)"]),
+        (Sensing(swap(40, 100)), "bpm-swap", ["PL2B_C06 (x)", "PL2B_C16 (x)"]),
+        (Acting(turn(70)), "corrector-polarity", ["CH2B_C11 (x)"]),
+        (Acting(swap(70, 120)), "corrector-swap", ["CH2B_C11 (x)", "CH1A_C20 (x)"]),
+    ],
+)
+def test_turned_and_swapped_channels(effect, proven, devices):
+    found = only(simulate_record(ring(), ticks=1000, effects=(effect,)), "channels")
+    assert found.severity == "warning"
+    assert found.effect == proven
+    assert list(found.devices) == devices
+
+
+@pytest.mark.parametrize("dither", [0.0, 1e-4])
+@pytest.mark.parametrize(
+    "effect",
+    [
+        lambda: Acting(lambda u: 0.6 * u),
+        lambda: Acting(memory(0.6)),
+        lambda: Sensing(lambda y: 1.5 * y),
+        lambda: Sensing(memory(0.6)),
+        lambda: Sensing(lambda y: 1e-7 * np.round(y / 1e-7)),
+        lambda: Acting(lambda u: 1e-4 * np.round(u / 1e-4)),
+    ],
+)
+def test_other_effects_are_left_to_the_tournament(effect, dither):
+    made = simulate_record(ring(), ticks=800, effects=(effect(),), dither=dither)
+    assert screen(made) == []
+
+
+def test_a_frozen_bpm():
+    made = record(ticks=400)
+    readings = made.readings.copy()
+    readings[150:, 33] = np.median(readings[:150, 33])
+    readings[200] = readings[199]  # an orbit that was missed does not thaw it
+    frozen, missed = sorted(
+        screen(replace(made, readings=readings)), key=lambda finding: finding.check
+    )
+    assert (frozen.check, frozen.effect) == ("frozen-bpm", "bpm-stuck")
+    assert frozen.devices == (made.layout.bpms.label(33),)
+    assert frozen.rows == (150, 400)
+    assert (missed.check, missed.effect, missed.rows) == (
+        "repeated-orbit",
+        "missed-read",
+        (200, 200),
+    )
+
+
+def test_all_bpms_frozen_make_a_diagnosis_nonsense():
+    made = record(ticks=400)
+    readings = made.readings.copy()
+    readings[100:] = readings[100]
+    found = screen(replace(made, readings=readings))
+    assert is_hopeless(found)
+    assert found[0].check == "frozen-orbit"
+
+
+def test_readings_of_few_bits_are_not_frozen():
+    made = record(ticks=600, steering_rms=30e-6)
+    readings = 1e-6 * np.round(made.readings / 1e-6)
+    found = only(replace(made, readings=readings), "coarse-readings")
+    assert found.effect == ""
+
+
+def test_a_clipped_bpm():
+    made = record(ticks=600)
+    readings = made.readings.copy()
+    limit = np.quantile(readings[:, 8], 0.8)
+    readings[:, 8] = np.minimum(readings[:, 8], limit)
+    found = only(replace(made, readings=readings), "rail")
+    assert found.devices == (made.layout.bpms.label(8),)
+    assert found.effect == ""
+
+
+def test_writes_that_were_lost():
+    made = record(ticks=300)
+    requested = made.requested.copy()
+    requested[[20, 90]] += 1e-4  # asked for, and not in the next setpoints
+    setpoints = made.setpoints.copy()
+    lost = replace(made, requested=requested)
+    assert only(lost, "requested-not-applied").rows == (20, 90)
+    for row in (20, 90):
+        setpoints[row + 1 :] -= made.setpoints[row + 1] - made.setpoints[row]
+    (found,) = [
+        each for each in screen(replace(made, setpoints=setpoints)) if each.check == "lost-write"
+    ]
+    assert (found.rows, found.effect) == ((20, 90), "missed-write")
+
+
+def test_a_setpoint_that_stays():
+    made = record(ticks=300)
+    setpoints = made.setpoints.copy()
+    setpoints[100:, 5] = setpoints[100, 5]
+    (found,) = [
+        each
+        for each in screen(replace(made, setpoints=setpoints))
+        if each.check == "frozen-setpoint"
+    ]
+    assert found.effect == "corrector-stuck"
+    assert found.devices == (made.layout.correctors.label(5),)
+    assert found.rows == (100, 300)
+
+
+def test_setpoints_of_another_row():
+    made = record(ticks=300)
+    after = np.roll(made.setpoints, -1, axis=0)
+    found = screen(made.rows(0, 300))
+    assert found == []
+    found = screen(replace(made, setpoints=after).rows(0, 299))
+    assert is_hopeless(found)
+    assert found[0].check == "shifted-setpoints"
+
+
+def test_rounded_setpoints_are_a_note():
+    made = record(ticks=300)
+    setpoints = 1e-6 * np.round(made.setpoints / 1e-6)
+    assert only(replace(made, setpoints=setpoints), "rounded-setpoints").severity == "note"
+
+
+def test_stuck_and_clipped_readbacks():
+    made = record(ticks=800, readback=True, steering_rms=30e-6)
+    readback = made.readback.copy()
+    readback[400:, 3] = np.median(readback[:, 3])
+    stuck = only(replace(made, readback=readback), "readback-stuck")
+    assert (stuck.effect, stuck.devices) == (
+        "corrector-stuck",
+        (made.layout.correctors.label(3),),
+    )
+    readback = made.readback.copy()
+    readback[:, 6] = np.minimum(readback[:, 6], np.quantile(readback[:, 6], 0.7))
+    clipped = only(replace(made, readback=readback), "readback-clipped")
+    assert clipped.effect == "corrector-saturation"
+
+
+def test_a_clock_that_trembles_or_lies():
+    made = record(ticks=400)
+    rng = np.random.default_rng(0)
+    time = made.time + 0.01 * rng.standard_normal(401)
+    assert only(replace(made, time=time), "stamp-jitter").severity == "note"
+    assert only(replace(made, time=made.time * 1.5), "period").severity == "warning"
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3, 1e6])
+@pytest.mark.parametrize("dither", [0.0, 1e-4])
+def test_an_orbit_in_another_unit(factor, dither):
+    made = record(ticks=400, dither=dither)
+    found = screen(replace(made, readings=made.readings * factor))
+    assert is_hopeless(found)
+    assert found[0].check == "wrong-units"
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_a_model_in_another_unit(factor):
+    made = record(ticks=400)
+    layout = replace(made.layout, response=made.layout.response * factor)
+    found = screen(replace(made, layout=layout))
+    assert is_hopeless(found)
+    assert {each.check for each in found} == {"wrong-units", "model-scale"}
+
+
+def test_a_model_of_the_other_plane_or_turned_over():
+    made = record(ticks=400, dither=1e-4)
+    other = record("y", ticks=400).layout.response
+    wrong = {
+        "swapped-planes": other,
+        "transposed-model": made.layout.response.T,
+        "strange-model": np.random.default_rng(0).permutation(made.layout.response),
+    }
+    for check, response in wrong.items():
+        found = screen(replace(made, layout=replace(made.layout, response=response.copy())))
+        assert check in {each.check for each in found}
+
+
+def test_columns_in_another_order_or_with_the_other_sign():
+    made = record(ticks=400, dither=1e-4)
+    order = np.random.default_rng(0).permutation(180)
+    found = screen(replace(made, readings=made.readings[:, order]))
+    assert found[0].check == "permuted-channels"
+    assert is_hopeless(found)
+    assert screen(replace(made, readings=-made.readings))[0].check == "wrong-sign"
+
+
+def test_setpoints_that_never_move():
+    made = record(ticks=200)
+    still = replace(
+        made,
+        setpoints=np.zeros_like(made.setpoints),
+        requested=np.zeros_like(made.requested),
+    )
+    assert only(still, "no-action").severity == "warning"
