@@ -105,7 +105,11 @@ def figures(judged: Sequence[Judged]) -> list[Figure]:
         median(
             "shrink of the gap in µm, later record", (j.shrink_um for j in one if j.named), "≥ 0.90"
         ),
-        rate("a name on a record without a gap", (j.named for j in nothing), "≤ 0.01"),
+        rate(
+            "a name on a record without a gap",
+            (j.named or j.state == "crash" for j in nothing),
+            "≤ 0.01",
+        ),
         rate("any alarm on a record without a gap", (j.state != "no_gap" for j in nothing)),
         rate("invented effect confidently misnamed", (_misnamed(j) for j in invented), "≤ 0.05"),
         rate("invented effect recognised, d' ≥ 12", (_recognised(j) for j in plain), "≥ 0.90"),
@@ -144,7 +148,9 @@ def left_out(judged: Sequence[Judged]) -> list[Figure]:
 
 
 def _misnamed(judged: Judged) -> bool:
-    """A confident name without reserve; a name of its own class is no wrong one."""
+    """A confident name without reserve (or no answer); one of its own class is no wrong one."""
+    if judged.state == "crash":
+        return True
     sure = judged.state == "named" and not judged.probability < 0.9
     return sure and not _kin(judged)
 
