@@ -43,7 +43,7 @@ class _Task:
 def diagnose_blind(
     suite: Annotated[
         str,
-        typer.Option(help="quick: 50 cases, fast: 240, full: 1600."),
+        typer.Option(help="quick: about 50 cases, fast: 230, full: 1700."),
     ] = "quick",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the cases.")] = 1,
     jobs: Annotated[int, typer.Option(min=1, help="Diagnoses at the same time.")] = 2,

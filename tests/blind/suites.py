@@ -77,7 +77,7 @@ def _fast(rng: np.random.Generator) -> Iterator[Spec]:
 
 
 def _full(rng: np.random.Generator) -> Iterator[Spec]:
-    """Some 1500 cases."""
+    """Some 1700 cases."""
     for target, repeats in ((3.0, 1), (6.0, 4), (12.0, 4), (30.0, 3)):
         for _ in range(repeats):
             for name in known():
