@@ -104,11 +104,11 @@ def _compare(block: Matrix, own: Matrix, other: Matrix, plane: ChannelPlane) -> 
             "be in; correct the planes"
         )
         return [Finding("swapped-planes", "failure", (), None, text)]
-    if block.shape[0] == block.shape[1] and likeness < _TURNED:
-        # Where BPMs and correctors alternate a response is nearly symmetric.
-        if 1.0 - correlation(block.T, own) < _CLOSER * (1.0 - likeness):
-            text = f"model_R is transposed in {plane}: rows are BPMs, columns are correctors"
-            return [Finding("transposed-model", "failure", (), None, text)]
+    # Where BPMs and correctors alternate a response is nearly symmetric.
+    turned = correlation(block.T, own) if block.shape[0] == block.shape[1] else 0.0
+    if likeness < _TURNED and 1.0 - turned < _CLOSER * (1.0 - likeness):
+        text = f"model_R is transposed in {plane}: rows are BPMs, columns are correctors"
+        return [Finding("transposed-model", "failure", (), None, text)]
     if abs(likeness) < _STRANGE:
         text = (
             f"model_R in {plane} does not resemble the optics of the ring that the names belong to "
