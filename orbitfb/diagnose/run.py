@@ -56,10 +56,18 @@ def diagnose_files(
         for path in (reference, holdout)
     ]
     progress("screening", 0.0)
-    findings = reported((*loaded.findings, *screen(loaded.record)))
+    found = (*loaded.findings, *screen(loaded.record))
+    findings = reported(found)
     if any(finding.severity == "failure" for finding in findings):
         return _refused(loaded.record, findings, seed)
-    answer = diagnose(loaded.record, *others, seed=seed, without=without, progress=progress)
+    answer = diagnose(
+        loaded.record,
+        *others,
+        seed=seed,
+        without=without,
+        findings=found,
+        progress=progress,
+    )
     merged = tuple(dict.fromkeys((*findings, *answer.findings)))
     return answer.model_copy(update={"findings": merged})
 

@@ -31,6 +31,8 @@ _LAST_ONSET = 40
 _FIRST_ONSET = 20
 """Rows at the ends of a record in which no onset is looked for."""
 _KEPT = 3
+_ROUGH = 3
+"""Levels of the ladder for the first look at a whole grid of values."""
 _LEAST_INFORMATION = 1e-3
 """Information below which a change of typical size leaves no trace [nats]."""
 
@@ -73,10 +75,11 @@ class Scanner:
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
         self._ladder = Ladder(bench.floor)
+        self._rough = Ladder(bench.floor, _ROUGH)
         self._starts = bench.record.starts
         self._gain_courses = {
-            "correctors": self._courses(bench.currents),
-            "bpms": self._courses(bench.orbit),
+            "correctors": self._rough.filtered(bench.currents, self._starts),
+            "bpms": self._rough.filtered(bench.orbit, self._starts),
         }
 
     def candidates(self, kind: EffectKind) -> list[Candidate]:
@@ -162,7 +165,8 @@ class Scanner:
         shapes: list[Matrix] = []
         courses: list[Matrix] = []
         for patterns, drivers in changes.parts:
-            shapes, courses = self._ladder.shapes(patterns), self._courses(drivers)
+            shapes = self._rough.shapes(patterns)
+            courses = self._rough.filtered(drivers, self._starts)
             for shape, course in zip(shapes, courses, strict=True):
                 total = total + np.sum(shape**2, axis=0) * np.sum(course**2, axis=0)
         if not isinstance(kind, ActuatorKind | SensorKind):

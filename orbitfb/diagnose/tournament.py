@@ -23,7 +23,8 @@ from orbitfb.diagnose.scan import Candidate, Scanner
 from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
 
 FINALISTS = 14
-"""Candidates that are fitted exactly."""
+"""Most candidates that are fitted exactly."""
+_LEAST_FINALISTS = 3
 REFITTED = 6
 """Of them, those that are fitted again under the floor that the best one leaves."""
 _ABSURD = 2.0
@@ -120,7 +121,8 @@ def propose(
         if progress is not None:
             progress(kind.id, (index + 1) / len(kinds))
     found.sort(key=_net, reverse=True)
-    return found[:FINALISTS]
+    worth = [candidate for candidate in found if _net(candidate) > 0.0]
+    return found[: min(max(len(worth), _LEAST_FINALISTS), FINALISTS)]
 
 
 def _net(candidate: Candidate) -> float:

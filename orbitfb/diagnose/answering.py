@@ -1,0 +1,161 @@
+"""Put what a search found into the words of the answer."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from orbitfb.diagnose.answer_blocks import Tournament, TournamentRow
+from orbitfb.diagnose.answer_parts import Cause as NamedCause
+from orbitfb.diagnose.answer_parts import ParameterValue
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.blocks import Draws, interval
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.fit import Fit
+from orbitfb.diagnose.search import Outcome, Round
+from orbitfb.diagnose.tournament import Entry
+from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind, PairKind, SourceKind
+from orbitfb.effects.layout import Layout
+
+_WIDTH = 1.645
+"""Standard deviations of a 90 % interval."""
+
+
+def named_causes(outcome: Outcome) -> tuple[NamedCause, ...]:
+    """Write the causes of a search, in the order in which they were found."""
+    return tuple(_named(outcome, one) for one in outcome.winners)
+
+
+def _named(outcome: Outcome, one: Round) -> NamedCause:
+    entry = one.accepted
+    assert entry is not None  # noqa: S101 - `winners` have one
+    layout, kind = one.bench.record.layout, entry.kind
+    cause, fitted = _final(outcome, entry)
+    chances = one.probabilities()
+    rivals = [rival.kind.id for rival in one.rivals()]
+    within = {
+        name
+        for other in one.places_within()
+        for name in place_names(layout, kind, other.cause.places)
+    }
+    own = place_names(layout, kind, cause.places)
+    single = len(layout.planes) == 1
+    return NamedCause(
+        effect=kind.id,
+        stage=kind.stage,
+        places=own,
+        planes=layout.planes[0] if single else "xy",
+        parameters=_parameters(cause, fitted, one.bench),
+        probability=sum(chances.get(name, 0.0) for name in (kind.id, *rivals)),
+        onset_s=float(one.bench.record.time[cause.onset]) if cause.onset else None,
+        alternatives=tuple(rivals),
+        title=kind.title,
+        sentence=kind.sentence,
+        label=entry.candidate.group,
+        places_within=tuple(sorted(within - set(own))),
+        held_out_nats=entry.held_out,
+    )
+
+
+def _final(outcome: Outcome, entry: Entry) -> tuple[Cause, Fit | None]:
+    """The cause with its values of the joint fit, if it has a course in time."""
+    if entry.fit is None or outcome.joint is None:
+        return entry.cause, None
+    for cause in outcome.joint.causes:
+        same = cause.kind.id == entry.kind.id and cause.places == entry.cause.places
+        if same and cause.onset == entry.cause.onset:
+            return cause, outcome.joint
+    return entry.cause, entry.fit
+
+
+def _parameters(cause: Cause, fitted: Fit | None, bench: Bench) -> dict[str, ParameterValue]:
+    if fitted is None:
+        return {p.name: _alone(cause, p.name, bench) for p in cause.kind.parameters}
+    values: dict[str, ParameterValue] = {}
+    deviations = np.sqrt(np.maximum(np.diagonal(fitted.covariance), 0.0))
+    for index, (owner, parameter) in enumerate(fitted.parameters):
+        if fitted.causes[owner] is not cause:
+            continue
+        value = cause.values[parameter.name]
+        width = _WIDTH * float(deviations[index])
+        low, high = (
+            (value * np.exp(-width), value * np.exp(width))
+            if parameter.log
+            else (value - width, value + width)
+        )
+        values[parameter.name] = ParameterValue(
+            value=value,
+            low=float(max(low, parameter.low)),
+            high=float(min(high, parameter.high)),
+            unit=parameter.unit,
+            at_bound=bool(
+                np.isclose(value, parameter.low, rtol=1e-6, atol=0.0)
+                or np.isclose(value, parameter.high, rtol=1e-6, atol=0.0)
+            ),
+            unstable=fitted.unstable[index],
+        )
+    return values
+
+
+def _alone(cause: Cause, name: str, bench: Bench) -> ParameterValue:
+    """A parameter of an effect without a course in time: its interval is that of a variance."""
+    parameter = next(p for p in cause.kind.parameters if p.name == name)
+    value = cause.values[name]
+    rows = max(len(bench.record) - cause.onset, 2)
+    width = _WIDTH * np.sqrt(0.5 / rows) if isinstance(cause.kind, NoiseKind) else 0.5
+    if isinstance(cause.kind, LatentKind) and parameter.unit == "1":
+        width = _WIDTH / np.sqrt(max(value * rows, 1.0))
+    return ParameterValue(
+        value=value,
+        low=float(value * np.exp(-width)) if value > 0 else float(value - abs(value) * width),
+        high=float(value * np.exp(width)) if value > 0 else float(value + abs(value) * width),
+        unit=parameter.unit,
+    )
+
+
+def place_names(layout: Layout, kind: EffectKind, places: Sequence[int]) -> tuple[str, ...]:
+    """Names of the devices of a cause; with their plane where the record has two."""
+    if kind.target == "ring":
+        return ()
+    devices = layout.correctors if kind.target == "corrector" else layout.bpms
+    single = len(layout.planes) == 1
+
+    def name(column: int) -> str:
+        return devices.names[column] if single else devices.label(column)
+
+    if isinstance(kind, PairKind):
+        pairs = kind.pairs(layout)
+        columns = [int(i) for place in places for i in pairs[place]]
+        return tuple(dict.fromkeys(name(column) for column in columns))
+    if isinstance(kind, SourceKind | NoiseKind):
+        known = kind.places_of(layout)
+        return tuple(known[p].split(" (")[0] if single else known[p] for p in places)
+    return tuple(name(column) for column in places)
+
+
+def tournament_rows(outcome: Outcome) -> Tournament:
+    """Write the first tournament: every kind at its best place."""
+    first = outcome.rounds[0]
+    layout = first.bench.record.layout
+    chances = first.probabilities()
+    accepted = {one.accepted.kind.id for one in outcome.winners if one.accepted is not None}
+    rows: dict[str, TournamentRow] = {}
+    draws = Draws.of(~first.bench.record.starts, 0)
+    for entry in first.entries:
+        if entry.kind.id in rows:
+            continue
+        low = high = None
+        if entry.fit is not None:
+            spread = interval(draws.sums(entry.fit.held_out_by_row))
+            low, high = spread.low, spread.high
+        names = place_names(layout, entry.kind, entry.cause.places)
+        rows[entry.kind.id] = TournamentRow(
+            effect=entry.kind.id,
+            places=entry.candidate.group or ", ".join(names[:3]),
+            nats=entry.held_out,
+            low=low,
+            high=high,
+            probability=chances.get(entry.kind.id),
+            members=(entry.kind.id,),
+            accepted=entry.kind.id in accepted,
+        )
+    return Tournament(rows=tuple(rows.values()))

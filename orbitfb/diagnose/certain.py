@@ -1,0 +1,100 @@
+"""Effects that the integrity screen proves: named without a tournament, and taken out of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfb.diagnose.answer_parts import Cause
+from orbitfb.diagnose.finding import Finding
+from orbitfb.effects.layout import Devices, Layout
+from orbitfb.effects.record import Record
+from orbitfb.effects.registry import all_effects
+from orbitfb.physics.places import Indices
+
+_CERTAIN = ("bpm-stuck", "missed-read")
+_PROBABILITY = 0.995
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Certain:
+    """What is certain, and the record without it.
+
+    Args:
+        causes: In the form of the answer.
+        record: Without the BPMs that stand still, cut where orbits were read twice.
+    """
+
+    causes: tuple[Cause, ...]
+    record: Record
+
+
+def certain_causes(record: Record, findings: Sequence[Finding], without: frozenset[str]) -> Certain:
+    """Take what the integrity screen proves out of a record.
+
+    Args:
+        record: As read.
+        findings: Of the screen.
+        without: Ids of effects that must not be named.
+    """
+    causes: list[Cause] = []
+    frozen: set[int] = set()
+    labels = [record.layout.bpms.label(i) for i in range(len(record.layout.bpms))]
+    names = record.layout.bpms.names
+    for finding in findings:
+        if finding.effect not in _CERTAIN:
+            continue
+        if finding.effect == "bpm-stuck":
+            frozen |= {i for i in range(len(names)) if {names[i], labels[i]} & set(finding.devices)}
+        if finding.effect not in without:
+            causes.append(_cause(record, finding))
+    cut = _cut_repeats(record)
+    if frozen and len(frozen) < len(names) - 2:
+        keep = np.array([i for i in range(len(names)) if i not in frozen], dtype=np.intp)
+        cut = with_bpms(cut, keep)
+    return Certain(tuple(causes), cut)
+
+
+def _cause(record: Record, finding: Finding) -> Cause:
+    kind = all_effects()[finding.effect]
+    first = finding.rows[0] if finding.rows and finding.effect == "bpm-stuck" else 0
+    devices = tuple(name.split(" (")[0] for name in finding.devices)
+    single = len(record.layout.planes) == 1
+    return Cause(
+        effect=kind.id,
+        stage=kind.stage,
+        places=devices if single else finding.devices,
+        probability=_PROBABILITY,
+        onset_s=float(record.time[first]) if first > 1 else None,
+        title=kind.title,
+        sentence=kind.sentence,
+    )
+
+
+def _cut_repeats(record: Record) -> Record:
+    """Begin a new stretch at, and after, every orbit that repeats the one before it exactly."""
+    same = np.zeros(len(record), dtype=np.bool_)
+    same[1:] = (record.readings[1:] == record.readings[:-1]).all(axis=1)
+    if not same.any() or same.mean() > 0.5:
+        return record
+    starts = record.starts | same
+    starts[1:] |= same[:-1]
+    return replace(record, starts=starts)
+
+
+def with_bpms(record: Record, keep: Indices) -> Record:
+    """The record of some of its BPMs."""
+    layout = record.layout
+    bpms = Devices(
+        tuple(layout.bpms.names[int(i)] for i in keep),
+        tuple(layout.bpms.planes[int(i)] for i in keep),
+        tuple(layout.bpms.cells[int(i)] for i in keep),
+    )
+    smaller = Layout(bpms, layout.correctors, layout.response[keep], layout.period, layout.ring)
+    return replace(
+        record,
+        layout=smaller,
+        readings=record.readings[:, keep],
+        reference=None if record.reference is None else record.reference[:, keep],
+        filled=record.filled[:, keep],
+    )

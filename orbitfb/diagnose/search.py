@@ -1,0 +1,171 @@
+"""Forward selection: accept the best cause, judge the record with it, look again, fit jointly."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.fit import Fit, fit
+from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.tournament import Entry, tournament
+from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
+from orbitfb.effects.record import Record
+
+MOST_CAUSES = 3
+SURE = 0.99
+"""Probability that there is something of a kind at which it is accepted."""
+_CLOSE = 3.0
+"""Kinds whose weights differ by less cannot be told apart [nats] (evidence 20 to 1)."""
+_CURED = 0.05
+"""A cause that keeps less than this share of its gain was a stand-in for a later one."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Round:
+    """One tournament.
+
+    Args:
+        bench: The record under the causes accepted before.
+        entries: Best first.
+        kinds: How many kinds competed.
+        accepted: The winner; None when none was sure enough.
+    """
+
+    bench: Bench
+    entries: tuple[Entry, ...]
+    kinds: int
+    accepted: Entry | None
+
+    def probabilities(self) -> dict[str, float]:
+        """Posterior probability of every kind that was fitted; the rest is "none of them".
+
+        Before the data no effect at all is as likely as any effect, and all kinds are alike.
+        """
+        weights: dict[str, float] = {}
+        for entry in self.entries:
+            before = weights.get(entry.kind.id, -np.inf)
+            weights[entry.kind.id] = float(np.logaddexp(before, entry.weight))
+        ids = list(weights)
+        logs = np.array([0.0, *(weights[name] - np.log(self.kinds) for name in ids)])
+        shares = np.exp(logs - np.logaddexp.reduce(logs))
+        return dict(zip(ids, shares[1:].tolist(), strict=True))
+
+    def rivals(self) -> list[Entry]:
+        """Best entries of the other kinds that the record cannot tell from the winner."""
+        if self.accepted is None:
+            return []
+        found: dict[str, Entry] = {}
+        for entry in self.entries:
+            near = self.accepted.weight - entry.weight < _CLOSE
+            if near and entry.kind.id != self.accepted.kind.id:
+                found.setdefault(entry.kind.id, entry)
+        return list(found.values())
+
+    def places_within(self) -> list[Entry]:
+        """Other places of the winner's kind that the record cannot exclude."""
+        best = self.accepted
+        if best is None:
+            return []
+        return [
+            entry
+            for entry in self.entries
+            if entry.kind.id == best.kind.id
+            and entry.cause.places != best.cause.places
+            and len(entry.cause.places) == len(best.cause.places)
+            and best.weight - entry.weight < _CLOSE
+        ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What a search found.
+
+    Args:
+        rounds: One more than causes, unless the most causes were found.
+        joint: All causes with a course in time fitted together on the nominal bench; None when
+            there are none.
+        bench: The record under all causes, with the floor that they leave.
+    """
+
+    rounds: tuple[Round, ...]
+    joint: Fit | None
+    bench: Bench
+    causes: tuple[Cause, ...] = field(default=())
+
+    @property
+    def winners(self) -> tuple[Round, ...]:
+        """Rounds that accepted a cause."""
+        return tuple(one for one in self.rounds if one.accepted is not None)
+
+
+def search(
+    record: Record,
+    kinds: Sequence[EffectKind],
+    floor: NoiseFloor | None = None,
+    progress: Progress | None = None,
+) -> Outcome:
+    """Find the causes of a record's gap.
+
+    Args:
+        record: What happened.
+        kinds: That it can show.
+        floor: Of a reference record; estimated with the record when None.
+        progress: Told what is done and which share of all.
+    """
+    tell = progress or (lambda what, share: None)
+    nominal = Bench(record, (), floor)
+    bench = nominal
+    rounds: list[Round] = []
+    causes: tuple[Cause, ...] = ()
+    left = list(kinds)
+    for number in range(MOST_CAUSES + 1):
+        share = number / (MOST_CAUSES + 1)
+        entries = tournament(
+            bench, left, lambda what, s, share=share: tell(what, share + s / (MOST_CAUSES + 1))
+        )
+        one = Round(bench, tuple(entries), len(left), None)
+        winner = _winner(one) if number < MOST_CAUSES else None
+        rounds.append(replace(one, accepted=winner))
+        if winner is None:
+            break
+        causes = (*causes, winner.cause)
+        if winner.fit is None:
+            # It has no course in time to take out of the record: only its kind is done with.
+            left = [kind for kind in left if kind.id != winner.kind.id]
+            left = [kind for kind in left if not isinstance(kind, LatentKind | NoiseKind)]
+        else:
+            bench = Bench(record, _moving(causes), floor, nominal.floor.modes)
+    joint, moving = _together(nominal, bench, _moving(causes))
+    final = bench if joint is None else Bench(record, moving, floor, nominal.floor.modes)
+    still = [cause for cause in causes if isinstance(cause.kind, LatentKind | NoiseKind)]
+    tell("done", 1.0)
+    return Outcome(tuple(rounds), joint, final, (*moving, *still))
+
+
+def _moving(causes: Sequence[Cause]) -> tuple[Cause, ...]:
+    """Causes with a course in time."""
+    return tuple(c for c in causes if not isinstance(c.kind, LatentKind | NoiseKind))
+
+
+def _winner(one: Round) -> Entry | None:
+    """The best entry, if something of its kind (or of a close one) is sure to be there."""
+    if not one.entries:
+        return None
+    best = one.entries[0]
+    if best.held_out <= 0.0 or sum(one.probabilities().values()) < SURE:
+        return None
+    return best
+
+
+def _together(
+    nominal: Bench, last: Bench, causes: tuple[Cause, ...]
+) -> tuple[Fit | None, tuple[Cause, ...]]:
+    """Fit all causes jointly under the floor that they leave."""
+    if not causes:
+        return None, ()
+    found = fit(nominal.with_floor(last.floor), causes)
+    return found, found.causes
