@@ -62,17 +62,18 @@ class Replay:
         return cls(bench.record, bench.floor, bench.orbit, healthy)
 
     @classmethod
-    def later(cls, bench: Bench, record: Record) -> "Replay":
+    def later(cls, bench: Bench, causes: tuple[Cause, ...], record: Record) -> "Replay":
         """Another record, judged with floor and healthy errors of the bench's record.
 
         Args:
             bench: Under the causes that were found.
+            causes: These, as they act in the other record.
             record: Of the same devices; nothing is fitted to it.
         """
-        currents = actuated(record, bench.causes)
+        currents = actuated(record, causes)
         orbit, healthy = record.readings, np.zeros_like(record.readings)
         for _ in range(_PASSES):
-            left = explain(record, bench.causes, orbit).left - healthy
+            left = explain(record, causes, orbit).left - healthy
             innovation, _ = bench.floor.innovations(left, record.starts)
             orbit = record.readings - bench.floor.to_bpms(innovation)
             around = Background(record.layout, currents, orbit, record.starts, bench.scale)

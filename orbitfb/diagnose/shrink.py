@@ -1,0 +1,153 @@
+"""How far the gap shrinks on data that was used neither for fitting nor for selection.
+
+Beside the causes stands a competitor: a black-box refit of R̂ on the ticks of the fit, scored on
+the same later ticks. A cause must beat a fit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.answer_blocks import KStep
+from orbitfb.diagnose.answer_parts import Shrink
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.blocks import interval
+from orbitfb.diagnose.competitor import refitted_response
+from orbitfb.diagnose.contrast import Contrast
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.replay import Model, Replay
+from orbitfb.effects.kinds import SourceKind
+from orbitfb.effects.record import Record
+
+STEPS = (1, 2, 5, 10, 50)
+_LATER = 1.0 / 3.0
+_PHASES = 24
+_NINETY = (0.05, 0.95)
+
+
+def split(record: Record) -> tuple[Record, Record]:
+    """Put the last third of a record aside, before anything is fitted.
+
+    Returns:
+        What is fitted, and what comes after it.
+    """
+    cut = len(record) - max(2, round(_LATER * len(record)))
+    return record.rows(0, cut), record.rows(cut, len(record))
+
+
+def contrast(bench: Bench, later: Record, seed: int = 0) -> Contrast:
+    """Bring the causes and their competitor to a later record.
+
+    Args:
+        bench: The record of the fit under the causes that were found.
+        later: Of the same devices; nothing of the causes is fitted to it. Only the phase of a
+            periodic disturbance is, where the later record does not say when it was taken.
+        seed: Of the bootstrap.
+    """
+    causes = tuple(replace(cause, onset=0) for cause in bench.causes)
+    replay = Replay.later(bench, causes, later)
+    continued = bool(later.time[0] > bench.record.time[-1])
+    if not continued:
+        causes = _in_phase(replay, causes)
+    change = refitted_response(Replay.of(bench))
+    return Contrast(replay, causes, change, seed)
+
+
+def shrink(its: Contrast, on: str = "the later record") -> Shrink:
+    """Tell which share of the gap is gone with the causes.
+
+    Args:
+        its: Of `contrast`.
+        on: Which data that is.
+
+    Returns:
+        Shares are null where the gap is not resolved in the later record.
+    """
+    gained = its.likelihood(its.model)
+    after = its.distance(its.mine)
+    before = np.maximum(gained + after, 0.0)
+    um_before, um_after, um_other = its.excesses([its.nominal, its.mine, its.other])
+    there = interval(its.distance(its.nominal))
+    competitor = its.likelihood(its.competitor)
+    nats, low, high = _share(gained, before)
+    um, um_low, um_high = _share(um_before - um_after, um_before)
+    return Shrink(
+        nats=nats,
+        low=low,
+        high=high,
+        um=um,
+        um_low=um_low,
+        um_high=um_high,
+        held_out_ticks=its.ticks,
+        competitor_um=_share(um_before - um_other, um_before)[0],
+        competitor_nats=_share(competitor, before)[0],
+        resolved=there.resolved,
+        on=on,
+        before_nats_per_tick=float(before[0]),
+        after_nats_per_tick=float(after[0]),
+        before_um=float(um_before[0]),
+        after_um=float(um_after[0]),
+    )
+
+
+def k_steps(its: Contrast, steps: Sequence[int] = STEPS) -> tuple[KStep, ...]:
+    """Tell the excess of predictions many ticks ahead, of all models.
+
+    Args:
+        its: Of `contrast`.
+        steps: How many ticks; those longer than the record are left out.
+    """
+    told: list[KStep] = []
+    for step in steps:
+        if not its.replay.counted(step).any():
+            continue
+        nominal, mine, other = its.excesses([its.nominal, its.mine, its.other], step)
+        before, after = interval(nominal), interval(mine)
+        told.append(
+            KStep(
+                k=step,
+                nominal_um=before.value,
+                nominal_low=before.low,
+                nominal_high=before.high,
+                effect_um=after.value,
+                effect_low=after.low,
+                effect_high=after.high,
+                competitor_um=float(other[0]),
+                floor_um=1e6 * float(np.sqrt(its.replay.floor_variance(step))),
+                resolved=before.resolved,
+            )
+        )
+    return tuple(told)
+
+
+def _share(part: Vector, whole: Vector) -> tuple[float | None, float | None, float | None]:
+    """Share of the record itself, and the ends of its interval; None where there is no gap."""
+    if not whole[0] > 0.0:
+        return None, None, None
+    known = whole > 0.0
+    shares = np.where(known, part / np.where(known, whole, 1.0), -np.inf)
+    low, high = np.quantile(shares[1:], _NINETY, method="inverted_cdf")
+    return float(shares[0]), min(float(low), float(shares[0])), max(float(high), float(shares[0]))
+
+
+def _in_phase(replay: Replay, causes: tuple[Cause, ...]) -> tuple[Cause, ...]:
+    """Turn periodic disturbances into the phase of a record whose clock begins anew."""
+    done = list(causes)
+    for index, cause in enumerate(causes):
+        if not (isinstance(cause.kind, SourceKind) and cause.kind.periodic):
+            continue
+        turned = [_turned(cause, angle) for angle in 2 * np.pi * np.arange(_PHASES) / _PHASES]
+        costs = [float(np.sum(replay.white(Model((*done[:index], one))) ** 2)) for one in turned]
+        done[index] = turned[int(np.argmin(costs))]
+    return tuple(done)
+
+
+def _turned(cause: Cause, angle: float) -> Cause:
+    cosine, sine = cause.values["cosine"], cause.values["sine"]
+    values = dict(cause.values) | {
+        "cosine": cosine * np.cos(angle) - sine * np.sin(angle),
+        "sine": cosine * np.sin(angle) + sine * np.cos(angle),
+    }
+    return replace(cause, values=values)

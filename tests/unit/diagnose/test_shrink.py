@@ -1,0 +1,93 @@
+"""A right cause takes the gap away on later data, a wrong one makes it larger."""
+
+import numpy as np
+import pytest
+from gap_cases import GAIN, PLACE, bench, gain_error, record
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.competitor import refitted_response
+from orbitfb.diagnose.replay import Replay
+from orbitfb.diagnose.shrink import contrast, k_steps, shrink, split
+
+TRUE = ((PLACE, GAIN),)
+
+
+@pytest.fixture(scope="module")
+def right():
+    return contrast(bench(True, TRUE), record(True, seed=6))
+
+
+@pytest.fixture(scope="module")
+def wrong():
+    return contrast(bench(True, ((60, 0.3),)), record(True, seed=6))
+
+
+def test_the_true_cause_shrinks_the_gap(right):
+    its = shrink(right)
+    assert its.resolved
+    assert its.nats > 0.9
+    assert its.um > 0.9
+    assert its.low <= its.nats <= its.high
+    assert its.um_low <= its.um <= its.um_high
+    assert its.held_out_ticks == 400
+    assert its.before_nats_per_tick > its.after_nats_per_tick
+
+
+def test_a_wrong_cause_is_negative(wrong):
+    its = shrink(wrong)
+    assert its.nats < -0.3
+    assert its.um < -0.1
+    assert its.high < 0.0
+
+
+def test_half_the_size_is_half_the_micrometres():
+    its = shrink(contrast(bench(True, ((PLACE, GAIN / 2),)), record(True, seed=6)))
+    assert its.um == pytest.approx(0.5, abs=0.12)
+    assert its.nats == pytest.approx(0.75, abs=0.12)
+
+
+def test_without_a_gap_nothing_is_resolved():
+    its = shrink(contrast(bench(False), record(False, seed=6)))
+    assert not its.resolved
+    assert its.nats is None or its.nats == 0.0
+
+
+def test_a_cause_where_there_is_none_is_not_praised():
+    its = shrink(contrast(bench(False, TRUE), record(False, seed=6)))
+    assert its.nats is None or its.nats < 0.0
+
+
+def test_the_cause_beats_the_fit(right):
+    its = shrink(right)
+    assert its.competitor_um < its.um
+    assert its.competitor_nats < its.nats
+
+
+def test_the_excess_grows_with_the_steps_and_goes_with_the_cause(right):
+    steps = k_steps(right)
+    assert [step.k for step in steps] == [1, 2, 5, 10, 50]
+    nominal = [step.nominal_um for step in steps]
+    assert nominal[-1] > nominal[0] > 0.0
+    assert all(step.effect_um < 0.25 * step.nominal_um for step in steps)
+    assert all(step.nominal_low <= step.nominal_um <= step.nominal_high for step in steps)
+
+
+def test_a_refit_learns_nothing_where_there_is_nothing():
+    quiet = np.abs(refitted_response(Replay.of(bench(False))))
+    assert quiet.max() < 0.02 * np.abs(record(False).layout.response).max()
+
+
+def test_the_last_third_is_put_aside():
+    whole = record(False)
+    fitted, later = split(whole)
+    assert len(fitted) + len(later) == len(whole)
+    assert len(later) == round(len(whole) / 3)
+    assert later.starts[0]
+    assert later.time[0] > fitted.time[-1]
+
+
+def test_an_end_put_aside_serves_as_a_later_record():
+    fitted, later = split(record(True))
+    its = shrink(contrast(Bench(fitted, [gain_error()]), later), "the last third of the record")
+    assert its.nats > 0.9
+    assert its.held_out_ticks == len(later) - 1
