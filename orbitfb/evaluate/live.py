@@ -1,7 +1,7 @@
 """The learner in the real loop: soft IOC, Channel Access, runner, thread, on a drifting ring.
 
 The clock is accelerated. Without a `rate_hz` ring and loop go in lockstep: the ring advances as
-soon as all setpoints are written (and every half second while they are not), and the learner
+soon as all setpoints are written (and every two seconds while they are not), and the learner
 looks on between two ticks, so that its arithmetic takes hardly any simulated time and a run says
 the same on any computer. With a `rate_hz` both tick at that rate and the learner is a thread, as
 in operation. Every law gets a ring of its own with the same seed, one after the other:
@@ -58,7 +58,7 @@ _EFFECTS_PERIOD = 0.1
 _SLACK = 0.3
 """How long the loop waits for an orbit before it holds [s]: the clock is the computer's own."""
 
-_LOCKSTEP_RING = SimSettings(port=0, lockstep=True, rate_hz=2.0)
+_LOCKSTEP_RING = SimSettings(port=0, lockstep=True, rate_hz=0.5)
 _LOCKSTEP_LOOP = LoopSettings(rate_hz=1000.0, hold_after=9000.0, ramp=0.02)
 """Waits for a refit of several seconds, and takes every orbit of a ring in lockstep."""
 

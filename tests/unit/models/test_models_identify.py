@@ -6,7 +6,7 @@ import pytest
 from orbitfb.core.errors import EstimationError
 from orbitfb.evaluate.simulate import ClosedLoop
 from orbitfb.models.filter import ground_ratio
-from orbitfb.models.identify import Identifier
+from orbitfb.models.identify import Identifier, _posterior
 from orbitfb.models.linear import excited_gain
 from orbitfb.models.naive import naive_least_squares
 from orbitfb.models.noise import LADDER
@@ -105,6 +105,29 @@ def test_naive_estimate_shows_its_bias(quiet):
     loop_gain = np.mean(np.diag(truth @ gain))
     assert np.mean(np.diag(estimate @ gain)) == pytest.approx(1 + loop_gain / 2, rel=0.05)
     assert excited_gain(estimate, truth, loop.applied(300)) > 2.0
+
+
+@pytest.mark.parametrize("idle", [0.0, 1e-9])
+def test_naive_estimate_solves_least_squares(idle):
+    """Also where a corrector hardly moved, and the normal equations have lost its digits."""
+    changes, differences = open_loop(small_response(), 200, 3)
+    changes[:, 2] *= idle
+    estimate = naive_least_squares(rows_of(changes, differences))
+    expected = np.linalg.pinv(changes) @ differences
+    np.testing.assert_allclose(estimate.T, expected, rtol=1e-4, atol=1e-9)
+
+
+@pytest.mark.parametrize("rows", [4, 40])
+def test_an_update_by_rows_is_that_by_coefficients(rows):
+    """P⁺ = (P⁻¹ + ΦᵀΦ / S)⁻¹, with fewer rows than coefficients and with more."""
+    rng = np.random.default_rng(5)
+    root = 1e-4 * rng.standard_normal((9, 9))
+    before, regressor, variance = root @ root.T, 2e-3 * rng.standard_normal((rows, 9)), 4e-14
+    after, gain = _posterior(before, regressor, variance)
+    expected = np.linalg.inv(np.linalg.inv(before) + regressor.T @ regressor / variance)
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(after, expected, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose(gain, regressor @ expected / variance, rtol=1e-3, atol=1e-3)
 
 
 def test_naive_needs_enough_rows(quiet):
