@@ -7,7 +7,7 @@ look even better than they are: errors are misses, not false alarms. One alterna
 one that explains most, and only if it explains a good part of everything that is wrong.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ _LIKE_OTHERS = 3.0
 _FEWEST = 30
 _FEWEST_CHANNELS = 4
 _TRIED = 4
-_ROUNDS = 3
+_ROUNDS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,18 +56,20 @@ def check_channels(record: Record) -> list[Finding]:
     if whole := _whole(steps):
         return whole
     bpms, correctors = record.layout.bpms, record.layout.correctors
-    response = record.layout.response.copy()
+    response = record.layout.response
     found: list[Finding] = []
+    alternatives = [*_bpms(steps), *_correctors(steps, response)]
     for _ in range(_ROUNDS):
-        best = max(
-            [*_bpms(steps), *_correctors(steps, response)],
-            key=lambda each: each.gain,
-            default=None,
-        )
+        best = max(alternatives, key=lambda each: each.gain, default=None)
         if best is None:
             return found
-        found.append(_told(best, bpms if best.kind.startswith("bpm") else correctors))
-        steps, response = _applied(steps, response, best)
+        of_bpms = best.kind.startswith("bpm")
+        found.append(_told(best, bpms if of_bpms else correctors))
+        if not of_bpms:
+            return found  # what is left of a corrector is in all BPMs, and looks like others
+        orbit = _applied(steps.orbit, best)
+        steps = replace(steps, orbit=orbit)
+        alternatives = _bpms(steps)
     # Where one correction calls for the next, something else is wrong.
     return []
 
@@ -78,19 +80,15 @@ def _told(best: _Alternative, devices: Devices) -> Finding:
     return Finding("channels", "warning", names, None, text, effect=best.kind)
 
 
-def _applied(steps: Steps, response: Matrix, best: _Alternative) -> tuple[Steps, Matrix]:
-    """Correct the record by an alternative, to look for the next one."""
+def _applied(orbit: Matrix, best: _Alternative) -> Matrix:
+    """Correct the orbit by an alternative, to look for the next one."""
     columns = list(best.columns)
-    orbit, response = steps.orbit.copy(), response.copy()
+    orbit = orbit.copy()
     if best.kind == "bpm-polarity":
         orbit[:, columns] *= -1.0
-    elif best.kind == "bpm-swap":
-        orbit[:, columns] = orbit[:, columns[::-1]]
-    elif best.kind == "corrector-polarity":
-        response[:, columns] *= -1.0
     else:
-        response[:, columns] = response[:, columns[::-1]]
-    return Steps(steps.first, orbit, steps.setpoints, steps.setpoints @ response.T), response
+        orbit[:, columns] = orbit[:, columns[::-1]]
+    return orbit
 
 
 def _whole(steps: Steps) -> list[Finding]:
