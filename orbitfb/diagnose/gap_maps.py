@@ -19,12 +19,12 @@ _NINETY = 1.645
 
 def corrector_scores(bench: Bench, whole: Surplus, ticks: int) -> dict[str, Number]:
     """Gain of log-likelihood by a gain error of each corrector alone [nats/tick]: a score map."""
-    slope, size = _projected(bench, whole.nominal, bench.record.setpoints)
+    slope, size = projected(bench, whole.nominal, bench.record.setpoints)
     gain = 0.5 * slope**2 / np.maximum(size, 1e-300) / ticks
     return dict(zip(column_names(bench.record.layout.correctors), gain.tolist(), strict=True))
 
 
-def _projected(bench: Bench, white: Matrix, courses: Matrix) -> tuple[Vector, Vector]:
+def projected(bench: Bench, white: Matrix, courses: Matrix) -> tuple[Vector, Vector]:
     """Score and information of R_j times a course of every corrector, each of shape (m,)."""
     record, floor = bench.record, bench.floor
     slope = floor.adjoint(white, record.starts) @ record.layout.response
@@ -84,7 +84,7 @@ def maps(bench: Bench, whole: Surplus) -> tuple[HeatMap, ...]:
     scores: list[Vector] = []
     for lag in range(_LAGS):
         course = lagged(record, lag) - lagged(record, lag + 1)
-        slope, size = _projected(bench, whole.nominal, course)
+        slope, size = projected(bench, whole.nominal, course)
         scores.append(slope / np.sqrt(np.maximum(size, 1e-300)))
     return (
         HeatMap(

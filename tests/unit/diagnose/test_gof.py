@@ -1,0 +1,114 @@
+"""What a right model leaves passes every test; what is not white is flagged by its own test."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from gap_cases import GAIN, PLACE, bench
+
+from orbitfb.diagnose.gof import audit, passed
+
+RIGHT = ((PLACE, GAIN),)
+
+
+def flags(its):
+    return {test.name for test in its.tests if test.flagged}
+
+
+def disturbed(change):
+    """A bench whose innovations at the BPMs are white noise after a change."""
+    its = bench(False)
+    n = its.white.shape[1]
+    channels = np.random.default_rng(3).standard_normal((401, n))
+    change(channels)
+    return SimpleNamespace(record=its.record, floor=its.floor, white=its.floor.to_modes(channels))
+
+
+def test_a_right_model_passes():
+    its = audit(bench(True, RIGHT))
+    assert passed(its), flags(its)
+    assert len(its.quantiles) > 100
+    assert abs(its.autocorrelation[0]) < its.autocorrelation_limit
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_no_gap_passes(seed):
+    assert passed(audit(bench(False, seed=seed)))
+
+
+def test_white_noise_passes():
+    assert passed(audit(disturbed(lambda channels: None)))
+
+
+def _louder(channels):
+    channels[:, 3] *= 1.5
+
+
+def _all_louder(channels):
+    channels *= 1.1
+
+
+def _coloured(channels):
+    channels[1:, 8] += 0.6 * channels[:-1, 8]
+
+
+def _all_coloured(channels):
+    channels[1:] += 0.1 * channels[:-1]
+
+
+def _offset(channels):
+    channels[:, 5] += 0.5
+
+
+def _stray(channels):
+    channels[100, 30] = 9.0
+
+
+def _shaken(channels):
+    channels[50] *= 1.6
+
+
+def _later(channels):
+    channels[300:, 11] *= 2.0
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (_louder, "variance by BPM"),
+        (_all_louder, "level of all innovations"),
+        (_coloured, "autocorrelation by BPM"),
+        (_all_coloured, "autocorrelation"),
+        (_offset, "mean by BPM"),
+        (_stray, "largest reading"),
+        (_shaken, "largest tick"),
+        (_later, "steadiness by BPM"),
+    ],
+)
+def test_what_is_not_white_is_flagged(change, name):
+    assert name in flags(audit(disturbed(change)))
+
+
+def test_heavy_tails_are_flagged():
+    def heavy(channels):
+        channels[:] = np.random.default_rng(1).standard_t(4, channels.shape) / np.sqrt(2.0)
+
+    assert "excess kurtosis" in flags(audit(disturbed(heavy)))
+
+
+def test_what_follows_a_corrector_is_flagged():
+    its = bench(False)
+
+    def late(channels):
+        steps = np.diff(its.record.setpoints[:, PLACE], prepend=its.record.setpoints[:1, PLACE])
+        pushed = np.outer(np.roll(steps, 2), its.record.layout.response[:, PLACE])
+        channels += 3.0 * pushed / np.std(pushed)
+
+    assert "correlation with changes of a corrector" in flags(audit(disturbed(late)))
+
+
+def test_a_short_record_is_not_tested():
+    assert audit(disturbed(lambda channels: None)).tests
+    its = bench(False)
+    short = SimpleNamespace(record=its.record.rows(0, 40), floor=its.floor, white=its.white[:40])
+    assert not audit(short).tests
