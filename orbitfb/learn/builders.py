@@ -108,7 +108,7 @@ def _svd(model: LinearModel, incumbent: Policy, settings: PolicySettings) -> Svd
 
 def _doubt(model: LinearModel, settings: PolicySettings) -> Vector | None:
     """Give the covariance of a row of R̂ that a law is to be cautious of, shape (m, m)."""
-    return settings.doubt * model.row_covariance if settings.doubt > 0.0 else None
+    return settings.caution * model.row_covariance if settings.caution > 0.0 else None
 
 
 def modal_law(model: LinearModel, incumbent: Policy, settings: PolicySettings) -> ModalPolicy:

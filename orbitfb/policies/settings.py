@@ -13,8 +13,6 @@ from orbitfb.policies.trajectory_settings import FineTuneSettings
 
 PolicyKind = Literal["svd", "modal", "network", "supervised", "trajectory"]
 
-_CAUTION = 0.1
-
 
 class LiveModalSettings(ModalSettings):
     """The noise-aware law of a loop that runs on whatever the ring does.
@@ -47,12 +45,12 @@ class PolicySettings(Settings):
         "network: the same law in the paper's network; supervised: the network, trained on the "
         "answers of that law; trajectory: the network, improved by trajectory optimisation.",
     )
-    caution: float | None = Field(
-        default=None,
+    caution: float = Field(
+        default=1.0,
         ge=0.0,
         le=1.0,
-        description="Share of the uncertainty of R̂ that lowers the gain of a candidate [1]; 0: "
-        "none; unset: 1 for svd, 0.1 for the others, which answer a small orbit with a low gain.",
+        description="Share of the uncertainty of R̂ that lowers the gain of a candidate [1]; "
+        "0: none.",
     )
     svd: SvdSettings = Field(default=SvdSettings(), description="The linear baseline.")
     modal: LiveModalSettings = Field(
@@ -67,10 +65,3 @@ class PolicySettings(Settings):
         default=FineTuneSettings(),
         description="Trajectory optimisation of a candidate from the incumbent's weights.",
     )
-
-    @property
-    def doubt(self) -> float:
-        """The caution of this kind, from 0 to 1 [1]."""
-        if self.caution is not None:
-            return self.caution
-        return 1.0 if self.kind == "svd" else _CAUTION
