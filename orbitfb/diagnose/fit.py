@@ -24,6 +24,8 @@ BLOCK = 25
 _STEPS = 6
 _ENOUGH = 0.01
 """Gain of a step below which the search ends [nats]."""
+_PARABOLIC = 0.02
+"""Difference from a parabola below which its top is the likelihood's [nats]."""
 _WIDE = 1.5
 """Prior width of a parameter known by order of magnitude, in its logarithm."""
 
@@ -139,7 +141,9 @@ def fit(bench: Bench, causes: Sequence[Cause]) -> Fit:
         better = _step(problem, best, now, move)
         if better is None:
             break
-        best, now = better
+        before, (best, now) = log_likelihood(*now), better
+        if abs(log_likelihood(*now) - before - 0.5 * gradient @ move) < _PARABOLIC:
+            break  # the likelihood is the parabola that the step went to the top of
     return _result(problem, best, now, slopes)
 
 

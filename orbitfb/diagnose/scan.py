@@ -6,7 +6,7 @@ so a = s / J and the gain is ½ s² / J. δ is a pattern times a driver, so that
 one product with λ and J a sum over a few ladder filters.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,8 @@ _FIRST_ONSET = 20
 _KEPT = 3
 _ROUGH = 3
 """Levels of the ladder for the first look at a whole grid of values."""
+_WORTH = 3.0
+"""Gain below which a candidate is not looked at [nats]."""
 _LEAST_INFORMATION = 1e-3
 """Information below which a change of typical size leaves no trace [nats]."""
 
@@ -55,14 +57,31 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """Patterns of P places, and what depends on nothing else.
+
+    Args:
+        patterns: Shape (n, P).
+        pull: λ · pattern of every row, shape (N, P).
+        fine: In the levels of the ladder.
+        rough: In the levels of the rough ladder.
+    """
+
+    patterns: Matrix
+    pull: Matrix
+    fine: list[Matrix]
+    rough: list[Matrix]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Changes:
     """Changes of the prediction by P places: Σ over parts of pattern · driver.
 
     Args:
-        parts: Pairs of patterns (n, P) and drivers (N, P) or (N, 1).
+        parts: Pairs of shapes and drivers (N, P) or (N, 1).
     """
 
-    parts: tuple[tuple[Matrix, Matrix], ...]
+    parts: tuple[tuple[Shapes, Matrix], ...]
 
 
 class Scanner:
@@ -77,6 +96,7 @@ class Scanner:
         self._ladder = Ladder(bench.floor)
         self._rough = Ladder(bench.floor, _ROUGH)
         self._starts = bench.record.starts
+        self._known: dict[str, Shapes] = {}
         self._gain_courses = {
             "correctors": self._rough.filtered(bench.currents, self._starts),
             "bpms": self._rough.filtered(bench.orbit, self._starts),
@@ -106,24 +126,34 @@ class Scanner:
         bench, record = self._bench, self._bench.record
         if isinstance(kind, ActuatorKind):
             moved = kind.drive(bench.currents, values, record) - bench.currents
-            return Changes(((record.layout.response, moved),))
+            return Changes(((self._shapes("correctors", lambda: record.layout.response), moved),))
         if isinstance(kind, SensorKind):
             moved = kind.distort(bench.orbit, values, record) - bench.orbit
-            return Changes(((np.eye(moved.shape[1]), moved),))
+            return Changes(((self._shapes("bpms", lambda: np.eye(moved.shape[1])), moved),))
         if isinstance(kind, SourceKind):
             patterns = kind.patterns(record.layout)
             drivers = kind.drivers(values, record, bench.currents, bench.orbit)
             if drivers.ndim == 2:
-                return Changes(((patterns, drivers),))
-            parts: list[tuple[Matrix, Matrix]] = []
+                return Changes(((self._shapes(kind.id, lambda: patterns), drivers),))
+            parts: list[tuple[Shapes, Matrix]] = []
             for plane, driver in zip(("x", "y"), drivers, strict=True):
                 rows = record.layout.bpms.in_plane(plane)
                 if len(rows):
                     own = np.zeros_like(patterns)
                     own[rows] = patterns[rows]
-                    parts.append((own, driver))
+                    shapes = self._shapes(f"{kind.id} {plane}", lambda own=own: own)
+                    parts.append((shapes, driver))
             return Changes(tuple(parts))
         raise TypeError(f"{kind.id} has no places to scan")
+
+    def _shapes(self, name: str, patterns: Callable[[], Matrix]) -> Shapes:
+        """Patterns by name, prepared once."""
+        if name not in self._known:
+            own = patterns()
+            self._known[name] = Shapes(
+                own, self._bench.slope @ own, self._ladder.shapes(own), self._rough.shapes(own)
+            )
+        return self._known[name]
 
     def _placed(self, kind: ActuatorKind | SensorKind | SourceKind) -> Iterator[Candidate]:
         """Scan a grid of values for single places and for all; look closer at the best values."""
@@ -131,8 +161,8 @@ class Scanner:
         bench = self._bench
         grid = [*kind.grid(bench.record)]
         if isinstance(kind, ActuatorKind):
-            pull = bench.slope @ bench.record.layout.response
-            grid += kind.hints(bench.currents, pull, bench.record)
+            shapes = self._shapes("correctors", lambda: bench.record.layout.response)
+            grid += kind.hints(bench.currents, shapes.pull, bench.record)
         for values in grid:
             changes = self.changes(kind, values)
             steady = list(self._steady(kind, values, changes))
@@ -150,8 +180,10 @@ class Scanner:
 
     def _all(self, kind: EffectKind, changes: Changes) -> float:
         """Gain if every place were struck alike."""
-        (patterns, drivers), *_ = changes.parts
-        change = drivers @ patterns.T
+        (shapes, drivers), *_ = changes.parts
+        if kind.linear is None and np.sum(shapes.pull * drivers) < _WORTH:
+            return 0.0  # it cannot gain more than its score
+        change = drivers @ shapes.patterns.T
         score = np.asarray(np.sum(self._bench.slope * change))[None]
         info = np.asarray(np.sum(self._bench.floor.whiten(change, self._starts) ** 2))[None]
         return float(_best_strength(kind, score, info)[1][0])
@@ -162,28 +194,29 @@ class Scanner:
     def _information(self, kind: EffectKind, changes: Changes) -> tuple[Vector, Vector]:
         """Information on every place, and the share of it that the background takes away."""
         total: Vector = np.zeros(1)
-        shapes: list[Matrix] = []
+        sizes: list[Vector] = []
         courses: list[Matrix] = []
-        for patterns, drivers in changes.parts:
-            shapes = self._rough.shapes(patterns)
+        for shapes, drivers in changes.parts:
+            sizes = [np.sum(shape**2, axis=0) for shape in shapes.rough]
             courses = self._rough.filtered(drivers, self._starts)
-            for shape, course in zip(shapes, courses, strict=True):
-                total = total + np.sum(shape**2, axis=0) * np.sum(course**2, axis=0)
+            for size, course in zip(sizes, courses, strict=True):
+                total = total + size * np.einsum("kp,kp->p", course, course)
         if not isinstance(kind, ActuatorKind | SensorKind):
             return total, np.zeros_like(total)
         actuator = isinstance(kind, ActuatorKind)
         like = self._gain_courses["correctors" if actuator else "bpms"]
         both, own = np.zeros_like(total), np.zeros_like(total)
-        for shape, course, gain in zip(shapes, courses, like, strict=True):
-            size = np.sum(shape**2, axis=0)
-            both += size * np.sum(course * gain, axis=0)
-            own += size * np.sum(gain**2, axis=0)
+        for size, course, gain in zip(sizes, courses, like, strict=True):
+            both += size * np.einsum("kp,kp->p", course, gain)
+            own += size * np.einsum("kp,kp->p", gain, gain)
         alike = both**2 / np.maximum(total * own, 1e-300)
         absorbed = self._bench.background.absorbed("correctors" if actuator else "bpms")
         return total, np.clip(alike, 0.0, 1.0) * absorbed
 
     def _steady(self, kind: EffectKind, values: Values, changes: Changes) -> Iterator[Candidate]:
-        score = self._scores(changes).sum(axis=0)
+        score = self._score(changes)
+        if kind.linear is None and score.max(initial=0.0) < _WORTH:
+            return  # a change cannot gain more than its score
         info, absorbed = self._information(kind, changes)
         strength, gain = _best_strength(kind, score, info * (1.0 - absorbed))
         for place in np.argsort(gain)[::-1][:_KEPT]:
@@ -194,17 +227,23 @@ class Scanner:
                     len(score),
                 )
 
-    def _scores(self, changes: Changes) -> Matrix:
-        """Score of every row and place, shape (N, P)."""
-        return _sum((self._bench.slope @ patterns) * drivers for patterns, drivers in changes.parts)
+    def _score(self, changes: Changes) -> Vector:
+        """Score of every place, shape (P,)."""
+        total: Vector = np.zeros(1)
+        for shapes, drivers in changes.parts:
+            if drivers.shape[1] == 1:
+                total = total + drivers[:, 0] @ shapes.pull
+            else:
+                total = total + np.einsum("kp,kp->p", shapes.pull, drivers)
+        return total
 
     def _groups(self, kind: EffectKind, values: Values, changes: Changes) -> Iterator[Candidate]:
         """Try all devices, those of a plane, and every run of neighbouring cells."""
         layout = self._bench.record.layout
         devices = layout.correctors if isinstance(kind, ActuatorKind) else layout.bpms
-        score = self._scores(changes).sum(axis=0)
-        (patterns, drivers), *_ = changes.parts
-        matrix = information(self._ladder.shapes(patterns), self._courses(drivers))
+        score = self._score(changes)
+        (shapes, drivers), *_ = changes.parts
+        matrix = information(shapes.fine, self._courses(drivers))
         absorbed = self._information(kind, changes)[1]
         keep = np.sqrt(1.0 - absorbed)
         matrix *= np.outer(keep, keep)
@@ -227,22 +266,25 @@ class Scanner:
 
     def _onsets(self, kind: EffectKind, values: Values, changes: Changes) -> Iterator[Candidate]:
         """Try every row as the beginning, place by place."""
-        score = self._scores(changes)
+        score = _sum(shapes.pull * drivers for shapes, drivers in changes.parts)
         later_score = np.cumsum(score[::-1], axis=0)[::-1]
         later = np.zeros_like(later_score)
         # What a corrector holds is what it had at the onset: there is no jump then.
         holds = isinstance(kind, ActuatorKind) and not kind.vanishes
         if holds:
-            (patterns, drivers), *_ = changes.parts
-            pull = np.cumsum((self._bench.slope @ patterns)[::-1], axis=0)[::-1]
+            (shapes, drivers), *_ = changes.parts
+            pull = np.cumsum(shapes.pull[::-1], axis=0)[::-1]
             later_score = later_score - pull * drivers
-        for patterns, drivers in changes.parts:
-            shapes = self._ladder.shapes(patterns)
+        for shapes, drivers in changes.parts:
             for shape, course, feedback in zip(
-                shapes, self._courses(drivers), self._ladder.feedback, strict=True
+                shapes.rough,
+                self._rough.filtered(drivers, self._starts),
+                self._rough.feedback,
+                strict=True,
             ):
                 size = np.sum(shape**2, axis=0)
-                later += size * np.cumsum((course**2)[::-1], axis=0)[::-1]
+                energy = course**2
+                later += size * np.cumsum(energy[::-1], axis=0)[::-1]
                 if not holds:
                     later += size * drivers**2 / (1.0 - feedback**2)
         strength, gain = _best_strength(kind, later_score, later)

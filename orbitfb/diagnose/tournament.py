@@ -25,6 +25,8 @@ from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
 FINALISTS = 14
 """Most candidates that are fitted exactly."""
 _LEAST_FINALISTS = 3
+_HOPELESS = 0.25
+"""Share of the best weight so far that a candidate has to promise to be fitted."""
 REFITTED = 6
 """Of them, those that are fitted again under the floor that the best one leaves."""
 _ABSURD = 2.0
@@ -88,7 +90,8 @@ def tournament(
     entries: list[Entry] = []
     for index, candidate in enumerate(proposals):
         tell("fitting", 0.5 + 0.3 * index / len(proposals))
-        entries.append(_enter(bench, candidate))
+        if _net(candidate) > _HOPELESS * max((entry.weight for entry in entries), default=0.0):
+            entries.append(_enter(bench, candidate))
     entries.sort(key=lambda entry: entry.weight, reverse=True)
     again = [_profiled(bench, entry) for entry in entries[:REFITTED]]
     tell("fitting", 1.0)

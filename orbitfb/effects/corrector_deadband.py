@@ -60,7 +60,7 @@ class CorrectorDeadband(ActuatorKind):
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """24 widths around the largest change of the record: it is dead to them or not."""
-        return ladder("width", {}, largest_change(record) * np.geomspace(0.02, 6.0, 24))
+        return ladder("width", {}, largest_change(record) * np.geomspace(0.02, 6.0, 15))
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

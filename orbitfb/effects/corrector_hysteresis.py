@@ -74,7 +74,7 @@ class CorrectorHysteresis(ActuatorKind):
         """24 widths from a fraction of the largest change to the range, and 6 for a part of it."""
         top = max(widest_range(record), largest_change(record))
         bottom = 0.02 * largest_change(record)
-        whole = [{"width": float(w), "share": 1.0} for w in np.geomspace(bottom, top, 24)]
+        whole = [{"width": float(w), "share": 1.0} for w in np.geomspace(bottom, top, 15)]
         part = [{"width": float(w), "share": 0.3} for w in np.geomspace(bottom, top, 6)]
         return (*whole, *part)
 

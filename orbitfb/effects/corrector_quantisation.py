@@ -48,8 +48,8 @@ class CorrectorQuantisation(ActuatorKind):
         return np.round(setpoints / step) * step if step > 0 else setpoints.copy()
 
     def grid(self, record: Record) -> tuple[Values, ...]:
-        """24 steps around the usual change of the setpoints, and those that readbacks show."""
-        steps = usual_change(record) * np.geomspace(0.3, 60.0, 24)
+        """14 steps around the usual change of the setpoints, and those that readbacks show."""
+        steps = usual_change(record) * np.geomspace(0.3, 60.0, 14)
         return ladder("step", {}, [*read_back_steps(record, 4), *steps])
 
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:

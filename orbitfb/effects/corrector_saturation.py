@@ -52,9 +52,9 @@ class CorrectorSaturation(ActuatorKind):
         within its range, so the sizes of the setpoints themselves are taken as well.
         """
         reach = largest_setpoint(record)
-        near = reach - widest_range(record) * np.linspace(0.05, 1.0, 8)
-        sizes = np.quantile(np.abs(record.setpoints), np.linspace(0.1, 0.999, 12))
-        limits = np.concatenate([near, sizes, reach * np.geomspace(0.05, 0.98, 10)])
+        near = reach - widest_range(record) * np.linspace(0.05, 1.0, 5)
+        sizes = np.quantile(np.abs(record.setpoints), np.linspace(0.1, 0.999, 7))
+        limits = np.concatenate([near, sizes, reach * np.geomspace(0.05, 0.98, 6)])
         return ladder("limit", {}, np.unique(limits[(limits > 0) & (limits < reach)]))
 
     def simulate(

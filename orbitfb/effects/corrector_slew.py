@@ -56,7 +56,7 @@ class CorrectorSlew(ActuatorKind):
     def grid(self, record: Record) -> tuple[Values, ...]:
         """24 rates up to that of the largest step of the record."""
         fastest = largest_change(record) / record.layout.period
-        return ladder("rate", {}, fastest * np.geomspace(1e-3, 0.95, 24))
+        return ladder("rate", {}, fastest * np.geomspace(1e-3, 0.95, 16))
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
