@@ -6,13 +6,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.diagnose.answer_parts import Cause
+from orbitfb.diagnose.explain import Cause as Explaining
 from orbitfb.diagnose.finding import Finding
+from orbitfb.effects.kinds import PairKind
 from orbitfb.effects.layout import Devices, Layout
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Indices
 
 _CERTAIN = ("bpm-stuck", "missed-read")
+"""Taken out of the record."""
+_GIVEN = ("bpm-polarity", "bpm-swap", "corrector-polarity", "corrector-swap")
+"""Without a size to estimate: put into the model before anything else is looked for."""
 _PROBABILITY = 0.995
 
 
@@ -23,10 +28,12 @@ class Certain:
     Args:
         causes: In the form of the answer.
         record: Without the BPMs that stand still, cut where orbits were read twice.
+        given: Causes that the model has from the beginning.
     """
 
     causes: tuple[Cause, ...]
     record: Record
+    given: tuple[Explaining, ...] = ()
 
 
 def certain_causes(record: Record, findings: Sequence[Finding], without: frozenset[str]) -> Certain:
@@ -42,8 +49,9 @@ def certain_causes(record: Record, findings: Sequence[Finding], without: frozens
     labels = [record.layout.bpms.label(i) for i in range(len(record.layout.bpms))]
     names = record.layout.bpms.names
     for finding in findings:
-        if finding.effect not in _CERTAIN:
-            continue
+        if finding.effect not in (*_CERTAIN, *_GIVEN) or not finding.devices:
+            if finding.effect != "missed-read":
+                continue
         if finding.effect == "bpm-stuck":
             frozen |= {i for i in range(len(names)) if {names[i], labels[i]} & set(finding.devices)}
         if finding.effect not in without:
@@ -52,7 +60,22 @@ def certain_causes(record: Record, findings: Sequence[Finding], without: frozens
     if frozen and len(frozen) < len(names) - 2:
         keep = np.array([i for i in range(len(names)) if i not in frozen], dtype=np.intp)
         cut = with_bpms(cut, keep)
-    return Certain(tuple(causes), cut)
+    proved = [f for f in findings if f.effect in _GIVEN and f.effect not in without]
+    given = [cause for finding in proved for cause in _given(cut.layout, finding)]
+    return Certain(tuple(causes), cut, tuple(given))
+
+
+def _given(layout: Layout, finding: Finding) -> list[Explaining]:
+    """What a finding proves, as the model takes it; nothing if its devices are not there."""
+    kind = all_effects()[finding.effect]
+    devices = layout.correctors if kind.target == "corrector" else layout.bpms
+    named = set(finding.devices)
+    columns = [i for i in range(len(devices)) if {devices.names[i], devices.label(i)} & named]
+    if not isinstance(kind, PairKind):
+        return [Explaining(kind, (column,), {}) for column in columns]
+    pairs = kind.pairs(layout)
+    fits = np.isin(pairs, columns).all(axis=1) & (pairs[:, 0] != pairs[:, 1])
+    return [Explaining(kind, (int(place),), {}) for place in np.flatnonzero(fits)[:1]]
 
 
 def _cause(record: Record, finding: Finding) -> Cause:

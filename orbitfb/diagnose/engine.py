@@ -50,7 +50,9 @@ def diagnose(
     certain = certain_causes(record, findings, without)
     kinds, not_tested = _able(certain.record, without)
     floor = None if reference is None else Bench(reference).floor
-    outcome = search(certain.record, kinds, floor, lambda what, s: progress(what, 0.8 * s))
+    outcome = search(
+        certain.record, kinds, floor, certain.given, lambda what, s: progress(what, 0.8 * s)
+    )
     progress("taking the gap apart", 0.8)
     return _assembled(certain, outcome, floor, holdout, not_tested, seed, began)
 

@@ -10,6 +10,7 @@ normal.
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.special import expit, logit
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
@@ -165,6 +166,18 @@ def latent_gain(bench: Bench, kind: LatentKind, values: Values) -> Vector:
     """Log-likelihood ratio of an effect that strikes at random, by row, shape (N,) [nats]."""
     score, info = _strikes(bench, kind)
     return _ratio(kind, score, info, [values[p.name] for p in kind.parameters])
+
+
+def latent_odds(bench: Bench, kind: LatentKind, values: Values) -> Matrix:
+    """Probability that a row (or a reading) was struck, shape (N, 1) or (N, n)."""
+    score, info = _strikes(bench, kind)
+    first, last = values[kind.parameters[0].name], values[kind.parameters[-1].name]
+    if kind.strength == "always one":
+        ratio = score - 0.5 * info
+    else:
+        size = last**2
+        ratio = 0.5 * size * score**2 / (1.0 + size * info) - 0.5 * np.log1p(size * info)
+    return expit(ratio + logit(first))
 
 
 def latent_candidates(bench: Bench, kind: LatentKind) -> list[Candidate]:

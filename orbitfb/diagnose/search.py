@@ -9,6 +9,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.strikes import without_strikes
 from orbitfb.diagnose.tournament import Entry, tournament
 from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
 from orbitfb.effects.record import Record
@@ -106,6 +107,7 @@ def search(
     record: Record,
     kinds: Sequence[EffectKind],
     floor: NoiseFloor | None = None,
+    given: Sequence[Cause] = (),
     progress: Progress | None = None,
 ) -> Outcome:
     """Find the causes of a record's gap.
@@ -114,10 +116,11 @@ def search(
         record: What happened.
         kinds: That it can show.
         floor: Of a reference record; estimated with the record when None.
+        given: Causes without a size that are known to be there.
         progress: Told what is done and which share of all.
     """
     tell = progress or (lambda what, share: None)
-    nominal = Bench(record, (), floor)
+    nominal = Bench(record, given, floor)
     bench = nominal
     rounds: list[Round] = []
     causes: tuple[Cause, ...] = ()
@@ -134,16 +137,19 @@ def search(
             break
         causes = (*causes, winner.cause)
         if winner.fit is None:
-            # It has no course in time to take out of the record: only its kind is done with.
-            left = [kind for kind in left if kind.id != winner.kind.id]
+            # It has no course in time to take out of the record: its strikes are, and its kin.
+            if isinstance(winner.kind, LatentKind):
+                record = without_strikes(bench, winner.kind, winner.cause.values)
+                nominal = Bench(record, given, floor, nominal.floor.modes)
             left = [kind for kind in left if not isinstance(kind, LatentKind | NoiseKind)]
-        else:
-            bench = Bench(record, _moving(causes), floor, nominal.floor.modes)
+        bench = Bench(record, (*given, *_moving(causes)), floor, nominal.floor.modes)
     joint, moving = _together(nominal, bench, _moving(causes))
-    final = bench if joint is None else Bench(record, moving, floor, nominal.floor.modes)
+    final = bench
+    if joint is not None:
+        final = Bench(record, (*given, *moving), floor, nominal.floor.modes)
     still = [cause for cause in causes if isinstance(cause.kind, LatentKind | NoiseKind)]
     tell("done", 1.0)
-    return Outcome(tuple(rounds), joint, final, (*moving, *still))
+    return Outcome(tuple(rounds), joint, final, (*given, *moving, *still))
 
 
 def _moving(causes: Sequence[Cause]) -> tuple[Cause, ...]:

@@ -1,0 +1,40 @@
+"""Take the strikes of an effect that nobody can foresee out of a record, tick by tick."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.randomness import latent_odds
+from orbitfb.effects.kinds import LatentKind, Values
+from orbitfb.effects.record import Record
+
+_LIKELY = 0.5
+_MOST = 0.3
+"""Share of rows beyond which cutting them out would leave no record."""
+
+
+def without_strikes(bench: Bench, kind: LatentKind, values: Values) -> Record:
+    """Cut a record where it was struck, or put the prediction in the place of a struck reading.
+
+    Args:
+        bench: The record under the causes so far.
+        kind: What strikes.
+        values: Its parameters.
+
+    Returns:
+        The record without the strikes; as it was when they are too many, or never certain.
+    """
+    record = bench.record
+    if kind.strength == "normal":
+        return record  # it strikes at every row
+    struck = latent_odds(bench, kind, values) > _LIKELY
+    if struck.mean() > _MOST or not struck.any():
+        return record
+    if kind.per_bpm:
+        readings = np.where(struck, bench.orbit, record.readings)
+        return replace(record, readings=readings, filled=record.filled | struck)
+    rows = struck[:, 0]
+    starts = record.starts | rows
+    starts[1:] |= rows[:-1]
+    return replace(record, starts=starts)
