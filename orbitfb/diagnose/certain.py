@@ -49,9 +49,9 @@ def certain_causes(record: Record, findings: Sequence[Finding], without: frozens
     labels = [record.layout.bpms.label(i) for i in range(len(record.layout.bpms))]
     names = record.layout.bpms.names
     for finding in findings:
-        if finding.effect not in (*_CERTAIN, *_GIVEN) or not finding.devices:
-            if finding.effect != "missed-read":
-                continue
+        told = finding.effect in (*_CERTAIN, *_GIVEN)
+        if not told or not (finding.devices or finding.effect == "missed-read"):
+            continue
         if finding.effect == "bpm-stuck":
             frozen |= {i for i in range(len(names)) if {names[i], labels[i]} & set(finding.devices)}
         if finding.effect not in without:

@@ -1,28 +1,30 @@
 """Diagnose a record: gap, where, which effect, how far it shrinks, what to do."""
 
+import hashlib
 import time
 from collections.abc import Sequence
 
 import numpy as np
 
-from orbitfb.diagnose.answer import Diagnosis, State
-from orbitfb.diagnose.answer_blocks import Unknown
+from orbitfb.diagnose.answer import Diagnosis
 from orbitfb.diagnose.answer_parts import NotTested, Provenance
-from orbitfb.diagnose.answering import named_causes, tournament_rows
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.certain import Certain, certain_causes
+from orbitfb.diagnose.certain import certain_causes
 from orbitfb.diagnose.finding import Finding
-from orbitfb.diagnose.gap import gap
-from orbitfb.diagnose.innovation import NoiseFloor
-from orbitfb.diagnose.naming import geometry
-from orbitfb.diagnose.search import Outcome, Progress, search
-from orbitfb.diagnose.wording import headline
+from orbitfb.diagnose.judgement import judge
+from orbitfb.diagnose.parts import Parts
+from orbitfb.diagnose.provenance import versions
+from orbitfb.diagnose.search import CLOSE, SURE, Outcome, Progress, search
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
 
 _SCREENED = ("bpm-stuck", "missed-read")
 """Effects that leave exact repeats: the integrity screen is certain of them, or they are not."""
+
+_LEAST_TO_SPLIT = 500
+"""Rows below which nothing is put aside: what is left would show too little."""
+_FITTED = 0.8
 
 
 def diagnose(
@@ -50,11 +52,40 @@ def diagnose(
     certain = certain_causes(record, findings, without)
     kinds, not_tested = _able(certain.record, without)
     floor = None if reference is None else Bench(reference).floor
-    outcome = search(
-        certain.record, kinds, floor, certain.given, lambda what, s: progress(what, 0.8 * s)
+    whole = certain.record
+    first, later = (whole, holdout) if holdout is not None else _put_aside(whole)
+
+    def look(part: Record, begin: float, end: float) -> Outcome:
+        def tell(what: str, share: float) -> None:
+            progress(what, begin + share * (end - begin))
+
+        return search(part, kinds, floor, certain.given, tell)
+
+    outcome = look(first, 0.0, 0.7)
+    if not outcome.winners and first is not whole:
+        # Nothing yet: the end of the record may show what its beginning does not.
+        again = look(whole, 0.7, 0.85)
+        if again.winners or not certain.given:
+            outcome, later = again, None
+    judged = judge(outcome, certain, seed)
+    progress("taking the gap apart", 0.85)
+    parts = Parts(outcome, judged, later, holdout is not None, kinds, seed)
+    answer = parts.answer(certain, not_tested)
+    return answer.model_copy(
+        update={
+            "provenance": _provenance(
+                record, reference, holdout, outcome, seed, time.monotonic() - began
+            )
+        }
     )
-    progress("taking the gap apart", 0.8)
-    return _assembled(certain, outcome, floor, holdout, not_tested, seed, began)
+
+
+def _put_aside(record: Record) -> tuple[Record, Record | None]:
+    """Keep the end of a record for what is used neither for fitting nor for selection."""
+    if len(record) < _LEAST_TO_SPLIT:
+        return record, None
+    cut = round(_FITTED * len(record))
+    return record.rows(0, cut), record.rows(cut, len(record))
 
 
 def _able(
@@ -72,45 +103,36 @@ def _able(
     return able, tuple(unable)
 
 
-def _assembled(
-    certain: Certain,
-    outcome: Outcome,
-    floor: NoiseFloor | None,
+def _provenance(
+    record: Record,
+    reference: Record | None,
     holdout: Record | None,
-    not_tested: tuple[NotTested, ...],
+    outcome: Outcome,
     seed: int,
-    began: float,
-) -> Diagnosis:
-    record = certain.record
-    causes = (*certain.causes, *named_causes(outcome))
-    stage_gains: dict[str, float] = {}
-    for one in outcome.rounds[:1]:
-        for entry in one.entries:
-            stage = entry.kind.stage
-            stage_gains[stage] = max(stage_gains.get(stage, 0.0), entry.candidate.gain)
-    the_gap = gap(outcome.bench, stage_gains=stage_gains, seed=seed)
-    state: State = "named" if causes else "no_gap"
-    unknown: Unknown | None = None
-    return Diagnosis(
-        state=state,
-        headline=headline(state, gap=the_gap, causes=causes, unknown=unknown),
-        causes=causes,
-        gap=the_gap,
-        not_tested=not_tested,
-        tournament=tournament_rows(outcome),
-        geometry=geometry(record.layout),
-        unknown=unknown,
-        provenance=Provenance(
-            data_sha256=record.digest,
-            seed=seed,
-            versions={},
-            source=record.source,
-            ticks=len(record),
-            bpms=len(record.layout.bpms),
-            correctors=len(record.layout.correctors),
-            planes="".join(record.layout.planes),
-            period_s=record.layout.period,
-            reading_noise_um=1e6 * float(np.sqrt(outcome.bench.floor.reading)),
-            seconds=time.monotonic() - began,
-        ),
+    seconds: float,
+) -> Provenance:
+    floor = outcome.bench.floor
+    steps = float(np.sqrt(np.mean(floor.walk)))
+    model = np.ascontiguousarray(record.layout.response)
+    return Provenance(
+        data_sha256=record.digest,
+        seed=seed,
+        versions=versions(),
+        source=record.source,
+        reference_sha256="" if reference is None else reference.digest,
+        reference_source="" if reference is None else reference.source,
+        holdout_sha256="" if holdout is None else holdout.digest,
+        holdout_source="" if holdout is None else holdout.source,
+        model_sha256=hashlib.sha256(model.tobytes()).hexdigest(),
+        library_sha256=hashlib.sha256("\n".join(all_effects()).encode()).hexdigest(),
+        ticks=len(record),
+        bpms=len(record.layout.bpms),
+        correctors=len(record.layout.correctors),
+        planes="".join(record.layout.planes),
+        period_s=record.layout.period,
+        reading_noise_um=1e6 * float(np.sqrt(floor.reading)),
+        drift_um_per_tick=1e6 * steps,
+        gauge="the healthy scatter of all gains, with mean zero",
+        thresholds={"probability": SURE, "rivals_nats": CLOSE},
+        seconds=seconds,
     )

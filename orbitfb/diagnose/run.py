@@ -1,20 +1,16 @@
 """From the files of records to a diagnosis: read, screen, ask the engine."""
 
-import platform
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
-import scipy
-
-from orbitfb import __version__
 from orbitfb.diagnose.answer import Diagnosis
 from orbitfb.diagnose.answer_parts import Finding, Provenance
 from orbitfb.diagnose.engine import diagnose
 from orbitfb.diagnose.finding import Finding as Found
 from orbitfb.diagnose.integrity import screen
 from orbitfb.diagnose.load import load
+from orbitfb.diagnose.provenance import versions
 from orbitfb.diagnose.wording import headline
 from orbitfb.effects.record import Record
 from orbitfb.physics.places import Planes, Ring
@@ -75,16 +71,6 @@ def diagnose_files(
 def reported(findings: Iterable[Found]) -> tuple[Finding, ...]:
     """Put findings of the screen in the form of the answer."""
     return tuple(Finding(**asdict(finding)) for finding in findings)
-
-
-def versions() -> dict[str, str]:
-    """Versions of what computes a diagnosis."""
-    return {
-        "orbitfb": __version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-    }
 
 
 def _refused(record: Record, findings: tuple[Finding, ...], seed: int) -> Diagnosis:

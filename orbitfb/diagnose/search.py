@@ -17,10 +17,8 @@ from orbitfb.effects.record import Record
 MOST_CAUSES = 3
 SURE = 0.99
 """Probability that there is something of a kind at which it is accepted."""
-_CLOSE = 3.0
+CLOSE = 3.0
 """Kinds whose weights differ by less cannot be told apart [nats] (evidence 20 to 1)."""
-_CURED = 0.05
-"""A cause that keeps less than this share of its gain was a stand-in for a later one."""
 
 Progress = Callable[[str, float], None]
 
@@ -61,7 +59,7 @@ class Round:
             return []
         found: dict[str, Entry] = {}
         for entry in self.entries:
-            near = self.accepted.weight - entry.weight < _CLOSE
+            near = self.accepted.weight - entry.weight < CLOSE
             if near and entry.kind.id != self.accepted.kind.id:
                 found.setdefault(entry.kind.id, entry)
         return list(found.values())
@@ -77,7 +75,7 @@ class Round:
             if entry.kind.id == best.kind.id
             and entry.cause.places != best.cause.places
             and len(entry.cause.places) == len(best.cause.places)
-            and best.weight - entry.weight < _CLOSE
+            and best.weight - entry.weight < CLOSE
         ]
 
 

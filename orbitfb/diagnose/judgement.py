@@ -1,0 +1,119 @@
+"""Which of the five states a search ends in."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.diagnose.ambiguity import Group, classes
+from orbitfb.diagnose.answer import State
+from orbitfb.diagnose.answer_blocks import Audit, Unknown
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.ceiling import Ceiling, ceiling
+from orbitfb.diagnose.certain import Certain
+from orbitfb.diagnose.gof import audit, passed
+from orbitfb.diagnose.naming import column_names
+from orbitfb.diagnose.search import Outcome, Round
+from orbitfb.effects.kinds import LatentKind, NoiseKind
+
+_EXPLAINED = 0.8
+"""Share of what any model could gain below which a named cause leaves a remainder."""
+_STAND_IN = 3.0
+"""Scatter of a winner's scores over what its noise model says, beyond which it is none."""
+_HALF = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """How a search ends.
+
+    Args:
+        state: Of the five.
+        audit: Tests of what is left.
+        rest: What a model of any kind could still gain.
+        explained: Share of that and of the causes' gain that the causes have.
+        groups: Effects that the record cannot split, of the first tournament.
+        unknown: What is known of a gap without a name; None when it has one.
+    """
+
+    state: State
+    audit: Audit
+    rest: Ceiling
+    explained: float
+    groups: tuple[Group, ...]
+    unknown: Unknown | None
+
+
+def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
+    """Decide whether the causes found are the answer.
+
+    Args:
+        outcome: Of the search.
+        certain: What the screen has proved.
+        seed: Of the bootstrap.
+    """
+    tests = audit(outcome.bench)
+    rest = ceiling(outcome.bench, seed)
+    named = sum(one.accepted.candidate.gain for one in outcome.winners if one.accepted is not None)
+    left = max(rest.nats.value, 0.0) if rest.resolved else 0.0
+    explained = named / (named + left) if named + left > 0 else 1.0
+    random = any(isinstance(cause.kind, NoiseKind | LatentKind) for cause in outcome.causes)
+    flagged = (not passed(tests)) and not random
+    remains = (rest.resolved and explained < _EXPLAINED) or flagged
+    groups: tuple[Group, ...] = ()
+    if outcome.winners:
+        groups = classes(outcome.winners[0].entries, outcome.winners[0].bench)
+    state = _state(outcome, certain, remains=remains, explained=explained)
+    unknown = _unknown(outcome, explained) if state in ("unknown", "named_plus_remainder") else None
+    return Judgement(state, tests, rest, explained, groups, unknown)
+
+
+def _state(outcome: Outcome, certain: Certain, *, remains: bool, explained: float) -> State:
+    if not outcome.winners:
+        if certain.causes:
+            return "named_plus_remainder" if remains else "named"
+        return "unknown" if remains else "no_gap"
+    if _stand_in(outcome.winners[0]) or explained < _HALF:
+        return "unknown"
+    if remains:
+        return "named_plus_remainder"
+    return "ambiguous" if outcome.winners[0].rivals() else "named"
+
+
+def _stand_in(one: Round) -> bool:
+    """Whether the winner only stands for something that is not in the library."""
+    fit = None if one.accepted is None else one.accepted.fit
+    return fit is not None and fit.inflation > _STAND_IN
+
+
+def _unknown(outcome: Outcome, explained: float) -> Unknown:
+    first = outcome.rounds[0]
+    return Unknown(
+        stages=stage_shares(first),
+        places=_places(outcome.bench),
+        text="",
+        nearest=first.entries[0].kind.id if first.entries else "",
+        nearest_nats=first.entries[0].held_out if first.entries else None,
+        explained=explained,
+    )
+
+
+def stage_shares(one: Round) -> dict[str, float | None]:
+    """Share every stage has of the best gains of a tournament."""
+    best: dict[str, float] = {}
+    for entry in one.entries:
+        gain = max(entry.weight, 0.0)
+        best[entry.kind.stage] = max(best.get(entry.kind.stage, 0.0), gain)
+    if not best:
+        return {}
+    weights = np.array(list(best.values()))
+    shares = np.exp(np.clip(weights - weights.max(), -50.0, 0.0))
+    shares /= shares.sum()
+    return dict(zip(best, shares.tolist(), strict=True))
+
+
+def _places(bench: Bench, most: int = 5) -> tuple[str, ...]:
+    """BPMs whose innovations scatter most."""
+    counted = ~bench.record.starts
+    scatter = np.mean(bench.floor.to_bpms(bench.white[counted]) ** 2, axis=0)
+    names = column_names(bench.record.layout.bpms)
+    return tuple(names[int(i)] for i in np.argsort(scatter)[::-1][:most])

@@ -1,0 +1,137 @@
+"""Put the parts of an answer together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from orbitfb.diagnose.ambiguity import identifiability
+from orbitfb.diagnose.answer import Diagnosis
+from orbitfb.diagnose.answer_blocks import AmbiguousSet, KStep
+from orbitfb.diagnose.answer_parts import Experiment, Gap, NotTested, Provenance, Shrink
+from orbitfb.diagnose.answering import named_causes, tournament_rows
+from orbitfb.diagnose.certain import Certain
+from orbitfb.diagnose.detectable import detectable
+from orbitfb.diagnose.gap import gap, surplus
+from orbitfb.diagnose.gap_maps import lag_profile, maps
+from orbitfb.diagnose.judgement import Judgement
+from orbitfb.diagnose.naming import geometry
+from orbitfb.diagnose.plan import plan
+from orbitfb.diagnose.search import Outcome
+from orbitfb.diagnose.shrink import contrast, k_steps, shrink
+from orbitfb.diagnose.wording import headline
+from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
+from orbitfb.effects.record import Record
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parts:
+    """What an answer is made of.
+
+    Args:
+        outcome: Of the search.
+        judged: Its state.
+        later: Used neither for fitting nor for selection; None if there is nothing.
+        told: Whether `later` is a record of its own.
+        kinds: That were tested.
+        seed: Of the bootstrap.
+    """
+
+    outcome: Outcome
+    judged: Judgement
+    later: Record | None
+    told: bool
+    kinds: Sequence[EffectKind]
+    seed: int
+
+    def answer(self, certain: Certain, not_tested: tuple[NotTested, ...]) -> Diagnosis:
+        """Write the answer; its provenance is left to who knows the records."""
+        judged, outcome = self.judged, self.outcome
+        bench = outcome.bench
+        causes = () if judged.state == "unknown" else named_causes(outcome)
+        causes = (*certain.causes, *causes)
+        shrunk, steps = self._shrink()
+        sizes, untestable = detectable(outcome.rounds[0].bench, self.kinds)
+        known = {one.effect for one in not_tested}
+        sets = self._ambiguous()
+        the_gap = self._gap()
+        whole = surplus(bench, best=judged.rest.white if judged.rest.resolved else None)
+        return Diagnosis(
+            state=judged.state,
+            headline=headline(
+                judged.state,
+                gap=the_gap,
+                causes=causes,
+                shrink=shrunk,
+                ambiguous=sets,
+                unknown=judged.unknown,
+                effects=len(self.kinds),
+            ),
+            causes=causes,
+            gap=the_gap,
+            shrink=shrunk,
+            experiment=self._experiment(),
+            not_tested=(*not_tested, *(one for one in untestable if one.effect not in known)),
+            detectable=sizes,
+            ambiguous=sets,
+            unknown=judged.unknown,
+            k_steps=steps,
+            tournament=tournament_rows(outcome),
+            audit=judged.audit,
+            lag_profile=lag_profile(bench, whole),
+            maps=maps(bench, whole),
+            identifiability=identifiability(outcome.rounds[0].bench, outcome.rounds[0].entries),
+            geometry=geometry(bench.record.layout),
+            provenance=Provenance(data_sha256="", seed=self.seed, versions={}),
+        )
+
+    def _gap(self) -> Gap:
+        stages: dict[str, float] = {}
+        unseen: dict[str, float] = {}
+        for entry in self.outcome.rounds[0].entries:
+            stage = entry.kind.stage
+            stages[stage] = max(stages.get(stage, 0.0), entry.candidate.gain)
+        for one in self.outcome.winners:
+            entry = one.accepted
+            if entry is not None and isinstance(entry.kind, NoiseKind | LatentKind):
+                stage = entry.kind.stage
+                unseen[stage] = unseen.get(stage, 0.0) + entry.candidate.gain
+        rest = self.judged.rest
+        return gap(
+            self.outcome.bench,
+            best=rest.white if rest.resolved else None,
+            unseen=unseen,
+            stage_gains=stages,
+            seed=self.seed,
+        )
+
+    def _shrink(self) -> tuple[Shrink | None, tuple[KStep, ...]]:
+        moving = [
+            cause
+            for cause in self.outcome.causes
+            if not isinstance(cause.kind, NoiseKind | LatentKind)
+        ]
+        if self.later is None or not moving:
+            return None, ()
+        compared = contrast(self.outcome.bench, self.later, self.seed)
+        where = "the later record" if self.told else "the end of the record"
+        return shrink(compared, where), k_steps(compared)
+
+    def _ambiguous(self) -> tuple[AmbiguousSet, ...]:
+        if self.judged.state != "ambiguous":
+            return ()
+        first = self.judged.groups[0]
+        rivals = [entry.kind for entry in self.outcome.winners[0].rivals()]
+        winner = self.outcome.winners[0].accepted
+        ids = ([] if winner is None else [winner.kind.id]) + [kind.id for kind in rivals]
+        every = tuple(dict.fromkeys((*ids, *first.kinds)))
+        splits = first.splits or next((kind.splits for kind in rivals if kind.splits), "")
+        return (AmbiguousSet(effects=every, why=first.why, splits=splits),)
+
+    def _experiment(self) -> Experiment | None:
+        if self.judged.state != "ambiguous":
+            return None
+        one = self.outcome.winners[0]
+        if one.accepted is None:
+            return None
+        rival = one.rivals()[0]
+        found = plan(one.bench, one.accepted.cause, rival.cause, seed=self.seed + 1)
+        return found.experiment
