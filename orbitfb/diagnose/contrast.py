@@ -28,6 +28,8 @@ class Contrast:
         causes: As they act in it.
         change: The competitor's change of R, shape (n, m) [m/A].
         seed: Of the bootstrap.
+        rivals: Other causes, fitted each alone, that the error of the nominal model may consist
+            of: without them a stand-in is not told from the right cause.
 
     Attributes:
         model: With all the causes.
@@ -38,17 +40,25 @@ class Contrast:
         ticks: That are predicted.
     """
 
-    def __init__(self, replay: Replay, causes: Sequence[Cause], change: Matrix, seed: int) -> None:
+    def __init__(
+        self,
+        replay: Replay,
+        causes: Sequence[Cause],
+        change: Matrix,
+        seed: int,
+        rivals: Sequence[Cause] = (),
+    ) -> None:
         self.replay, self._seed = replay, seed
         ladder = [Model(tuple(causes[:count])) for count in range(len(causes) + 1)]
         self._pairs = [*itertools.pairwise(ladder)]
         self.model = ladder[-1]
         self.competitor = Model(change=change)
         self._pairs.append((NOMINAL, self.competitor))
-        self.count = len(self._pairs)
-        self.nominal = np.zeros(self.count)
-        self.mine = np.array([1.0] * len(causes) + [0.0])
-        self.other = 1.0 - self.mine
+        self._pairs += [(NOMINAL, Model((rival,))) for rival in rivals]
+        self.nominal = np.zeros(len(self._pairs))
+        self.mine, self.other = self.nominal.copy(), self.nominal.copy()
+        self.mine[: len(causes)] = 1.0
+        self.other[len(causes)] = 1.0
         self.draws = Draws.of(replay.counted(), seed)
         self.ticks = int(replay.counted().sum())
         differences = [self._white(change) for change in self._differences(1)]

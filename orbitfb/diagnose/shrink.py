@@ -37,7 +37,7 @@ def split(record: Record) -> tuple[Record, Record]:
     return record.rows(0, cut), record.rows(cut, len(record))
 
 
-def contrast(bench: Bench, later: Record, seed: int = 0) -> Contrast:
+def contrast(bench: Bench, later: Record, seed: int = 0, rivals: Sequence[Cause] = ()) -> Contrast:
     """Bring the causes and their competitor to a later record.
 
     Args:
@@ -45,14 +45,16 @@ def contrast(bench: Bench, later: Record, seed: int = 0) -> Contrast:
         later: Of the same devices; nothing of the causes is fitted to it. Only the phase of a
             periodic disturbance is, where the later record does not say when it was taken.
         seed: Of the bootstrap.
+        rivals: The best few of the tournament that were not accepted, fitted to the same ticks.
     """
+    rivals = tuple(replace(rival, onset=0) for rival in rivals)
     causes = tuple(replace(cause, onset=0) for cause in bench.causes)
     replay = Replay.later(bench, causes, later)
     continued = bool(later.time[0] > bench.record.time[-1])
     if not continued:
         causes = _in_phase(replay, causes)
     change = refitted_response(Replay.of(bench))
-    return Contrast(replay, causes, change, seed)
+    return Contrast(replay, causes, change, seed, rivals)
 
 
 def shrink(its: Contrast, on: str = "the later record") -> Shrink:

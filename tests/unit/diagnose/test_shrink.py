@@ -40,6 +40,15 @@ def test_a_wrong_cause_is_negative(wrong):
     assert its.high < 0.0
 
 
+def test_a_rival_that_is_right_shows_a_stand_in():
+    neighbour = bench(True, ((PLACE + 1, GAIN / 2),))
+    alone = shrink(contrast(neighbour, record(True, seed=6)))
+    its = shrink(contrast(neighbour, record(True, seed=6), rivals=[gain_error()]))
+    assert its.resolved
+    assert its.before_um > 1.5 * (alone.before_um or 0.0)
+    assert its.um < 0.5
+
+
 def test_half_the_size_is_half_the_micrometres():
     its = shrink(contrast(bench(True, ((PLACE, GAIN / 2),)), record(True, seed=6)))
     assert its.um == pytest.approx(0.5, abs=0.12)
