@@ -11,6 +11,7 @@ from orbitfb import __version__
 from orbitfb.cli.config import config
 from orbitfb.cli.diagnose import diagnose
 from orbitfb.cli.diagnose_blind import diagnose_blind
+from orbitfb.cli.diagnose_plan import diagnose_plan
 from orbitfb.cli.effects import effects
 from orbitfb.cli.evaluate import evaluate
 from orbitfb.cli.kick import evaluate_kick_command
@@ -32,6 +33,7 @@ evaluate.command("kick")(evaluate_kick_command)
 app.add_typer(policies, name="policies")
 app.add_typer(evaluate, name="evaluate")
 diagnose.command("blind")(diagnose_blind)
+diagnose.command("plan")(diagnose_plan)
 app.add_typer(diagnose, name="diagnose")
 app.add_typer(effects, name="effects")
 app.add_typer(config, name="config")

@@ -81,7 +81,7 @@ def diagnose_record(
     target = out or beside(record)
     check_directory(target)
     known = Ring.load(places, ring)
-    with _progress(as_json) as progress:
+    with progress_bar(as_json) as progress:
         answer = diagnose_files(
             record,
             reference,
@@ -109,7 +109,7 @@ def beside(record: Path) -> Path:
 
 
 @contextmanager
-def _progress(quiet: bool) -> "Iterator[Progress]":
+def progress_bar(quiet: bool) -> "Iterator[Progress]":
     """Draw a bar on standard error while a diagnosis runs."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn

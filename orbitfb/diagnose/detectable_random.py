@@ -18,7 +18,7 @@ ENOUGH = 0.5 * SIGMA**2
 """Expected gain that counts as shown [nats]."""
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(12)
 _ROWS = 300
-_SHARES = 10 ** np.linspace(-4.0, 0.0, 25)
+_SHARES = 10 ** np.linspace(-6.0, 0.0, 37)
 _SPREAD = 0.05
 """Relative scatter of a healthy variance between devices, beyond chance."""
 

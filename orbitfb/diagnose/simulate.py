@@ -50,6 +50,7 @@ def simulate_record(
     settle: int = 200,
     steering_rms: float = 10e-6,
     readback: bool = False,
+    excitation: Matrix | None = None,
 ) -> Record:
     """Run the simulated ring in closed loop and record it.
 
@@ -73,6 +74,8 @@ def simulate_record(
         settle: Ticks before recording begins, without dither.
         steering_rms: Size of a change of the reference [m].
         readback: Whether the record has the currents of the magnets.
+        excitation: Excursion around the setpoints of the feedback at the last rows of the
+            record, shape (T, m) [A]; the rows before it are as they were.
     """
     layout = ring_layout(ring, planes, response, period)
     policy = SvdPolicy(layout.response, SvdSettings(gain=gain, regularisation=regularisation))
@@ -90,9 +93,12 @@ def simulate_record(
     if dither > 0.0:
         rng = generator(seed, "diagnose dither")
         columns.dither[settle:] = dither * rng.standard_normal((rows - settle, m))
+    if excitation is not None:
+        last = excitation[-(rows - settle) :]
+        columns.dither[rows - len(last) - 1 : rows - 1] += np.diff(last, axis=0, prepend=0.0)
     done = _run(machine, policy.gain_matrix, columns)
     first = settle if done - settle > ticks // 2 else max(0, done - ticks - 1)
-    return _record(layout, columns, slice(first, done), readback, dither > 0.0, seed)
+    return _record(layout, columns, slice(first, done), readback, bool(columns.dither.any()), seed)
 
 
 def _run(machine: Plant, gain_matrix: Vector, columns: _Columns) -> int:

@@ -1,0 +1,302 @@
+"""The recommended experiment: what would split causes that a record cannot, at the least cost.
+
+Every excitation that the limits allow is simulated on top of the record at hand. What counts is
+how fast it drives the best values of either cause away from the other, per µm of orbit and minute
+of beam time. Where no excitation splits them (late readings against late correctors, noise against
+noise) the answer is what the effects themselves say would.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfb.core.errors import EstimationError
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.ambiguity import declared
+from orbitfb.diagnose.answer_parts import Experiment
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.detectable_sizes import size_parameter
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.plan_candidates import (
+    ORBIT_LIMIT,
+    Limits,
+    Proposal,
+    orbit_rms,
+    proposals,
+)
+from orbitfb.diagnose.plan_file import Plan
+from orbitfb.diagnose.plan_response import base_rows, loop_gains, outlook, separation
+from orbitfb.diagnose.tournament import tournament
+from orbitfb.effects.kinds import EffectKind, NoiseKind, PairKind, SourceKind, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.safety.limits import LimitSettings
+
+ENOUGH = 30.0
+"""Expected separation [nats]: its scatter is √(2 · 30), so 99 runs in 100 end above 12 nats, of
+which 7 may be lost to the choice of values and places."""
+DEFAULT_MINUTES = 10.0
+_LEAST_TICKS = 200
+_GAINED = 1.5
+"""By this factor an excitation must be better than the record's own activity."""
+_LEAST = 3.0
+"""Separation within the beam time below which no excitation is worth it [nats]."""
+_FINALISTS = 4
+_FEWEST_ROWS = 100
+_SHARES = (1.0, 1 / 3, 0.1)
+"""Amplitudes that are tried, of what the limits allow."""
+
+Progress = Callable[[str, float], None]
+
+
+def limits_of(
+    orbit_limit: float | None = None,
+    minutes: float = DEFAULT_MINUTES,
+    write: LimitSettings | None = None,
+) -> Limits:
+    """Put limits together.
+
+    Args:
+        orbit_limit: Rms orbit in both planes [m]; None: a tenth of the beam size.
+        minutes: Beam time at most [min].
+        write: Limits of a write; the defaults of the loop when None.
+    """
+    if orbit_limit is None:
+        orbit, source = dict(ORBIT_LIMIT), "a tenth of a beam of 100 µm by 10 µm"
+    else:
+        orbit, source = {"x": orbit_limit, "y": orbit_limit}, f"{orbit_limit * 1e6:.3g} µm rms"
+    return Limits(orbit, write or LimitSettings(), minutes, source)
+
+
+def plan(
+    bench: Bench,
+    first: Cause,
+    second: Cause | None = None,
+    limits: Limits | None = None,
+    seed: int = 1,
+    progress: Progress | None = None,
+) -> Plan:
+    """Find the experiment that splits two causes, or shows one better.
+
+    Args:
+        bench: The record under the causes that are accepted; neither of the two is among them.
+        first: With its best values.
+        second: The same; None: no effect.
+        limits: To be kept; the defaults when None.
+        seed: Of random levels.
+        progress: Told what is done and which share of all.
+
+    Raises:
+        EstimationError: The record is too short to be continued.
+    """
+    tell = progress or (lambda what, share: None)
+    limits = limits or limits_of()
+    record = bench.record
+    rows = base_rows(record)
+    if rows < _FEWEST_ROWS:
+        raise EstimationError(
+            f"{record.source}: no stretch has {_FEWEST_ROWS} rows to plan an experiment from"
+        )
+    gains = loop_gains(record)
+    causes = [first] if second is None else [first, second]
+    passive = _rate(bench, np.zeros((rows, record.setpoints.shape[1])), gains, causes, True)
+    rated: list[tuple[float, Proposal]] = []
+    listed = list(proposals(record.layout, causes, limits))
+    for index, proposal in enumerate(listed):
+        tell("planning", index / (len(listed) + _FINALISTS))
+        excursion = proposal.waveform(record.layout, rows, seed)
+        rated.append((_rate(bench, excursion, gains, causes, False), proposal))
+    rated.sort(key=lambda pair: pair[0], reverse=True)
+    options = [
+        _option(bench, gains, causes, limits, proposal, seed) for _, proposal in rated[:_FINALISTS]
+    ]
+    tell("planning", 1.0)
+    allowed = limits.minutes * 60 / record.layout.period
+    if passive * allowed >= ENOUGH and max(o.rate for o in options) < _GAINED * passive:
+        return _longer(record.layout, causes, passive)
+    if max(option.rate for option in options) * allowed < _LEAST:
+        return _advice(record.layout, causes)
+    within = [option for option in options if option.minutes <= limits.minutes]
+    if within:
+        best = min(within, key=lambda option: option.orbit * option.minutes)
+    else:
+        best = max(options, key=lambda option: option.rate)
+    return _plan(record.layout, causes, best, limits, seed)
+
+
+def plan_for(
+    bench: Bench,
+    kinds: Sequence[EffectKind],
+    limits: Limits | None = None,
+    against: EffectKind | None = None,
+    seed: int = 1,
+    progress: Progress | None = None,
+) -> Plan:
+    """Find the experiment for effects whose places and values are not known yet.
+
+    Args:
+        bench: The record.
+        kinds: One effect that is to be seen better, or all that may compete: then the best one
+            is split from the best other.
+        limits: To be kept.
+        against: Effect to be told apart from a single kind; None: its being there at all.
+        seed: Of random levels.
+        progress: Told what is done and which share of all.
+
+    Raises:
+        EstimationError: No effect leaves a trace, or the record is too short to be continued.
+    """
+    tell = progress or (lambda what, share: None)
+    entries = tournament(bench, kinds, lambda what, share: tell(what, 0.6 * share))
+    if not entries and len(kinds) > 1:
+        raise EstimationError(f"{bench.record.source}: no effect leaves a trace to plan from")
+    first = entries[0].cause if entries else _somewhere(kinds[0], bench.record)
+    if entries and len(kinds) == 1 and entries[0].weight <= 0.0:  # its size is that of the noise
+        first = replace(first, values=_typical(kinds[0]), onset=0)
+    second = None
+    if against is not None:
+        found = tournament(bench, [against])
+        second = found[0].cause if found else replace(first, kind=against, values=_typical(against))
+    elif len(kinds) > 1:
+        others = (entry.cause for entry in entries if entry.kind.id != first.kind.id)
+        second = next(others, None)
+    rest: Progress = lambda what, share: tell(what, 0.6 + 0.4 * share)  # noqa: E731
+    return plan(bench, first, second, limits, seed, rest)
+
+
+def _somewhere(kind: EffectKind, record: Record) -> Cause:
+    """An effect of typical size at a place in the middle, when the record shows none."""
+    layout = record.layout
+    if isinstance(kind, PairKind):
+        count = len(kind.pairs(layout))
+    elif isinstance(kind, SourceKind | NoiseKind):
+        count = len(kind.places_of(layout))
+    else:
+        count = {"corrector": len(layout.correctors), "bpm": len(layout.bpms)}.get(kind.target, 0)
+    places = (count // 2,) if count and kind.target != "ring" else ()
+    return Cause(kind, places, _typical(kind))
+
+
+def _typical(kind: EffectKind) -> Values:
+    return {parameter.name: parameter.typical for parameter in kind.parameters}
+
+
+@dataclass(frozen=True, slots=True)
+class _Option:
+    """A proposal with what it is worth.
+
+    Args:
+        proposal: What is done.
+        rate: Expected separation [nats/tick].
+        minutes: Until it is enough [min].
+        orbit: Largest rms orbit of a tick [m].
+        amplitude: Largest excursion of a corrector [A].
+    """
+
+    proposal: Proposal
+    rate: float
+    minutes: float
+    orbit: float
+    amplitude: float
+
+
+def _rate(
+    bench: Bench, excursion: Vector, gains: Vector, causes: Sequence[Cause], exact: bool
+) -> float:
+    """Expected separation per tick; the smaller one of both directions where exact."""
+    view = outlook(bench, excursion, gains)
+    second = causes[1] if len(causes) > 1 else None
+    worth = separation(view, causes[0], second)
+    if exact and second is not None:
+        worth = min(worth, separation(view, second, causes[0]))
+    return worth / len(excursion)
+
+
+def _option(
+    bench: Bench,
+    gains: Vector,
+    causes: Sequence[Cause],
+    limits: Limits,
+    proposal: Proposal,
+    seed: int,
+) -> _Option:
+    """Judge at full amplitude, and at smaller ones where they are enough."""
+    layout, rows = bench.record.layout, base_rows(bench.record)
+    found: list[_Option] = []
+    for share in _SHARES:
+        amplitude = tuple(share * each for each in proposal.part.amplitude)
+        scaled = replace(proposal, part=proposal.part.model_copy(update={"amplitude": amplitude}))
+        excursion = scaled.waveform(layout, rows, seed)
+        rate = _rate(bench, excursion, gains, causes, True)
+        ticks = max(_LEAST_TICKS, ENOUGH / max(rate, 1e-12))
+        orbit = max(float(orbit_rms(layout, excursion, plane).max()) for plane in layout.planes)
+        minutes = ticks * layout.period / 60
+        found.append(_Option(scaled, rate, minutes, orbit, float(np.abs(excursion).max())))
+    enough = [option for option in found if option.minutes <= limits.minutes]
+    return min(enough, key=lambda o: o.orbit * o.minutes) if enough else found[0]
+
+
+def _plan(
+    layout: Layout, causes: Sequence[Cause], best: _Option, limits: Limits, seed: int
+) -> Plan:
+    minutes = min(best.minutes, limits.minutes)
+    ticks = int(np.ceil(minutes * 60 / layout.period))
+    separated = best.rate * ticks
+    part = best.proposal.part
+    settings = best.proposal.settings(ticks, layout.period, seed)
+    names = _names(causes)
+    short = "" if separated >= ENOUGH else " That is not enough for certainty; do it again."
+    experiment = Experiment(
+        kind=best.proposal.kind,
+        text=f"To {names}: {best.proposal.kind.replace('-', ' ')} ({best.proposal.label}), up to "
+        f"{best.amplitude:.3g} A and {best.orbit * 1e6:.3g} µm rms, for {minutes:.2g} min; "
+        f"{separated:.3g} nats are expected to separate them.{short}",
+        splits=tuple(cause.kind.id for cause in causes),
+        devices=tuple(dict.fromkeys(part.correctors)),
+        modes=tuple(mode - 1 for mode in part.modes),
+        amplitude=best.amplitude,
+        orbit_cost_um=best.orbit * 1e6,
+        minutes=minutes,
+        separation_nats=separated,
+        limits=f"orbit {limits.source}; at most {limits.write.change_per_tick:g} A per tick, "
+        f"|setpoint| {limits.write.setpoint:g} A, {limits.minutes:g} min",
+    )
+    return Plan(experiment, settings, layout)
+
+
+def _longer(layout: Layout, causes: Sequence[Cause], rate: float) -> Plan:
+    """Say that the record's own activity is as good as anything that could be done."""
+    minutes = ENOUGH / rate * layout.period / 60
+    experiment = Experiment(
+        kind="longer-record",
+        text=f"To {_names(causes)}: {minutes:.2g} min more of the same operation; no movement of "
+        "the correctors within the limits is much faster.",
+        splits=tuple(cause.kind.id for cause in causes),
+        orbit_cost_um=0.0,
+        minutes=minutes,
+        separation_nats=ENOUGH,
+    )
+    return Plan(experiment, None, layout)
+
+
+def _advice(layout: Layout, causes: Sequence[Cause]) -> Plan:
+    """Say what the effects themselves say, when no movement of the correctors helps."""
+    known = declared(causes[0].kind, causes[1].kind) if len(causes) > 1 else None
+    splits = (known.splits if known else causes[0].kind.splits).rstrip(".")
+    told = f": {splits[0].lower()}{splits[1:]}" if splits else ""
+    experiment = Experiment(
+        kind="read-only-test",
+        text=f"No movement of the correctors within the limits helps to {_names(causes)}{told}.",
+        splits=tuple(cause.kind.id for cause in causes),
+        separation_nats=0.0,
+    )
+    return Plan(experiment, None, layout)
+
+
+def _names(causes: Sequence[Cause]) -> str:
+    if len(causes) == 1:
+        spec = size_parameter(causes[0].kind)
+        size = f" of {causes[0].values[spec.name]:.3g} {spec.unit}" if spec else ""
+        return f"see {causes[0].kind.id}{size} better"
+    return f"tell {causes[0].kind.id} from {causes[1].kind.id}"

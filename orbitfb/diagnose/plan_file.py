@@ -1,0 +1,83 @@
+"""A planned experiment, and the file of its excitation that `orbitfb run --excite` executes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from orbitfb.core.errors import EstimationError, RecordError
+from orbitfb.diagnose.answer_parts import Experiment
+from orbitfb.diagnose.plan_candidates import channels_of
+from orbitfb.effects.layout import Layout
+from orbitfb.loop.excitation import Waveform
+from orbitfb.loop.excitation_design import ExcitationSettings, design
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """An experiment.
+
+    Args:
+        experiment: As it is reported.
+        settings: What to run; None when no excitation helps.
+        layout: Of the record.
+    """
+
+    experiment: Experiment
+    settings: ExcitationSettings | None
+    layout: Layout
+
+    def waveform(self) -> Waveform:
+        """Make the excursion that is run.
+
+        Raises:
+            EstimationError: No excitation helps.
+        """
+        channels, layout = channels_of(self.layout), self.layout
+        return design(self._runnable, channels, layout.response, layout.period)
+
+    @property
+    def _runnable(self) -> ExcitationSettings:
+        if self.settings is None:
+            raise EstimationError(f"there is nothing to run: {self.experiment.text}")
+        return self.settings
+
+    def write(self, path: Path) -> None:
+        """Write what `orbitfb run --excite` reads: an `.npz` waveform, else a description.
+
+        Raises:
+            EstimationError: No excitation helps.
+            RecordError: The file cannot be written.
+        """
+        waveform = self.waveform()
+        try:
+            if path.suffix == ".npz":
+                moved = waveform.excursion.any(axis=0)
+                devices = self.layout.correctors
+                np.savez_compressed(
+                    path,
+                    waveform=waveform.excursion[:, moved],
+                    corr_names=np.array(devices.names)[moved],
+                    planes=np.array(devices.planes)[moved],
+                    start_s=np.float64(waveform.wait * self.layout.period),
+                )
+            else:
+                path.write_text(_toml(self.experiment.text, self._runnable), encoding="utf-8")
+        except OSError as error:
+            raise RecordError(f"{path}: it cannot be written ({error.strerror})") from error
+
+
+def _toml(text: str, settings: ExcitationSettings) -> str:
+    lines = [f"# {text}", f"start = {settings.start!r}", f"seed = {settings.seed}"]
+    for part in settings.part:
+        lines += ["", "[[part]]", f'kind = "{part.kind}"']
+        if part.modes:
+            lines.append(f"modes = {list(part.modes)}")
+        else:
+            quoted = ", ".join(f'"{name}"' for name in part.correctors)
+            lines += [f"correctors = [{quoted}]", f'planes = "{part.planes}"']
+        lines.append(f"amplitude = [{', '.join(f'{each:.9g}' for each in part.amplitude)}]")
+        if part.kind == "ladder":
+            lines.append(f"levels = [{', '.join(f'{each:.6g}' for each in part.levels)}]")
+        lines += [f"hold = {part.hold}", f"duration = {part.duration!r}"]
+    return "\n".join(lines) + "\n"
