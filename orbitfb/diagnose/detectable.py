@@ -96,24 +96,20 @@ def information_of(bench: Bench, change: Matrix) -> float:
     white = floor.whiten(change, starts)
     residual, now = white, float(np.sum(white**2))
     # `best` is one step of a solver whose matrix is not exact: go on in the space of its steps.
-    moves: list[Vector] = []
-    answers: list[Vector] = []
+    moves: list[tuple[Matrix, Vector]] = []
     for _ in range(_SOLVER_STEPS):
         sizes = background.best(floor.adjoint(residual, starts))
         if not len(sizes):
             break
-        moves.append(sizes)
-        healthy = floor.whiten(background.orbit(sizes), starts)
-        answers.append(np.concatenate([np.ravel(healthy), sizes]))
-        basis = np.stack(answers, axis=1)
-        wanted = np.concatenate([np.ravel(white), np.zeros(len(sizes))])
-        weights = np.linalg.lstsq(basis.T @ basis, basis.T @ wanted, rcond=1e-12)[0]
-        left = wanted - basis @ weights
-        before, now = now, float(left @ left)
-        residual = left[: white.size].reshape(white.shape)
+        moves.append((floor.whiten(background.orbit(sizes), starts), sizes))
+        gram = np.array([[np.vdot(a[0], b[0]) + a[1] @ b[1] for b in moves] for a in moves])
+        score = np.array([np.vdot(white, healthy) for healthy, _ in moves])
+        weights = np.linalg.lstsq(gram, score, rcond=1e-12)[0]
+        before, now = now, float(np.vdot(white, white) - weights @ score)
         if now > (1.0 - _SOLVED) * before:
             break
-    return now
+        residual = white - sum(w * healthy for w, (healthy, _) in zip(weights, moves, strict=True))
+    return max(now, 0.0)
 
 
 class _Measure:
@@ -123,6 +119,7 @@ class _Measure:
         self._starts = bench.record.starts
         self._late = np.zeros(len(bench.record), dtype=np.bool_)
         self._late[len(bench.record) // 2 :] = True
+        self._shares: dict[tuple[str, bool], float] = {}
         layout = bench.record.layout
         self._patterns = {"correctors": layout.response, "bpms": np.eye(len(layout.bpms))}
         self._moved = {"correctors": bench.currents, "bpms": bench.orbit}
@@ -163,10 +160,10 @@ class _Measure:
             info = self._of_pairs(kind, values)
         elif kind.target == "ring" and isinstance(kind, ActuatorKind):
             moved = kind.drive(bench.currents, values, record) - bench.currents
-            info = self._exact(moved @ record.layout.response.T, late)
+            info = self._whole(kind, moved @ record.layout.response.T, late)
         elif isinstance(kind, RingKind):
             change = kind.deflect(values, record, bench.currents, bench.orbit)
-            info = self._exact(change, late)
+            info = self._whole(kind, change, late)
         elif isinstance(kind, SourceKind):
             info = self._of_source(kind, values, late)
         elif isinstance(kind, ActuatorKind | SensorKind):
@@ -232,9 +229,14 @@ class _Measure:
         whole = float(np.sum(self._bench.floor.whiten(change, self._starts) ** 2))
         return information_of(self._bench, change) / whole if whole > 0.0 else 1.0
 
-    def _exact(self, change: Matrix, late: bool) -> Vector:
+    def _whole(self, kind: EffectKind, change: Matrix, late: bool) -> Vector:
+        """Of an effect on the whole ring; what healthy errors leave of it is computed once."""
         change = change * self._late[:, None] if late else change
-        return np.array([information_of(self._bench, change)])
+        raw = float(np.sum(self._bench.floor.whiten(change, self._starts) ** 2))
+        key = (kind.id, late)
+        if key not in self._shares and raw > 0.0:
+            self._shares[key] = information_of(self._bench, change) / raw
+        return np.array([raw * self._shares.get(key, 1.0)])
 
     def _of_pairs(self, kind: PairKind, values: Values) -> Vector:
         layout = self._bench.record.layout
