@@ -23,6 +23,9 @@ GAIN_RMS = 0.01
 BEAT_RMS = 0.015
 """Beta-beat of gradient errors that is taken as healthy [1]."""
 
+_LEVELS = 14
+"""Of the ladder of filters: what is wrong in the information stays in the best sizes."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
@@ -78,7 +81,7 @@ class Background:
         """Compute the information of the record on all sizes, once for a floor."""
         if self._scale == 0.0:
             return
-        ladder = Ladder(floor)
+        ladder = Ladder(floor, _LEVELS)
         shapes = [ladder.shapes(part.patterns * part.scatter) for part in self._parts]
         courses = [ladder.filtered(part.drivers, self._starts) for part in self._parts]
         all_shapes = [np.concatenate(level, axis=1) for level in zip(*shapes, strict=True)]

@@ -31,6 +31,8 @@ _LAST_ONSET = 40
 _FIRST_ONSET = 20
 """Rows at the ends of a record in which no onset is looked for."""
 _KEPT = 3
+_FINER = 4
+"""Lines of the spectrum per line that the length of the record resolves."""
 _ROUGH = 3
 """Levels of the ladder for the first look at a whole grid of values."""
 _WORTH = 3.0
@@ -170,13 +172,29 @@ class Scanner:
             tried = {"single": max((c.gain for c in steady), default=0.0)}
             if kind.collective and isinstance(kind, ActuatorKind | SensorKind):
                 tried["all"] = self._all(kind, changes)
+                tried["cell"] = self._cell(kind, changes)
             for what, gain in tried.items():
                 if what not in closer or gain > closer[what][0]:
                     closer[what] = (gain, values, changes)
         if "all" in closer:
             yield from self._groups(kind, *closer["all"][1:])
+            if closer["cell"][1] is not closer["all"][1]:
+                yield from self._groups(kind, *closer["cell"][1:])
         if kind.sudden and "single" in closer:
             yield from self._onsets(kind, *closer["single"][1:])
+
+    def _cell(self, kind: ActuatorKind | SensorKind, changes: Changes) -> float:
+        """Best gain, roughly, if every place of one cell were struck alike."""
+        layout = self._bench.record.layout
+        devices = layout.correctors if isinstance(kind, ActuatorKind) else layout.bpms
+        score = self._score(changes)
+        cells = list(devices.groups().values())
+        sums = np.array([score[columns].sum() for columns in cells])
+        if not len(sums) or (kind.linear is None and sums.max() < _WORTH):
+            return 0.0
+        info = self._information(kind, changes)[0]
+        infos = np.array([info[columns].sum() for columns in cells])
+        return float(_best_strength(kind, sums, infos)[1].max())
 
     def _all(self, kind: EffectKind, changes: Changes) -> float:
         """Gain if every place were struck alike."""
@@ -323,16 +341,18 @@ class Scanner:
         longest = max(record.stretches, key=lambda part: part.stop - part.start)
         rows = longest.stop - longest.start
         patterns = kind.patterns(record.layout)
-        score = np.fft.rfft(bench.slope[longest] @ patterns, axis=0)
-        frequency = np.fft.rfftfreq(rows)
+        padded = _FINER * rows
+        score = np.fft.rfft(bench.slope[longest] @ patterns, padded, axis=0)
+        frequency = np.fft.rfftfreq(padded)
         feedback = 1.0 - bench.floor.gains
         turn = np.exp(-2j * np.pi * frequency)[:, None]
         response = np.abs((1.0 - turn) / (1.0 - feedback * turn)) ** 2
         weight = response / bench.floor.innovation_variance
         info = weight @ (bench.floor.modes.T @ patterns) ** 2 * (rows / 2.0)
-        info[0] = np.inf
+        info[: 2 * _FINER] = np.inf  # fewer than two periods are a drift
         gain = 0.5 * np.abs(score) ** 2 / info
-        for flat in np.argsort(gain, axis=None)[::-1][:_KEPT]:
+        best = np.argpartition(gain, -_KEPT, axis=None)[-_KEPT:]
+        for flat in best:
             line, place = np.unravel_index(int(flat), gain.shape)
             size = score[line, place] / info[line, place]
             angle = 2 * np.pi * frequency[line] * longest.start
@@ -348,7 +368,7 @@ class Scanner:
                     },
                 ),
                 float(gain[line, place]),
-                float(gain.size),
+                float(gain.size) / _FINER,
             )
 
     def _pairs(self, kind: PairKind) -> Iterator[Candidate]:

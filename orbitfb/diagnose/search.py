@@ -20,6 +20,11 @@ SURE = 0.99
 CLOSE = 3.0
 """Kinds whose weights differ by less cannot be told apart [nats] (evidence 20 to 1)."""
 
+_FURTHER = 0.05
+"""Share of the weight of the causes so far that a further one must have."""
+_TIDY = 1.5
+"""Scatter of a further cause's scores over what the noise model says that is still tidy."""
+
 Progress = Callable[[str, float], None]
 
 
@@ -129,7 +134,8 @@ def search(
             bench, left, lambda what, s, share=share: tell(what, share + s / (MOST_CAUSES + 1))
         )
         one = Round(bench, tuple(entries), len(left), None)
-        winner = _winner(one) if number < MOST_CAUSES else None
+        # What is given throws the orbit far off: what is left then is healthy errors at work.
+        winner = _winner(one, rounds) if number < MOST_CAUSES and not given else None
         rounds.append(replace(one, accepted=winner))
         if winner is None:
             break
@@ -155,12 +161,20 @@ def _moving(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     return tuple(c for c in causes if not isinstance(c.kind, LatentKind | NoiseKind))
 
 
-def _winner(one: Round) -> Entry | None:
-    """The best entry, if something of its kind (or of a close one) is sure to be there."""
+def _winner(one: Round, before: Sequence[Round]) -> Entry | None:
+    """The best entry, if something of its kind (or of a close one) is sure to be there.
+
+    A further cause must not be what the first ones left because they are not quite right: it has
+    to be worth a share of what they are, and its scores must scatter as the noise model says.
+    """
     if not one.entries:
         return None
     best = one.entries[0]
     if best.held_out <= 0.0 or sum(one.probabilities().values()) < SURE:
+        return None
+    gained = sum(r.accepted.weight for r in before if r.accepted is not None)
+    scatter = 1.0 if best.fit is None else best.fit.inflation
+    if before and (best.weight < _FURTHER * gained or scatter > _TIDY):
         return None
     return best
 
@@ -172,4 +186,6 @@ def _together(
     if not causes:
         return None, ()
     found = fit(nominal.with_floor(last.floor), causes)
+    if not found.parameters and any(cause.kind.parameters for cause in causes):
+        return None, causes  # jointly they cannot be told apart; they stay as they were found
     return found, found.causes
