@@ -1,6 +1,7 @@
 """What the command line does to policies and archives, with a service running or without."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 
 from orbitfb.config import AppConfig
 from orbitfb.control import ask, is_running
-from orbitfb.core.errors import StoreError
+from orbitfb.core.errors import OrbitFeedbackError, StoreError
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.transitions import Transitions
@@ -29,6 +30,8 @@ from orbitfb.sim.job import SimJob
 
 REFIT_TIMEOUT = 60.0
 """How long the command line waits for a running service to refit [s]."""
+TOLD_TIMES = 10
+"""How often a training before the loop says how far it is."""
 
 
 def open_store(config: AppConfig) -> PolicyStore:
@@ -46,10 +49,27 @@ def movable(config: AppConfig, ring: Ring) -> Mask | None:
     return None if mask.all() else mask
 
 
-def baseline(config: AppConfig, ring: Ring) -> ResponsePolicy:
-    """Build the policy on the nominal response of the ring."""
+def baseline(
+    config: AppConfig, ring: Ring, say: Callable[[str], None] = lambda _: None
+) -> ResponsePolicy:
+    """Build the policy on the nominal response of the ring.
+
+    Args:
+        config: The kind and its settings.
+        ring: The ring.
+        say: Told how far it is, where that takes its time: a kind that is trained.
+    """
     matrix = response(ring, config.ring.planes)
-    return first_policy(matrix, config.policy, movable(config, ring))
+    total = config.policy.supervised.iterations
+
+    def progress(done: int, loss: float) -> None:
+        if done == 1 or done * TOLD_TIMES // total > (done - 1) * TOLD_TIMES // total:
+            say(
+                f"training the first policy ({config.policy.kind}): {done} of {total} iterations, "
+                f"loss {loss:.3g}"
+            )
+
+    return first_policy(matrix, config.policy, movable(config, ring), progress)
 
 
 def trainer(config: AppConfig, matrix: Vector, mask: Mask) -> Trainer:
@@ -122,7 +142,7 @@ def refit_offline(config: AppConfig, archive: Path, activate: bool) -> dict[str,
             figures=report.figures,
         )
         if activate:
-            answer |= activate_policy(config, candidate.policy_id)
+            answer |= activate_stored(config, candidate.policy_id)
             answer["decision"] = Decision.PROMOTED
     return answer
 
@@ -144,14 +164,24 @@ def list_policies(config: AppConfig) -> list[dict[str, Any]]:
         {
             "id": card.id,
             "kind": card.kind,
+            "planes": card.planes,
             "created": datetime.fromtimestamp(card.created, UTC).isoformat(timespec="seconds"),
             "parent": card.parent,
             "active": card.id == active,
+            "warning": card.warning,
             "damage": None,
         }
         for card in store.cards(damage.append)
     ]
-    nothing = {"id": "?", "kind": "?", "created": "", "parent": None, "active": False}
+    nothing = {
+        "id": "?",
+        "kind": "?",
+        "planes": "?",
+        "created": "",
+        "parent": None,
+        "active": False,
+        "warning": None,
+    }
     return rows + [{**nothing, "damage": str(error)} for error in damage]
 
 
@@ -160,17 +190,39 @@ def show_policy(config: AppConfig, policy_id: str) -> dict[str, Any]:
     return open_store(config).card(policy_id).model_dump(mode="json")
 
 
-def activate_policy(config: AppConfig, policy_id: str | None) -> dict[str, Any]:
+def activate_stored(config: AppConfig, policy_id: str) -> dict[str, Any]:
+    """Put a policy in force that was stored just now.
+
+    Raises:
+        StoreError: It was not; the message says under which id it lies, and why.
+    """
+    try:
+        return activate_policy(config, policy_id)
+    except OrbitFeedbackError as error:
+        raise StoreError(
+            f"policy {policy_id} is stored in {open_store(config).path}, but was not activated: "
+            f"{error}"
+        ) from error
+
+
+def activate_policy(
+    config: AppConfig, policy_id: str | None, force: bool = False
+) -> dict[str, Any]:
     """Put a policy in force, in the running service too.
 
     Args:
         config: Names the store.
         policy_id: Which; None: the one that was active before.
+        force: Even if a loop that is closed would run away with it.
+
+    Returns:
+        `policy`, `before`, and `warning` where there is one.
 
     Raises:
         StoreError: There is no such policy, or it is damaged.
+        ControlError: The running service refuses it.
     """
-    request = {"command": "activate", "policy": policy_id}
+    request = {"command": "activate", "policy": policy_id, "force": force}
     if is_running(config.data_directory):
         return ask(config.data_directory, request)
     store = open_store(config)
@@ -179,4 +231,6 @@ def activate_policy(config: AppConfig, policy_id: str | None) -> dict[str, Any]:
         policy_id = store.rollback()
     else:
         store.activate(policy_id)
-    return {"policy": policy_id, "before": before}
+    answer = {"policy": policy_id, "before": before}
+    warning = store.card(policy_id).warning
+    return answer | {"warning": warning} if warning else answer

@@ -8,7 +8,7 @@ from typing import Any
 
 from orbitfb.core.errors import ControlError
 from orbitfb.core.ports import Policy
-from orbitfb.core.signals import Channels
+from orbitfb.core.signals import Channels, LoopState
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
@@ -16,6 +16,7 @@ from orbitfb.observe.plain import plain
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.observe.summary import summary
 from orbitfb.policies.kinds import StoredPolicy
+from orbitfb.policies.stability import growth_of, warning_of
 from orbitfb.policies.store import PolicyStore
 
 LONGEST_PATIENCE = 25.0
@@ -63,7 +64,7 @@ class Remote:
         if name == "refit":
             return self._refit(request.get("activate") is True)
         if name == "activate":
-            return self._activate(request.get("policy"))
+            return self._activate(request.get("policy"), request.get("force") is True)
         return self._command(str(name))
 
     def _command(self, name: str) -> Mapping[str, Any]:
@@ -95,7 +96,7 @@ class Remote:
             raise ControlError("the service stopped before the refit was made") from None
         return plain(asdict(report))
 
-    def _activate(self, policy_id: object) -> Mapping[str, Any]:
+    def _activate(self, policy_id: object, force: bool) -> Mapping[str, Any]:
         back = policy_id is None
         if back:
             earlier = self.store.activations()[:-1]
@@ -103,10 +104,19 @@ class Remote:
             policy_id = earlier[-1].id if earlier else self.store.rollback()
         if not isinstance(policy_id, str):
             raise ControlError(f"{policy_id!r} is no policy id")
-        policy = self.store.load(policy_id, self.channels)  # refused before anything changes
+        # Whatever is refused is refused before anything changes.
+        policy = self.dress(self.store.load(policy_id, self.channels))
+        warning = warning_of(growth_of(policy))
+        if warning and not force and self.runner.state in (LoopState.CLOSED, LoopState.HELD):
+            raise ControlError(
+                f"policy {policy_id} is {warning}; the loop is {self.runner.state}, so that it "
+                "would act at once: open the loop first, or insist with `orbitfb policies "
+                f"{'rollback' if back else f'activate {policy_id}'} --force`"
+            )
         if back:
             self.store.rollback()
         else:
             self.store.activate(policy_id)
-        before = self.slot.swap(self.dress(policy))
-        return {"policy": policy_id, "before": before.policy_id}
+        before = self.slot.swap(policy)
+        answer = {"policy": policy_id, "before": before.policy_id}
+        return answer | {"warning": warning} if warning else answer

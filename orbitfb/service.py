@@ -12,10 +12,14 @@ import structlog
 from orbitfb.config import AppConfig
 from orbitfb.control import ControlServer, Lock
 from orbitfb.core.clock import SystemClock
-from orbitfb.core.errors import ArchiveError, MachineError, OrbitFeedbackError
+from orbitfb.core.errors import ArchiveError, EstimationError, MachineError, OrbitFeedbackError
+from orbitfb.core.gap import GapSight
 from orbitfb.core.ports import Machine, Policy
 from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.signals import LoopState
+from orbitfb.diagnose.broken import Screen
+from orbitfb.diagnose.devices import ring_layout
+from orbitfb.diagnose.live import GapProcess, GapWatch
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 from orbitfb.history.archive import ArchiveWriter
@@ -36,7 +40,9 @@ from orbitfb.observe.statistics import TRUE_RMS, LoopStatistics
 from orbitfb.observe.summary import check_place, write_summary
 from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import Surroundings
+from orbitfb.physics.places import Ring
 from orbitfb.policies.masking import mask_of
+from orbitfb.policies.stability import growth_of, warning_of
 from orbitfb.remote import Remote
 from orbitfb.sim.child import SimChild
 from orbitfb.sim.layout import TRUE_RMS_PV
@@ -95,7 +101,7 @@ def run_service(
         check_place(summary_file)
     with StopSignals() as signals, ExitStack() as stack:
         try:
-            service = Service(config, ioc, state, duration, stack, excite)
+            service = Service(config, ioc, state, duration, stack, excite, announce)
         except OrbitFeedbackError as error:
             if structlog.is_configured():  # the log is open
                 _log.error("start_failed", problem=str(error))
@@ -120,6 +126,7 @@ class Service:
         duration: Time to run [s], for the display; None: until stopped.
         stack: Closes what is opened here, in reverse order.
         excite: File of an excitation.
+        say: Gets a line now and then about what takes long before the loop runs.
     """
 
     def __init__(
@@ -130,6 +137,7 @@ class Service:
         duration: float | None,
         stack: ExitStack,
         excite: Path | None = None,
+        say: Callable[[str], None] = lambda _: None,
     ) -> None:
         directory = config.data_directory
         ring = config.ring.load()
@@ -163,10 +171,13 @@ class Service:
         self._movable = movable
         self.store = open_store(config)
         self._policies_kept = config.policies_kept
-        nominal = baseline(config, ring)
+        nominal = baseline(config, ring, lambda line: _say_and_log(say, line))
         first = self._first_policy(nominal, ioc)
         self.slot = PolicySlot(first)
         self.statistics = LoopStatistics(self.channels, config.limits.setpoint, clock)
+        if warning := warning_of(growth_of(first)):
+            _log.warning("policy_unstable", policy=first.policy_id, problem=warning)
+            self.statistics.happened("policy", f"{first.policy_id} is {warning}")
         self.events = EventLog(self.channels, clock, config.observe.logs.quiet_time)
         self.history = History(self.channels, config.history.capacity)
         archive = ArchiveWriter(
@@ -187,11 +198,12 @@ class Service:
             start=start,
             subscribers=(self.history, archive, self.statistics, self.events),
         )
+        self.watch = self._gap_watch(config, ring, stack)
         self.learner: LearnerThread | None = None
         if config.learn.enabled:
             self.learner = LearnerThread(
                 trainer(config, first.response, movable),
-                self.history,
+                Screen(self.history, self.channels, self.watch.broken),
                 self.slot,
                 self._refitted,
                 keep=self._keep,
@@ -330,6 +342,25 @@ class Service:
             self.store.activate(policy.policy_id)
         self.store.prune(self._policies_kept)
 
+    def _gap_watch(self, config: AppConfig, ring: Ring, stack: ExitStack) -> GapWatch:
+        """Watch the gap between model and machine, if that is wanted."""
+        layout = ring_layout(ring, config.ring.planes, period=config.loop.period)
+        looker = GapProcess(layout)
+        watch = GapWatch(
+            config.diagnose.live, self.history, looker.look, self._gap_seen, self._look_failed
+        )
+        if config.diagnose.live.enabled:
+            watch.start()
+            stack.callback(watch.stop, looker.close)
+        return watch
+
+    def _gap_seen(self, sight: GapSight) -> None:
+        self.statistics.gap_seen(sight)
+        self.events.gap_seen(sight)
+
+    def _look_failed(self, error: EstimationError) -> None:
+        _log.warning("gap_watch_failed", problem=str(error))
+
     def _refitted(self, report: RefitReport) -> None:
         self.statistics.refitted(report)
         self.events.refitted(report)
@@ -341,3 +372,8 @@ class Service:
     def _archive_failed(self, error: ArchiveError) -> None:
         _log.error("archive_failed", problem=str(error))
         self.statistics.happened("archive", str(error))
+
+
+def _say_and_log(say: Callable[[str], None], line: str) -> None:
+    say(line)
+    _log.info("starting", progress=line)

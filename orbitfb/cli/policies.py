@@ -20,6 +20,11 @@ from orbitfb.cli.options import (
     validated,
 )
 
+Force = Annotated[
+    bool,
+    typer.Option("--force", help="Even if the loop is closed and would run away with it."),
+]
+
 policies = typer.Typer(help="Policies in the store of a data directory.", no_args_is_help=True)
 
 
@@ -36,9 +41,12 @@ def policies_list(
         return
     for row in rows:
         star = "*" if row["active"] else " "
-        print(f"{star} {row['id']:<24} {row['created']}  parent {row['parent'] or '-'}")
-        if row["damage"]:
-            print(f"    {row['damage']}")
+        print(
+            f"{star} {row['id']:<24} {row['kind']:<8} {row['planes']:<3} {row['created']}  "
+            f"parent {row['parent'] or '-'}"
+        )
+        for trouble in filter(None, (row["warning"], row["damage"])):
+            print(f"    {trouble}")
     if not rows:
         print("no policies stored yet: `orbitfb run` stores its baseline, a refit its candidates")
 
@@ -61,23 +69,27 @@ def policies_activate(
     config_file: ConfigFile = None,
     data: DataDirectory = None,
     planes: Planes = None,
+    force: Force = False,
 ) -> None:
     """Make a policy the active one, in the running service too if there is one."""
     from orbitfb.maintenance import activate_policy
 
     settings = configure(config_file, data_directory=data, ring__planes=planes)
-    show(activate_policy(settings, policy), as_json=False)
+    show(activate_policy(settings, policy, force), as_json=False)
 
 
 @policies.command("rollback")
 def policies_rollback(
-    config_file: ConfigFile = None, data: DataDirectory = None, planes: Planes = None
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    planes: Planes = None,
+    force: Force = False,
 ) -> None:
     """Go back to the policy that was active before."""
     from orbitfb.maintenance import activate_policy
 
     settings = configure(config_file, data_directory=data, ring__planes=planes)
-    show(activate_policy(settings, None), as_json=False)
+    show(activate_policy(settings, None, force), as_json=False)
 
 
 @policies.command("compare")
@@ -140,7 +152,7 @@ def policies_compare(
             policy if movable.all() else MaskedPolicy(policy, policy.response, movable)
         )
     if not no_baseline:
-        first = maintenance.baseline(config, ring)
+        first = maintenance.baseline(config, ring, lambda line: print(line, file=sys.stderr))
         compared.setdefault(first.policy_id, first)
     rows = compare(compared, settings, ring, valid, lambda line: print(line, file=sys.stderr))
     print(json.dumps(as_rows(rows), indent=2) if as_json else as_table(rows))

@@ -8,6 +8,7 @@
   layers stay where they fit, so that a swap changes one matrix.
 """
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -40,7 +41,10 @@ class ResponsePolicy(Policy, Protocol):
 
 
 def first_policy(
-    response: Vector, settings: PolicySettings, movable: Mask | None = None
+    response: Vector,
+    settings: PolicySettings,
+    movable: Mask | None = None,
+    progress: Callable[[int, float], None] | None = None,
 ) -> ResponsePolicy:
     """Make the policy that a loop begins with.
 
@@ -48,6 +52,7 @@ def first_policy(
         response: R, shape (n, m) [m/A].
         settings: The kind and its settings.
         movable: Correctors that may move, shape (m,); None: all.
+        progress: Told iterations done and loss, where the kind is trained: supervised.
     """
     if settings.kind == "svd":
         return masked(SvdPolicy(response, settings.svd), movable)
@@ -57,7 +62,9 @@ def first_policy(
     if settings.kind == "supervised":
         from orbitfb.policies.supervised import train_supervised
 
-        taught = train_supervised(response, settings.supervised, teacher=law, device="cpu")
+        taught = train_supervised(
+            response, settings.supervised, teacher=law, device="cpu", progress=progress
+        )
         return masked(taught.policy, movable)
     return masked(embed(law, settings.network), movable)
 

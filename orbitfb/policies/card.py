@@ -30,6 +30,9 @@ class PolicyCard(Settings):
         settings: Settings of its class.
         figures: Judged figures by name, SI; null where one was not finite.
         training: How it was trained, if it was: method, settings, seeds, figures.
+        growth: Of the orbit per tick near zero, on its own response (`policies.stability`) [1];
+            null: not finite, or not looked at (a card of an earlier version).
+        warning: What is wrong with it, if anything is known to be.
         planes: Planes of the ring's channels.
         bpms: Names of the BPMs, in the order of the rows of the response matrix.
         correctors: Names of the correctors, in the order of its columns.
@@ -46,6 +49,8 @@ class PolicyCard(Settings):
     settings: dict[str, Any]
     figures: dict[str, float | None]
     training: dict[str, Any] | None = None
+    growth: float | None = None
+    warning: str | None = None
     planes: str
     bpms: tuple[str, ...]
     correctors: tuple[str, ...]

@@ -34,6 +34,7 @@ from orbitfb.policies.files import (
     sole_writer,
 )
 from orbitfb.policies.kinds import StoredPolicy, kind_of
+from orbitfb.policies.stability import growth_of, warning_of
 from orbitfb.policies.tensors import decode, encode, is_same
 
 _TENSORS = "policy.safetensors"
@@ -88,6 +89,7 @@ class PolicyStore:
             )
         identifier = check_identifier(inside.policy_id)
         content = encode(kind, inside)
+        growth = growth_of(inside)
         card = PolicyCard(
             schema_version=SCHEMA_VERSION,
             id=identifier,
@@ -98,6 +100,8 @@ class PolicyStore:
             settings=inside.settings.model_dump(mode="json"),
             figures={k: v if math.isfinite(v) else None for k, v in (figures or {}).items()},
             training=None if training is None else finite(training),
+            growth=growth if math.isfinite(growth) else None,
+            warning=warning_of(growth),
             planes=channels.planes,
             bpms=channels.bpms,
             correctors=channels.correctors,

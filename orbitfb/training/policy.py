@@ -12,7 +12,7 @@ from orbitfb.core.errors import ConfigError
 from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
 from orbitfb.learn.builders import builder, first_policy
-from orbitfb.maintenance import activate_policy, data_hash, open_store
+from orbitfb.maintenance import activate_stored, data_hash, open_store
 from orbitfb.policies.kinds import StoredPolicy
 from orbitfb.policies.modal import ModalPolicy
 from orbitfb.policies.network import NetworkPolicy
@@ -72,8 +72,10 @@ def train_policy(
     answer |= trained.training["figures"]
     if trained.curve:
         answer["loss_first"], answer["loss_last"] = trained.curve[0], trained.curve[-1]
+    if warning := store.card(identifier).warning:
+        answer["warning"] = warning
     if request.activate:
-        answer |= activate_policy(config, identifier)
+        answer |= activate_stored(config, identifier)
     return answer
 
 

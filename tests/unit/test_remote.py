@@ -132,3 +132,35 @@ def test_a_command_that_was_carried_out(store: PolicyStore):
     order.set_result(LoopState.CLOSED)
     runner = SimpleNamespace(command=lambda name: order, reason="")
     assert served(store, runner=runner)({"command": "close"})["state"] is LoopState.CLOSED
+
+
+UNSTABLE = SvdPolicy(NOMINAL, SvdSettings(gain=1.8, integral_gain=1.0))
+
+
+@pytest.mark.parametrize("state", [LoopState.CLOSED, LoopState.HELD])
+@pytest.mark.parametrize("back", [False, True])
+def test_what_would_run_away_is_refused_in_a_closed_loop(
+    store: PolicyStore, state: LoopState, back: bool
+):
+    name = store.save(UNSTABLE, RING.channels("x"))
+    if back:  # it was in force before SECOND
+        store.activate(name)
+        store.activate(SECOND.policy_id)
+    remote = served(store, runner=SimpleNamespace(state=state))
+    request = {"command": "activate", "policy": None if back else name}
+    with pytest.raises(ControlError, match=r"is unstable: .* grow by 1\.\d+ per tick") as caught:
+        remote(request)
+    way = "rollback" if back else f"activate {name}"
+    assert f"`orbitfb policies {way} --force`" in str(caught.value)
+    assert store.active() == SECOND.policy_id
+    assert remote.slot.current is SECOND
+    answer = remote({**request, "force": True})
+    assert store.active() == remote.slot.current.policy_id == answer["policy"] == name
+    assert answer["warning"].startswith("unstable: ")
+
+
+def test_a_loop_that_is_open_takes_it_and_says_so(store: PolicyStore):
+    name = store.save(UNSTABLE, RING.channels("x"))
+    remote = served(store, runner=SimpleNamespace(state=LoopState.OPEN))
+    answer = remote({"command": "activate", "policy": name})
+    assert (answer["policy"], answer["warning"][:9]) == (name, "unstable:")

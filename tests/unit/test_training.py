@@ -1,14 +1,17 @@
 """What `orbitfb train` does, without its command line."""
 
 import json
+import re
 import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from orbitfb import maintenance
+from orbitfb.cli.app import app
 from orbitfb.config import AppConfig, load_config
-from orbitfb.core.errors import ConfigError, StoreError
+from orbitfb.core.errors import ConfigError, ControlError, StoreError
 from orbitfb.maintenance import open_store
 from orbitfb.training.policy import train_policy
 from orbitfb.training.request import METHODS, TrainingRequest
@@ -126,3 +129,54 @@ def test_the_card_is_plain_json(config):
     path = config.data_directory / "policies" / answer["stored"] / "card.json"
     card = json.loads(path.read_text())
     assert card["training"]["settings"]["coordinates"] == "raw"
+
+
+def test_what_would_run_away_is_stored_with_a_warning(config):
+    """The paper's training, cut short: a network that does not hold its own ring."""
+    answer = train_policy(config, request_for("supervised", published=True))
+    assert answer["warning"].startswith("unstable: ")
+    card = open_store(config).card(answer["stored"])
+    assert card.warning == answer["warning"]
+    assert card.growth is not None and card.growth > 1.0
+    assert "warning" not in train_policy(config, request_for("modal"))
+
+
+def test_an_activation_that_fails_leaves_the_name_of_what_was_stored(config, monkeypatch):
+    def refuse(*_: object, **__: object) -> None:
+        raise ControlError("the ring runs 'x'")
+
+    monkeypatch.setattr(maintenance, "is_running", lambda _: True)
+    monkeypatch.setattr(maintenance, "ask", refuse)
+    with pytest.raises(StoreError) as caught:
+        train_policy(config, request_for("modal", activate=True))
+    [card] = open_store(config).cards(lambda error: pytest.fail(str(error)))
+    assert str(caught.value) == (
+        f"policy {card.id} is stored in {config.data_directory / 'policies'}, but was not "
+        "activated: the ring runs 'x'"
+    )
+
+
+def test_a_baseline_that_is_trained_says_how_far_it_is(config):
+    lessons = config.policy.supervised.model_copy(update={"iterations": 20, "batch": 2})
+    policy = config.policy.model_copy(update={"kind": "supervised", "supervised": lessons})
+    said: list[str] = []
+    trained = config.model_copy(update={"policy": policy})
+    maintenance.baseline(trained, trained.ring.load(), said.append)
+    assert len(said) == 11
+    assert said[0].startswith("training the first policy (supervised): 1 of 20 iterations, loss ")
+    assert said[-1].startswith("training the first policy (supervised): 20 of 20 iterations, loss ")
+
+
+def test_the_list_has_kind_planes_and_warning(config, tmp_path, capsys):
+    good = train_policy(config, request_for("modal"))["stored"]
+    bad = train_policy(config, request_for("supervised", published=True))
+    for_y = train_policy(
+        config.model_copy(update={"ring": config.ring.model_copy(update={"planes": "y"})}),
+        request_for("svd"),
+    )["stored"]
+    app(["policies", "list", "--data", str(tmp_path)], standalone_mode=False)
+    shown = capsys.readouterr().out
+    for name, kind, planes in ((good, "modal", "x"), (bad["stored"], "network", "x"),
+                               (for_y, "svd", "y")):  # fmt: skip
+        assert re.search(rf"^  {name} +{kind} +{planes} +20\d\d-\S+ +parent -$", shown, re.M)
+    assert f"    {bad['warning']}\n" in shown

@@ -1,0 +1,84 @@
+"""Whether the loop that a policy makes would hold: the growth of the orbit per tick near zero.
+
+A reading is answered at once and the answer is in force at the next tick, so that near zero
+
+    e' = e − R K e,
+
+R the response that the policy was made for and K its slope. The largest |eigenvalue| of
+1 − R K is the growth of the orbit per tick: above 1 the loop runs away on the very ring that the
+policy was made for. Integral and derivative of the linear law (`policies.pid`) act in the same
+eigenvectors; there the growth is that of the 4 by 4 system of error, integral, derivative and
+last correction, within the limits of both.
+
+A bound of what must be, no proof of what will be: the ring may have another response, and a law
+that is not linear may fail far from zero.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from orbitfb.core.ports import Policy
+from orbitfb.core.signals import Vector
+from orbitfb.policies.masking import MaskedPolicy
+from orbitfb.policies.pid import PidSettings
+
+HIGHEST = 1.0001
+"""Growth per tick from which a loop counts as unstable: e-fold in 10,000 ticks. Modes that a law
+leaves alone are at 1, but for the rounding of a network's single precision."""
+
+
+def growth_of(policy: Policy) -> float:
+    """Give the growth per tick on the policy's own response [1]; inf when it has no slope.
+
+    Args:
+        policy: One that names its response and its slope at zero, as all do that can be stored.
+    """
+    inside: Any = policy
+    while isinstance(inside, MaskedPolicy):
+        inside = inside.policy
+    outside: Any = policy
+    response, gain = outside.response, outside.gain_matrix
+    if not (np.isfinite(gain).all() and np.isfinite(response).all()):
+        return float("inf")
+    fewer_bpms = len(response) <= len(gain)
+    answers = np.linalg.eigvals(response @ gain if fewer_bpms else gain @ response)
+    settings = inside.settings
+    if isinstance(settings, PidSettings) and not settings.is_memoryless:
+        return _dynamic_growth(answers / settings.gain, settings)
+    return float(np.max(np.abs(1.0 - answers)))
+
+
+def _dynamic_growth(answers: Vector, settings: PidSettings) -> float:
+    """Give the growth with integral and derivative.
+
+    Args:
+        answers: Eigenvalues of R R⁺, shape (k,), complex.
+        settings: Gains.
+    """
+    kept, zero, one = settings.derivative_filter, 0.0 * answers, 1.0 + 0.0 * answers
+    integral = np.array([settings.integral_gain * answers, one, zero, zero])
+    derivative = np.array(
+        [(1.0 - kept) * answers, zero, kept * one, -(1.0 - kept) * one],
+    )
+    error = np.array([one - settings.gain * answers, zero, zero, zero])
+    error = error - integral - settings.derivative_gain * derivative
+    last = np.array([answers, zero, zero, zero])
+    steps = np.moveaxis(np.array([error, integral, derivative, last]), -1, 0)
+    if settings.integral_gain == 0.0:  # what never moves neither grows nor decays
+        steps = np.delete(np.delete(steps, 1, axis=1), 1, axis=2)
+    return float(np.max(np.abs(np.linalg.eigvals(steps))))
+
+
+def warning_of(growth: float) -> str | None:
+    """Say what a growth means; None when the loop holds.
+
+    Args:
+        growth: Per tick [1].
+    """
+    if growth <= HIGHEST:
+        return None
+    return (
+        f"unstable: near zero the orbit would grow by {growth:.4g} per tick on the response that "
+        "this policy was made for"
+    )
