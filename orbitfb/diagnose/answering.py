@@ -126,6 +126,9 @@ def place_names(layout: Layout, kind: EffectKind, places: Sequence[int]) -> tupl
         pairs = kind.pairs(layout)
         columns = [int(i) for place in places for i in pairs[place]]
         return tuple(dict.fromkeys(name(column) for column in columns))
+    if isinstance(kind, NoiseKind) and kind.target == "bpm":
+        struck = kind.patterns(layout)[:, list(places)].any(axis=1)
+        return tuple(name(int(column)) for column in np.flatnonzero(struck))
     if isinstance(kind, SourceKind | NoiseKind):
         known = kind.places_of(layout)
         return tuple(known[p].split(" (")[0] if single else known[p] for p in places)

@@ -9,7 +9,9 @@ from orbitfb.diagnose.answer_blocks import AmbiguousSet, KStep
 from orbitfb.diagnose.answer_parts import Experiment, Gap, NotTested, Provenance, Shrink
 from orbitfb.diagnose.answering import named_causes, tournament_rows
 from orbitfb.diagnose.certain import Certain
+from orbitfb.diagnose.closed_loop import closed_loop
 from orbitfb.diagnose.detectable import detectable
+from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.gap import gap, surplus
 from orbitfb.diagnose.gap_maps import lag_profile, maps
 from orbitfb.diagnose.judgement import Judgement
@@ -20,6 +22,8 @@ from orbitfb.diagnose.shrink import contrast, k_steps, shrink
 from orbitfb.diagnose.wording import headline
 from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
 from orbitfb.effects.record import Record
+
+_RIVALS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +57,7 @@ class Parts:
         known = {one.effect for one in not_tested}
         sets = self._ambiguous()
         the_gap = self._gap()
+        loop = closed_loop(bench, self.later, self.seed) if causes else None
         whole = surplus(bench, best=judged.rest.white if judged.rest.resolved else None)
         return Diagnosis(
             state=judged.state,
@@ -61,6 +66,7 @@ class Parts:
                 gap=the_gap,
                 causes=causes,
                 shrink=shrunk,
+                closed_loop=loop,
                 ambiguous=sets,
                 unknown=judged.unknown,
                 effects=len(self.kinds),
@@ -74,6 +80,7 @@ class Parts:
             ambiguous=sets,
             unknown=judged.unknown,
             k_steps=steps,
+            closed_loop=loop,
             tournament=tournament_rows(outcome),
             audit=judged.audit,
             lag_profile=lag_profile(bench, whole),
@@ -111,9 +118,19 @@ class Parts:
         ]
         if self.later is None or not moving:
             return None, ()
-        compared = contrast(self.outcome.bench, self.later, self.seed)
+        compared = contrast(self.outcome.bench, self.later, self.seed, self._rivals())
         where = "the later record" if self.told else "the end of the record"
         return shrink(compared, where), k_steps(compared)
+
+    def _rivals(self) -> tuple[Cause, ...]:
+        """The best that were not accepted: a stand-in must not be judged by itself alone."""
+        named = {(cause.kind.id, cause.places) for cause in self.outcome.causes}
+        found = [
+            entry.cause
+            for entry in self.outcome.rounds[0].entries
+            if entry.fit is not None and (entry.kind.id, entry.cause.places) not in named
+        ]
+        return tuple(found[:_RIVALS])
 
     def _ambiguous(self) -> tuple[AmbiguousSet, ...]:
         if self.judged.state != "ambiguous":

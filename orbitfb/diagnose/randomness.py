@@ -15,7 +15,7 @@ from scipy.special import expit, logit
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.scan import Candidate
+from orbitfb.diagnose.scan import Candidate, groups_of
 from orbitfb.effects.kinds import LatentKind, NoiseKind, Values
 from orbitfb.physics.optics import Matrix
 
@@ -181,14 +181,40 @@ def latent_odds(bench: Bench, kind: LatentKind, values: Values) -> Matrix:
 
 
 def latent_candidates(bench: Bench, kind: LatentKind) -> list[Candidate]:
-    """Find the best parameters of an effect that strikes at random; empty if it gains nothing."""
+    """Find the best parameters, and the BPMs where it strikes BPM by BPM, best first."""
     score, info = _strikes(bench, kind)
+    if kind.per_bpm:
+        return _latent_places(bench, kind, score, info)
     best: Candidate | None = None
     for values in _latent_grid(kind, score, info):
         gain = float(np.sum(_ratio(kind, score, info, list(values.values()))))
         if gain > (0.0 if best is None else best.gain):
             best = Candidate(Cause(kind, (), values), gain, 10.0)
     return [] if best is None else [best]
+
+
+def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) -> list[Candidate]:
+    """Best parameters of every BPM, of every run of cells and of all."""
+    bpms = bench.record.layout.bpms
+    groups = list(groups_of(bpms.groups(), len(bpms), bpms.planes))
+    member = np.zeros((len(groups), len(bpms)))
+    for row, (_, columns) in enumerate(groups):
+        member[row, columns] = 1.0
+    found: dict[tuple[int, ...], Candidate] = {}
+    for values in _latent_grid(kind, score, info):
+        gain = _each_ratio(kind, score, info, list(values.values())).sum(axis=0)
+        together = member @ gain
+        tried: list[tuple[tuple[int, ...], float, int, str]] = [
+            ((int(i),), float(gain[i]), len(gain), "") for i in np.argsort(gain)[-_KEPT:]
+        ]
+        for index in np.argsort(together)[-_KEPT:]:
+            name, columns = groups[int(index)]
+            places = tuple(int(i) for i in columns)
+            tried.append((places, float(together[index]), len(groups), name))
+        for places, its, choices, name in tried:
+            if its > (found[places].gain if places in found else 0.0):
+                found[places] = Candidate(Cause(kind, places, values), its, 10.0 * choices, name)
+    return sorted(found.values(), key=lambda c: c.gain - np.log(c.choices), reverse=True)[:_KEPT]
 
 
 def _strikes(bench: Bench, kind: LatentKind) -> tuple[Matrix, Matrix]:
@@ -226,14 +252,16 @@ def _latent_grid(kind: LatentKind, score: Matrix, info: Matrix) -> Iterator[Valu
 
 
 def _ratio(kind: LatentKind, score: Matrix, info: Matrix, numbers: list[float]) -> Vector:
+    return _each_ratio(kind, score, info, numbers).sum(axis=1)
+
+
+def _each_ratio(kind: LatentKind, score: Matrix, info: Matrix, numbers: list[float]) -> Matrix:
+    """Log-likelihood ratio of every row, and of every BPM where it strikes BPM by BPM."""
     if kind.strength == "always one":
         share = numbers[0]
-        single = np.logaddexp(np.log1p(-share), np.log(share) + score - 0.5 * info)
-    else:
-        size = numbers[-1] ** 2
-        struck = 0.5 * size * score**2 / (1.0 + size * info) - 0.5 * np.log1p(size * info)
-        if kind.strength == "normal":
-            single = struck
-        else:
-            single = np.logaddexp(np.log1p(-numbers[0]), np.log(numbers[0]) + struck)
-    return single.sum(axis=1)
+        return np.logaddexp(np.log1p(-share), np.log(share) + score - 0.5 * info)
+    size = numbers[-1] ** 2
+    struck = 0.5 * size * score**2 / (1.0 + size * info) - 0.5 * np.log1p(size * info)
+    if kind.strength == "normal":
+        return struck
+    return np.logaddexp(np.log1p(-numbers[0]), np.log(numbers[0]) + struck)

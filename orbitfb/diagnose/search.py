@@ -143,7 +143,7 @@ def search(
         if winner.fit is None:
             # It has no course in time to take out of the record: its strikes are, and its kin.
             if isinstance(winner.kind, LatentKind):
-                record = without_strikes(bench, winner.kind, winner.cause.values)
+                record = without_strikes(bench, winner.kind, winner.cause)
                 nominal = Bench(record, given, floor, nominal.floor.modes)
             left = [kind for kind in left if not isinstance(kind, LatentKind | NoiseKind)]
         bench = Bench(record, (*given, *_moving(causes)), floor, nominal.floor.modes)

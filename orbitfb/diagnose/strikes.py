@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.randomness import latent_odds
-from orbitfb.effects.kinds import LatentKind, Values
+from orbitfb.effects.kinds import LatentKind
 from orbitfb.effects.record import Record
 
 _LIKELY = 0.5
@@ -14,13 +15,13 @@ _MOST = 0.3
 """Share of rows beyond which cutting them out would leave no record."""
 
 
-def without_strikes(bench: Bench, kind: LatentKind, values: Values) -> Record:
+def without_strikes(bench: Bench, kind: LatentKind, cause: Cause) -> Record:
     """Cut a record where it was struck, or put the prediction in the place of a struck reading.
 
     Args:
         bench: The record under the causes so far.
         kind: What strikes.
-        values: Its parameters.
+        cause: Where, with which parameters.
 
     Returns:
         The record without the strikes; as it was when they are too many, or never certain.
@@ -28,7 +29,9 @@ def without_strikes(bench: Bench, kind: LatentKind, values: Values) -> Record:
     record = bench.record
     if kind.strength == "normal":
         return record  # it strikes at every row
-    struck = latent_odds(bench, kind, values) > _LIKELY
+    struck = latent_odds(bench, kind, cause.values) > _LIKELY
+    if kind.per_bpm:
+        struck[:, [i for i in range(struck.shape[1]) if i not in cause.places]] = False
     if struck.mean() > _MOST or not struck.any():
         return record
     if kind.per_bpm:
