@@ -20,6 +20,7 @@ from pydantic_core import ErrorDetails
 
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.settings import Settings
+from orbitfb.diagnose.settings import DiagnoseSettings
 from orbitfb.effects.settings import EffectSettings
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.history.recorder import ArchiveSettings
@@ -129,6 +130,9 @@ class AppConfig(Settings):
         default=InterlockSettings(), description="What holds or trips the loop."
     )
     learn: LearnSettings = Field(default=LearnSettings(), description="The learner.")
+    diagnose: DiagnoseSettings = Field(
+        default=DiagnoseSettings(), description="Diagnosis beside the loop."
+    )
     train: TrainSettings = Field(default=TrainSettings(), description="The command train.")
     history: HistorySettings = Field(
         default=HistorySettings(), description="Transitions in memory and on disk."

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import structlog
 
+from orbitfb.core.gap import GapSight
 from orbitfb.core.ports import Clock
 from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.signals import Channels, LoopState, Mask, TickRecord
@@ -37,6 +38,8 @@ class EventLog:
     def __init__(self, channels: Channels, clock: Clock, quiet_time: float = 10.0) -> None:
         self._log = structlog.stdlib.get_logger("orbitfb.loop")
         self._learner_log = structlog.stdlib.get_logger("orbitfb.learn")
+        self._gap_log = structlog.stdlib.get_logger("orbitfb.diagnose")
+        self._gap_resolved = False
         self._channels = channels
         self._state: LoopState | None = None
         self._reason = ""
@@ -110,6 +113,23 @@ class EventLog:
             delay=alarm.delay,
             statistic=alarm.statistic,
             threshold=alarm.threshold,
+        )
+
+    def gap_seen(self, sight: GapSight) -> None:
+        """Take a look at the gap; called in the watch's thread."""
+        if sight.resolved == self._gap_resolved:
+            return
+        self._gap_resolved = sight.resolved
+        tell = self._gap_log.warning if sight.resolved else self._gap_log.info
+        tell(
+            "gap_resolved" if sight.resolved else "gap_gone",
+            nats_per_tick=sight.nats,
+            low=sight.low,
+            high=sight.high,
+            ticks=sight.ticks,
+            suspected=sight.effect or None,
+            places=list(sight.places[:MOST_NAMES]),
+            probability=sight.probability,
         )
 
     def _log_state(self, record: TickRecord) -> None:

@@ -17,6 +17,7 @@ from prometheus_client.metrics_core import Metric as Family
 from prometheus_client.registry import Collector
 
 from orbitfb import __version__
+from orbitfb.core.gap import GapSight
 from orbitfb.core.signals import LoopState
 from orbitfb.history.archive import ArchiveStatus
 from orbitfb.observe.metrics_table import METRICS, Metric
@@ -127,10 +128,26 @@ def _samples(
         "orbitfb_last_refit_figure": [
             ((name,), figure) for name, figure in (refit.figures.items() if refit else ())
         ],
+        **_gap_samples(snapshot.gap),
         "orbitfb_archive_rows_written_total": _one(archive.written) if archive else (),
         "orbitfb_archive_rows_dropped_total": _one(archive.dropped) if archive else (),
         "orbitfb_archive_rows_waiting": _one(archive.waiting) if archive else (),
         "orbitfb_uptime_seconds": _one(snapshot.duration),
+    }
+
+
+def _gap_samples(gap: GapSight | None) -> dict[str, Iterable[Sample]]:
+    """Return the samples of the gap; none before the first look."""
+    suspected = [((gap.effect,), gap.probability)] if gap and gap.effect else []
+    return {
+        "orbitfb_gap_nats": _one(gap.nats) if gap else (),
+        "orbitfb_gap_low_nats": _one(gap.low) if gap else (),
+        "orbitfb_gap_high_nats": _one(gap.high) if gap else (),
+        "orbitfb_gap_resolved": _one(float(gap.resolved)) if gap else (),
+        "orbitfb_gap_suspect_probability": suspected,
+        "orbitfb_gap_ticks": _one(gap.ticks) if gap else (),
+        "orbitfb_gap_timestamp_seconds": _one(gap.time) if gap else (),
+        "orbitfb_gap_duration_seconds": _one(gap.duration) if gap else (),
     }
 
 

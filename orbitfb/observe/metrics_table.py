@@ -219,6 +219,42 @@ LEARNING = (
     ),
 )
 
+DIAGNOSIS = (
+    Metric(
+        "orbitfb_gap_nats",
+        "gauge",
+        "nats",
+        (),
+        "Gap per tick between the nominal model and the best explanation of the last ticks; 0 when "
+        "none is better.",
+    ),
+    Metric("orbitfb_gap_low_nats", "gauge", "nats", (), "Lower end of its 90 % interval."),
+    Metric("orbitfb_gap_high_nats", "gauge", "nats", (), "Upper end of its 90 % interval."),
+    Metric(
+        "orbitfb_gap_resolved",
+        "gauge",
+        "",
+        (),
+        "1 when it is certain that there is a gap, else 0; the alert OrbitGapResolved asks for it.",
+    ),
+    Metric(
+        "orbitfb_gap_suspect_probability",
+        "gauge",
+        "",
+        ("effect",),
+        "Probability of the effect that is suspected, among all effects and none.",
+    ),
+    Metric("orbitfb_gap_ticks", "gauge", "ticks", (), "Ticks that the last look was about."),
+    Metric(
+        "orbitfb_gap_timestamp_seconds",
+        "gauge",
+        "seconds",
+        (),
+        "Last tick that the last look was about, since the epoch.",
+    ),
+    Metric("orbitfb_gap_duration_seconds", "gauge", "seconds", (), "How long the last look took."),
+)
+
 SERVICE = (
     Metric(
         "orbitfb_archive_rows_written_total",
@@ -245,7 +281,7 @@ SERVICE = (
     Metric("orbitfb_build_info", "info", "", ("version", "python"), "What runs."),
 )
 
-METRICS = LOOP + BEAM + LEARNING + SERVICE
+METRICS = LOOP + BEAM + LEARNING + DIAGNOSIS + SERVICE
 """All metrics that a scrape exposes, and no other."""
 
 _HEAD = """# Metrics

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from orbitfb.core.gap import GapSight
 from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.core.signals import LoopState, Phases
 
@@ -113,7 +114,7 @@ class Happening:
     Args:
         number: Count since the start, from 1.
         time: Wall clock [s since the epoch].
-        kind: `state`, `policy`, `refit`, `alarm`, `archive` or `ring`.
+        kind: `state`, `policy`, `refit`, `alarm`, `archive`, `gap` or `ring`.
         text: What happened, in a few words.
     """
 
@@ -145,6 +146,7 @@ class LoopSnapshot:
         alarms: Alarms of the learner by cause.
         last_alarm: The last one, if there was one.
         happenings: The last few, oldest first.
+        gap: The last look at the gap between model and machine, if there was one.
     """
 
     state: LoopState | None
@@ -164,6 +166,7 @@ class LoopSnapshot:
     alarms: Mapping[AlarmCause, int]
     last_alarm: Alarm | None
     happenings: tuple[Happening, ...] = field(default=())
+    gap: GapSight | None = None
 
     @property
     def judged(self) -> int:

@@ -6,6 +6,7 @@ from collections import Counter, deque
 
 import numpy as np
 
+from orbitfb.core.gap import GapSight
 from orbitfb.core.ports import Clock
 from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, TickRecord, Vector
@@ -89,6 +90,7 @@ class LoopStatistics:
         self._last_refit: RefitReport | None = None
         self._alarms: Counter[AlarmCause] = Counter()
         self._last_alarm: Alarm | None = None
+        self._gap: GapSight | None = None
         self._happenings: deque[Happening] = deque(maxlen=KEPT_HAPPENINGS)
         self._happened = 0
 
@@ -120,6 +122,13 @@ class LoopStatistics:
             self._alarms[alarm.cause] += 1
             self._last_alarm = alarm
             self._note("alarm", f"{alarm.cause}: {alarm.statistic:.3g} above {alarm.threshold:.3g}")
+
+    def gap_seen(self, sight: GapSight) -> None:
+        """Take a look at the gap; called in the watch's thread."""
+        with self._lock:
+            before, self._gap = self._gap, sight
+            if sight.resolved and not (before is not None and before.resolved):
+                self._note("gap", f"{sight.nats:.3g} nats/tick, {sight.effect} suspected")
 
     def happened(self, kind: str, text: str) -> None:
         """Note something that people want to know; called from any thread.
@@ -155,6 +164,7 @@ class LoopStatistics:
             age, in_state = monotonic - self._last_monotonic, monotonic - self._state_since
             wall, stamp = self._last_wall, self._stamp
             last_refit, happenings = self._last_refit, tuple(self._happenings)
+            gap = self._gap
             alarms = {cause: self._alarms[cause] for cause in AlarmCause}
             last_alarm = self._last_alarm
         period, jitter = mean_and_deviation(intervals)
@@ -189,6 +199,7 @@ class LoopStatistics:
             alarms=alarms,
             last_alarm=last_alarm,
             happenings=happenings,
+            gap=gap,
         )
 
     def _count_phases(self, phases: Phases) -> None:

@@ -1,6 +1,7 @@
 """The table of metrics, the scrape and the page of the docs say the same."""
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from prometheus_client.exposition import choose_encoder
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as open_families
 from prometheus_client.parser import text_string_to_metric_families
 
+from orbitfb.core.gap import GapSight
 from orbitfb.core.refit import Alarm, AlarmCause, Decision
 from orbitfb.core.signals import LoopState
 from orbitfb.history.archive import ArchiveStatus
@@ -32,6 +34,7 @@ def full(statistics, clock):
     )
     statistics.refitted(report(Decision.PROMOTED, model_change=0.1))
     statistics.alarmed(Alarm(20, AlarmCause.DRIFT, 7.0, 20.0, 15.0))
+    statistics.gap_seen(GapSight(1.7e9, 600, 0.3, 0.2, 0.4, True, "bpm-gain", probability=0.98))
     return statistics
 
 
@@ -128,3 +131,23 @@ def test_strict_openmetrics_readers_take_it_too(full):
     assert content_type.startswith("application/openmetrics-text")
     text = encode(metrics_registry(full.snapshot, archive)).decode()
     assert {family.name for family in open_families(text)} == {metric.family for metric in METRICS}
+
+
+def test_the_gap_is_told_with_its_suspect_and_not_before_the_first_look(statistics, clock):
+    families, _ = scrape(statistics, archive)
+    assert not next(f for f in families if f.name == "orbitfb_gap_nats").samples
+    statistics.gap_seen(GapSight(1.7e9, 600, 0.3, 0.2, 0.4, True, "bpm-gain", probability=0.98))
+    families, _ = scrape(statistics, archive)
+    values = {f.name: f.samples for f in families}
+    assert values["orbitfb_gap_nats"][0].value == 0.3
+    assert values["orbitfb_gap_resolved"][0].value == 1.0
+    (suspect,) = values["orbitfb_gap_suspect_probability"]
+    assert (suspect.labels, suspect.value) == ({"effect": "bpm-gain"}, 0.98)
+    assert [h.kind for h in statistics.snapshot().happenings] == ["gap"]
+
+
+def test_the_alert_asks_for_metrics_that_there_are():
+    rules = Path(__file__).parents[3] / "deploy/prometheus/orbitfb-alerts.yml"
+    asked = set(re.findall(r"orbitfb_[a-z_]+", rules.read_text()))
+    assert asked
+    assert asked <= {metric.name for metric in METRICS}

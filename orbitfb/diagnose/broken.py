@@ -1,0 +1,146 @@
+"""Devices that a diagnosis calls broken, and the rows that they spoil for the learner.
+
+A corrector that is stuck or turned round is not a drift of R, and a refit must not make one of
+it. A broken BPM does not count; where a broken corrector was moved, nothing is known of what
+happened: the row does not teach.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from orbitfb.core.gap import GapSight
+from orbitfb.core.signals import Channels, Mask
+from orbitfb.core.transitions import Transitions
+from orbitfb.diagnose.answer import Diagnosis
+
+BREAKING = frozenset(
+    {
+        "bpm-stuck",
+        "bpm-polarity",
+        "bpm-swap",
+        "corrector-stuck",
+        "corrector-polarity",
+        "corrector-swap",
+        "corrector-saturation",
+    }
+)
+"""Effects that make a device useless for the learner, not merely inexact."""
+SURE = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Broken:
+    """A device that is broken.
+
+    Args:
+        effect: In which way.
+        name: The device.
+        planes: In which planes.
+        since: From when on [s since the epoch]; −inf: always.
+    """
+
+    effect: str
+    name: str
+    planes: str
+    since: float = -np.inf
+
+
+class Source(Protocol):
+    """Where the last transitions are kept."""
+
+    def snapshot(self, last: int | None = None, since_tick: int | None = None) -> Transitions:
+        """Copy the transitions: the last ones, or those since a tick."""
+        ...
+
+
+def broken_devices(diagnosis: Diagnosis, begin: float = -np.inf) -> tuple[Broken, ...]:
+    """List what a diagnosis calls broken.
+
+    Args:
+        diagnosis: The answer.
+        begin: First reading of its record [s since the epoch].
+    """
+    return tuple(
+        Broken(cause.effect, name, cause.planes, begin + (cause.onset_s or 0.0))
+        for cause in diagnosis.causes
+        if cause.effect in BREAKING and (cause.probability or 0.0) >= SURE
+        for name in cause.places
+    )
+
+
+def broken_at_sight(sight: GapSight) -> tuple[Broken, ...]:
+    """List what a look at the last ticks calls broken."""
+    if not sight.resolved or sight.effect not in BREAKING or sight.probability < SURE:
+        return ()
+    return tuple(
+        Broken(sight.effect, name, plane, sight.since)
+        for name, plane in zip(sight.places, sight.planes, strict=True)
+    )
+
+
+def broken_rows(
+    broken: Diagnosis | Sequence[Broken], transitions: Transitions, channels: Channels
+) -> Mask:
+    """Tell which rows must not teach.
+
+    Args:
+        broken: A diagnosis, or what it calls broken.
+        transitions: T transitions.
+        channels: Of the ring.
+
+    Returns:
+        Shape (T,): a broken corrector was moved, or stood elsewhere than before.
+    """
+    devices = broken_devices(broken) if isinstance(broken, Diagnosis) else broken
+    refused = np.zeros(len(transitions), dtype=np.bool_)
+    for device in devices:
+        columns = _columns(device, channels.correctors, channels)
+        moved = (transitions.applied[:, columns] != 0.0).any(axis=1)
+        refused |= moved & (transitions.time >= device.since)
+    return refused
+
+
+def screened(transitions: Transitions, broken: Sequence[Broken], channels: Channels) -> Transitions:
+    """Mark rows of broken correctors as unusable, and readings of broken BPMs as not valid."""
+    if not broken:
+        return transitions
+    valid = transitions.valid.copy()
+    for device in broken:
+        late = transitions.time >= device.since
+        for column in _columns(device, channels.bpms, channels):
+            valid[late, column] = False
+    usable = transitions.usable & ~broken_rows(broken, transitions, channels)
+    return replace(transitions, valid=valid, usable=usable)
+
+
+class Screen:
+    """The history as the learner sees it: without what broken devices spoil.
+
+    Args:
+        history: The last transitions.
+        channels: Of the ring.
+        broken: Tells what is broken now.
+    """
+
+    def __init__(
+        self, history: Source, channels: Channels, broken: Callable[[], Sequence[Broken]]
+    ) -> None:
+        self._history, self._channels, self._broken = history, channels, broken
+
+    def snapshot(self, last: int | None = None, since_tick: int | None = None) -> Transitions:
+        """Copy the transitions, screened."""
+        transitions = self._history.snapshot(last, since_tick)
+        return screened(transitions, self._broken(), self._channels)
+
+
+def _columns(device: Broken, names: tuple[str, ...], channels: Channels) -> list[int]:
+    own = len(names) // len(channels.planes)
+    planes = [plane for plane in channels.planes for _ in range(own)]
+    return [
+        column
+        for column, (name, plane) in enumerate(zip(names, planes, strict=True))
+        if name == device.name and plane in device.planes
+    ]

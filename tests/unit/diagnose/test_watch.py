@@ -1,0 +1,160 @@
+"""The watch over the gap: it sees what is there, and keeps broken devices from the learner."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbitfb.core.errors import EstimationError
+from orbitfb.core.gap import GapSight
+from orbitfb.core.signals import Channels
+from orbitfb.core.transitions import Transitions
+from orbitfb.diagnose.broken import Broken, Screen, broken_at_sight, broken_rows, screened
+from orbitfb.diagnose.devices import ring_layout
+from orbitfb.diagnose.live import GapWatch
+from orbitfb.diagnose.settings import LiveSettings
+from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.diagnose.watch import FEWEST, look, record_of
+from orbitfb.effects.record import Record
+from orbitfb.effects.registry import effect
+from orbitfb.physics.places import Ring
+
+RING = Ring.load()
+LAYOUT = ring_layout(RING)
+CHANNELS = Channels("x", LAYOUT.bpms.names, LAYOUT.correctors.names, (), (), ())
+KINDS = [effect(name) for name in ("corrector-gain", "corrector-stuck", "bpm-gain", "noise-level")]
+
+
+def transitions_of(record: Record, begin: float = 1e9) -> Transitions:
+    rows = len(record) - 1
+    n, m = record.layout.response.shape
+    return Transitions(
+        tick=np.arange(rows),
+        time=begin + record.time[:-1],
+        next_time=begin + record.time[1:],
+        written=begin + record.time[:-1],
+        orbit=record.readings[:-1],
+        next_orbit=record.readings[1:],
+        reference=np.zeros((rows, n)),
+        valid=np.ones((rows, n), dtype=bool),
+        requested=record.requested[:-1],
+        applied=np.diff(record.setpoints, axis=0),
+        dither=np.zeros((rows, m)),
+        setpoints=record.setpoints[:-1],
+        readback=record.setpoints[:-1],
+        policy_id=np.full(rows, "svd"),
+        closed=np.ones(rows, dtype=bool),
+        usable=np.ones(rows, dtype=bool),
+        auxiliary={},
+    )
+
+
+def stuck_at_40() -> Record:
+    rng = np.random.default_rng(0)
+    its = effect("corrector-stuck").simulate(LAYOUT, np.array([40]), {"left": 0.0}, rng)
+    return simulate_record(RING, ticks=400, seed=2, effects=[its])
+
+
+@pytest.fixture(scope="module")
+def stuck() -> tuple[Transitions, GapSight]:
+    transitions = transitions_of(stuck_at_40())
+    record = record_of(transitions, LAYOUT)
+    assert record is not None
+    assert np.array_equal(record.readings[:-1], transitions.orbit)
+    return transitions, look(record, float(transitions.next_time[-1]), KINDS)
+
+
+def test_a_stuck_corrector_is_seen_and_named(stuck: tuple[Transitions, GapSight]) -> None:
+    transitions, sight = stuck
+    assert sight.resolved
+    assert 0.0 < sight.low < sight.nats < sight.high
+    assert sight.effect == "corrector-stuck"
+    assert sight.places == (LAYOUT.correctors.names[40],)
+    assert sight.probability > 0.9
+    assert transitions.time[0] <= sight.since <= sight.time
+
+
+def test_a_healthy_loop_has_no_gap() -> None:
+    record = record_of(transitions_of(simulate_record(RING, ticks=400, seed=4)), LAYOUT)
+    assert record is not None
+    assert not look(record, 0.0, KINDS).resolved
+
+
+def test_too_few_closed_ticks_are_not_looked_at() -> None:
+    transitions = transitions_of(simulate_record(RING, ticks=FEWEST + 20, seed=4))
+    assert record_of(transitions, LAYOUT) is not None
+    closed = transitions.closed.copy()
+    closed[:50] = False
+    assert record_of(replace(transitions, closed=closed), LAYOUT) is None
+
+
+def test_the_learner_gets_no_rows_of_a_stuck_corrector(
+    stuck: tuple[Transitions, GapSight],
+) -> None:
+    transitions, sight = stuck
+    broken = broken_at_sight(sight)
+    assert [device.name for device in broken] == [LAYOUT.correctors.names[40]]
+    kept = screened(transitions, broken, CHANNELS)
+    moved = transitions.applied[:, 40] != 0.0
+    late = transitions.time >= broken[0].since
+    assert np.array_equal(kept.usable, ~(moved & late))
+    assert np.array_equal(broken_rows(broken, transitions, CHANNELS), moved & late)
+    assert kept.valid.all()
+
+
+def test_a_broken_bpm_does_not_count_and_its_rows_still_teach(
+    stuck: tuple[Transitions, GapSight],
+) -> None:
+    transitions, _ = stuck
+    since = float(transitions.time[100])
+    device = Broken("bpm-polarity", LAYOUT.bpms.names[7], "x", since)
+    kept = screened(transitions, [device], CHANNELS)
+    assert kept.valid[:100].all()
+    assert not kept.valid[100:, 7].any()
+    assert kept.valid[:, :7].all()
+    assert kept.usable.all()
+
+
+def test_an_inexact_device_is_left_to_the_learner() -> None:
+    sight = GapSight(0.0, 400, 1.0, 0.5, 1.5, True, "corrector-gain", ("A",), ("x",), 1.0)
+    assert broken_at_sight(sight) == ()
+    doubtful = replace(sight, effect="corrector-stuck", probability=0.5)
+    assert broken_at_sight(doubtful) == ()
+
+
+class _History:
+    def __init__(self, transitions: Transitions) -> None:
+        self.transitions = transitions
+
+    def snapshot(self, last: int | None = None, since_tick: int | None = None) -> Transitions:
+        return self.transitions
+
+
+def test_the_watch_publishes_once_per_new_tick_and_tells_the_screen(
+    stuck: tuple[Transitions, GapSight],
+) -> None:
+    transitions, sight = stuck
+    history, seen = _History(transitions), []
+    watch = GapWatch(LiveSettings(), history, lambda _: sight, seen.append)
+    assert watch.broken() == ()
+    watch.step()
+    watch.step()
+    assert seen == [sight]
+    screen = Screen(history, CHANNELS, watch.broken)
+    assert not screen.snapshot().usable.all()
+    off = GapWatch(LiveSettings(screen=False), history, lambda _: sight, seen.append)
+    off.step()
+    assert off.broken() == ()
+
+
+def test_a_look_that_fails_is_told_and_the_watch_goes_on(
+    stuck: tuple[Transitions, GapSight],
+) -> None:
+    failures: list[EstimationError] = []
+
+    def fail(_: Transitions) -> GapSight:
+        raise EstimationError("it died")
+
+    watch = GapWatch(LiveSettings(), _History(stuck[0]), fail, lambda _: None, failures.append)
+    watch.step()
+    assert len(failures) == 1
