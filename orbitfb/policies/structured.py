@@ -9,6 +9,10 @@ number can be read. A trained g below 1 says that a mode is not trusted; it is k
 covariance, to which P = W diag(D (1/g − 1) / n) Wᵀ is added, and so goes wherever a law goes:
 into the store, or by `policies.embedding.embed` into the 3 × 512 network.
 
+Whether it paid is seen on trajectories that were not trained on, of the last stage of the
+curriculum, from the same first orbits and with the same noise for the start and for what became
+of it: a training that was cut short can end in a worse law than it began with.
+
 Training pays where the drawn responses cover what the ring will do; where they do not, the
 training fits the wrong ring (see the figures before and after).
 """
@@ -28,13 +32,22 @@ from orbitfb.nets.training import Progress, train
 from orbitfb.policies.inverse import checked_response, content_hash
 from orbitfb.policies.modal import ModalPolicy, ModalSettings
 from orbitfb.policies.rehearsal import Rehearsal, judge, spectral_radius
-from orbitfb.policies.rollout import Draw, LinearResponses, TrajectoryLoss, drawn, learning_rate
+from orbitfb.policies.rollout import (
+    Draw,
+    LinearResponses,
+    ModelAt,
+    TrajectoryLoss,
+    drawn,
+    learning_rate,
+)
 from orbitfb.policies.training_result import TrainingResult
 from orbitfb.policies.trajectory_settings import StructuredSettings
 
 _EDGE = 1e-3
 _TRUST = 0.95
 _JUDGED = 16
+_HELD_OUT = 256
+"""Trajectories, at least, on which start and trained law are compared."""
 
 
 def train_structured(
@@ -46,6 +59,7 @@ def train_structured(
     device: str = "auto",
     progress: Progress | None = None,
     checkpoint: Path | None = None,
+    keep_better: bool = False,
 ) -> TrainingResult[ModalPolicy]:
     """Train gains and thresholds of the modal law through the system model.
 
@@ -57,10 +71,14 @@ def train_structured(
         device: `auto`, `cpu` or `cuda`.
         progress: Told after every iteration.
         checkpoint: Directory to keep the training in, and to resume it from.
+        keep_better: Whether the start is given back when the trained law is no better than it on
+            held-out trajectories.
 
     Returns:
-        The law, and figures: `before_…` and `after_…` score [1], floor [m], worst [m] in closed
-        loop on R or on drawn responses, `spectral_radius` [1], `seconds`, `loss` [1].
+        The law, and figures: `held_out_before` and `held_out_after`, the loss on trajectories
+        that were not trained on [1]; `improved` (1 when it fell); `before_…` and `after_…` score
+        [1], floor [m], worst [m] of 60 steps in closed loop on R or on drawn responses;
+        `spectral_radius` of the law given back [1], `seconds`, `loss` [1].
 
     Raises:
         ConfigError: The start is of another ring, or a GPU that is not there.
@@ -101,6 +119,12 @@ def train_structured(
     )
     seconds = time.perf_counter() - began
     trained = module.export()
+    held_out = {
+        "held_out_before": _held_out(law, model_at, response, settings, target),
+        "held_out_after": _held_out(trained, model_at, response, settings, target),
+    }
+    improved = held_out["held_out_after"] < held_out["held_out_before"]
+    kept = trained if improved or not keep_better else law
     rings = response[None] if draw is None else draw(np.random.default_rng(settings.seed))
     rings = np.resize(rings, (_JUDGED, *response.shape))
     trial = Rehearsal(
@@ -111,22 +135,45 @@ def train_structured(
     )
     verdicts = {"before": judge(law, rings, trial), "after": judge(trained, rings, trial)}
     return TrainingResult(
-        policy=trained,
+        policy=kept,
         method="structured",
         settings=settings.model_dump(mode="json"),
-        seeds={"seed": settings.seed},
+        seeds={"seed": settings.seed, "held_out": settings.seed + 1},
         curve=tuple(curve),
         figures={
+            **held_out,
+            "improved": float(improved),
             **{
                 f"{when}_{name}": getattr(verdict, name)
                 for when, verdict in verdicts.items()
                 for name in ("score", "floor", "worst")
             },
-            "spectral_radius": spectral_radius(trained.gain_matrix, response),
+            "spectral_radius": spectral_radius(kept.gain_matrix, response),
             "seconds": seconds,
             "loss": curve[-1] if curve else float("nan"),
         },
     )
+
+
+def _held_out(
+    law: ModalPolicy,
+    model_at: ModelAt,
+    response: Vector,
+    settings: StructuredSettings,
+    device: torch.device,
+) -> float:
+    """Give the loss on trajectories and responses of an iteration that was not made."""
+
+    def changes(reading: Tensor) -> Tensor:
+        asked = law.changes(reading.cpu().numpy().astype(np.float64))
+        return torch.from_numpy(asked.astype(np.float32)).to(device)
+
+    many = settings.model_copy(update={"batch": max(settings.batch, _HELD_OUT)})
+    generator = torch.Generator().manual_seed(settings.seed + 1)
+    last = settings.iterations
+    loss = TrajectoryLoss(changes, model_at, response, many, last, generator, device)
+    with torch.no_grad():
+        return float(loss(last))
 
 
 class StructuredLaw(torch.nn.Module):

@@ -1,6 +1,6 @@
 """Train a policy and store it with its card."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -22,6 +22,9 @@ from orbitfb.training.ground import Ground, find_ground
 from orbitfb.training.model import load_model
 from orbitfb.training.request import Method, Progress, TrainingRequest, check
 
+_QUIET = 1.05
+"""A law rests as quietly as another when its floor is below so many times that one's."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Trained:
@@ -30,6 +33,7 @@ class _Trained:
     policy: StoredPolicy
     training: dict[str, Any]
     curve: tuple[float, ...] = ()
+    warning: str | None = None
 
 
 def train_policy(
@@ -46,7 +50,7 @@ def train_policy(
         progress: Told after every iteration.
 
     Returns:
-        Id, method, figures, and where the curve of the loss is.
+        Id, method, figures, and `warning` where something is wrong with it.
 
     Raises:
         ConfigError: The request makes no sense.
@@ -72,8 +76,9 @@ def train_policy(
     answer |= trained.training["figures"]
     if trained.curve:
         answer["loss_first"], answer["loss_last"] = trained.curve[0], trained.curve[-1]
-    if warning := store.card(identifier).warning:
-        answer["warning"] = warning
+    warnings = [warning for warning in (trained.warning, store.card(identifier).warning) if warning]
+    if warnings:
+        answer["warning"] = "; ".join(warnings)
     if request.activate:
         answer |= activate_stored(config, identifier)
     return answer
@@ -110,8 +115,27 @@ def _structured(
         device=request.device,
         progress=lambda done, loss: say(done, settings.iterations, loss),
         checkpoint=directory,
+        keep_better=True,
     )
-    return _learnt(result)
+    return _learnt(result, _no_better(result.figures, settings.iterations))
+
+
+def _no_better(figures: Mapping[str, float], iterations: int) -> str | None:
+    """Say what is wrong with a law that was trained from another one; None: nothing."""
+    before, after = figures["held_out_before"], figures["held_out_after"]
+    if not figures["improved"]:
+        return (
+            f"after {iterations} iterations the law was no better than the one that it began "
+            f"with (loss on held-out trajectories {after:.4g} against {before:.4g}): the start is "
+            "what is stored; give more iterations"
+        )
+    quiet, loud = figures["before_floor"], figures["after_floor"]
+    if loud > _QUIET * quiet:
+        return (
+            f"the law recovers faster, but rests at {loud * 1e6:.3g} µm rms instead of "
+            f"{quiet * 1e6:.3g} µm where nothing disturbs the orbit"
+        )
+    return None
 
 
 def _supervised(
@@ -206,7 +230,7 @@ def _computed(method: str, policy: StoredPolicy) -> _Trained:
     return _Trained(policy, training)
 
 
-def _learnt(result: Any) -> _Trained:
+def _learnt(result: Any, warning: str | None = None) -> _Trained:
     training = {
         "method": result.method,
         "settings": dict(result.settings),
@@ -214,7 +238,9 @@ def _learnt(result: Any) -> _Trained:
         "figures": dict(result.figures),
         "curve": [float(loss) for loss in result.curve],
     }
-    return _Trained(result.policy, training, tuple(result.curve))
+    if warning is not None:
+        training["warning"] = warning
+    return _Trained(result.policy, training, tuple(result.curve), warning)
 
 
 def discard(directory: Path) -> None:

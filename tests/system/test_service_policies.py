@@ -61,7 +61,7 @@ def test_refit_keeps_what_the_judge_accepts_and_activates_nothing(service: Servi
     )
     assert re.search(rf"^incumbent_id +{baseline}$", text, re.MULTILINE)
     for name in FIGURES:
-        assert re.search(rf"^  {name} +\S+$", text, re.MULTILINE)
+        assert re.search(rf"^  {name} +[-+.\de]+( µm)?$", text, re.MULTILINE)
     [decision] = re.findall(r"^decision +(\S+)$", text, re.MULTILINE)
     [candidate] = re.findall(r"^policy_id +(\S+)$", text, re.MULTILINE)
     kept = {"accepted": {baseline, candidate}, "refused": {baseline}}

@@ -13,6 +13,7 @@ from orbitfb.cli.app import app
 from orbitfb.config import AppConfig, load_config
 from orbitfb.core.errors import ConfigError, ControlError, StoreError
 from orbitfb.maintenance import open_store
+from orbitfb.tabulate import as_text
 from orbitfb.training.policy import train_policy
 from orbitfb.training.request import METHODS, TrainingRequest
 
@@ -180,3 +181,54 @@ def test_the_list_has_kind_planes_and_warning(config, tmp_path, capsys):
                                (for_y, "svd", "y")):  # fmt: skip
         assert re.search(rf"^  {name} +{kind} +{planes} +20\d\d-\S+ +parent -$", shown, re.M)
     assert f"    {bad['warning']}\n" in shown
+
+
+def test_a_structured_law_that_became_worse_gives_way_to_its_start(tmp_path):
+    """Three iterations as configured: its gains begin away from those of the modal law."""
+    config = load_config(None, {"data_directory": str(tmp_path)}, {})
+    start = train_policy(config, request_for("modal"))["stored"]
+    answer = train_policy(config, request_for("structured"))
+    assert answer["stored"] == start
+    assert answer["held_out_after"] >= answer["held_out_before"]
+    assert "no better than the one that it began with" in answer["warning"]
+    assert "the start is what is stored" in answer["warning"]
+
+
+def test_a_structured_law_that_became_better_is_stored(config):
+    start = train_policy(config, request_for("modal"))["stored"]
+    longer = {"batch": 16, "horizon": 6, "learning_rate": 5e-2}
+    structured = config.train.structured.model_copy(update=longer)
+    train = config.train.model_copy(update={"structured": structured})
+    request = TrainingRequest("structured", iterations=25, device="cpu")
+    answer = train_policy(config.model_copy(update={"train": train}), request)
+    assert answer["stored"] != start
+    assert answer["held_out_after"] < answer["held_out_before"] - 0.05
+
+
+def test_figures_on_the_terminal_have_units_and_those_of_json_are_si(tmp_path, capsys):
+    file = tmp_path / "quick.toml"
+    file.write_text("[train.structured]\nbatch = 2\nhorizon = 2\n")
+    arguments = ["train", "structured", "--iterations", "2", "--device", "cpu"]
+    arguments += ["--config", str(file), "--data", str(tmp_path)]
+    app(arguments, standalone_mode=False)
+    shown = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    app([*arguments, "--json"], standalone_mode=False)
+    si = json.loads(capsys.readouterr().out)
+    assert shown["stored"] == si["stored"]
+    for name in ("before_floor", "after_floor", "before_worst", "after_worst"):
+        assert shown[name] == f"{si[name] * 1e6:.4g} µm"
+    assert shown["seconds"].endswith(" s")
+    assert shown["spectral_radius"] == f"{si['spectral_radius']:.6g}"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("predicted_rms_candidate", 0.123456e-6, "0.1235 µm"),
+        ("change_rms", 0.2, "200 mA"),
+        ("duration", 0.05, "0.05 s"),
+        ("growth_candidate", 0.95, "0.95"),
+    ],
+)
+def test_figures_of_a_refit_have_units_too(name, value, text):
+    assert as_text({"figures": {name: value}}) == f"figures:\n  {name}  {text}"
