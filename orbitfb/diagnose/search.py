@@ -15,13 +15,15 @@ from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
 from orbitfb.effects.record import Record
 
 MOST_CAUSES = 3
-SURE = 0.99
+SURE = 0.997
 """Probability that there is something of a kind at which it is accepted."""
 CLOSE = 3.0
 """Kinds whose weights differ by less cannot be told apart [nats] (evidence 20 to 1)."""
 
 _FURTHER = 0.05
 """Share of the weight of the causes so far that a further one must have."""
+_LEAST_FURTHER = 15.0
+"""Least weight of a further cause [nats]: the first one is never quite right."""
 _TIDY = 1.5
 """Scatter of a further cause's scores over what the noise model says that is still tidy."""
 
@@ -174,7 +176,7 @@ def _winner(one: Round, before: Sequence[Round]) -> Entry | None:
         return None
     gained = sum(r.accepted.weight for r in before if r.accepted is not None)
     scatter = 1.0 if best.fit is None else best.fit.inflation
-    if before and (best.weight < _FURTHER * gained or scatter > _TIDY):
+    if before and (best.weight < max(_FURTHER * gained, _LEAST_FURTHER) or scatter > _TIDY):
         return None
     return best
 
