@@ -17,7 +17,8 @@ class GapSight:
         effect: Id of the suspected effect; empty when there is none.
         places: Names of its devices.
         planes: Their planes.
-        probability: Of the suspected effect among all and none [1].
+        probability: Of the suspected effect, or one that breaks the same devices as well, among
+            all and none [1].
         since: When it began [s since the epoch]; the first tick looked at, if before that.
         duration: How long the look took [s].
     """

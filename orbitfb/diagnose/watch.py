@@ -13,6 +13,7 @@ import numpy as np
 from orbitfb.core.gap import GapSight
 from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
+from orbitfb.diagnose.ambiguity import NESTED
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import Draws, interval
 from orbitfb.diagnose.broken import BREAKING
@@ -39,6 +40,9 @@ FEWEST = 200
 SURE = 0.99
 """Probability that there is any effect, at which a gap is resolved."""
 _FITTED = 3
+
+_SIMPLE = ("bpm-stuck", "corrector-stuck", "bpm-polarity", "corrector-polarity")
+"""What is named first among effects that break the same device as well."""
 
 _Judged = tuple[float, Cause, Vector, float]
 """Evidence [nats], cause, gain by row, and among how many places it was chosen."""
@@ -99,7 +103,9 @@ def look(record: Record, stamp: float, kinds: Sequence[EffectKind] | None = None
     nothing = GapSight(stamp, len(record), 0.0, 0.0, 0.0, False)
     if not judged or judged[0][0] <= 0.0:
         return _timed(nothing, began)
-    _, cause, by_row, _ = judged[0]
+    alike = [index for index, one in enumerate(judged) if _broken_alike(judged[0], one)]
+    leader = min(alike, key=lambda index: (judged[index][1].kind.id not in _SIMPLE, index))
+    _, cause, by_row, _ = judged[leader]
     size = interval(Draws.of(~record.starts, 0).means(by_row))
     onset = stamp - (record.time[-1] - record.time[cause.onset])
     names, planes = places_of(cause, record.layout)
@@ -113,7 +119,7 @@ def look(record: Record, stamp: float, kinds: Sequence[EffectKind] | None = None
         effect=cause.kind.id,
         places=names,
         planes=planes,
-        probability=float(chance[0]),
+        probability=min(1.0, float(chance[alike].sum())),
         since=float(onset),
     )
     return _timed(sight, began)
@@ -148,6 +154,14 @@ def _harder(record: Record, kinds: Sequence[EffectKind], found: _Judged) -> list
         for kind in kinds
         if kind.id in BREAKING and isinstance(kind, able) and kind.id != cause.kind.id
     ]
+
+
+def _broken_alike(best: _Judged, other: _Judged) -> bool:
+    """Whether both say that the same device is broken, and about as well."""
+    if best is other:
+        return True
+    same = best[1].places == other[1].places and best[0] - other[0] <= NESTED
+    return same and {best[1].kind.id, other[1].kind.id} <= BREAKING
 
 
 def _judged(bench: Bench, candidate: Candidate) -> _Judged:

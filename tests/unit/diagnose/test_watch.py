@@ -22,7 +22,16 @@ from orbitfb.physics.places import Ring
 RING = Ring.load()
 LAYOUT = ring_layout(RING)
 CHANNELS = Channels("x", LAYOUT.bpms.names, LAYOUT.correctors.names, (), (), ())
-KINDS = [effect(name) for name in ("corrector-gain", "corrector-stuck", "bpm-gain", "noise-level")]
+KINDS = [
+    effect(name)
+    for name in (
+        "corrector-gain",
+        "corrector-stuck",
+        "corrector-saturation",
+        "bpm-gain",
+        "noise-level",
+    )
+]
 
 
 def transitions_of(record: Record, begin: float = 1e9) -> Transitions:
