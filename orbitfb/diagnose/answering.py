@@ -71,21 +71,15 @@ def _parameters(cause: Cause, fitted: Fit | None, bench: Bench) -> dict[str, Par
     if fitted is None:
         return {p.name: _alone(cause, p.name, bench) for p in cause.kind.parameters}
     values: dict[str, ParameterValue] = {}
-    deviations = np.sqrt(np.maximum(np.diagonal(fitted.covariance), 0.0))
     for index, (owner, parameter) in enumerate(fitted.parameters):
         if fitted.causes[owner] is not cause:
             continue
         value = cause.values[parameter.name]
-        width = _WIDTH * float(deviations[index])
-        low, high = (
-            (value * np.exp(-width), value * np.exp(width))
-            if parameter.log
-            else (value - width, value + width)
-        )
+        low, high = fitted.interval(index)
         values[parameter.name] = ParameterValue(
             value=value,
-            low=float(max(low, parameter.low)),
-            high=float(min(high, parameter.high)),
+            low=low,
+            high=high,
             unit=parameter.unit,
             at_bound=bool(
                 np.isclose(value, parameter.low, rtol=1e-6, atol=0.0)

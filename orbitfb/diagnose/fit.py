@@ -8,14 +8,22 @@ of one record may be split like this although the filter runs through.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.fit_search import (
+    ends_of,
+    line_search,
+    posterior_interval,
+    rough_search,
+    rough_width,
+    tuned,
+)
+from orbitfb.diagnose.problem import Left, Problem, from_fitted, to_fitted
 from orbitfb.effects.kinds import Parameter
 from orbitfb.physics.optics import Matrix
 
@@ -26,8 +34,13 @@ _ENOUGH = 0.01
 """Gain of a step below which the search ends [nats]."""
 _PARABOLIC = 0.02
 """Difference from a parabola below which its top is the likelihood's [nats]."""
-_WIDE = 1.5
-"""Prior width of a parameter known by order of magnitude, in its logarithm."""
+_SEEN = 100.0
+"""Squared change of the innovations beyond which a difference is no derivative any more."""
+_SHRINKS = 5
+_WIDTH = 1.645
+"""Standard deviations of a 90 % interval."""
+_WHOLE = 500.0
+"""Reach in a logarithm beyond which an interval covers all bounds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +54,7 @@ class Fit:
         gains_by_row: Gain of every row, shape (N,) [nats].
         parameters: (cause, parameter) of every fitted value.
         covariance: Of the fitted values (logarithms where `log`), shape (k, k).
+        ranges: 90 % intervals of values whose likelihood is no parabola, if asked for; else None.
         inflation: By how much scores scatter more than the noise model says, at least 1; it has
             been applied to the covariance.
         held_out: Gain on ticks that were not used for the values [nats].
@@ -55,6 +69,7 @@ class Fit:
     gains_by_row: Vector
     parameters: tuple[tuple[int, Parameter], ...]
     covariance: Matrix
+    ranges: tuple[tuple[float, float] | None, ...]
     inflation: float
     held_out: float
     held_out_by_row: Vector
@@ -66,90 +81,69 @@ class Fit:
         """Log of the Bayes factor for given places under this floor [nats]."""
         return self.gain / self.inflation - self.occam
 
-
-class _Problem:
-    """Fitted values as one vector: logarithms where a parameter is known by magnitude."""
-
-    def __init__(self, bench: Bench, causes: Sequence[Cause]) -> None:
-        self.bench, self.causes = bench, tuple(causes)
-        self.parameters = tuple(
-            (index, parameter)
-            for index, cause in enumerate(causes)
-            for parameter in cause.kind.parameters
-            if parameter.high > parameter.low
-        )
-        self.start = np.array([self._get(i, p) for i, p in self.parameters])
-        self.scale = np.array(
-            [_WIDE if p.log else abs(p.typical - p.nominal) for _, p in self.parameters]
-        )
-        self.low = np.array([_to(p, p.low) for _, p in self.parameters])
-        self.high = np.array([_to(p, p.high) for _, p in self.parameters])
-
-    def _get(self, index: int, parameter: Parameter) -> float:
-        return _to(parameter, self.causes[index].values[parameter.name])
-
-    def at(self, vector: Vector) -> tuple[Cause, ...]:
-        values = [dict(cause.values) for cause in self.causes]
-        for (index, parameter), number in zip(self.parameters, vector, strict=True):
-            value = float(np.exp(number)) if parameter.log else float(number)
-            values[index][parameter.name] = float(np.clip(value, parameter.low, parameter.high))
-        return tuple(
-            replace(cause, values=own) for cause, own in zip(self.causes, values, strict=True)
-        )
-
-    def residual(self, vector: Vector) -> tuple[Matrix, Vector, Vector]:
-        return self.bench.residual(self.at(vector))
+    def interval(self, index: int) -> tuple[float, float]:
+        """State the 90 % interval of a fitted value, within its bounds."""
+        owner, parameter = self.parameters[index]
+        told = self.ranges[index]
+        if told is not None:
+            return told
+        centre = to_fitted(parameter, self.causes[owner].values[parameter.name])
+        reach = _WIDTH * float(np.sqrt(max(self.covariance[index, index], 0.0)))
+        reach = min(reach, _WHOLE) if parameter.log else reach
+        low, high = (from_fitted(parameter, centre + sign * reach) for sign in (-1.0, 1.0))
+        return max(low, parameter.low), min(high, parameter.high)
 
 
-def _to(parameter: Parameter, value: float) -> float:
-    if not parameter.log:
-        return value
-    return float(np.log(max(value, parameter.low, parameter.high * 1e-9)))
-
-
-def _width(parameter: Parameter) -> float:
-    """Width of the prior: what occurs, or a quarter of what makes sense."""
-    if parameter.log:
-        return _WIDE
-    return abs(parameter.typical - parameter.nominal) or 0.25 * (parameter.high - parameter.low)
-
-
-def fit(bench: Bench, causes: Sequence[Cause]) -> Fit:
+def fit(bench: Bench, causes: Sequence[Cause], *, precise: bool = False) -> Fit:
     """Fit all parameters of some causes jointly.
 
     Args:
         bench: The record under the causes that stay as they are.
         causes: To be fitted, starting from their values.
+        precise: Whether to take the intervals of searched parameters from their likelihood
+            itself, which takes a second.
     """
-    problem = _Problem(bench, causes)
-    best = problem.start
-    now = problem.residual(best)
-    if len(best) == 1 and causes[0].kind.linear is None:
-        best, now = _line_search(problem, best, now)
-    slopes: list[tuple[Matrix, Vector, Vector]] = []
+    problem = Problem(bench, causes)
+    best, now = tuned(problem, problem.start, problem.residual(problem.start))
+    if problem.smooth == [0] and len(best) == 1 and causes[0].kind.linear is None:
+        best, now = line_search(problem, best, now)
+    searched = [index for index in range(len(best)) if index not in problem.smooth]
+    for index in searched:
+        best[index] = rough_search(problem, best, index)
+        now = problem.residual(best)
+    best, now, slopes = _climb(problem, best, now)
+    if slopes and searched:
+        for index in searched:
+            best[index] = rough_search(problem, best, index, near=True)
+        best, now, slopes = _climb(problem, best, problem.residual(best))
+    return _result(problem, best, now, slopes, precise=precise)
+
+
+def _climb(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left, list[Left]]:
+    """Newton's steps in the parameters that have derivatives."""
+    slopes: list[Left] = []
     for step in range(_STEPS):
         slopes = _derivatives(problem, best, now)
         if not slopes:
             break
         gradient, curvature = _normal_equations(now, slopes)
         if not (np.isfinite(curvature).all() and np.isfinite(gradient).all()):
-            slopes = []
-            break
-        move = np.linalg.lstsq(curvature, gradient, rcond=1e-12)[0]
-        if gradient @ move < _ENOUGH and step:
+            return best, now, []
+        move = np.zeros_like(best)
+        move[problem.smooth] = np.linalg.lstsq(curvature, gradient, rcond=1e-12)[0]
+        promise = float(gradient @ move[problem.smooth])
+        if promise < _ENOUGH and step:
             break
         better = _step(problem, best, now, move)
         if better is None:
             break
         before, (best, now) = log_likelihood(*now), better
-        if abs(log_likelihood(*now) - before - 0.5 * gradient @ move) < _PARABOLIC:
+        if abs(log_likelihood(*now) - before - 0.5 * promise) < _PARABOLIC:
             break  # the likelihood is the parabola that the step went to the top of
-    return _result(problem, best, now, slopes)
+    return best, now, slopes
 
 
-def _step(
-    problem: _Problem, best: Vector, now: tuple[Matrix, Vector, Vector], move: Vector
-) -> tuple[Vector, tuple[Matrix, Vector, Vector]] | None:
+def _step(problem: Problem, best: Vector, now: Left, move: Vector) -> tuple[Vector, Left] | None:
     """Go as far as the likelihood grows."""
     before = log_likelihood(*now)
     for share in (1.0, 0.3, 0.1):
@@ -160,58 +154,34 @@ def _step(
     return None
 
 
-def _line_search(
-    problem: _Problem, best: Vector, now: tuple[Matrix, Vector, Vector]
-) -> tuple[Vector, tuple[Matrix, Vector, Vector]]:
-    """Search one parameter in which the likelihood need not be smooth."""
-    reach = 0.35 * problem.scale[0] if problem.parameters[0][1].log else 0.5 * abs(best[0])
-    low = max(problem.low[0], best[0] - reach)
-    high = min(problem.high[0], best[0] + reach)
-    if not high > low:
-        return best, now
-    found = minimize_scalar(
-        lambda number: -log_likelihood(*problem.residual(np.array([number]))),
-        bounds=(low, high),
-        method="bounded",
-        options={"maxiter": 12},
-    )
-    if -float(found.fun) <= log_likelihood(*now):
-        return best, now
-    there = np.array([float(found.x)])
-    return there, problem.residual(there)
+def _derivatives(problem: Problem, best: Vector, now: Left) -> list[Left]:
+    return [_derivative(problem, best, now, index) for index in problem.smooth]
 
 
-def _derivatives(
-    problem: _Problem, best: Vector, now: tuple[Matrix, Vector, Vector]
-) -> list[tuple[Matrix, Vector, Vector]]:
-    found: list[tuple[Matrix, Vector, Vector]] = []
-    for index in range(len(best)):
-        size = (
-            0.02
-            if problem.parameters[index][1].log
-            else 0.01
-            * max(
-                abs(best[index] - problem.parameters[index][1].nominal), 0.1 * problem.scale[index]
-            )
-        )
-        if best[index] + size > problem.high[index]:
-            size = -size
+def _derivative(problem: Problem, best: Vector, now: Left, index: int) -> Left:
+    """Differences over a step that the record just does not see."""
+    parameter = problem.parameters[index][1]
+    far = abs(best[index] - parameter.nominal)
+    size = 0.02 if parameter.log else 0.01 * max(far, 0.1 * problem.scale[index])
+    if best[index] + size > problem.high[index]:
+        size = -size
+    moved = now
+    for _ in range(_SHRINKS):
         there = best.copy()
         there[index] += size
         moved = problem.residual(there)
-        found.append(
-            (
-                (moved[0] - now[0]) / size,
-                (moved[1] - now[1]) / size,
-                (moved[2] - now[2]) / size,
-            )
-        )
-    return found
+        seen = float(np.sum((moved[0] - now[0]) ** 2))
+        if not seen > _SEEN:
+            break
+        size /= np.sqrt(seen)
+    return (
+        (moved[0] - now[0]) / size,
+        (moved[1] - now[1]) / size,
+        (moved[2] - now[2]) / size,
+    )
 
 
-def _normal_equations(
-    now: tuple[Matrix, Vector, Vector], slopes: list[tuple[Matrix, Vector, Vector]]
-) -> tuple[Vector, Matrix]:
+def _normal_equations(now: Left, slopes: list[Left]) -> tuple[Vector, Matrix]:
     gradient = np.array(
         [
             -np.sum(white * now[0]) - np.sum(sizes * now[1]) + np.sum(jacobian)
@@ -224,50 +194,48 @@ def _normal_equations(
     return gradient, curvature
 
 
-def _result(
-    problem: _Problem,
-    best: Vector,
-    now: tuple[Matrix, Vector, Vector],
-    slopes: list[tuple[Matrix, Vector, Vector]],
-) -> Fit:
+def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, precise: bool) -> Fit:
     bench = problem.bench
     white, _, jacobian = now
     by_row = _by_row(white, jacobian) - _by_row(bench.white, bench.jacobian)
     gain = log_likelihood(*now) - bench.log_likelihood
     by_row += (gain - by_row.sum()) / len(by_row)  # the background's share belongs to no row
-    count = len(slopes)
-    if count == 0:
-        return Fit(
-            problem.at(best),
-            gain,
-            white,
-            by_row,
-            (),
-            np.zeros((0, 0)),
-            1.0,
-            float(by_row.sum()),
-            by_row,
-            0.0,
-            (),
-        )
-    rows = np.stack([-np.sum(s[0] * white, axis=1) + s[2] for s in slopes], axis=1)
-    curvature = _normal_equations(now, slopes)[1]
-    ridge = np.diag(1.0 / problem.scale**2)
-    inverse = np.linalg.pinv(curvature + ridge * 1e-6)
-    inflation = _inflation(rows, inverse)
-    covariance = inverse * inflation
-    held, unstable = _held_out(problem, now, slopes, rows, by_row)
-    nominal = np.array(
-        [b if p.log else p.nominal for b, (_, p) in zip(best, problem.parameters, strict=True)]
+    count, smooth = len(best), problem.smooth
+    if len(slopes) < len(smooth):  # none that is finite: nothing is known of them
+        slopes = [tuple(np.zeros_like(part) for part in now) for _ in smooth]  # type: ignore[misc]
+    covariance = np.zeros((count, count))
+    held, unstable = by_row, np.zeros(count, dtype=np.bool_)
+    volume, inflation = 0.0, 1.0
+    if smooth:
+        scale = problem.scale[smooth]
+        rows = np.stack([-np.sum(s[0] * white, axis=1) + s[2] for s in slopes], axis=1)
+        curvature = _normal_equations(now, slopes)[1]
+        known = curvature + np.diag(1e-6 / scale**2)
+        inverse = np.asarray(np.linalg.pinv(known), dtype=np.float64)
+        inflation = _inflation(rows, inverse)
+        covariance[np.ix_(smooth, smooth)] = inverse * inflation
+        held, unstable[smooth] = _held_out(scale, now, slopes, rows, by_row)
+        bent = np.eye(len(smooth)) + curvature * np.outer(scale, scale)
+        volume += 0.5 * float(np.linalg.slogdet(bent)[1])
+    ranges: list[tuple[float, float] | None] = [None] * count
+    for index in (i for i in range(count) if i not in smooth):
+        width = rough_width(problem, best, index)
+        covariance[index, index] = width**2 * inflation
+        volume += 0.5 * float(np.log1p((problem.scale[index] / width) ** 2))
+        if precise:
+            ends = posterior_interval(problem, best, index, inflation)
+            ranges[index] = ends_of(problem, index, ends)
+    far = np.array(
+        [
+            0.0 if p.log else b - p.nominal
+            for b, (_, p) in zip(best, problem.parameters, strict=True)
+        ]
     )
-    surprise = np.sum(np.log1p(((best - nominal) / problem.scale) ** 2))
-    volume = (
-        0.5
-        * np.linalg.slogdet(np.eye(count) + curvature * np.outer(problem.scale, problem.scale))[1]
-    )
+    far[problem.lines] = 0.0
+    surprise = float(np.sum(np.log1p((far / problem.scale) ** 2)))
     return Fit(
-        problem.at(best), gain, white, by_row, problem.parameters, covariance,
-        inflation, float(held.sum()), held, float(volume + surprise), unstable,
+        problem.at(best), gain, white, by_row, problem.parameters, covariance, tuple(ranges),
+        inflation, float(held.sum()), held, volume + surprise, tuple(unstable.tolist()),
     )  # fmt: skip
 
 
@@ -287,12 +255,8 @@ def _inflation(rows: Matrix, inverse: Matrix) -> float:
 
 
 def _held_out(
-    problem: _Problem,
-    now: tuple[Matrix, Vector, Vector],
-    slopes: list[tuple[Matrix, Vector, Vector]],
-    rows: Matrix,
-    by_row: Vector,
-) -> tuple[Vector, tuple[bool, ...]]:
+    scale: Vector, now: Left, slopes: list[Left], rows: Matrix, by_row: Vector
+) -> tuple[Vector, Mask]:
     """Gain of every row when the values come from the other half of the blocks."""
     even = (np.arange(len(rows)) // BLOCK) % 2 == 0
     moves: list[Vector] = []
@@ -301,22 +265,21 @@ def _held_out(
         curvature = np.array(
             [[np.sum(a[0][half] * b[0][half]) for b in slopes] for a in slopes]
         ) + 0.5 * np.array([[np.sum(a[1] * b[1]) for b in slopes] for a in slopes])
-        curvature += 1e-6 * np.diag(1.0 / problem.scale**2)
-        inverses.append(np.linalg.pinv(curvature))
+        curvature += 1e-6 * np.diag(1.0 / scale**2)
+        inverses.append(np.asarray(np.linalg.pinv(curvature), dtype=np.float64))
         moves.append(inverses[-1] @ rows[half].sum(axis=0))
     held = by_row.copy()
     _judge(held, ~even, now[0], slopes, moves[0])
     _judge(held, even, now[0], slopes, moves[1])
     spread = np.sqrt(np.maximum(np.diagonal(inverses[0] + inverses[1]), 1e-300))
-    unstable = tuple(bool(u) for u in np.abs(moves[0] - moves[1]) > 4.0 * spread)
-    return held, unstable
+    return held, np.abs(moves[0] - moves[1]) > 4.0 * spread
 
 
 def _judge(
     held: Vector,
     half: Mask,
     white: Matrix,
-    slopes: list[tuple[Matrix, Vector, Vector]],
+    slopes: list[Left],
     move: Vector,
 ) -> None:
     change = np.zeros_like(white[half])

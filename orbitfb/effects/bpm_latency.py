@@ -22,7 +22,9 @@ class BpmLatency(SensorKind):
     id = "bpm-latency"
     stage = "sensor"
     parameters = (
-        Parameter("ticks", "1", 0.0, _MOST, 0.0, 1.0, "Ticks by which readings are late, whole."),
+        Parameter(
+            "ticks", "1", 0.0, _MOST, 0.0, 1.0, "Ticks by which readings are late.", whole=True
+        ),
     )
     title = "late readings of a BPM"
     sentence = (

@@ -38,6 +38,7 @@ class CorrectorDeadband(ActuatorKind):
             typical=1e-3,
             description="Largest difference w that is ignored, either sign.",
             log=True,
+            rough=True,
         ),
     )
     confused_with = (

@@ -34,6 +34,7 @@ class CorrectorQuantisation(ActuatorKind):
             typical=0.5e-3,
             description="Smallest step q of the current (LSB).",
             log=True,
+            rough=True,
         ),
     )
     confused_with = ("ground-motion-level", "corrector-deadband", "noise-level")
@@ -50,6 +51,7 @@ class CorrectorQuantisation(ActuatorKind):
     def grid(self, record: Record) -> tuple[Values, ...]:
         """14 steps around the usual change of the setpoints, and those that readbacks show."""
         steps = usual_change(record) * np.geomspace(0.3, 60.0, 14)
+        steps = steps[steps <= self.parameters[0].high]
         return ladder("step", {}, [*read_back_steps(record, 4), *steps])
 
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:

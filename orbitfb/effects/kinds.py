@@ -46,6 +46,9 @@ class Parameter:
         typical: A size that occurs: width of the prior, and the default of `--effect`.
         description: For operators.
         log: Whether its size is known by order of magnitude only (grids are then logarithmic).
+        rough: Whether the likelihood jumps as it moves, because it decides row by row what
+            happens: it is then searched without derivatives.
+        whole: Whether only whole numbers make sense.
     """
 
     name: str
@@ -56,6 +59,8 @@ class Parameter:
     typical: float
     description: str
     log: bool = False
+    rough: bool = False
+    whole: bool = False
 
 
 class EffectKind(ABC):

@@ -1,0 +1,172 @@
+"""Search parameters whose likelihood no derivative describes: jumps, whole numbers, waves."""
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.bench import log_likelihood
+from orbitfb.diagnose.problem import Left, Problem, from_fitted
+from orbitfb.effects.kinds import SourceKind
+
+_TRIALS = np.linspace(-1.0, 1.0, 9)
+_REACH = 0.45
+"""How far a search goes at first: in the logarithm, or as a share of the value."""
+_ZOOM = 0.25
+_ZOOMS = 7
+_FLAT = 0.3
+"""Difference of the likelihood within a window below which nothing is left to find [nats]."""
+_BOTTOM = 8.0
+"""Drop of the likelihood beyond which values do not count [nats]."""
+_POINTS = np.linspace(0.0, 1.0, 25)
+_LINES = np.linspace(-1.0, 1.0, 41)
+NINETY = 0.05
+"""Chance on either side of a stated interval."""
+
+
+def line_search(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left]:
+    """Search one parameter in which the likelihood is continuous but bends."""
+    reach = 0.35 * problem.scale[0] if problem.parameters[0][1].log else 0.5 * abs(best[0])
+    low = max(problem.low[0], best[0] - reach)
+    high = min(problem.high[0], best[0] + reach)
+    if not high > low:
+        return best, now
+    found = minimize_scalar(
+        lambda number: -log_likelihood(*problem.residual(np.array([number]))),
+        bounds=(low, high),
+        method="bounded",
+        options={"maxiter": 12},
+    )
+    if -float(found.fun) <= log_likelihood(*now):
+        return best, now
+    there = np.array([float(found.x)])
+    return there, problem.residual(there)
+
+
+def rough_search(problem: Problem, best: Vector, index: int, *, near: bool = False) -> float:
+    """Find the best value of a parameter in which the likelihood jumps, by ever closer looks.
+
+    Args:
+        problem: All parameters.
+        best: Their values so far.
+        index: Of the one to search.
+        near: Whether it was searched before and only others moved since.
+    """
+    parameter = problem.parameters[index][1]
+    if parameter.whole:
+        numbers = np.arange(np.ceil(parameter.low), np.floor(parameter.high) + 1.0)
+        numbers = numbers[np.abs(numbers - best[index]) <= 6.0]
+        return max(map(float, numbers), key=lambda n: problem.likelihood(best, index, n))
+    centre = float(best[index])
+    height = problem.likelihood(best, index, centre)
+    reach = _REACH if parameter.log else _REACH * (abs(centre) or float(problem.scale[index]))
+    reach *= _ZOOM**2 if near else 1.0
+    for _ in range(_ZOOMS):
+        trials = np.clip(centre + reach * _TRIALS, problem.low[index], problem.high[index])
+        heights = [problem.likelihood(best, index, float(number)) for number in trials]
+        top = int(np.argmax(heights))
+        if heights[top] > height:
+            centre, height = float(trials[top]), heights[top]
+        if height - min(heights) < _FLAT:
+            break
+        reach *= _ZOOM
+    return centre
+
+
+def rough_width(problem: Problem, best: Vector, index: int) -> float:
+    """Standard deviation of a searched parameter, from how steeply the likelihood falls."""
+    if problem.parameters[index][1].whole:
+        return 0.3
+    low, high = _bracket(problem, best, index)
+    return max((high - low) / (2.0 * _BOTTOM), 1e-9)
+
+
+def posterior_interval(problem: Problem, best: Vector, index: int, temper: float) -> tuple[
+    float, float
+]:  # fmt: skip
+    """State a 90 % interval of a searched parameter from its likelihood itself.
+
+    Args:
+        problem: All parameters.
+        best: Their best values; the others stay.
+        index: Of the one.
+        temper: By how much scores scatter more than the noise model says.
+
+    Returns:
+        Ends, as fitted numbers.
+    """
+    if problem.parameters[index][1].whole:
+        return best[index] - 0.5, best[index] + 0.5
+    low, high = _bracket(problem, best, index)
+    edges = (low, high)
+    for _ in range(3):
+        numbers = np.sort(np.append(low + (high - low) * _POINTS, best[index]))
+        heights = np.array([problem.likelihood(best, index, float(n)) for n in numbers])
+        share = np.exp((heights - heights.max()) / temper)
+        middle = 0.5 * (numbers[1:] + numbers[:-1])
+        ends = np.array([numbers[0], *middle, numbers[-1]])
+        mass = np.append(0.0, np.cumsum(share * np.diff(ends)))
+        edges = tuple(np.interp([NINETY, 1.0 - NINETY], mass / mass[-1], ends))
+        spacing = (high - low) / (len(_POINTS) - 1)
+        if edges[1] - edges[0] > 4.0 * spacing:
+            break
+        low, high = max(low, edges[0] - 2.0 * spacing), min(high, edges[1] + 2.0 * spacing)
+    return min(edges[0], float(best[index])), max(edges[1], float(best[index]))
+
+
+def _bracket(problem: Problem, best: Vector, index: int) -> tuple[float, float]:
+    """Ends between which the likelihood is worth looking at."""
+    height = problem.likelihood(best, index, float(best[index]))
+    parameter = problem.parameters[index][1]
+    first = 1e-6 * (1.0 if parameter.log else max(abs(best[index]), 1e-3 * problem.scale[index]))
+    ends: list[float] = []
+    for sign, bound in ((-1.0, problem.low[index]), (1.0, problem.high[index])):
+        step, end = first, float(best[index])
+        while step < 1e6 * first:
+            end = float(np.clip(best[index] + sign * step, problem.low[index], problem.high[index]))
+            if end == bound or problem.likelihood(best, index, end) < height - _BOTTOM:
+                break
+            step *= 3.0
+        ends.append(end)
+    return ends[0], ends[1]
+
+
+def tuned(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left]:
+    """Bring the frequencies of periodic causes to the tops of their lines.
+
+    A frequency is known to a small part of the distance of the lines of a Fourier transform, and
+    the likelihood has a top on every side line; between them the score itself is transformed.
+    """
+    bench = problem.bench
+    time = bench.record.time
+    length = max(float(time[-1] - time[0]), bench.record.layout.period)
+    for owner, cause in enumerate(problem.causes):
+        kind = cause.kind
+        if not isinstance(kind, SourceKind) or not kind.periodic:
+            continue
+        where = {p.name: index for index, (its, p) in enumerate(problem.parameters) if its == owner}
+        shape = kind.patterns(bench.record.layout)[:, list(cause.places)].sum(axis=1)
+        pull = bench.slope @ shape
+        frequency, reach = float(best[where["frequency"]]), 1.0 / length
+        for _ in range(3):
+            trials = np.abs(frequency + reach * _LINES)
+            waves = np.exp(-2j * np.pi * np.outer(trials, time)) @ pull
+            frequency = float(trials[int(np.argmax(np.abs(waves)))])
+            reach /= 20.0
+        wave = np.exp(-2j * np.pi * frequency * time) @ pull
+        cosine, sine = where["cosine"], where["sine"]
+        size = np.hypot(best[cosine], best[sine]) or float(problem.scale[cosine])
+        there = best.copy()
+        there[where["frequency"]] = frequency
+        there[cosine] = size * wave.real / abs(wave)
+        there[sine] = -size * wave.imag / abs(wave)
+        left = problem.residual(there)
+        if log_likelihood(*left) > log_likelihood(*now):
+            best, now = there, left
+    return best, now
+
+
+def ends_of(problem: Problem, index: int, ends: tuple[float, float]) -> tuple[float, float]:
+    """Turn ends of fitted numbers into values within the bounds."""
+    parameter = problem.parameters[index][1]
+    low, high = (from_fitted(parameter, end) for end in ends)
+    return max(low, parameter.low), min(high, parameter.high)

@@ -1,0 +1,101 @@
+"""The parameters of causes as one vector, and what is left of a record at any values of it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.bench import Bench, log_likelihood
+from orbitfb.diagnose.explain import Cause
+from orbitfb.effects.kinds import Parameter
+from orbitfb.physics.optics import Matrix
+
+_WIDE = 1.5
+"""Prior width of a parameter known by order of magnitude, in its logarithm."""
+
+Left = tuple[Matrix, Vector, Vector]
+"""White innovations, sizes of the background, log-Jacobian by row."""
+
+
+class Problem:
+    """Fitted values as one vector: logarithms where a parameter is known by magnitude.
+
+    Args:
+        bench: The record under the causes that stay as they are.
+        causes: To be fitted.
+
+    Attributes:
+        parameters: (cause, parameter) of every fitted value.
+        start: Their values at the beginning, shape (k,).
+        scale: Widths of their priors, shape (k,).
+        low: Least values, shape (k,).
+        high: Largest values, shape (k,).
+        smooth: Positions of those that have derivatives.
+        lines: Positions of frequencies of waves: the scan has chosen a line among all, so that
+            what is open is its place within the width of a line.
+    """
+
+    def __init__(self, bench: Bench, causes: Sequence[Cause]) -> None:
+        self.bench, self.causes = bench, tuple(causes)
+        self.parameters = tuple(
+            (index, parameter)
+            for index, cause in enumerate(causes)
+            for parameter in cause.kind.parameters
+            if parameter.high > parameter.low
+        )
+        self.start = np.array(
+            [to_fitted(p, self.causes[i].values[p.name]) for i, p in self.parameters]
+        )
+        self.scale = np.array([prior_width(p) for _, p in self.parameters])
+        length = max(float(np.ptp(bench.record.time)), bench.record.layout.period)
+        self.lines = [
+            index
+            for index, (owner, p) in enumerate(self.parameters)
+            if p.name == "frequency" and getattr(self.causes[owner].kind, "periodic", False)
+        ]
+        self.scale[self.lines] = 1.0 / length
+        self.low = np.array([to_fitted(p, p.low) for _, p in self.parameters])
+        self.high = np.array([to_fitted(p, p.high) for _, p in self.parameters])
+        self.smooth = [
+            index for index, (_, p) in enumerate(self.parameters) if not (p.rough or p.whole)
+        ]
+
+    def at(self, vector: Vector) -> tuple[Cause, ...]:
+        """Put values into the causes."""
+        values = [dict(cause.values) for cause in self.causes]
+        for (index, parameter), number in zip(self.parameters, vector, strict=True):
+            value = from_fitted(parameter, float(number))
+            values[index][parameter.name] = float(np.clip(value, parameter.low, parameter.high))
+        return tuple(
+            replace(cause, values=own) for cause, own in zip(self.causes, values, strict=True)
+        )
+
+    def residual(self, vector: Vector) -> Left:
+        """Judge values."""
+        return self.bench.residual(self.at(vector))
+
+    def likelihood(self, vector: Vector, index: int, number: float) -> float:
+        """Log-likelihood with one value changed [nats]."""
+        there = vector.copy()
+        there[index] = number
+        return log_likelihood(*self.residual(there))
+
+
+def to_fitted(parameter: Parameter, value: float) -> float:
+    """The number that is fitted for a value."""
+    if not parameter.log:
+        return value
+    return float(np.log(max(value, parameter.low, parameter.high * 1e-9)))
+
+
+def from_fitted(parameter: Parameter, number: float) -> float:
+    """The value of a fitted number."""
+    return float(np.exp(number)) if parameter.log else number
+
+
+def prior_width(parameter: Parameter) -> float:
+    """Width of the prior: what occurs, or a quarter of what makes sense."""
+    if parameter.log:
+        return _WIDE
+    return abs(parameter.typical - parameter.nominal) or 0.25 * (parameter.high - parameter.low)
