@@ -174,11 +174,11 @@ class Service:
         nominal = baseline(config, ring, lambda line: _say_and_log(say, line))
         first = self._first_policy(nominal, ioc)
         self.slot = PolicySlot(first)
-        self.statistics = LoopStatistics(self.channels, config.limits.setpoint, clock)
+        self.statistics = LoopStatistics(self.channels, config.limits.setpoint, clock, counting)
         if warning := warning_of(growth_of(first)):
             _log.warning("policy_unstable", policy=first.policy_id, problem=warning)
             self.statistics.happened("policy", f"{first.policy_id} is {warning}")
-        self.events = EventLog(self.channels, clock, config.observe.logs.quiet_time)
+        self.events = EventLog(self.channels, clock, config.observe.logs.quiet_time, counting)
         self.history = History(self.channels, config.history.capacity)
         archive = ArchiveWriter(
             directory / "archive", self.channels, config.history.archive, self._archive_failed
@@ -197,6 +197,7 @@ class Service:
             dither=self._dither,
             start=start,
             subscribers=(self.history, archive, self.statistics, self.events),
+            counting=counting,
         )
         self.watch = self._gap_watch(config, ring, stack)
         self.learner: LearnerThread | None = None

@@ -25,6 +25,7 @@ class Rules:
         interlocks: Their thresholds.
         reference: Reference orbit, shape (n,) [m].
         channels: Names behind the vectors.
+        counting: BPMs that are not masked by configuration, shape (n,); None: all.
     """
 
     loop: LoopSettings
@@ -32,6 +33,7 @@ class Rules:
     interlocks: InterlockSettings
     reference: Vector
     channels: Channels
+    counting: Mask | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ import numpy as np
 
 from orbitfb.core.errors import ConfigError, ControlError
 from orbitfb.core.ports import Clock, Machine, Subscriber
-from orbitfb.core.signals import LoopState, TickRecord, Vector
+from orbitfb.core.signals import LoopState, Mask, TickRecord, Vector
 from orbitfb.loop.commands import CommandQueue, Order
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.engine import Engine
@@ -40,6 +40,7 @@ class Runner:
         dither: Part of every change; none by default.
         start: OPEN, SHADOW, or CLOSED: then it closes by itself after a few good orbits.
         subscribers: Get every record, in this thread.
+        counting: BPMs that are not masked by configuration, shape (n,); None: all.
 
     Attributes:
         failure: What led to FAULT, for the log; None otherwise.
@@ -62,6 +63,7 @@ class Runner:
         dither: Dither | None = None,
         start: LoopState = LoopState.OPEN,
         subscribers: Sequence[Subscriber] = (),
+        counting: Mask | None = None,
     ) -> None:
         channels = machine.channels
         n, m = len(channels.bpms), len(channels.correctors)
@@ -69,7 +71,7 @@ class Runner:
             raise ConfigError(f"the reference orbit must be {n} finite numbers [m], one per BPM")
         if start not in (LoopState.OPEN, LoopState.SHADOW, LoopState.CLOSED):
             raise ConfigError(f"a loop cannot start {start}: choose OPEN, SHADOW or CLOSED")
-        rules = Rules(settings, limits, interlocks, reference.copy(), channels)
+        rules = Rules(settings, limits, interlocks, reference.copy(), channels, counting)
         self._rules, self._clock = rules, clock
         self._engine = Engine(machine, slot, rules, clock, dither or Dither.off(m), start)
         self._subscribers = tuple(subscribers)

@@ -50,7 +50,7 @@ def check(reading: Reading, memory: LoopMemory, rules: Rules) -> Checked:
         error = np.where(valid, error, 0.0)
     rms, largest = _size(error, int(np.count_nonzero(valid)))
     fresh, last = watch.repeated(reading.orbit, valid, memory.last, settings)
-    quota = interlocks.bpm_quota(valid, settings, names.bpms)
+    quota = interlocks.bpm_quota(valid, settings, names.bpms, rules.counting)
     unknown = Action.TRIP if closed else Action.HOLD
     current = interlocks.stored_current(reading.auxiliary, settings, unknown)
     verdicts = [fresh, quota, current]

@@ -33,9 +33,17 @@ class EventLog:
         channels: Names behind the vectors.
         clock: The loop's clock.
         quiet_time: Least time between two lines about the same trouble [s].
+        counting: BPMs that are not masked by configuration, shape (n,); None: all. Of the others
+            nothing is told.
     """
 
-    def __init__(self, channels: Channels, clock: Clock, quiet_time: float = 10.0) -> None:
+    def __init__(
+        self,
+        channels: Channels,
+        clock: Clock,
+        quiet_time: float = 10.0,
+        counting: Mask | None = None,
+    ) -> None:
         self._log = structlog.stdlib.get_logger("orbitfb.loop")
         self._learner_log = structlog.stdlib.get_logger("orbitfb.learn")
         self._gap_log = structlog.stdlib.get_logger("orbitfb.diagnose")
@@ -45,6 +53,7 @@ class EventLog:
         self._reason = ""
         self._policy_id = ""
         self._valid: Mask = np.ones(len(channels.bpms), dtype=np.bool_)
+        self._ignored: Mask = ~(self._valid if counting is None else counting)
         self._missed = _Burst(clock, quiet_time)
         self._limited = _Burst(clock, quiet_time)
         self._smallest_scale = 1.0
@@ -144,6 +153,7 @@ class EventLog:
         self._state, self._reason = record.state, record.reason
 
     def _watch_bpms(self, tick: int, valid: Mask) -> None:
+        valid = valid | self._ignored
         changed = not np.array_equal(valid, self._valid)
         if not self._masked.count(changed):
             return

@@ -148,7 +148,14 @@ BEAM = (
     ),
     Metric("orbitfb_bpms", "gauge", "", (), "BPM readings that the loop listens to."),
     Metric(
-        "orbitfb_bpms_masked", "gauge", "", (), "BPM readings of the last orbit that do not count."
+        "orbitfb_bpms_masked", "gauge", "", (), "BPM readings that are masked by configuration."
+    ),
+    Metric(
+        "orbitfb_bpms_invalid",
+        "gauge",
+        "",
+        (),
+        "BPM readings of the last orbit that are invalid, besides those that are masked.",
     ),
     Metric(
         "orbitfb_corrector_setpoint_max_amperes",

@@ -32,7 +32,8 @@ class OrbitFigures:
         planes: RMS by plane, keys `x` and/or `y`.
         worst: Largest |error| of the last orbit [m].
         worst_bpm: Where it is; empty when unknown.
-        masked: BPMs of the last orbit that do not count.
+        masked: BPMs that are masked by configuration.
+        invalid: BPMs of the last orbit that are invalid besides.
         bpms: All BPMs.
         time: Stamp of the last orbit [s since the epoch].
     """
@@ -44,6 +45,7 @@ class OrbitFigures:
     worst: float
     worst_bpm: str
     masked: int
+    invalid: int
     bpms: int
     time: float
 

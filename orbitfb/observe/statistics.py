@@ -9,7 +9,7 @@ import numpy as np
 from orbitfb.core.gap import GapSight
 from orbitfb.core.ports import Clock
 from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
-from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, TickRecord, Vector
+from orbitfb.core.signals import Channels, LoopState, Mask, Orbit, Phases, TickRecord, Vector
 from orbitfb.observe.snapshot import (
     CorrectorFigures,
     Happening,
@@ -50,15 +50,23 @@ class LoopStatistics:
         channels: Names behind the vectors.
         limit: Limit of |setpoint|, one for all or shape (m,) [A].
         clock: The loop's clock.
+        counting: BPMs that are not masked by configuration, shape (n,); None: all.
     """
 
-    def __init__(self, channels: Channels, limit: float | Vector, clock: Clock) -> None:
+    def __init__(
+        self,
+        channels: Channels,
+        limit: float | Vector,
+        clock: Clock,
+        counting: Mask | None = None,
+    ) -> None:
         self._channels = channels
         self._limit = np.broadcast_to(
             np.asarray(limit, dtype=np.float64), (len(channels.correctors),)
         )
         self._clock = clock
         count = len(channels.bpms)
+        self._counting = np.ones(count, dtype=np.bool_) if counting is None else counting.copy()
         if channels.planes == "xy":
             self._planes = {"x": slice(0, count // 2), "y": slice(count // 2, count)}
         else:
@@ -184,7 +192,10 @@ class LoopStatistics:
                 planes={plane: Rms(rms, root_mean(old)) for plane, (rms, old) in planes.items()},
                 worst=worst,
                 worst_bpm=worst_bpm,
-                masked=0 if orbit is None else int(np.count_nonzero(~orbit.valid)),
+                masked=int(np.count_nonzero(~self._counting)),
+                invalid=0
+                if orbit is None
+                else int(np.count_nonzero(self._counting & ~orbit.valid)),
                 bpms=len(self._channels.bpms),
                 time=stamp,
             ),

@@ -52,6 +52,7 @@ def summary(snapshot: LoopSnapshot) -> dict[str, Any]:
         "jitter_ms": ticks.jitter * 1e3,
         "bpms": orbit.bpms,
         "bpms_masked": orbit.masked,
+        "bpms_invalid": orbit.invalid,
         "corrector_nearest_limit": {
             "name": snapshot.correctors.name or None,
             "setpoint_A": snapshot.correctors.setpoint,

@@ -154,7 +154,10 @@ def _pace_rows(rows: Table, snapshot: LoopSnapshot, small: bool) -> None:
     if small:
         return
     orbit, nearest = snapshot.orbit, snapshot.correctors
-    bpms = f"{orbit.bpms - orbit.masked} of {orbit.bpms} valid"
+    wanted = orbit.bpms - orbit.masked
+    bpms = f"{wanted - orbit.invalid} of {wanted} valid"
+    if orbit.masked:
+        bpms += f", {orbit.masked} masked"
     if orbit.worst_bpm:
         bpms += f", worst {orbit.worst_bpm} {micrometres(orbit.worst)}"
     rows.add_row("BPMs", Text(bpms))

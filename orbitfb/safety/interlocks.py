@@ -28,7 +28,8 @@ class InterlockSettings(Settings):
     max_invalid_bpms: int = Field(
         default=9,
         ge=0,
-        description="BPMs that may be invalid (they are masked); more hold the loop.",
+        description="BPMs that may be invalid (they are left out), besides those of `masks.bpms`; "
+        "more hold the loop.",
     )
     readback_tolerance: float | None = Field(
         default=0.1,
@@ -91,19 +92,28 @@ def stored_current(
     return Verdict(Action.TRIP, "stored_current", reason)
 
 
-def bpm_quota(valid: Mask, settings: InterlockSettings, names: Sequence[str] = ()) -> Verdict:
+def bpm_quota(
+    valid: Mask,
+    settings: InterlockSettings,
+    names: Sequence[str] = (),
+    counting: Mask | None = None,
+) -> Verdict:
     """Let a few BPMs be invalid, not more, and never all of them.
 
     Args:
         valid: Shape (n,).
         settings: Thresholds.
         names: The BPMs, for the reason.
+        counting: BPMs that are not masked by configuration, shape (n,): what the others read does
+            not matter, so they do not use up the quota; None: all.
     """
-    invalid = len(valid) - int(np.count_nonzero(valid))
+    bad = ~valid if counting is None else counting & ~valid
+    invalid = int(np.count_nonzero(bad))
     if invalid == 0:
         return FINE
-    reason = f"{invalid} of {len(valid)} BPMs are invalid: {name_some(~valid, names)}"
-    if invalid <= settings.max_invalid_bpms and invalid < len(valid):
+    wanted = len(valid) if counting is None else int(np.count_nonzero(counting))
+    reason = f"{invalid} of {wanted} BPMs are invalid: {name_some(bad, names)}"
+    if invalid <= settings.max_invalid_bpms and invalid < wanted:
         return Verdict(Action.WARN, "bpm_quota", reason)
     return Verdict(Action.HOLD, "bpm_quota", f"{reason}; allowed: {settings.max_invalid_bpms}")
 

@@ -5,6 +5,7 @@ import pytest
 
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.signals import LoopState
+from orbitfb.loop.masked import MaskedMachine
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
@@ -21,12 +22,12 @@ def ring():
     return Ring.load()
 
 
-def build(ring, seed=0, **keywords):
+def build(ring, seed=0, counting=None, **keywords):
     clock, records = ManualClock(), []
     machine = PlantMachine(Plant(ring, "x", seed=seed), clock)
     policy = SvdPolicy(machine.plant.nominal_response, SvdSettings())
     runner = Runner(
-        machine,
+        machine if counting is None else MaskedMachine(machine, counting),
         PolicySlot(policy),
         LoopSettings(),
         LimitSettings(),
@@ -35,6 +36,7 @@ def build(ring, seed=0, **keywords):
         clock,
         start=LoopState.CLOSED,
         subscribers=(records.append,),
+        counting=counting,
     )
     return machine, runner, records
 
@@ -79,4 +81,18 @@ def test_masked_bpms_are_left_to_the_policy_up_to_the_quota(ring):
     assert record.state is LoopState.CLOSED
     assert machine.true_orbit_rms < 2e-6
     machine.mask(90)
+    assert runner.step().state is LoopState.HELD
+
+
+def test_bpms_masked_by_configuration_leave_the_quota_whole(ring):
+    counting = np.arange(180) >= 12
+    machine, runner, _ = build(ring, counting=counting, max_invalid_bpms=2)
+    machine.mask(3, 77, 90)  # the first is masked anyway
+    for _ in range(60):
+        record = runner.step()
+    assert record.state is LoopState.CLOSED
+    assert record.reason == "2 of 168 BPMs are invalid: " + ", ".join(
+        machine.channels.bpms[index] for index in (77, 90)
+    )
+    machine.mask(100)
     assert runner.step().state is LoopState.HELD

@@ -3,6 +3,7 @@
 import json
 import logging
 
+import numpy as np
 import pytest
 import structlog
 from observe_records import channels, record, report
@@ -99,6 +100,15 @@ def test_masked_bpms_are_named(log, clock):
         (["BPM1"], "warning"),
         ([], "info"),
     ]
+
+
+def test_of_bpms_that_are_masked_by_configuration_nothing_is_told(clock):
+    log = EventLog(channels(), clock, 10.0, np.array([True, False, True, True]))
+    log(record(1, valid=(True, False, True, True)))
+    with structlog.testing.capture_logs() as events:
+        log(record(2, valid=(True, False, True, True)))
+        log(record(3, valid=(True, False, False, True)))
+    assert [event["bpms"] for event in events] == [["BPM2"]]
 
 
 def test_a_reason_that_changes_with_every_tick_does_not_flood(log, clock):

@@ -4,8 +4,9 @@ import math
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
-from observe_records import feed, record, report
+from observe_records import channels, feed, record, report
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as open_families
 from prometheus_client.parser import text_string_to_metric_families
@@ -16,6 +17,7 @@ from orbitfb.core.signals import LoopState
 from orbitfb.history.archive import ArchiveStatus
 from orbitfb.observe.metrics import metrics_registry
 from orbitfb.observe.metrics_table import METRICS, metrics_table_markdown
+from orbitfb.observe.statistics import LoopStatistics
 
 PAGE = Path(__file__).parents[3] / "docs/reference/metrics.md"
 
@@ -111,7 +113,7 @@ def test_what_is_unknown_is_left_out_and_never_nan(statistics):
     _, values = scrape(statistics)
     names = {name for name, _ in values}
     assert "orbitfb_orbit_rms_meters" not in names
-    assert "orbitfb_bpms_masked" not in names
+    assert "orbitfb_bpms_invalid" not in names
     assert "orbitfb_archive_rows_written_total" not in names
     assert not any(math.isnan(value) for value in values.values())
     states = [value for (name, _), value in values.items() if name == "orbitfb_loop_state"]
@@ -151,3 +153,11 @@ def test_the_alert_asks_for_metrics_that_there_are():
     asked = set(re.findall(r"orbitfb_[a-z_]+", rules.read_text()))
     assert asked
     assert asked <= {metric.name for metric in METRICS}
+
+
+def test_masked_and_invalid_bpms_are_counted_apart(clock):
+    statistics = LoopStatistics(channels(), 18.0, clock, np.array([True, False, True, True]))
+    statistics(record(valid=(True, False, False, True)))
+    _, values = scrape(statistics)
+    assert values["orbitfb_bpms_masked", ()] == values["orbitfb_bpms_invalid", ()] == 1
+    assert values["orbitfb_bpms", ()] == 4

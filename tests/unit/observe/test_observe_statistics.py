@@ -28,7 +28,7 @@ def test_rms_counts_valid_bpms_only_and_is_of_the_error(statistics):
     statistics(record(error=(3e-6, 4e-6, 500e-6, 0.0), valid=(True, True, False, False)))
     orbit = statistics.snapshot().orbit
     assert orbit.observed.now == pytest.approx(math.sqrt(12.5) * 1e-6)
-    assert (orbit.masked, orbit.bpms) == (2, 4)
+    assert (orbit.masked, orbit.invalid, orbit.bpms) == (0, 2, 4)
     assert orbit.worst_bpm == "BPM1"
     assert orbit.worst == pytest.approx(4e-6)
 
@@ -38,7 +38,16 @@ def test_no_valid_bpm_at_all_is_unknown_not_zero(statistics):
     orbit = statistics.snapshot().orbit
     assert math.isnan(orbit.observed.now)
     assert math.isnan(orbit.observed.window)
-    assert (orbit.masked, orbit.worst_bpm) == (4, "")
+    assert (orbit.invalid, orbit.worst_bpm) == (4, "")
+
+
+def test_a_bpm_that_is_masked_by_configuration_is_not_invalid(clock):
+    counting = np.array([True, False, True, True])
+    statistics = LoopStatistics(channels(), 18.0, clock, counting)
+    assert statistics.snapshot().orbit.masked == 1  # before the first orbit too
+    statistics(record(valid=(True, False, False, True)))
+    orbit = statistics.snapshot().orbit
+    assert (orbit.masked, orbit.invalid, orbit.bpms) == (1, 1, 4)
 
 
 def test_planes_are_told_apart(clock):
@@ -80,7 +89,7 @@ def test_a_lost_orbit_makes_now_unknown_and_keeps_the_window(statistics):
     shot = statistics.snapshot()
     assert math.isnan(shot.orbit.observed.now)
     assert shot.orbit.observed.window == pytest.approx(1e-6)
-    assert shot.orbit.masked == 1
+    assert shot.orbit.invalid == 1
     assert shot.auxiliary == {}
     assert (shot.state, shot.reason, shot.ticks.missed) == (LoopState.HELD, "no orbit", 1)
 

@@ -3,14 +3,16 @@
 import io
 import math
 
+import numpy as np
 import pytest
 import structlog
-from observe_records import feed, record, report
+from observe_records import channels, feed, record, report
 from rich.console import Console
 
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import LoopState
 from orbitfb.observe.settings import TerminalSettings
+from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import STYLES, Surroundings, line, panel
 from orbitfb.observe.wording import clock_time, micrometres, milliseconds, trend_line
@@ -170,3 +172,9 @@ def test_the_trend_is_logarithmic_and_draws_noise_flat():
     assert trend_line([], 10) == ""
     assert trend_line([1.0], 0) == ""
     assert trend_line([0.0, math.nan], 5) == "  "
+
+
+def test_masked_bpms_are_shown_as_masked_not_as_invalid(clock):
+    statistics = LoopStatistics(channels(), 18.0, clock, np.array([True, False, True, True]))
+    statistics(record(valid=(True, False, False, True)))
+    assert "2 of 3 valid, 1 masked" in draw(statistics.snapshot())

@@ -47,6 +47,16 @@ def test_bpm_quota(invalid, action):
     assert bpm_quota(valid, S).action is action
 
 
+def test_masked_bpms_do_not_use_up_the_quota():
+    counting = np.arange(20) >= 12
+    valid = counting.copy()
+    assert bpm_quota(valid, S, counting=counting).action is Action.OK
+    valid[12] = False
+    said = bpm_quota(valid, S, [f"B{i}" for i in range(20)], counting)
+    assert (said.action, said.reason) == (Action.WARN, "1 of 8 BPMs are invalid: B12")
+    assert bpm_quota(counting & False, S, counting=counting).action is Action.HOLD
+
+
 def test_no_quota_allows_a_ring_without_bpms():
     assert bpm_quota(np.zeros(3, dtype=bool), S).action is Action.HOLD
 
