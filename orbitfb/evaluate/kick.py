@@ -52,6 +52,8 @@ class KickRun:
         state: State of the loop at the end.
         reason: Why.
         reports: What the learner did.
+        ended: Tick of the ring at which the run ended.
+        asked: How many kicks were asked for until then.
     """
 
     true_rms: Vector
@@ -61,6 +63,19 @@ class KickRun:
     state: LoopState
     reason: str
     reports: tuple[RefitReport, ...]
+    ended: int = 0
+    asked: int = 0
+
+    def ending(self, planned: int) -> str:
+        """Say how the run ended, and when if it was too early.
+
+        Args:
+            planned: How many kicks there should have been.
+        """
+        if self.state not in (LoopState.TRIPPED, LoopState.FAULT):
+            return str(self.state)
+        when = f"after {self.asked} of {planned} kicks" if self.asked else "before the first kick"
+        return f"{self.state} at tick {self.ended}, {when}"
 
     def figures(self, planned: int) -> dict[str, float]:
         """Sum it up; see `orbitfb.evaluate.kick_figures.recovery_figures`.
@@ -72,6 +87,7 @@ class KickRun:
         return (
             recovery_figures(self.recoveries, planned)
             | {"missed": float(self.missed), "limited": float(self.limited)}
+            | {"kicks_asked": float(self.asked), "ended_at_tick": float(self.ended)}
             | {str(decision): float(decisions.count(decision)) for decision in Decision}
         )
 
@@ -160,6 +176,8 @@ class _Experiment:
             self._runner.state,
             self._runner.reason,
             tuple(self._reports),
+            self._tick,
+            len(self._asked),
         )
 
     def _tripped(self) -> bool:
@@ -171,6 +189,7 @@ class _Experiment:
         self._limited += record.scale < 1.0
         if record.state is LoopState.TRIPPED:  # the beam is as good as lost: no more kicks
             self._done.set()
+            return
         settings, number, tick = self._settings, len(self._asked), self._tick
         if number < settings.kicks and tick >= settings.settle + number * settings.window:
             self._asked.append(tick)

@@ -76,17 +76,17 @@ def table(result: KickResult) -> str:
         figures = run.figures(settings.kicks)
         cells = [
             LABELS[law],
-            f"{figures['recovered']:.0f} of {settings.kicks}",
-            _pair(figures, "steps_to_near"),
-            _pair(figures, "steps_to_floor"),
-            f"{figures['overshoot_worst']:.3f}" if "overshoot_worst" in figures else "",
-            _pair(figures, "end", _UM),
+            *_recovery_cells(figures, run.asked, settings.kicks),
             f"{figures['promoted']:.0f}",
             f"{figures['rolled_back']:.0f}",
-            str(run.state),
+            run.ending(settings.kicks),
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    ends = [f"- {LABELS[law]}: {run.reason}" for law, run in result.runs.items() if run.reason]
+    ends = [
+        f"- {LABELS[law]}, {run.ending(settings.kicks)}: {run.reason}"
+        for law, run in result.runs.items()
+        if run.reason
+    ]
     return "\n".join([*lines, *(["", *ends] if ends else [])]) + "\n"
 
 
@@ -121,6 +121,20 @@ def draw(result: KickResult, path: Path) -> None:
         fontsize=10,
     )
     figure.savefig(path, dpi=110)
+
+
+def _recovery_cells(figures: dict[str, float], asked: int, planned: int) -> list[str]:
+    """Give the cells about the kicks; a loop that was never kicked did not fail to recover."""
+    recovered = f"{figures['recovered']:.0f} of {planned}"
+    if not asked:
+        return [f"{recovered}, none made", *["not kicked"] * 4]
+    return [
+        recovered if asked == planned else f"{recovered}, {asked} made",
+        _pair(figures, "steps_to_near"),
+        _pair(figures, "steps_to_floor"),
+        f"{figures['overshoot_worst']:.3f}" if "overshoot_worst" in figures else "",
+        _pair(figures, "end", _UM),
+    ]
 
 
 def _pair(figures: dict[str, float], name: str, scale: float = 1.0) -> str:

@@ -132,8 +132,11 @@ def result():
     rms = run_of(51, 101)
     found = tuple(recoveries(rms, asked=(50, 100), window=40))
     runs = {
-        "told": KickRun(rms, found, 0, 0, LoopState.CLOSED, "", ()),
-        "svd": KickRun(np.full(200, np.nan), (), 1, 2, LoopState.TRIPPED, "it grew", ()),
+        "told": KickRun(rms, found, 0, 0, LoopState.CLOSED, "", (), 200, 2),
+        "svd": KickRun(np.full(200, np.nan), (), 1, 2, LoopState.TRIPPED, "it grew", (), 44),
+        "adaptive": KickRun(
+            np.full(200, np.nan), (), 1, 2, LoopState.TRIPPED, "it fell", (), 140, 1
+        ),
     }
     wrong = {"relative_error": 0.034, "error_over_weakest": 83.6, "growth_svd": 0.97}
     return KickResult(KickSettings(kicks=2), wrong, runs)
@@ -145,8 +148,15 @@ def test_table_has_a_row_for_every_law_and_says_how_it_ended():
         line.startswith("| SVD told the true R | 2 of 2 | 2 (2) | 9 (9) | 0.500 |")
         for line in lines
     )
-    assert any("0 of 2 | never (never)" in line and "TRIPPED" in line for line in lines)
-    assert "- SVD on the wrong R, frozen: it grew" in lines
+    [frozen] = [line for line in lines if line.startswith("| SVD on the wrong R, frozen |")]
+    assert "| 0 of 2, none made | not kicked | not kicked | not kicked | not kicked |" in frozen
+    assert frozen.endswith("| TRIPPED at tick 44, before the first kick |")
+    assert (
+        "- SVD on the wrong R, frozen, TRIPPED at tick 44, before the first kick: it grew" in lines
+    )
+    [learning] = [line for line in lines if line.startswith("| SVD on the wrong R, learning |")]
+    assert "| 0 of 2, 1 made | never (never) |" in learning
+    assert learning.endswith("| TRIPPED at tick 140, after 1 of 2 kicks |")
 
 
 def test_files_hold_figures_courses_and_settings(tmp_path):
@@ -155,6 +165,12 @@ def test_files_hold_figures_courses_and_settings(tmp_path):
     assert document["wrong"]["relative_error"] == 0.034
     assert document["laws"]["told"]["steps_to_near"] == 2.0
     assert document["laws"]["svd"]["steps_to_near"] is None
+    assert document["laws"]["svd"]["kicks_asked"] == 0.0
+    assert document["laws"]["svd"]["ended_at_tick"] == 44.0
+    assert (document["laws"]["svd"]["state"], document["laws"]["svd"]["reason"]) == (
+        "TRIPPED",
+        "it grew",
+    )
     assert len(document["laws"]["told"]["courses_m"]) == 2
     assert document["settings"]["kicks"] == 2
     assert "# Random kicks" in (tmp_path / "new" / "kick.md").read_text()
