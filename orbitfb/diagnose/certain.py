@@ -19,6 +19,8 @@ _CERTAIN = ("bpm-stuck", "missed-read")
 _GIVEN = ("bpm-polarity", "bpm-swap", "corrector-polarity", "corrector-swap")
 """Without a size to estimate: put into the model before anything else is looked for."""
 _PROBABILITY = 0.995
+_MOST_REPEATS = 0.5
+"""Share of repeated orbits beyond which filling them in would be inventing a record."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +29,7 @@ class Certain:
 
     Args:
         causes: In the form of the answer.
-        record: Without the BPMs that stand still, cut where orbits were read twice.
+        record: Without the BPMs that stand still; orbits that were read twice are filled in.
         given: Causes that the model has from the beginning.
     """
 
@@ -56,7 +58,7 @@ def certain_causes(record: Record, findings: Sequence[Finding], without: frozens
             frozen |= {i for i in range(len(names)) if {names[i], labels[i]} & set(finding.devices)}
         if finding.effect not in without:
             causes.append(_cause(record, finding))
-    cut = _cut_repeats(record)
+    cut = _without_repeats(record)
     if frozen and len(frozen) < len(names) - 2:
         keep = np.array([i for i in range(len(names)) if i not in frozen], dtype=np.intp)
         cut = with_bpms(cut, keep)
@@ -94,15 +96,22 @@ def _cause(record: Record, finding: Finding) -> Cause:
     )
 
 
-def _cut_repeats(record: Record) -> Record:
-    """Begin a new stretch at, and after, every orbit that repeats the one before it exactly."""
+def _without_repeats(record: Record) -> Record:
+    """Fill in orbits that repeat the one before exactly, from the orbits before and after."""
     same = np.zeros(len(record), dtype=np.bool_)
     same[1:] = (record.readings[1:] == record.readings[:-1]).all(axis=1)
-    if not same.any() or same.mean() > 0.5:
+    same &= ~record.starts
+    if not same.any() or same.mean() > _MOST_REPEATS:
         return record
-    starts = record.starts | same
-    starts[1:] |= same[:-1]
-    return replace(record, starts=starts)
+    readings = record.readings.copy()
+    moved = np.zeros_like(readings)
+    moved[1:] = np.diff(record.setpoints, axis=0) @ record.layout.response.T
+    for row in np.flatnonzero(same):
+        ahead = readings[row - 1] + moved[row]
+        follows = row + 1 < len(record) and not (same[row + 1] or record.starts[row + 1])
+        back = readings[row + 1] - moved[row + 1] if follows else ahead
+        readings[row] = 0.5 * (ahead + back)
+    return replace(record, readings=readings, filled=record.filled | same[:, None])
 
 
 def with_bpms(record: Record, keep: Indices) -> Record:

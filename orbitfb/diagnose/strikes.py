@@ -16,7 +16,7 @@ _MOST = 0.3
 
 
 def without_strikes(bench: Bench, kind: LatentKind, cause: Cause) -> Record:
-    """Cut a record where it was struck, or put the prediction in the place of a struck reading.
+    """Give struck rows the setpoints of the row before, or struck readings the prediction.
 
     Args:
         bench: The record under the causes so far.
@@ -37,7 +37,8 @@ def without_strikes(bench: Bench, kind: LatentKind, cause: Cause) -> Record:
     if kind.per_bpm:
         readings = np.where(struck, bench.orbit, record.readings)
         return replace(record, readings=readings, filled=record.filled | struck)
-    rows = struck[:, 0]
-    starts = record.starts | rows
-    starts[1:] |= rows[:-1]
-    return replace(record, starts=starts)
+    # Setpoints that were not in force: those of the row before were.
+    setpoints = record.setpoints.copy()
+    for row in np.flatnonzero(struck[:, 0] & ~record.starts):
+        setpoints[row] = setpoints[row - 1]
+    return replace(record, setpoints=setpoints)
