@@ -23,6 +23,8 @@ from orbitfb.physics.optics import Matrix
 
 _OLDEST = 400
 """Rows after which the gain of every mode is taken as steady."""
+_SLOWNESS = 1.5
+"""The energy that a filter of gain L leaves goes with 1/L of a walk, with 1/L² of a ramp."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,8 +153,10 @@ class NoiseFloor:
 class Ladder:
     """Few steady filters in the place of one per mode: what scans over many places use.
 
-    Modes of similar gain make a level; every level filters with the (geometric) mean gain. The
-    beginnings of stretches, where gains are not yet steady, are treated as if they were.
+    The energy that a filter leaves of a course is interpolated between the gains of two levels
+    (one level for all modes near it was wrong by factors where a course is slow: 5 for what a
+    slew rate leaves out). The beginnings of stretches, where gains are not yet steady, are
+    treated as if they were.
 
     Args:
         floor: The noise.
@@ -163,11 +167,16 @@ class Ladder:
     """
 
     def __init__(self, floor: NoiseFloor, levels: int = 6) -> None:
-        size = np.log(floor.gains)
-        edges = np.linspace(size.min(), size.max(), levels + 1)[1:-1]
-        level = np.searchsorted(edges, size)
-        self._parts = [np.flatnonzero(level == k) for k in np.unique(level)]
-        self.feedback = [1.0 - float(np.exp(np.mean(size[part]))) for part in self._parts]
+        gains = floor.gains
+        count = levels if np.ptp(gains) > 1e-9 * gains.max() else 1
+        steps = np.geomspace(gains.min(), gains.max(), count)
+        self.feedback = [1.0 - float(step) for step in steps]
+        slowness = gains**-_SLOWNESS
+        # share of every mode in every level, between the two that are next to it
+        nearest = np.eye(count)
+        self._share = np.stack(
+            [np.interp(-slowness, -(steps**-_SLOWNESS), nearest[level]) for level in range(count)]
+        )
         self._floor = floor
 
     def filtered(self, drivers: Matrix, starts: Mask) -> list[Matrix]:
@@ -187,7 +196,7 @@ class Ladder:
         """Rotate patterns (n, P) into the modes of every level, over √S, each (k, P) [1/m]."""
         modal = self._floor.modes.T @ patterns
         modal /= np.sqrt(self._floor.innovation_variance)[:, None]
-        return [modal[part] for part in self._parts]
+        return [modal[share > 0] * np.sqrt(share[share > 0])[:, None] for share in self._share]
 
 
 def information(
