@@ -29,7 +29,7 @@ _HOPELESS = 0.25
 """Share of the best weight so far that a candidate has to promise to be fitted."""
 REFITTED = 6
 """Of them, those that are fitted again under the floor that the best one leaves."""
-_ABSURD = 2.0
+_ABSURD = 1.2
 """Rms of the background's sizes, in units of their scatter, that no healthy ring has."""
 _ONSET_WORTH = 4.0
 """Rows before an onset must speak against the effect by this much [nats]."""
