@@ -13,16 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.core.ports import Policy
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.learn.settings import JudgeSettings
 from orbitfb.learn.simulation import BatchPolicy, Outcome, Scene, simulate
 from orbitfb.models.linear import LinearModel
+from orbitfb.policies.inverse import regularised_inverse
 
 _WORST_RMS = 1.0
 _UM = 1e6
 _PROBES = 8
 _LIKE = 1.05
-"""A change is not larger than the incumbent's when it is below so many times that."""
+"""A change is not larger than another one when it is below so many times that."""
 _ROUNDING = 1e-6
 """A law whose change differs by more from that of its gain is not linear."""
 
@@ -116,11 +117,15 @@ def judge(
     if obstacle is not None:
         return Verdict(False, obstacle, figures)
     if not change <= max(settings.change_limit, _LIKE * usual):
-        reason = (
-            f"an orbit error of {settings.change_orbit * _UM:.0f} µm would change the setpoints "
-            f"by {change:.3g} A rms (incumbent {usual:.3g} A, limit {settings.change_limit:.3g} A)"
-        )
-        return Verdict(False, reason, figures)
+        moving = np.abs(ours_gain).max(axis=1) > 0.0
+        needed = needed_change(model, moving, settings.change_orbit)
+        if not change <= _LIKE * needed:
+            reason = (
+                f"an orbit error of {settings.change_orbit * _UM:.0f} µm would change the "
+                f"setpoints by {change:.3g} A rms (incumbent {usual:.3g} A, to correct it whole "
+                f"{needed:.3g} A, limit {settings.change_limit:.3g} A)"
+            )
+            return Verdict(False, reason, figures)
     accepted, reason = _decide(ours, theirs, nats, settings)
     return Verdict(accepted, reason, figures)
 
@@ -160,6 +165,27 @@ def _change_rms(policy: Policy, gain: Vector, settings: JudgeSettings) -> float:
     draws = np.random.default_rng(0).standard_normal((_PROBES, gain.shape[1]))
     errors = settings.change_orbit * draws
     return float(np.sqrt(np.mean(_in_batches(policy, gain).changes(errors) ** 2)))
+
+
+def needed_change(model: LinearModel, moving: Mask, amplitude: float) -> float:
+    """Give the change that corrects a white orbit error whole, by R̂ as far as it is known.
+
+    It is that of the cautious inverse (`policies.inverse`), without regularisation: a gain that
+    asks for more overshoots, or trusts what the data do not show.
+
+    Args:
+        model: The posterior of R.
+        moving: Correctors that may move, shape (m,).
+        amplitude: Of the orbit error, rms [m].
+
+    Returns:
+        Rms over all m correctors [A].
+    """
+    if not moving.any():
+        return 0.0
+    doubt = model.row_covariance[np.ix_(moving, moving)]
+    inverse = regularised_inverse(model.response[:, moving], 0.0, doubt)
+    return amplitude * float(np.linalg.norm(inverse) / np.sqrt(len(moving)))
 
 
 def _recovery(ours: Outcome, theirs: Outcome, settings: JudgeSettings) -> str | None:

@@ -66,7 +66,7 @@ class JudgeSettings(Settings):
         default=1.0,
         gt=0.0,
         description="Largest rms change of setpoints for `change_orbit`, unless the incumbent "
-        "makes a larger one [A].",
+        "makes a larger one, or R̂, as far as it is known, needs one to correct that orbit [A].",
     )
     change_orbit: float = Field(
         default=100e-6,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orbitfb.learn.judge import gain_of, judge, predict_loop
+from orbitfb.learn.judge import gain_of, judge, needed_change, predict_loop
 from orbitfb.learn.settings import JudgeSettings
 from orbitfb.models.linear import LinearModel
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
@@ -89,7 +89,7 @@ def test_accepts_what_is_better():
         (0.01 * GOOD, 0.0, JudgeSettings(), "not better"),
         (-GOOD, 0.0, JudgeSettings(), "would grow"),
         (GOOD, -50.0, JudgeSettings(), "speak for the incumbent's response by 50.0 nats"),
-        (1.5 * GOOD, 0.0, JudgeSettings(change_limit=1e-3), "would change the setpoints"),
+        (2.2 * GOOD, 0.0, JudgeSettings(change_limit=1e-3), "would change the setpoints"),
         (np.full((4, 4), np.nan), 0.0, JudgeSettings(), "not finite"),
     ],
 )
@@ -97,6 +97,30 @@ def test_refuses_with_a_reason(candidate, nats, settings, words):
     said = verdict(candidate, GOOD, nats, settings)
     assert not said.accepted
     assert words in said.reason
+
+
+STRICT = JudgeSettings(change_limit=1e-3)
+
+
+def test_an_incumbent_with_a_low_gain_does_not_lock_out_what_the_ring_calls_for():
+    said = verdict(GOOD, 0.01 * GOOD, settings=STRICT)
+    assert said.figures["change_rms"] > 10 * STRICT.change_limit
+    assert said.accepted
+
+
+def test_a_change_is_needed_only_as_far_as_the_response_is_known():
+    """The same law for the same ring, but the data show no more than its two strongest modes."""
+    said = verdict(GOOD, 0.01 * GOOD, settings=STRICT, sigma=0.5e-3)
+    assert not said.accepted
+    assert "would change the setpoints" in said.reason
+
+
+def test_the_change_that_is_needed_is_that_of_the_inverse_over_what_moves():
+    movable = np.array([True, True, False, True])
+    gains = 1e3 / np.array([3.0, 1.0, 0.2])
+    expected = 1e-4 * np.sqrt(np.sum(gains**2) / 4)
+    assert needed_change(model(RESPONSE), movable, 1e-4) == pytest.approx(expected, rel=1e-3)
+    assert needed_change(model(RESPONSE), movable & False, 1e-4) == 0.0
 
 
 def test_what_is_not_known_counts_against_a_bold_law():
