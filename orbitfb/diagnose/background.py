@@ -106,20 +106,29 @@ class Background:
         begin = 0 if part == "correctors" else correctors
         return self._absorbed[begin : begin + (correctors if part == "correctors" else bpms)]
 
-    def best(self, slope: Matrix) -> Vector:
-        """Find the most likely sizes, in units of their scatter.
+    def best(self, slope: Matrix, sizes: Vector | None = None) -> Vector:
+        """Find the most likely sizes, in units of their scatter, with the ladder's information.
 
         Args:
             slope: λ of what is left, shape (N, n) [1/m].
+            sizes: That have been taken out of what is left; none when None.
 
         Returns:
-            Shape (P,) over all parts; empty for an exact model.
+            What to add to them, shape (P,) over all parts; empty for an exact model.
         """
+        return self.step(self.gradient(slope, sizes))
+
+    def gradient(self, slope: Matrix, sizes: Vector | None = None) -> Vector:
+        """Derivative of the log posterior by the sizes, shape (P,); arguments as for `best`."""
         if self._solver is None:
             return np.zeros(0)
         pull = slope.astype(np.float32) @ self._patterns
         score = np.einsum("kp,kp->p", pull, self._drivers).astype(np.float64)
-        return cho_solve(self._solver, score)
+        return score if sizes is None else score - sizes
+
+    def step(self, gradient: Vector) -> Vector:
+        """Precondition a gradient by the ladder's information, shape (P,)."""
+        return gradient if self._solver is None else cho_solve(self._solver, gradient)
 
     def orbit(self, sizes: Vector) -> Matrix:
         """Tell what errors of these sizes add to the orbit, shape (N, n) [m]."""

@@ -14,6 +14,9 @@ from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 
 _PASSES = 2
+_MOST_STEPS = 8
+_SOLVED = 0.05
+"""Gain of a step of the background's sizes below which they are the best [nats]."""
 
 
 class Bench:
@@ -59,10 +62,7 @@ class Bench:
                 record.layout, self.currents, self.orbit, record.starts, background
             )
             self.background.prepare(self.floor)
-            slope = self.floor.adjoint(
-                self.floor.whiten(leftover.left, record.starts), record.starts
-            )
-            self.sizes = self.background.best(slope)
+            self.sizes = self._healed(leftover.left)[1]
             healthy = self.background.orbit(self.sizes)
         if floor is None:
             self.floor = estimate_floor(leftover.left - healthy, record.starts, modes)
@@ -79,13 +79,38 @@ class Bench:
             White innovations (N, n), sizes of the background (P,), log-Jacobian of the sensors'
             causes by row (N,): the log-likelihood is −½ Σ white² − ½ Σ sizes² + Σ log-Jacobian.
         """
-        record = self.record
-        leftover = explain(record, (*self.causes, *causes), self.orbit)
-        white = self.floor.whiten(leftover.left, record.starts)
-        sizes = self.background.best(self.floor.adjoint(white, record.starts))
-        if len(sizes):
-            white = self.floor.whiten(leftover.left - self.background.orbit(sizes), record.starts)
+        leftover = explain(self.record, (*self.causes, *causes), self.orbit)
+        white, sizes = self._healed(leftover.left)
         return white, sizes, leftover.log_jacobian
+
+    def _healed(self, left: Matrix) -> tuple[Matrix, Vector]:
+        """Take the best healthy errors out of what is left: preconditioned conjugate gradients.
+
+        The ladder's information is nearly exact, so the first step is nearly the answer, except
+        for changes that the record shows very well.
+        """
+        floor, background, starts = self.floor, self.background, self.record.starts
+        white = floor.whiten(left, starts)
+        gradient = background.gradient(floor.adjoint(white, starts))
+        sizes = np.zeros_like(gradient)
+        if not len(sizes):
+            return white, sizes
+        direction, before = np.zeros_like(sizes), 0.0
+        for _ in range(_MOST_STEPS):
+            step = background.step(gradient)
+            promise = float(gradient @ step)
+            if 0.5 * promise < _SOLVED:
+                break
+            direction = step + (promise / before if before else 0.0) * direction
+            before = promise
+            change = floor.whiten(background.orbit(direction), starts)
+            length = float(gradient @ direction) / float(
+                np.vdot(change, change) + direction @ direction
+            )
+            sizes = sizes + length * direction
+            white = white - length * change
+            gradient = background.gradient(floor.adjoint(white, starts), sizes)
+        return white, sizes
 
     def with_floor(self, floor: NoiseFloor) -> "Bench":
         """The same causes judged under another floor; the background's information stays."""
@@ -101,8 +126,7 @@ class Bench:
             return self.floor
         record = self.record
         left = explain(record, (*self.causes, *causes), self.orbit).left
-        slope = self.floor.adjoint(self.floor.whiten(left, record.starts), record.starts)
-        left = left - self.background.orbit(self.background.best(slope))
+        left = left - self.background.orbit(self._healed(left)[1])
         return estimate_floor(left, record.starts, self.floor.modes)
 
     @property

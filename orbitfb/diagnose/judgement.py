@@ -12,7 +12,7 @@ from orbitfb.diagnose.ceiling import Ceiling, ceiling
 from orbitfb.diagnose.certain import Certain
 from orbitfb.diagnose.gof import audit, passed
 from orbitfb.diagnose.naming import column_names
-from orbitfb.diagnose.search import Outcome, Round
+from orbitfb.diagnose.search import CLOSE, Outcome, Round
 from orbitfb.effects.kinds import LatentKind, NoiseKind
 
 _EXPLAINED = 0.8
@@ -61,7 +61,7 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     remains = (rest.resolved and explained < _EXPLAINED) or flagged
     groups: tuple[Group, ...] = ()
     if outcome.winners:
-        groups = classes(outcome.winners[0].entries, outcome.winners[0].bench)
+        groups = classes(outcome.winners[0].entries, outcome.winners[0].bench, CLOSE)
     state = _state(outcome, certain, remains=remains, explained=explained)
     unknown = _unknown(outcome, explained) if state in ("unknown", "named_plus_remainder") else None
     return Judgement(state, tests, rest, explained, groups, unknown)

@@ -64,7 +64,8 @@ def tournament(its: Tournament) -> str:
             )
         _brackets(axes, rows)
         axes.set_xlabel("gain on held-out ticks [nats]; linear below 10, logarithmic above")
-        axes.legend(loc="lower right", frameon=True, facecolor="white", edgecolor="none")
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="lower right", frameon=True, facecolor="white", edgecolor="none")
 
     return picture(
         "Every kind of effect at its best places, on ticks not used to fit it. Red: accepted; "

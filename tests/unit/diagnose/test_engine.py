@@ -1,0 +1,68 @@
+"""From a record to the answer: what is there is named, what is not there is not."""
+
+import json
+
+import numpy as np
+import pytest
+
+from orbitfb.diagnose.answer import Diagnosis, document
+from orbitfb.diagnose.engine import diagnose
+from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.effects.build import build, layout_of
+from orbitfb.effects.settings import parse_effect
+from orbitfb.physics.places import Ring
+
+RING = Ring.load()
+LAYOUT = layout_of(RING, "x", 0.1)
+
+
+def answer(*effects: str, seed: int = 3, ticks: int = 700, without=frozenset()) -> Diagnosis:
+    plant_effects = build([parse_effect(text) for text in effects], LAYOUT, seed)
+    record = simulate_record(
+        RING, "x", ticks, seed, plant_effects, dither=2e-3, period=LAYOUT.period
+    )
+    return diagnose(
+        record, None, None, seed=1, without=without, progress=lambda what, share: None
+    )
+
+
+def test_a_record_without_a_gap_has_no_cause():
+    found = answer()
+    assert found.state == "no_gap"
+    assert found.causes == ()
+    assert found.gap is not None and not found.gap.resolved
+
+
+def test_a_wrong_corrector_is_named_with_its_size():
+    found = answer("corrector-gain:gain=0.3,names=CL1A_C05")
+    assert found.state == "named"
+    (cause,) = found.causes
+    assert (cause.effect, cause.places, cause.stage) == (
+        "corrector-gain",
+        ("CL1A_C05",),
+        "actuator",
+    )
+    gain = cause.parameters["gain"]
+    assert gain.low is not None and gain.high is not None
+    assert gain.low < 0.3 < gain.high
+    assert found.gap is not None and found.gap.resolved and found.gap.nats_per_tick is not None
+    assert sum(v or 0 for v in found.gap.by_bpm.values()) == pytest.approx(
+        found.gap.nats_per_tick, rel=1e-5
+    )
+    assert found.shrink is not None and (found.shrink.nats or 0.0) > 0.8
+    json.loads(document(found), parse_constant=lambda text: pytest.fail(f"{text} in the JSON"))
+
+
+def test_what_is_not_in_the_library_is_not_named_for_sure():
+    """Without its kind, a lag of all correctors must not become something else for certain."""
+    found = answer(
+        "corrector-lag:tau=0.1", without=frozenset({"corrector-lag", "corrector-resonance"})
+    )
+    assert found.state in ("unknown", "named_plus_remainder", "ambiguous")
+
+
+def test_the_same_record_and_seed_give_the_same_answer():
+    first, second = answer(ticks=400), answer(ticks=400)
+    volatile = {"provenance"}
+    assert first.model_dump(exclude=volatile) == second.model_dump(exclude=volatile)
+    assert np.isfinite(first.gap.nats_per_tick if first.gap else np.nan)
