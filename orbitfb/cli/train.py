@@ -113,7 +113,7 @@ def train(
 
 @contextmanager
 def _progress(quiet: bool) -> "Iterator[Progress]":
-    """Draw a bar on standard error while a training runs."""
+    """Draw a bar on standard error, if that is a terminal, while a training runs."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -130,7 +130,9 @@ def _progress(quiet: bool) -> "Iterator[Progress]":
         TextColumn("loss {task.fields[loss]:.3g}"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet) as bar:
+    console = Console(stderr=True)
+    off = quiet or not console.is_terminal  # elsewhere it would leave an empty line
+    with Progress(*columns, console=console, transient=True, disable=off) as bar:
         task = bar.add_task("training", total=None, loss=float("nan"), visible=False)
 
         def progress(done: int, total: int, loss: float) -> None:
