@@ -6,7 +6,6 @@ nuisance: it only sets the q of the modes, which are estimated with the record.
 """
 
 import numpy as np
-from scipy.signal import lfilter
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.innovation import NoiseFloor
@@ -14,9 +13,13 @@ from orbitfb.effects.layout import Layout
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
-_LADDER = 1.0 / (1.0 + np.exp(-np.linspace(-5.5, 4.0, 20)))
-"""Kalman gains that a mode is tried with, even in log L / (1 − L)."""
+_LADDER = np.exp(np.linspace(-13.0, 4.5, 30))
+"""Ratios q / r² that a mode is tried with."""
 _PASSES = 30
+_NEIGHBOURS = 4.0
+"""Modes over which the evidence of neighbours fades to 1/e."""
+_SHARED = 0.3
+"""Weight of the next neighbour's evidence."""
 
 
 def noise_modes(layout: Layout) -> Matrix:
@@ -40,54 +43,76 @@ def noise_modes(layout: Layout) -> Matrix:
 def estimate_floor(left: Matrix, starts: Mask, modes: Matrix) -> NoiseFloor:
     """Fit r² and every mode's q by maximum likelihood.
 
+    What moves magnets moves the orbit in modes of like size alike, so a mode also learns from its
+    neighbours: the walk of a weak mode is far too slow to be seen in one record of it alone.
+
     Args:
         left: What the model leaves, rows of the BPMs' space, shape (N, n) [m].
         starts: Where stretches begin, shape (N,).
-        modes: Orthonormal columns, shape (n, n).
+        modes: Orthonormal columns, in falling order of what the ground makes of them, (n, n).
     """
-    z = left @ modes
-    steps = np.zeros_like(z)
-    steps[1:] = z[1:] - z[:-1]
-    steps[starts] = 0.0
-    squares = np.array([_mean_square(steps, starts, gain) for gain in _LADDER])
-    reading = float(np.median(squares[0])) / 2
-    level = np.zeros(z.shape[1], dtype=np.intp)
+    squares, logs, rows = _evidence(left @ modes, starts)
+    reading = float(np.quantile(squares[0], 0.25)) / max(rows, 1)  # modes that hardly walk
+    level = np.zeros(len(modes), dtype=np.intp)
+    cost = squares
     for _ in range(_PASSES):
-        variance = reading / (1.0 - _LADDER)[:, None]
-        cost = np.log(variance) + squares / variance
+        cost = _with_neighbours(logs[:, None] + squares / reading)
         level = np.argmin(cost, axis=0)
-        own = squares[level, np.arange(len(level))]
-        before, reading = reading, float(np.mean(own * (1.0 - _LADDER[level])))
+        before, reading = (
+            reading,
+            float(np.mean(squares[level, np.arange(len(level))])) / max(rows, 1),
+        )
         if abs(reading / before - 1.0) < 1e-5:
             break
-    refined = _refined(squares, reading, level)
-    return NoiseFloor(modes, reading, reading * refined**2 / (1.0 - refined))
+    return NoiseFloor(modes, reading, reading * _between(cost, level))
 
 
-def _mean_square(steps: Matrix, starts: Mask, gain: float) -> Vector:
-    """Mean squared innovation of every mode under a steady gain, the beginnings left out."""
-    begins = np.flatnonzero(starts)
-    total, rows = np.zeros(steps.shape[1]), 0
-    for begin, end in zip(begins, [*begins[1:], len(starts)], strict=True):
-        skipped = min(int(3.0 / gain) + 1, (end - begin) // 2 + 1)
-        filtered = np.asarray(lfilter([1.0], [1.0, gain - 1.0], steps[begin:end], axis=0))
-        piece = filtered[skipped:]
-        total += np.sum(piece**2, axis=0)
-        rows += len(piece)
-    return total / max(rows, 1)
+def _evidence(z: Matrix, starts: Mask) -> tuple[Matrix, Vector, int]:
+    """Sum the likelihood of every ratio of the ladder, the beginnings of stretches exact.
+
+    Returns:
+        Σ e² / (S / r²) of every ratio and mode, (G, n) [m²]; Σ log S / r² of every ratio, (G,);
+        and the rows that count.
+    """
+    squares = np.zeros((len(_LADDER), z.shape[1]))
+    logs, rows = np.zeros(len(_LADDER)), 0
+    for begin, end in _ends(starts):
+        filtered = np.ones(len(_LADDER))
+        feedback = np.zeros(len(_LADDER))
+        innovation = np.zeros_like(squares)
+        steps = np.diff(z[begin:end], axis=0)
+        for step in steps:
+            innovation *= feedback[:, None]
+            innovation += step
+            predicted = filtered + _LADDER
+            variance = predicted + 1.0
+            filtered = predicted / variance
+            feedback = 1.0 - filtered
+            squares += innovation**2 / variance[:, None]
+            logs += np.log(variance)
+        rows += len(steps)
+    return squares, logs, rows
 
 
-def _refined(squares: Matrix, reading: float, level: Indices) -> Vector:
-    """Move from the step of the ladder to the minimum of the parabola through its neighbours."""
-    variance = reading / (1.0 - _LADDER)[:, None]
-    cost = np.log(variance) + squares / variance
+def _ends(starts: Mask) -> list[tuple[int, int]]:
+    begins = [int(begin) for begin in np.flatnonzero(starts)]
+    return list(zip(begins, [*begins[1:], len(starts)], strict=True))
+
+
+def _with_neighbours(cost: Matrix) -> Matrix:
+    """Add the evidence of neighbouring modes, fading with their distance."""
+    index = np.arange(cost.shape[1])
+    distance = np.abs(np.subtract.outer(index, index))
+    weights = np.where(distance == 0, 1.0, _SHARED * np.exp(-(distance - 1.0) / _NEIGHBOURS))
+    return cost @ weights
+
+
+def _between(cost: Matrix, level: Indices) -> Vector:
+    """Ratio q / r² at the minimum of the parabola through the best step and its neighbours."""
     level = np.clip(level, 1, len(_LADDER) - 2)
     mode = np.arange(len(level))
-    place = np.log(_LADDER / (1.0 - _LADDER))
-    x0, x1, x2 = place[level - 1], place[level], place[level + 1]
-    y0, y1, y2 = cost[level - 1, mode], cost[level, mode], cost[level + 1, mode]
-    first, second = (y1 - y0) / (x1 - x0), (y2 - y1) / (x2 - x1)
-    bend = (second - first) / (x2 - x0)
-    best = np.where(bend > 0, 0.5 * (x0 + x1) - 0.5 * first / np.where(bend > 0, bend, 1.0), x1)
-    best = np.clip(best, x0, x2)
-    return 1.0 / (1.0 + np.exp(-best))
+    place = np.log(_LADDER)
+    below, here, above = (cost[level + step, mode] for step in (-1, 0, 1))
+    bend = below - 2.0 * here + above
+    shift = np.where(bend > 0, 0.5 * (below - above) / np.where(bend > 0, bend, 1.0), 0.0)
+    return np.exp(place[level] + np.clip(shift, -1.0, 1.0) * (place[1] - place[0]))

@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.physics.optics import Matrix
 
-_OLDEST = 400
+_OLDEST = 3000
 """Rows after which the gain of every mode is taken as steady."""
 _SLOWNESS = 1.5
 """The energy that a filter of gain L leaves goes with 1/L of a walk, with 1/L² of a ramp."""

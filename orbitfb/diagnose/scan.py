@@ -31,6 +31,8 @@ _LAST_ONSET = 40
 _FIRST_ONSET = 20
 """Rows at the ends of a record in which no onset is looked for."""
 _KEPT = 3
+_ONSETS_TRIED = 4
+"""Onsets at which the information on an effect of the whole ring is computed."""
 _FINER = 4
 """Lines of the spectrum per line that the length of the record resolves."""
 _ROUGH = 3
@@ -287,6 +289,8 @@ class Scanner:
         score = _sum(shapes.pull * drivers for shapes, drivers in changes.parts)
         later_score = np.cumsum(score[::-1], axis=0)[::-1]
         later = np.zeros_like(later_score)
+        row = np.arange(len(score), dtype=np.float64)
+        short = 1.0 / np.maximum(row, 1.0) + 1.0 / (len(row) - row)
         # What a corrector holds is what it had at the onset: there is no jump then.
         holds = isinstance(kind, ActuatorKind) and not kind.vanishes
         if holds:
@@ -295,16 +299,17 @@ class Scanner:
             later_score = later_score - pull * drivers
         for shapes, drivers in changes.parts:
             for shape, course, feedback in zip(
-                shapes.rough,
-                self._rough.filtered(drivers, self._starts),
-                self._rough.feedback,
+                shapes.fine,
+                self._courses(drivers),
+                self._ladder.feedback,
                 strict=True,
             ):
                 size = np.sum(shape**2, axis=0)
-                energy = course**2
-                later += size * np.cumsum(energy[::-1], axis=0)[::-1]
+                later += size * np.cumsum((course**2)[::-1], axis=0)[::-1]
                 if not holds:
-                    later += size * drivers**2 / (1.0 - feedback**2)
+                    # A step is seen against the rows before it that the filter remembers, by the
+                    # rows after it until the filter has followed.
+                    later += size * drivers**2 / (1.0 - feedback**2 + short)[:, None]
         strength, gain = _best_strength(kind, later_score, later)
         gain[:_FIRST_ONSET] = 0.0
         gain[len(gain) - _LAST_ONSET :] = 0.0
@@ -334,6 +339,29 @@ class Scanner:
             if gain[0] > 0:
                 sized = _sized(kind, values, float(strength[0]))
                 yield Candidate(Cause(kind, (), sized), float(gain[0]), 1.0)
+            if kind.sudden and not kind.grows:
+                yield from self._ring_onset(kind, values, change)
+
+    def _ring_onset(
+        self, kind: RingKind | ActuatorKind, values: Values, change: Matrix
+    ) -> Iterator[Candidate]:
+        """Try every row as the beginning of an effect on the whole ring."""
+        rows = len(change)
+        score = np.cumsum(np.sum(self._bench.slope * change, axis=1)[::-1])[::-1]
+        tried = np.linspace(0.1, 0.9, _ONSETS_TRIED) * rows
+        info = [self._information_from(change, int(row)) for row in tried]
+        strength, gain = _best_strength(kind, score, np.interp(np.arange(rows), tried, info))
+        gain[:_FIRST_ONSET] = 0.0
+        gain[rows - _LAST_ONSET :] = 0.0
+        best = int(np.argmax(gain))
+        if gain[best] > 0:
+            sized = _sized(kind, values, float(strength[best]))
+            yield Candidate(Cause(kind, (), sized, best), float(gain[best]), float(rows))
+
+    def _information_from(self, change: Matrix, row: int) -> float:
+        later = change.copy()
+        later[:row] = 0.0
+        return float(np.sum(self._bench.floor.whiten(later, self._starts) ** 2))
 
     def _periodic(self, kind: SourceKind) -> Iterator[Candidate]:
         """Find the line of one source: the Fourier transform of its score has all frequencies."""
