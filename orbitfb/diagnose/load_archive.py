@@ -12,6 +12,9 @@ from orbitfb.diagnose.load_rows import FEWEST_ROWS, Transition
 from orbitfb.history.reader import read_archive, segment_paths
 from orbitfb.history.verify import CorruptSegmentError, read_segment
 
+_ROUNDING = 1e-9
+"""Difference of two changes of a setpoint that no limit made [A]."""
+
 
 def read_transitions(path: Path, largest: int) -> tuple[Channels, Transition, list[Finding]]:
     """Read the transitions of a segment or of a directory of segments.
@@ -57,7 +60,7 @@ def _transition(path: Path, read: Transitions, found: list[Finding]) -> Transiti
             f"{path}: {int(usable.sum())} of {len(read)} transitions can be used, {FEWEST_ROWS} "
             "are needed; record longer, with the loop closed"
         )
-    shortened = usable & read.closed & (np.abs(read.requested - read.applied) > 0).any(axis=1)
+    shortened = usable & read.closed & (np.abs(read.requested - read.applied) > _ROUNDING).any(axis=1)
     if shortened.any():
         rows = np.flatnonzero(shortened)
         found.append(
