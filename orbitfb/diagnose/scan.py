@@ -132,7 +132,10 @@ class Scanner:
             moved = kind.drive(bench.currents, values, record) - bench.currents
             return Changes(((self._shapes("correctors", lambda: record.layout.response), moved),))
         if isinstance(kind, SensorKind):
-            moved = kind.distort(bench.orbit, values, record) - bench.orbit
+            # What is not small has taken the predicted orbit with it: take the model's own.
+            small = bool(kind.parameters)
+            orbit = bench.orbit if small else bench.currents @ record.layout.response.T
+            moved = kind.distort(orbit, values, record) - orbit
             return Changes(((self._shapes("bpms", lambda: np.eye(moved.shape[1])), moved),))
         if isinstance(kind, SourceKind):
             patterns = kind.patterns(record.layout)
