@@ -12,30 +12,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbitfb.core.clock import SystemClock
 from orbitfb.core.refit import Decision, RefitReport
 from orbitfb.core.signals import LoopState, TickRecord, Vector
 from orbitfb.epics.assembler import Snapshot
-from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.probe import Probe
 from orbitfb.epics.settings import EpicsSettings
+from orbitfb.evaluate.closed import accelerated, closed_loop
 from orbitfb.evaluate.kick_figures import LATEST, Recovery, recoveries, recovery_figures
 from orbitfb.evaluate.kick_laws import opening_policy, start_learner
 from orbitfb.evaluate.kick_settings import KickSettings, Law, Responses, responses
 from orbitfb.history.buffer import History
-from orbitfb.loop.runner import Runner
-from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.physics.places import Ring
-from orbitfb.safety.interlocks import InterlockSettings
-from orbitfb.safety.limits import LimitSettings
 from orbitfb.sim.child import SimChild
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.layout import KICK_PV, TICK_PV, TRUE_RMS_PV
 from orbitfb.sim.settings import SimSettings
 
-_SLACK = 0.3
-"""How long the loop waits for an orbit before it holds [s]: the clock is the computer's own."""
 _MILLI = 1e3
 
 
@@ -142,24 +135,15 @@ class _Experiment:
         self._true_rms = np.full(settings.ticks, np.nan)
         self._reports: list[RefitReport] = []
         child = stack.enter_context(SimChild(_job(settings)))
-        network, clock = EpicsSettings(server_port=child.port), SystemClock()
+        network = EpicsSettings(server_port=child.port)
         channels = Ring.load().channels(settings.planes)
-        machine = stack.enter_context(EpicsMachine(channels, network, clock))
-        self._probe = stack.enter_context(
-            Probe((TICK_PV, TRUE_RMS_PV), KICK_PV, network, self._see)
-        )
         slot = PolicySlot(opening_policy(law, settings, known))
         history = History(channels, 4000)
-        self._runner = Runner(
-            machine,
-            slot,
-            LoopSettings(rate_hz=settings.rate_hz, hold_after=max(1.9, _SLACK * settings.rate_hz)),
-            LimitSettings(),
-            InterlockSettings(),
-            np.zeros(len(channels.bpms)),
-            clock,
-            start=LoopState.CLOSED,
-            subscribers=(history, self._note),
+        self._runner = closed_loop(
+            channels, network, slot, accelerated(settings.rate_hz), (history, self._note), stack
+        )
+        self._probe = stack.enter_context(
+            Probe((TICK_PV, TRUE_RMS_PV), KICK_PV, network, self._see)
         )
         start_learner(
             law, settings, known, history, slot, self._reports.append, self._tripped, stack

@@ -19,28 +19,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import Field
 
-from orbitfb.core.clock import SystemClock
 from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState, TickRecord, Vector
 from orbitfb.effects.settings import EffectSettings
-from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
+from orbitfb.evaluate.closed import accelerated, closed_loop
 from orbitfb.history.buffer import History
 from orbitfb.learn.builders import ResponsePolicy, builder, first_policy
 from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.learn.trainer import InlineTrainer
 from orbitfb.learn.worker import LearnerThread
-from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.physics.drift import DriftSettings, Preset
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import Plant, PlantSettings
 from orbitfb.policies.settings import PolicySettings
-from orbitfb.safety.interlocks import InterlockSettings
-from orbitfb.safety.limits import LimitSettings
 from orbitfb.sim.child import SimChild
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.layout import TICK_PV, TRUE_RMS_PV
@@ -55,8 +51,6 @@ _STEP = 5
 _POLL = 0.02
 _EFFECTS_PERIOD = 0.1
 """By which effects count time in lockstep: that of a loop at 10 Hz [s]."""
-_SLACK = 0.3
-"""How long the loop waits for an orbit before it holds [s]: the clock is the computer's own."""
 
 _LOCKSTEP_RING = SimSettings(port=0, lockstep=True, rate_hz=0.5)
 _LOCKSTEP_LOOP = LoopSettings(rate_hz=1000.0, hold_after=9000.0, ramp=0.02)
@@ -176,28 +170,17 @@ class _Live:
             else SimSettings(port=0, rate_hz=settings.rate_hz),
         )
         child = stack.enter_context(SimChild(job))
-        channels, clock = self._twin.channels, SystemClock()
-        machine = stack.enter_context(EpicsMachine(channels, _network(child.port), clock))
+        channels = self._twin.channels
         first = self._build(self._twin.response_at(0))
         self._slot = PolicySlot(first)
         self._history = History(channels, 4000)
         self._reports: list[RefitReport] = []
         self._alarms: list[Alarm] = []
         self._between: Callable[[], None] = lambda: None
-        self._runner = Runner(
-            machine,
-            self._slot,
-            _LOCKSTEP_LOOP
-            if settings.rate_hz is None
-            else LoopSettings(
-                rate_hz=settings.rate_hz, hold_after=max(1.9, _SLACK * settings.rate_hz)
-            ),
-            LimitSettings(),
-            InterlockSettings(),
-            np.zeros(len(channels.bpms)),
-            clock,
-            start=LoopState.CLOSED,
-            subscribers=(self._note,),
+        rate = settings.rate_hz
+        loop = _LOCKSTEP_LOOP if rate is None else accelerated(rate)
+        self._runner = closed_loop(
+            channels, _network(child.port), self._slot, loop, (self._note,), stack
         )
         if law == "told":
             self._begin(self._tell, stack)
