@@ -60,7 +60,9 @@ def _transition(path: Path, read: Transitions, found: list[Finding]) -> Transiti
             f"{path}: {int(usable.sum())} of {len(read)} transitions can be used, {FEWEST_ROWS} "
             "are needed; record longer, with the loop closed"
         )
-    shortened = usable & read.closed & (np.abs(read.requested - read.applied) > _ROUNDING).any(axis=1)
+    shortened = (
+        usable & read.closed & (np.abs(read.requested - read.applied) > _ROUNDING).any(axis=1)
+    )
     if shortened.any():
         rows = np.flatnonzero(shortened)
         found.append(
