@@ -11,13 +11,11 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import Draws, interval
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit
+from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.search import Outcome, Round
 from orbitfb.diagnose.tournament import Entry
-from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind, PairKind, SourceKind
+from orbitfb.effects.kinds import EffectKind, NoiseKind, PairKind, SourceKind
 from orbitfb.effects.layout import Layout
-
-_WIDTH = 1.645
-"""Standard deviations of a 90 % interval."""
 
 
 def named_causes(outcome: Outcome) -> tuple[NamedCause, ...]:
@@ -69,7 +67,7 @@ def _final(outcome: Outcome, entry: Entry) -> tuple[Cause, Fit | None]:
 
 def _parameters(cause: Cause, fitted: Fit | None, bench: Bench) -> dict[str, ParameterValue]:
     if fitted is None:
-        return {p.name: _alone(cause, p.name, bench) for p in cause.kind.parameters}
+        return _random(cause, bench)
     values: dict[str, ParameterValue] = {}
     for index, (owner, parameter) in enumerate(fitted.parameters):
         if fitted.causes[owner] is not cause:
@@ -90,20 +88,18 @@ def _parameters(cause: Cause, fitted: Fit | None, bench: Bench) -> dict[str, Par
     return values
 
 
-def _alone(cause: Cause, name: str, bench: Bench) -> ParameterValue:
-    """A parameter of an effect without a course in time: its interval is that of a variance."""
-    parameter = next(p for p in cause.kind.parameters if p.name == name)
-    value = cause.values[name]
-    rows = max(len(bench.record) - cause.onset, 2)
-    width = _WIDTH * np.sqrt(0.5 / rows) if isinstance(cause.kind, NoiseKind) else 0.5
-    if isinstance(cause.kind, LatentKind) and parameter.unit == "1":
-        width = _WIDTH / np.sqrt(max(value * rows, 1.0))
-    return ParameterValue(
-        value=value,
-        low=float(value * np.exp(-width)) if value > 0 else float(value - abs(value) * width),
-        high=float(value * np.exp(width)) if value > 0 else float(value + abs(value) * width),
-        unit=parameter.unit,
-    )
+def _random(cause: Cause, bench: Bench) -> dict[str, ParameterValue]:
+    """Values of an effect without a course in time, from its spectrum or its strikes."""
+    stated = state(bench, cause)
+    return {
+        p.name: ParameterValue(
+            value=stated.cause.values[p.name],
+            low=stated.intervals[p.name][0],
+            high=stated.intervals[p.name][1],
+            unit=p.unit,
+        )
+        for p in cause.kind.parameters
+    }
 
 
 def place_names(layout: Layout, kind: EffectKind, places: Sequence[int]) -> tuple[str, ...]:

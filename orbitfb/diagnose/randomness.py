@@ -7,7 +7,7 @@ the information dᵀ W d, so its likelihood ratio is known tick by tick for a z 
 normal.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.special import expit, logit
@@ -101,9 +101,9 @@ def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
     rows = len(course)
     if kind.lag:
         moved = np.sum(course[kind.lag :] * course[: -kind.lag], axis=0) / rows
-        ratio = moved / size
+        ratio = moved / np.maximum(np.mean(course**2, axis=0), 1e-300)
         deviation = np.hypot(1.0 / np.sqrt(rows), _scatter(ratio, 1.0 / np.sqrt(rows)))
-        strength, gain = ratio / size, 0.5 * (ratio / deviation) ** 2
+        strength, gain = moved / size**2, 0.5 * (ratio / deviation) ** 2
     else:
         ratio = np.mean(course**2, axis=0) / size
         logarithm = np.log(np.maximum(ratio, 1e-6))
@@ -162,15 +162,26 @@ def _values(kind: NoiseKind, variance: float, reading: float) -> Values | None:
     return {p.name: p.typical for p in kind.parameters} | {first.name: size}
 
 
-def latent_gain(bench: Bench, kind: LatentKind, values: Values) -> Vector:
-    """Log-likelihood ratio of an effect that strikes at random, by row, shape (N,) [nats]."""
-    score, info = _strikes(bench, kind)
+def latent_gain(
+    bench: Bench, kind: LatentKind, values: Values, places: Sequence[int] = ()
+) -> Vector:
+    """Log-likelihood ratio of an effect that strikes at random, by row, shape (N,) [nats].
+
+    Args:
+        bench: The record under the causes so far.
+        kind: The effect.
+        values: All parameters.
+        places: BPMs that it strikes, if it strikes BPM by BPM; all when there are none.
+    """
+    score, info = strikes(bench, kind)
+    if kind.per_bpm and len(places):
+        score, info = score[:, list(places)], info[:, list(places)]
     return _ratio(kind, score, info, [values[p.name] for p in kind.parameters])
 
 
 def latent_odds(bench: Bench, kind: LatentKind, values: Values) -> Matrix:
     """Probability that a row (or a reading) was struck, shape (N, 1) or (N, n)."""
-    score, info = _strikes(bench, kind)
+    score, info = strikes(bench, kind)
     first, last = values[kind.parameters[0].name], values[kind.parameters[-1].name]
     if kind.strength == "always one":
         ratio = score - 0.5 * info
@@ -182,7 +193,7 @@ def latent_odds(bench: Bench, kind: LatentKind, values: Values) -> Matrix:
 
 def latent_candidates(bench: Bench, kind: LatentKind) -> list[Candidate]:
     """Find the best parameters, and the BPMs where it strikes BPM by BPM, best first."""
-    score, info = _strikes(bench, kind)
+    score, info = strikes(bench, kind)
     if kind.per_bpm:
         return _latent_places(bench, kind, score, info)
     best: Candidate | None = None
@@ -217,7 +228,7 @@ def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) 
     return sorted(found.values(), key=lambda c: c.gain - np.log(c.choices), reverse=True)[:_KEPT]
 
 
-def _strikes(bench: Bench, kind: LatentKind) -> tuple[Matrix, Matrix]:
+def strikes(bench: Bench, kind: LatentKind) -> tuple[Matrix, Matrix]:
     """Score and information of a strike of strength one, (N, 1) or per BPM (N, n)."""
     shapes = kind.shapes(bench.record, bench.currents, bench.orbit)
     floor = bench.floor

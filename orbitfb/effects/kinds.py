@@ -304,6 +304,24 @@ class NoiseKind(EffectKind):
     def size(self, variance: float, reading_noise: float) -> float:
         """First parameter that belongs to κ; the inverse of `variance`."""
 
+    def spectrum(
+        self, values: Values, reading_noise: float, turn: NDArray[np.complex128]
+    ) -> Vector:
+        """Spectrum of what it adds to the steps of the readings from row to row, per b bᵀ.
+
+        Args:
+            values: All parameters.
+            reading_noise: As for `variance` [m].
+            turn: exp(−iω) of every frequency, shape (F,).
+
+        Returns:
+            κ(ω), shape (F,).
+        """
+        size = self.variance(values, reading_noise)
+        if self.colour == "walk":
+            return np.full(len(turn), size)
+        return size * np.abs(1.0 - turn) ** 2
+
 
 class LatentKind(EffectKind):
     """An effect that strikes single ticks at random: nobody knows which.

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import NoiseKind, Parameter, Values
@@ -61,6 +62,14 @@ class NoiseColoured(NoiseKind):
         """κ / r², within the bounds."""
         low, high = self.parameters[0].low, self.parameters[0].high
         return min(max(variance / reading_noise**2, low), high)
+
+    def spectrum(
+        self, values: Values, reading_noise: float, turn: NDArray[np.complex128]
+    ) -> Vector:
+        """That of the coloured noise less that of white noise of the same level."""
+        kept = values["correlation"]
+        coloured = (1.0 - kept**2) / np.abs(1.0 - kept * turn) ** 2
+        return reading_noise**2 * np.abs(1.0 - turn) ** 2 * (coloured - 1.0)
 
 
 class _Coloured:

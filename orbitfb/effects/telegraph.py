@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kicks import source_names, source_patterns
@@ -78,6 +79,14 @@ class Telegraph(NoiseKind):
     def size(self, variance: float, reading_noise: float) -> float:
         """θ at the typical probability, negative where there is less than nothing."""
         return math.copysign(math.sqrt(abs(variance) / (4.0 * _SWITCHES)), variance)
+
+    def spectrum(
+        self, values: Values, reading_noise: float, turn: NDArray[np.complex128]
+    ) -> Vector:
+        """Correlations fall by 1 − 2p per tick: flat only where the state lasts for long."""
+        kept = 1.0 - 2.0 * values["probability"]
+        level = values["kick"] ** 2 * (1.0 - kept**2)
+        return level * np.abs(1.0 - turn) ** 2 / np.abs(1.0 - kept * turn) ** 2
 
 
 class _Switching(Effect):

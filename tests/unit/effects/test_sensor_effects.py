@@ -297,10 +297,13 @@ def test_spikes_come_as_often_and_as_large_as_told(layout):
 
 
 def test_jitter_moves_readings_along_the_slope_of_the_orbit(layout):
-    kind, orbit = effect("clock-jitter"), walk(layout, 3000)
+    kind = effect("clock-jitter")
+    steps = np.random.default_rng(5).standard_normal((3000, len(layout.correctors)))
+    currents = np.cumsum(1e-3 * steps, axis=0)
+    orbit = currents @ layout.response.T
     record = record_of(layout, orbit)
     change = run(kind, layout, np.zeros(0, dtype=int), {"rms": 0.02}, orbit) - orbit
-    slope = kind.shapes(record, orbit, orbit)
+    slope = kind.shapes(record, currents, orbit)
     delay = np.sum(change[1:] * slope[1:], axis=1) / np.sum(slope[1:] ** 2, axis=1)
     assert_allclose(change[1:], delay[:, None] * slope[1:], rtol=0, atol=1e-12)
     assert np.std(delay) == pytest.approx(0.02, rel=4 / np.sqrt(2 * 3000))
