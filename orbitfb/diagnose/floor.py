@@ -20,6 +20,8 @@ _NEIGHBOURS = 4.0
 """Modes over which the evidence of neighbours fades to 1/e."""
 _SHARED = 0.3
 """Weight of the next neighbour's evidence."""
+_MOST_SHARED = 3.0
+"""Most that a neighbour can say against a level [nats]."""
 
 
 def noise_modes(layout: Layout) -> Matrix:
@@ -100,11 +102,14 @@ def _ends(starts: Mask) -> list[tuple[int, int]]:
 
 
 def _with_neighbours(cost: Matrix) -> Matrix:
-    """Add the evidence of neighbouring modes, fading with their distance."""
+    """Add the evidence of neighbouring modes, fading with their distance, and with its limit.
+
+    A mode that the record shows well has its own level, whatever its neighbours have.
+    """
     index = np.arange(cost.shape[1])
     distance = np.abs(np.subtract.outer(index, index))
-    weights = np.where(distance == 0, 1.0, _SHARED * np.exp(-(distance - 1.0) / _NEIGHBOURS))
-    return cost @ weights
+    weights = np.where(distance == 0, 0.0, _SHARED * np.exp(-(distance - 1.0) / _NEIGHBOURS))
+    return cost + np.minimum(cost - cost.min(axis=0), _MOST_SHARED) @ weights
 
 
 def _between(cost: Matrix, level: Indices) -> Vector:

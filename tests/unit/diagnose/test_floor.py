@@ -1,0 +1,21 @@
+"""The floor of modes whose walks differ by orders of magnitude."""
+
+import numpy as np
+
+from orbitfb.diagnose.floor import estimate_floor
+
+
+def test_strong_modes_keep_their_own_walk_beside_weak_ones():
+    walk = np.array([7.0, 6.0, 2.0, 1.5, 0.8, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005])
+    rows = 1000
+    rng = np.random.default_rng(0)
+    orbit = np.cumsum(rng.normal(size=(rows, len(walk))) * np.sqrt(walk), axis=0)
+    readings = orbit + rng.normal(size=orbit.shape)
+    starts = np.arange(rows) == 0
+
+    floor = estimate_floor(readings, starts, np.eye(len(walk)))
+
+    assert abs(floor.reading - 1.0) < 0.05
+    np.testing.assert_allclose(floor.walk[:8], walk[:8], rtol=0.25)
+    # Mean squares of 1000 rows scatter by 0.045.
+    np.testing.assert_allclose(np.mean(floor.whiten(readings, starts) ** 2, axis=0), 1.0, atol=0.15)
