@@ -17,10 +17,10 @@ from orbitfb.diagnose.ambiguity import NESTED
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import Draws, interval
 from orbitfb.diagnose.broken import BREAKING
+from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.load_rows import Transition, join
-from orbitfb.diagnose.scan import Candidate
 from orbitfb.diagnose.tournament import propose
 from orbitfb.effects.kinds import (
     ActuatorKind,

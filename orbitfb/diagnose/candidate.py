@@ -1,0 +1,56 @@
+"""What a scan proposes: a cause with the gain that it promises."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.explain import Cause
+from orbitfb.effects.kinds import EffectKind, Values
+
+KEPT = 3
+"""Candidates that every look at a kind keeps."""
+LAST_ONSET = 40
+FIRST_ONSET = 20
+"""Rows at the ends of a record in which no onset is looked for."""
+_LEAST_INFORMATION = 1e-3
+"""Information below which a change of typical size leaves no trace [nats]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A cause that the scan thinks worth a fit.
+
+    Args:
+        cause: What, where, how large (roughly), since when.
+        gain: Estimated gain of the log-likelihood [nats].
+        choices: Among how many places and onsets it was chosen.
+        group: Name of the group of devices that it strikes; empty for single ones.
+    """
+
+    cause: Cause
+    gain: float
+    choices: float
+    group: str = ""
+
+
+def best_strength(kind: EffectKind, score: Vector, info: Vector) -> tuple[Vector, Vector]:
+    """Best strength and its gain, of every place.
+
+    Where the change is linear in the parameter any strength will do; where it is not the change
+    itself is at stake, and the grid has others.
+    """
+    seen = info > _LEAST_INFORMATION
+    strength = np.divide(score, info, out=np.zeros_like(score), where=seen)
+    if kind.linear is None:
+        strength = np.ones_like(strength)
+    return strength, np.where(seen, strength * score - 0.5 * strength**2 * info, 0.0)
+
+
+def sized(kind: EffectKind, values: Values, strength: float) -> Values:
+    """Parameters at which the change is `strength` times that at `values`."""
+    if kind.linear is None:
+        return values
+    spec = next(p for p in kind.parameters if p.name == kind.linear)
+    value = spec.nominal + float(strength) * (values[kind.linear] - spec.nominal)
+    return {**values, kind.linear: float(np.clip(value, spec.low, spec.high))}

@@ -1,0 +1,156 @@
+"""What a change at any place of a bench would score, and how well it would be seen.
+
+A change of the prediction is a pattern times a driver, so that the score of all places is one
+product with λ and the information on them a sum over a few ladder filters. Patterns that depend on
+the bench alone are prepared once.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.innovation import Ladder
+from orbitfb.effects.kinds import ActuatorKind, EffectKind, SensorKind, SourceKind, Values
+from orbitfb.physics.optics import Matrix
+
+_ROUGH = 3
+"""Levels of the ladder for the first look at a whole grid of values."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """Patterns of P places, and what depends on nothing else.
+
+    Args:
+        patterns: Shape (n, P).
+        pull: λ · pattern of every row, shape (N, P).
+        fine: In the levels of the ladder.
+        rough: In the levels of the rough ladder.
+    """
+
+    patterns: Matrix
+    pull: Matrix
+    fine: list[Matrix]
+    rough: list[Matrix]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Changes:
+    """Changes of the prediction by P places: Σ over parts of pattern · driver.
+
+    Args:
+        parts: Pairs of shapes and drivers (N, P) or (N, 1).
+    """
+
+    parts: tuple[tuple[Shapes, Matrix], ...]
+
+
+class Scoring:
+    """Scores changes of the prediction on one bench.
+
+    Args:
+        bench: The record under the causes so far.
+
+    Attributes:
+        ladder: Of filters that whiten patterns and drivers apart.
+    """
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+        self.ladder = Ladder(bench.floor)
+        self._rough = Ladder(bench.floor, _ROUGH)
+        self._starts = bench.record.starts
+        self._known: dict[str, Shapes] = {}
+        self._gain_courses = {
+            "correctors": self._rough.filtered(bench.currents, self._starts),
+            "bpms": self._rough.filtered(bench.orbit, self._starts),
+        }
+
+    def courses(self, drivers: Matrix) -> list[Matrix]:
+        """Filter drivers (N, P) as every level of the ladder does."""
+        return self.ladder.filtered(drivers, self._starts)
+
+    def correctors(self) -> Shapes:
+        """Give the orbit that every corrector makes."""
+        return self._shapes("correctors", lambda: self._bench.record.layout.response)
+
+    def changes(self, kind: EffectKind, values: Values) -> Changes:
+        """Tell how the prediction changes by every place at once."""
+        bench, record = self._bench, self._bench.record
+        if isinstance(kind, ActuatorKind):
+            moved = kind.drive(bench.currents, values, record) - bench.currents
+            return Changes(((self.correctors(), moved),))
+        if isinstance(kind, SensorKind):
+            # What is not small has taken the predicted orbit with it: take the model's own.
+            small = bool(kind.parameters)
+            orbit = bench.orbit if small else bench.currents @ record.layout.response.T
+            moved = kind.distort(orbit, values, record) - orbit
+            return Changes(((self._shapes("bpms", lambda: np.eye(moved.shape[1])), moved),))
+        if isinstance(kind, SourceKind):
+            patterns = kind.patterns(record.layout)
+            drivers = kind.drivers(values, record, bench.currents, bench.orbit)
+            if drivers.ndim == 2:
+                return Changes(((self._shapes(kind.id, lambda: patterns), drivers),))
+            parts: list[tuple[Shapes, Matrix]] = []
+            for plane, driver in zip(("x", "y"), drivers, strict=True):
+                rows = record.layout.bpms.in_plane(plane)
+                if len(rows):
+                    own = np.zeros_like(patterns)
+                    own[rows] = patterns[rows]
+                    shapes = self._shapes(f"{kind.id} {plane}", lambda own=own: own)
+                    parts.append((shapes, driver))
+            return Changes(tuple(parts))
+        raise TypeError(f"{kind.id} has no places to scan")
+
+    def _shapes(self, name: str, patterns: Callable[[], Matrix]) -> Shapes:
+        """Patterns by name, prepared once."""
+        if name not in self._known:
+            own = patterns()
+            self._known[name] = Shapes(
+                own, self._bench.slope @ own, self.ladder.shapes(own), self._rough.shapes(own)
+            )
+        return self._known[name]
+
+    def score(self, changes: Changes) -> Vector:
+        """Score of every place, shape (P,)."""
+        total: Vector = np.zeros(1)
+        for shapes, drivers in changes.parts:
+            if drivers.shape[1] == 1:
+                total = total + drivers[:, 0] @ shapes.pull
+            else:
+                total = total + np.einsum("kp,kp->p", shapes.pull, drivers)
+        return total
+
+    def information(self, kind: EffectKind, changes: Changes) -> tuple[Vector, Vector]:
+        """Information on every place, and the share of it that the background takes away."""
+        total: Vector = np.zeros(1)
+        sizes: list[Vector] = []
+        courses: list[Matrix] = []
+        for shapes, drivers in changes.parts:
+            sizes = [np.sum(shape**2, axis=0) for shape in shapes.rough]
+            courses = self._rough.filtered(drivers, self._starts)
+            for size, course in zip(sizes, courses, strict=True):
+                total = total + size * np.einsum("kp,kp->p", course, course)
+        if not isinstance(kind, ActuatorKind | SensorKind):
+            return total, np.zeros_like(total)
+        actuator = isinstance(kind, ActuatorKind)
+        like = self._gain_courses["correctors" if actuator else "bpms"]
+        both, own = np.zeros_like(total), np.zeros_like(total)
+        for size, course, gain in zip(sizes, courses, like, strict=True):
+            both += size * np.einsum("kp,kp->p", course, gain)
+            own += size * np.einsum("kp,kp->p", gain, gain)
+        alike = both**2 / np.maximum(total * own, 1e-300)
+        absorbed = self._bench.background.absorbed("correctors" if actuator else "bpms")
+        return total, np.clip(alike, 0.0, 1.0) * absorbed
+
+    def whole(self, change: Matrix) -> tuple[Vector, Vector]:
+        """Give score and information, shape (1,), of one change of all readings (N, n)."""
+        score = np.sum(self._bench.slope * change)
+        return np.asarray(score)[None], np.asarray(self.seen(change))[None]
+
+    def seen(self, change: Matrix) -> float:
+        """Tell the information on one change of all readings (N, n) [nats]."""
+        return float(np.sum(self._bench.floor.whiten(change, self._starts) ** 2))
