@@ -196,9 +196,12 @@ def fewest_blocks(threshold: float) -> tuple[float, float]:
     Args:
         threshold: h [nats].
     """
-    found = scipy.optimize.minimize_scalar(
-        lambda logarithm: math.log(blocks_between_alarms(threshold, math.exp(logarithm))),
-        bounds=(-3.0, 3.0),
-        method="bounded",
+    found = cast(
+        scipy.optimize.OptimizeResult,
+        scipy.optimize.minimize_scalar(
+            lambda logarithm: math.log(blocks_between_alarms(threshold, math.exp(logarithm))),
+            bounds=(-3.0, 3.0),
+            method="bounded",
+        ),
     )
     return math.exp(found.fun), math.exp(found.x)
