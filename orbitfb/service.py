@@ -18,8 +18,8 @@ from orbitfb.core.ports import Machine, Policy
 from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.signals import LoopState
 from orbitfb.diagnose.broken import Screen
-from orbitfb.diagnose.devices import ring_layout
 from orbitfb.diagnose.live import GapProcess, GapWatch
+from orbitfb.effects.build import layout_of
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 from orbitfb.history.archive import ArchiveWriter
@@ -345,7 +345,7 @@ class Service:
 
     def _gap_watch(self, config: AppConfig, ring: Ring, stack: ExitStack) -> GapWatch:
         """Watch the gap between model and machine, if that is wanted."""
-        layout = ring_layout(ring, config.ring.planes, period=config.loop.period)
+        layout = layout_of(ring, config.ring.planes, config.loop.period)
         looker = GapProcess(layout)
         watch = GapWatch(
             config.diagnose.live, self.history, looker.look, self._gap_seen, self._look_failed

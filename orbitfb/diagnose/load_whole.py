@@ -7,7 +7,6 @@ import numpy as np
 
 from orbitfb.core.errors import RecordError
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.devices import devices
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.load_archive import read_transitions
 from orbitfb.diagnose.load_exchange import dropped_columns, transitions_from
@@ -22,6 +21,7 @@ from orbitfb.diagnose.load_names import (
 )
 from orbitfb.diagnose.load_raw import Raw
 from orbitfb.diagnose.load_rows import Transition, join
+from orbitfb.effects.build import devices_of
 from orbitfb.effects.layout import ChannelPlane, Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -222,8 +222,8 @@ def _assemble(
     kept_bpms = np.flatnonzero(in_bpms)
     kept_correctors = np.flatnonzero(in_correctors)
     layout = Layout(
-        bpms=devices([bpms.names[i] for i in kept_bpms], [bpms.planes[i] for i in kept_bpms]),
-        correctors=devices(
+        bpms=devices_of([bpms.names[i] for i in kept_bpms], [bpms.planes[i] for i in kept_bpms]),
+        correctors=devices_of(
             [correctors.names[i] for i in kept_correctors],
             [correctors.planes[i] for i in kept_correctors],
         ),

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.devices import DEFAULT_PERIOD, ring_layout
 from orbitfb.diagnose.digest import digest_of
+from orbitfb.effects.build import layout_of
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect, generator
@@ -18,6 +18,9 @@ from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 RUNAWAY = 5e-3
 """Orbit at which a simulated run ends, as an interlock would end it, rms [m]."""
+
+DEFAULT_PERIOD = 0.1
+"""From one orbit to the next when nobody says [s]."""
 
 _SMOOTH_MODES = 20
 
@@ -77,7 +80,7 @@ def simulate_record(
         excitation: Excursion around the setpoints of the feedback at the last rows of the
             record, shape (T, m) [A]; the rows before it are as they were.
     """
-    layout = ring_layout(ring, planes, response, period)
+    layout = layout_of(ring, planes, period, response)
     policy = SvdPolicy(layout.response, SvdSettings(gain=gain, regularisation=regularisation))
     machine = Plant(ring, planes, plant, seed, effects)
     rows = settle + ticks + 1

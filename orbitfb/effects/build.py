@@ -3,7 +3,6 @@
 import copy
 from collections import Counter
 from collections.abc import Sequence
-from typing import cast
 
 import numpy as np
 
@@ -56,6 +55,16 @@ class Since(Effect):
         return self._effect.sense(orbit, tick - self._zero)
 
 
+def devices_of(names: Sequence[str], planes: Sequence[ChannelPlane]) -> Devices:
+    """Describe the devices behind columns; their cells come from their names.
+
+    Args:
+        names: k names.
+        planes: k planes.
+    """
+    return Devices(tuple(names), tuple(planes), tuple(map(cell_of, names)))
+
+
 def layout_of(ring: Ring, planes: Planes, period: float, response: Matrix | None = None) -> Layout:
     """Describe the devices of a ring.
 
@@ -65,16 +74,17 @@ def layout_of(ring: Ring, planes: Planes, period: float, response: Matrix | None
         period: From one orbit to the next [s].
         response: Nominal response, shape (n, m) [m/A]; that of the optics when None.
     """
-    channels = ring.channels(planes)
     each = split(planes)
-
-    def devices(names: tuple[str, ...]) -> Devices:
-        own = len(names) // len(each)
-        columns = cast(tuple[ChannelPlane, ...], tuple(plane for plane in each for _ in range(own)))
-        return Devices(names, columns, tuple(map(cell_of, names)))
-
-    matrix = nominal_response(ring, planes) if response is None else response
-    return Layout(devices(channels.bpms), devices(channels.correctors), matrix, period, ring)
+    bpms, correctors = ring.names("BPM"), ring.names("COR")
+    return Layout(
+        bpms=devices_of(bpms * len(each), [plane for plane in each for _ in bpms]),
+        correctors=devices_of(
+            correctors * len(each), [plane for plane in each for _ in correctors]
+        ),
+        response=nominal_response(ring, planes) if response is None else response,
+        period=period,
+        ring=ring,
+    )
 
 
 def build(settings: Sequence[EffectSettings], layout: Layout, seed: int) -> tuple[Effect, ...]:

@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.devices import ring_layout
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import effect
 from orbitfb.physics.places import Ring
 
@@ -26,8 +26,11 @@ def record(with_error, ticks=400, seed=5, dither=2e-5):
     if with_error:
         cause = gain_error()
         rng = np.random.default_rng(0)
+        layout = layout_of(ring, "x", 0.1)
         effects = [
-            cause.kind.simulate(ring_layout(ring), np.array(cause.places), cause.values, rng)
+            cause.kind.simulate(
+                layout_of(ring, "x", 0.1), np.array(cause.places), cause.values, rng
+            )
         ]
     return simulate_record(ring, ticks=ticks, seed=seed, effects=effects, dither=dither)
 

@@ -5,9 +5,9 @@ from gap_cases import GAIN, PLACE, bench
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.ceiling import ceiling
-from orbitfb.diagnose.devices import ring_layout
 from orbitfb.diagnose.gap import UNEXPLAINED, gap
 from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import effect
 from orbitfb.physics.places import Ring
 
@@ -19,7 +19,9 @@ def test_nothing_is_left_of_records_without_a_gap():
 
 def test_a_late_loop_that_nobody_named_is_seen():
     ring, kind = Ring.load(), effect("corrector-lag")
-    late = kind.simulate(ring_layout(ring), np.arange(180), {"tau": 0.05}, np.random.default_rng(0))
+    late = kind.simulate(
+        layout_of(ring, "x", 0.1), np.arange(180), {"tau": 0.05}, np.random.default_rng(0)
+    )
     its = Bench(simulate_record(ring, ticks=400, seed=5, effects=[late], dither=2e-5))
     found = ceiling(its)
     assert found.resolved

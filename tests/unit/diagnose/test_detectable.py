@@ -6,13 +6,13 @@ import pytest
 from orbitfb.diagnose.ambiguity import classes, cosines, declared, identifiability
 from orbitfb.diagnose.background import GAIN_RMS
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.detectable import detectable, information_of
 from orbitfb.diagnose.detectable_random import ENOUGH
-from orbitfb.diagnose.devices import ring_layout
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.scan import Candidate
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.tournament import Entry
+from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import all_effects, effect
 from orbitfb.physics.places import Ring
 
@@ -55,7 +55,7 @@ def test_a_gain_of_the_size_told_gives_the_nats_promised(bench: Bench, name: str
 
 
 def test_healthy_errors_do_their_best_against_a_gain_however_strongly_it_is_excited() -> None:
-    layout = ring_layout(Ring.load())
+    layout = layout_of(Ring.load(), "x", 0.1)
     pattern = np.linalg.lstsq(layout.response, layout.response[:, 50], rcond=0.2)[0]
     levels = np.resize([1.0, -1.0, 2.0, -2.0], 300)[:, None]
     bench = Bench(

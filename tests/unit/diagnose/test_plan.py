@@ -9,12 +9,12 @@ import pytest
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Channels
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.devices import ring_layout
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.plan import ENOUGH, Plan, limits_of, plan, plan_for
 from orbitfb.diagnose.plan_response import answered, loop_gains
 from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.effects.build import layout_of
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import effect
 from orbitfb.loop.excitation_design import check_excitation
@@ -23,7 +23,7 @@ from orbitfb.physics.places import Ring
 from orbitfb.safety.limits import LimitSettings
 
 RING = Ring.load()
-LAYOUT = ring_layout(RING)
+LAYOUT = layout_of(RING, "x", 0.1)
 
 
 def recorded(

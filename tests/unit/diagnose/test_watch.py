@@ -10,17 +10,17 @@ from orbitfb.core.gap import GapSight
 from orbitfb.core.signals import Channels
 from orbitfb.core.transitions import Transitions
 from orbitfb.diagnose.broken import Broken, Screen, broken_at_sight, broken_rows, screened
-from orbitfb.diagnose.devices import ring_layout
 from orbitfb.diagnose.live import GapWatch
 from orbitfb.diagnose.settings import LiveSettings
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.watch import FEWEST, look, record_of
+from orbitfb.effects.build import layout_of
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import effect
 from orbitfb.physics.places import Ring
 
 RING = Ring.load()
-LAYOUT = ring_layout(RING)
+LAYOUT = layout_of(RING, "x", 0.1)
 CHANNELS = Channels("x", LAYOUT.bpms.names, LAYOUT.correctors.names, (), (), ())
 KINDS = [
     effect(name)
