@@ -15,7 +15,7 @@ from orbitfb.physics.optics import Matrix
 
 _PASSES = 2
 _MOST_STEPS = 8
-_SOLVED = 0.05
+_SOLVED = 0.1
 """Gain of a step of the background's sizes below which they are the best [nats]."""
 
 
@@ -49,6 +49,7 @@ class Bench:
         self.scale = background
         self.told_floor = floor is not None
         modes = noise_modes(record.layout) if modes is None else modes
+        self._nearby: tuple[Vector, Matrix] = (np.zeros(0), np.zeros((0, 0)))
         self.currents = actuated(record, self.causes)
         self.orbit = record.readings
         leftover = explain(record, self.causes, self.orbit)
@@ -67,7 +68,9 @@ class Bench:
         if floor is None:
             self.floor = estimate_floor(leftover.left - healthy, record.starts, modes)
             self.background.prepare(self.floor)
+        self.remember(self.sizes)
         self.white, self.sizes, self.jacobian = self.residual(())
+        self.remember(self.sizes)
         self.slope = self.floor.adjoint(self.white, record.starts)
 
     def residual(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
@@ -86,14 +89,18 @@ class Bench:
     def _healed(self, left: Matrix) -> tuple[Matrix, Vector]:
         """Take the best healthy errors out of what is left: preconditioned conjugate gradients.
 
-        The ladder's information is nearly exact, so the first step is nearly the answer, except
-        for changes that the record shows very well.
+        They begin where those of the bench are. The ladder's information is nearly exact, so the
+        first step is nearly the answer, except for changes that the record shows very well.
         """
         floor, background, starts = self.floor, self.background, self.record.starts
         white = floor.whiten(left, starts)
-        gradient = background.gradient(floor.adjoint(white, starts))
-        sizes = np.zeros_like(gradient)
-        if not len(sizes):
+        sizes = self._nearby[0]
+        if len(sizes):
+            white -= self._nearby[1]
+        known = sizes if len(sizes) else None
+        gradient = background.gradient(floor.adjoint(white, starts), known)
+        sizes = np.zeros_like(gradient) if known is None else known
+        if not len(gradient):
             return white, sizes
         direction, before = np.zeros_like(sizes), 0.0
         for _ in range(_MOST_STEPS):
@@ -112,10 +119,16 @@ class Bench:
             gradient = background.gradient(floor.adjoint(white, starts), sizes)
         return white, sizes
 
+    def remember(self, sizes: Vector) -> None:
+        """Begin to look for healthy errors at these, under the floor as it is."""
+        change = self.floor.whiten(self.background.orbit(sizes), self.record.starts)
+        self._nearby = (sizes, change)
+
     def with_floor(self, floor: NoiseFloor) -> "Bench":
         """The same causes judged under another floor; the background's information stays."""
         other = copy.copy(self)
         other.floor = floor
+        other.remember(self.sizes)
         other.white, other.sizes, other.jacobian = other.residual(())
         other.slope = floor.adjoint(other.white, self.record.starts)
         return other

@@ -22,7 +22,7 @@ from orbitfb.diagnose.randomness import (
 from orbitfb.diagnose.scan import Candidate, Scanner
 from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
 
-FINALISTS = 14
+FINALISTS = 10
 """Most candidates that are fitted exactly."""
 _LEAST_FINALISTS = 3
 _HOPELESS = 0.25
