@@ -29,7 +29,7 @@ from orbitfb.physics.optics import Matrix
 
 BLOCK = 25
 """Ticks of a block of the split, and of the variance of the scores."""
-_STEPS = 6
+_STEPS = 12
 _ENOUGH = 0.01
 """Gain of a step below which the search ends [nats]."""
 _PARABOLIC = 0.02
@@ -109,12 +109,12 @@ def fit(bench: Bench, causes: Sequence[Cause], *, precise: bool = False) -> Fit:
         best, now = line_search(problem, best, now)
     searched = [index for index in range(len(best)) if index not in problem.smooth]
     for index in searched:
-        best[index] = rough_search(problem, best, index)
+        best = rough_search(problem, best, index)
         now = problem.residual(best)
     best, now, slopes = _climb(problem, best, now)
     if slopes and searched:
         for index in searched:
-            best[index] = rough_search(problem, best, index, near=True)
+            best = rough_search(problem, best, index, near=True)
         best, now, slopes = _climb(problem, best, problem.residual(best))
     return _result(problem, best, now, slopes, precise=precise)
 

@@ -8,11 +8,13 @@ from orbitfb.diagnose.bench import log_likelihood
 from orbitfb.diagnose.problem import Left, Problem, from_fitted
 from orbitfb.effects.kinds import SourceKind
 
-_TRIALS = np.linspace(-1.0, 1.0, 9)
+_TRIALS = np.linspace(-1.0, 1.0, 15)
+_FEW_TRIALS = np.linspace(-1.0, 1.0, 7)
+"""Where a linear parameter follows, the likelihood bends but does not jump."""
 _REACH = 0.45
 """How far a search goes at first: in the logarithm, or as a share of the value."""
-_ZOOM = 0.25
-_ZOOMS = 7
+_ZOOM = 0.3
+_ZOOMS = 6
 _FLAT = 0.3
 """Difference of the likelihood within a window below which nothing is left to find [nats]."""
 _BOTTOM = 8.0
@@ -42,7 +44,7 @@ def line_search(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left
     return there, problem.residual(there)
 
 
-def rough_search(problem: Problem, best: Vector, index: int, *, near: bool = False) -> float:
+def rough_search(problem: Problem, best: Vector, index: int, *, near: bool = False) -> Vector:
     """Find the best value of a parameter in which the likelihood jumps, by ever closer looks.
 
     Args:
@@ -50,18 +52,24 @@ def rough_search(problem: Problem, best: Vector, index: int, *, near: bool = Fal
         best: Their values so far.
         index: Of the one to search.
         near: Whether it was searched before and only others moved since.
+
+    Returns:
+        All values, shape (k,).
     """
     parameter = problem.parameters[index][1]
     if parameter.whole:
         numbers = np.arange(np.ceil(parameter.low), np.floor(parameter.high) + 1.0)
         numbers = numbers[np.abs(numbers - best[index]) <= 6.0]
-        return max(map(float, numbers), key=lambda n: problem.likelihood(best, index, n))
+        top = max(map(float, numbers), key=lambda n: problem.likelihood(best, index, n))
+        return problem.beside(best, index, top)[1]
     centre = float(best[index])
     height = problem.likelihood(best, index, centre)
     reach = _REACH if parameter.log else _REACH * (abs(centre) or float(problem.scale[index]))
     reach *= _ZOOM**2 if near else 1.0
+    follows = problem.causes[problem.parameters[index][0]].kind.linear is not None
+    offsets = _FEW_TRIALS if follows else _TRIALS
     for _ in range(_ZOOMS):
-        trials = np.clip(centre + reach * _TRIALS, problem.low[index], problem.high[index])
+        trials = np.clip(centre + reach * offsets, problem.low[index], problem.high[index])
         heights = [problem.likelihood(best, index, float(number)) for number in trials]
         top = int(np.argmax(heights))
         if heights[top] > height:
@@ -69,7 +77,7 @@ def rough_search(problem: Problem, best: Vector, index: int, *, near: bool = Fal
         if height - min(heights) < _FLAT:
             break
         reach *= _ZOOM
-    return centre
+    return problem.beside(best, index, centre)[1]
 
 
 def rough_width(problem: Problem, best: Vector, index: int) -> float:

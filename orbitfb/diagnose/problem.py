@@ -76,10 +76,37 @@ class Problem:
         return self.bench.residual(self.at(vector))
 
     def likelihood(self, vector: Vector, index: int, number: float) -> float:
-        """Log-likelihood with one value changed [nats]."""
+        """Log-likelihood with one value changed, as `beside` does [nats]."""
+        return self.beside(vector, index, number)[0]
+
+    def beside(self, vector: Vector, index: int, number: float) -> tuple[float, Vector]:
+        """Change one value; let the one in which its cause is linear, if it has one, follow.
+
+        Returns:
+            Log-likelihood [nats], and all values, shape (k,).
+        """
         there = vector.copy()
         there[index] = number
-        return log_likelihood(*self.residual(there))
+        now = self.residual(there)
+        height, own = log_likelihood(*now), self.parameters[index][0]
+        linear = [
+            at
+            for at, (owner, p) in enumerate(self.parameters)
+            if owner == own and at != index and p.name == self.causes[own].kind.linear
+        ]
+        if not linear:
+            return height, there
+        further = there.copy()
+        further[linear[0]] += 0.5 * self.scale[linear[0]]
+        moved = self.residual(further)
+        white, sizes = moved[0] - now[0], moved[1] - now[1]
+        gradient = float(np.sum(white * now[0]) + np.sum(sizes * now[1]))
+        curvature = float(np.sum(white**2) + np.sum(sizes**2))
+        if curvature <= 0.0:
+            return height, there
+        best = there[linear[0]] - 0.5 * self.scale[linear[0]] * gradient / curvature
+        there[linear[0]] = float(np.clip(best, self.low[linear[0]], self.high[linear[0]]))
+        return height + 0.5 * gradient**2 / curvature, there
 
 
 def to_fitted(parameter: Parameter, value: float) -> float:

@@ -76,6 +76,11 @@ def state(bench: Bench, cause: Cause) -> Stated:
     return _best(bench, cause, lambda values: _struck(bench, replace(cause, values=values)))
 
 
+def likelihood_of(bench: Bench, cause: Cause) -> Callable[[Values], float]:
+    """Log-likelihood of a noise's values at its places under the floor, up to a constant [nats]."""
+    return _Spectra(bench, cause).log_likelihood
+
+
 def _level(bench: Bench, cause: Cause) -> Stated:
     """Levels of all places together keep their values; their interval is that of a variance."""
     reach = _WIDTH * np.sqrt(0.5 / max(len(bench.record) - cause.onset, 2))

@@ -36,6 +36,7 @@ class InsertionDevice(SourceKind):
             10.0,
             "Time in which it closes; without effect where the record has its gap.",
             log=True,
+            rough=True,
         ),
     )
     title = "kick by the gap of an insertion device"
