@@ -26,7 +26,6 @@ def record(with_error, ticks=400, seed=5, dither=2e-5):
     if with_error:
         cause = gain_error()
         rng = np.random.default_rng(0)
-        layout = layout_of(ring, "x", 0.1)
         effects = [
             cause.kind.simulate(
                 layout_of(ring, "x", 0.1), np.array(cause.places), cause.values, rng
