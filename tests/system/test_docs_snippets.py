@@ -33,10 +33,12 @@ pytestmark = pytest.mark.system
 
 ROOT = Path(__file__).parents[2]
 TUTORIALS = sorted((ROOT / "docs/tutorials").glob("*.md"))
+LONG = {"find-the-cause": (pytest.mark.slow, pytest.mark.timeout(600))}
+"""Marks of pages that take more than half a minute."""
 PIECE = re.compile(r"(?:<!-- test: (?P<orders>[^>]*?) -->\n)?```(?P<kind>\w+)\n(?P<body>.*?)```\n"
                    r"|<!-- test: (?P<alone>stop) -->", re.DOTALL)  # fmt: skip
 NUMBER = r"[-+]?\d[\d.:]*(?:e[-+]?\d+)?"
-VARIABLE = re.compile(rf"svd-[0-9a-f]{{12}}|\d{{4}}-\d\d-\d\dT\S+|{NUMBER}")
+VARIABLE = re.compile(rf"(?:svd|modal)-[0-9a-f]{{12}}|\d{{4}}-\d\d-\d\dT\S+|{NUMBER}")
 END = "__end_of_command__"
 
 
@@ -225,7 +227,10 @@ class Session:
                 assert line is None, f"$ {command}\nthe page shows\n{line}\nbut\n{output}"
 
 
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, id=page.stem, marks=LONG.get(page.stem, ())) for page in TUTORIALS],
+)
 def test_tutorial_does_what_it_says(page, tmp_path):
     with contextlib.ExitStack() as stack:
         session = Session(tmp_path, stack)
