@@ -109,11 +109,16 @@ class Problem:
         return height + 0.5 * gradient**2 / curvature, there
 
 
+_NEGLIGIBLE = 1e-6
+"""Share of a typical size that is as good as none."""
+
+
 def to_fitted(parameter: Parameter, value: float) -> float:
     """The number that is fitted for a value."""
     if not parameter.log:
         return value
-    return float(np.log(max(value, parameter.low, parameter.high * 1e-9)))
+    least = parameter.low or parameter.typical * _NEGLIGIBLE
+    return float(np.log(max(value, least)))
 
 
 def from_fitted(parameter: Parameter, number: float) -> float:
