@@ -87,4 +87,6 @@ def diagnose_plan(
     print(experiment.text)
     if experiment.limits:
         print(f"limits: {experiment.limits}")
-    print(f"run it: orbitfb run --excite {out}" if experiment.file else "nothing was written")
+    print(
+        f"run it: orbitfb run --ioc … --excite {out}" if experiment.file else "nothing was written"
+    )
