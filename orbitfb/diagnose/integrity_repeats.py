@@ -34,6 +34,8 @@ def check_repeats(record: Record) -> list[Finding]:
     # equal[k]: reading k + 1 repeats reading k.
     equal = np.diff(record.readings, axis=0) == 0.0
     equal &= inner(record)[:, None] & ~record.filled[1:] & ~record.filled[:-1]
+    if len(equal) and np.median(np.ptp(record.readings, axis=0)) == 0.0:
+        return _whole_orbits(record, np.ones(len(equal), dtype=np.bool_))
     usual = float(np.median(equal.mean(axis=0)))
     if usual > _COARSE and np.median(_distinct(record)) < _FEW_VALUES:
         text = (
@@ -70,7 +72,7 @@ def _whole_orbits(record: Record, whole: Mask) -> list[Finding]:
     span = (int(rows[0]), int(rows[-1]))
     if count > _MOST_REPEATS * len(whole):
         text = (
-            f"all BPMs stand still in {100 * count / len(whole):.0f} % of the rows; give a record "
+            f"most BPMs stand still in {100 * count / len(whole):.0f} % of the rows; give a record "
             "in which the orbit was read"
         )
         return [Finding("frozen-orbit", "failure", (), span, text)]

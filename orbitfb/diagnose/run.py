@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
 
+from orbitfb.core.errors import RecordError
 from orbitfb.diagnose.answer import Diagnosis
 from orbitfb.diagnose.answer_parts import Finding, Provenance
 from orbitfb.diagnose.engine import diagnose
@@ -12,11 +13,15 @@ from orbitfb.diagnose.integrity import screen
 from orbitfb.diagnose.load import load
 from orbitfb.diagnose.provenance import versions
 from orbitfb.diagnose.wording import headline
+from orbitfb.effects.layout import Devices
 from orbitfb.effects.record import Record
 from orbitfb.physics.places import Planes, Ring
 
 Progress = Callable[[str, float], None]
 """Told what is being done and what share of the whole is done."""
+
+_SAME_PERIOD = 0.1
+"""Share by which the periods of two records may differ: what moves per tick goes with it."""
 
 
 def diagnose_files(
@@ -43,12 +48,13 @@ def diagnose_files(
         progress: Is told how far it is.
 
     Raises:
-        RecordError: A record cannot be read, or has an array that is wrong.
+        RecordError: A record cannot be read, or has an array that is wrong; or reference or later
+            record are of other devices, of another rate, or not intact.
     """
     progress("reading", 0.0)
     loaded = load(record, planes=planes, ring=ring)
     others = [
-        None if path is None else load(path, planes=planes, ring=ring).record
+        None if path is None else _beside(loaded.record, path, planes, ring)
         for path in (reference, holdout)
     ]
     progress("screening", 0.0)
@@ -66,6 +72,40 @@ def diagnose_files(
     )
     merged = tuple(dict.fromkeys((*findings, *answer.findings)))
     return answer.model_copy(update={"findings": merged})
+
+
+def _beside(record: Record, path: Path, planes: Planes | None, ring: Ring | None) -> Record:
+    """Read a record that is to be looked at together with the one in question."""
+    loaded = load(path, planes=planes, ring=ring)
+    other, own = loaded.record.layout, record.layout
+    for array, its, wanted in (
+        ("bpm_names", other.bpms, own.bpms),
+        ("corr_names", other.correctors, own.correctors),
+    ):
+        if its != wanted:
+            raise RecordError(
+                f"{path}: array '{array}' is not that of {record.source}: "
+                f"{_first_difference(its, wanted)}; give a record of the same devices in the "
+                "same order"
+            )
+    if abs(other.period - own.period) > _SAME_PERIOD * own.period:
+        raise RecordError(
+            f"{path}: array 't' says that orbits are {other.period:g} s apart, in {record.source} "
+            f"they are {own.period:g} s apart; give a record of the same rate"
+        )
+    for finding in (*loaded.findings, *screen(loaded.record)):
+        if finding.severity == "failure":
+            raise RecordError(f"{path}: not intact: {finding.text}")
+    return loaded.record
+
+
+def _first_difference(its: Devices, wanted: Devices) -> str:
+    if len(its) != len(wanted):
+        return f"it names {len(its)} devices in place of {len(wanted)}"
+    for column in range(len(its)):
+        if its.label(column) != wanted.label(column):
+            return f"column {column} is {its.label(column)} in place of {wanted.label(column)}"
+    return "the devices are in other cells"
 
 
 def reported(findings: Iterable[Found]) -> tuple[Finding, ...]:

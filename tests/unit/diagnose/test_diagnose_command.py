@@ -8,6 +8,7 @@ from types import ModuleType, SimpleNamespace
 
 import examples
 import pytest
+import record_files
 from typer.testing import CliRunner
 
 from orbitfb.cli.app import app
@@ -26,7 +27,7 @@ def engine(monkeypatch):
     """What reads, screens and estimates, with answers to be chosen."""
     its = SimpleNamespace(answer=examples.named(), findings=(), noticed=(), calls=[])
 
-    def diagnose(record, reference, holdout, *, seed, without, progress):
+    def diagnose(record, reference, holdout, *, seed, without, findings, progress):
         progress("scanning", 0.5)
         its.calls.append((record, reference, holdout, seed))
         return its.answer
@@ -96,6 +97,26 @@ def test_reference_and_later_record_reach_the_engine(engine, record, tmp_path):
     later.write_bytes(b"")
     assert run(record, "--reference", record, "--holdout", later).exit_code == 0
     assert [its.name for its in engine.calls[0][:3]] == ["shift.npz", "shift.npz", "later.npz"]
+
+
+@pytest.mark.parametrize("option", ["--reference", "--holdout"])
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda made: {"bpm_names": made["bpm_names"][::-1]}, "'bpm_names' is not that of"),
+        (lambda made: {"t": 2 * made["t"]}, "'t' says that orbits are"),
+        (lambda made: dict.fromkeys(("orbit", "next_orbit"), 0 * made["orbit"]), "stand still"),
+    ],
+)
+def test_a_record_beside_it_has_to_fit(tmp_path, option, spoil, said):
+    made = record_files.small()
+    asked = record_files.save(tmp_path / "asked.npz", made)
+    beside = record_files.save(tmp_path / "beside.npz", made | spoil(made))
+    result = run(asked, option, beside)
+    assert isinstance(result.exception, RecordError)
+    assert said in str(result.exception)
+    assert "beside.npz" in str(result.exception)
+    assert not (tmp_path / "asked.diagnosis").exists()
 
 
 def test_json_on_the_terminal_is_the_file_and_nothing_else(engine, record, tmp_path):

@@ -144,6 +144,13 @@ def test_all_bpms_frozen_make_a_diagnosis_nonsense():
     assert found[0].check == "frozen-orbit"
 
 
+def test_orbits_that_never_move_are_not_readings_of_few_bits():
+    made = record(ticks=400)
+    found = screen(replace(made, readings=np.zeros_like(made.readings)))
+    assert is_hopeless(found)
+    assert found[0].check == "frozen-orbit"
+
+
 def test_readings_of_few_bits_are_not_frozen():
     made = record(ticks=600, steering_rms=30e-6)
     readings = 1e-6 * np.round(made.readings / 1e-6)
