@@ -1,0 +1,265 @@
+"""The composition root: builds everything from the configuration, and starts it."""
+
+import gc
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import structlog
+
+from orbitfb.config import AppConfig
+from orbitfb.control import ControlServer, Lock
+from orbitfb.core.clock import SystemClock
+from orbitfb.core.ports import Machine
+from orbitfb.core.signals import LoopState
+from orbitfb.diagnose.broken import Screen
+from orbitfb.diagnose.live import GapProcess, GapWatch
+from orbitfb.effects.build import layout_of
+from orbitfb.epics.machine import EpicsMachine
+from orbitfb.history.archive import ArchiveWriter
+from orbitfb.history.buffer import History
+from orbitfb.keeper import Keeper
+from orbitfb.learn.builders import loop_gain, masked
+from orbitfb.learn.worker import LearnerThread
+from orbitfb.loop.dither import Dither
+from orbitfb.loop.excitation import Excitation
+from orbitfb.loop.masked import MaskedMachine
+from orbitfb.loop.runner import Runner
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.maintenance import baseline, open_store, sim_job, trainer
+from orbitfb.observe.event_log import EventLog
+from orbitfb.observe.http import ObserveServer
+from orbitfb.observe.logs import configure_logs
+from orbitfb.observe.metrics import metrics_registry
+from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.observe.terminal import Terminal
+from orbitfb.observe.view import Surroundings
+from orbitfb.own_ring import OwnRing
+from orbitfb.physics.places import Ring
+from orbitfb.policies.masking import mask_of
+from orbitfb.policies.stability import growth_of, warning_of
+from orbitfb.remote import Remote
+from orbitfb.reports import Reports, say_excitation
+from orbitfb.startup import (
+    SIMULATED,
+    announcement,
+    check_limits,
+    dither_settings,
+    find_ring,
+    make_directory,
+    planned,
+    take_ring,
+)
+
+_log = structlog.stdlib.get_logger("orbitfb.service")
+
+SHORTEST_POLL, LONGEST_POLL = 0.02, 0.2
+"""Bounds of how often the learner looks for new ticks [s]."""
+
+
+class Service:
+    """Everything that runs beside the loop, and the loop.
+
+    Args:
+        config: The configuration.
+        ioc: `sim`, `env`, `config` or `HOST[:PORT]`.
+        start: State to start in.
+        duration: Time to run [s], for the display; None: until stopped.
+        stack: Closes what is opened here, in reverse order.
+        excite: File of an excitation.
+        say: Gets a line now and then about what takes long before the loop runs.
+    """
+
+    def __init__(
+        self,
+        config: AppConfig,
+        ioc: str,
+        start: LoopState,
+        duration: float | None,
+        stack: ExitStack,
+        excite: Path | None = None,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        directory = config.data_directory
+        ring = config.ring.load()
+        self.channels = ring.channels(config.ring.planes)
+        waveform = planned(config, ring, excite, duration) if excite else None
+        epics = find_ring(config, ioc)
+        make_directory(directory)
+        stack.enter_context(
+            Lock(
+                f"data {directory.resolve()}",
+                f"the data directory {directory}",
+                "stop it, or name another directory with --data",
+            )
+        )
+        logs = configure_logs(config.observe.logs, directory)
+        stack.callback(logs.close)
+        self._own_ring = OwnRing(sim_job(config), stack) if ioc == SIMULATED else None
+        if self._own_ring is not None:
+            epics = self._own_ring.settings(config)
+        take_ring(epics, self.channels, stack)
+        clock = SystemClock()
+        self.machine = EpicsMachine(self.channels, epics, clock)
+        stack.callback(self.machine.close)
+        check_limits(config, self.machine.drive_limits, self.channels)
+
+        counting, movable = mask_of(self.channels, config.masks)
+        machine: Machine = self.machine
+        if not counting.all():
+            machine = MaskedMachine(machine, counting)
+        self.store = open_store(config)
+        keeper = Keeper(self.store, self.channels, config.policies_kept)
+        nominal = baseline(config, ring, lambda line: _say_and_log(say, line))
+        first = keeper.first(nominal, movable, new_ring=ioc == SIMULATED)
+        self.slot = PolicySlot(first)
+        self.statistics = LoopStatistics(self.channels, config.limits.setpoint, clock, counting)
+        if warning := warning_of(growth_of(first)):
+            _log.warning("policy_unstable", policy=first.policy_id, problem=warning)
+            self.statistics.happened("policy", f"{first.policy_id} is {warning}")
+        self.events = EventLog(self.channels, clock, config.observe.logs.quiet_time, counting)
+        self._reports = Reports(self.statistics, self.events)
+        self.history = History(self.channels, config.history.capacity)
+        archive = ArchiveWriter(
+            directory / "archive",
+            self.channels,
+            config.history.archive,
+            self._reports.archive_failed,
+        )
+        stack.callback(archive.close)
+        below = Dither(dither_settings(config), nominal.response, loop_gain(nominal), movable)
+        self._dither = Excitation(waveform, below) if waveform else below
+        self.runner = Runner(
+            machine,
+            self.slot,
+            config.loop,
+            config.limits,
+            config.interlocks,
+            np.zeros(len(self.channels.bpms)),
+            clock,
+            dither=self._dither,
+            start=start,
+            subscribers=(self.history, archive, self.statistics, self.events),
+            counting=counting,
+        )
+        self.watch = self._gap_watch(config, ring, stack)
+        self.learner: LearnerThread | None = None
+        if config.learn.enabled:
+            self.learner = LearnerThread(
+                trainer(config, first.response, movable),
+                Screen(self.history, self.channels, self.watch.broken),
+                self.slot,
+                self._reports.refitted,
+                keep=keeper.keep,
+                poll=min(LONGEST_POLL, max(SHORTEST_POLL, 2.0 * config.loop.period)),
+                limits=config.limits,
+                alarmed=self._reports.alarmed,
+                tripped=lambda: self.runner.state is LoopState.TRIPPED,
+                clock=clock,
+            )
+            self.learner.start()
+            stack.callback(self.learner.stop)
+        registry = metrics_registry(self.statistics.snapshot, archive.status)
+        http = ObserveServer(config.observe, registry, self.statistics.snapshot)
+        http.start()
+        stack.callback(http.stop)
+        remote = Remote(
+            self.runner,
+            self.statistics,
+            self.slot,
+            self.store,
+            self.learner,
+            self.channels,
+            directory.resolve() / "archive",
+            config.loop.period,
+            lambda policy: masked(policy, movable),
+        )
+        stack.callback(ControlServer(directory, remote).close)
+        terminal = Terminal(
+            self.statistics.snapshot,
+            config.observe.terminal,
+            Surroundings(
+                metrics=http.address,
+                duration=duration,
+                ring=f"{epics.address_list}:{epics.server_port}",
+                trouble=lambda: self.ring_failure or archive.status().problem,
+            ),
+        )
+        terminal.start()
+        stack.callback(terminal.stop)
+        self.final = self.statistics.snapshot()
+        self._where = {
+            "ioc": ioc,
+            "addresses": epics.address_list,
+            "port": epics.server_port,
+            "metrics": http.address,
+            "policy": self.slot.current.policy_id,
+            "data": str(directory.resolve()),
+        }
+        _log.info("service_started", **self._where)
+
+    def announce(self, say: Callable[[str], None]) -> None:
+        """Say what was started where."""
+        for line in announcement(self._where, self._own_ring is not None):
+            say(line)
+
+    @property
+    def ring_failure(self) -> str:
+        """Why the simulated ring of our own died; empty while it lives or where there is none."""
+        return self._own_ring.failure if self._own_ring is not None else ""
+
+    def run(self, stop: threading.Event, duration: float | None) -> None:
+        """Run the loop in this thread.
+
+        Args:
+            stop: Ends it.
+            duration: Ends it after so long [s]; None: never.
+        """
+        timer = threading.Timer(duration, stop.set) if duration is not None else None
+        watcher = None
+        if self._own_ring is not None:
+            watcher = threading.Thread(
+                target=self._own_ring.watch, args=(stop, self._reports.ring_died), name="sim-watch"
+            )
+        for thread in filter(None, (timer, watcher)):
+            thread.daemon = True
+            thread.start()
+        gc.collect()
+        gc.freeze()  # what lives until the end is not walked through in the middle of a tick
+        try:
+            self.runner.run(stop)
+        finally:
+            if timer is not None:
+                timer.cancel()
+            stop.set()
+            if watcher is not None:
+                watcher.join()
+            self.final = self.statistics.snapshot()
+            if isinstance(self._dither, Excitation):
+                say_excitation(self._dither)
+            if self.runner.failure is not None:
+                _log.error("loop_failed", exc_info=self.runner.failure)
+            _log.info("service_stopped", state=self.runner.state, reason=self.runner.reason)
+
+    def _gap_watch(self, config: AppConfig, ring: Ring, stack: ExitStack) -> GapWatch:
+        """Watch the gap between model and machine, if that is wanted."""
+        layout = layout_of(ring, config.ring.planes, config.loop.period)
+        looker = GapProcess(layout)
+        watch = GapWatch(
+            config.diagnose.live,
+            self.history,
+            looker.look,
+            self._reports.gap_seen,
+            self._reports.look_failed,
+        )
+        if config.diagnose.live.enabled:
+            watch.start()
+            stack.callback(watch.stop, looker.close)
+        return watch
+
+
+def _say_and_log(say: Callable[[str], None], line: str) -> None:
+    say(line)
+    _log.info("starting", progress=line)
