@@ -184,8 +184,21 @@ def _correctors(steps: Steps, response: Matrix) -> list[_Alternative]:
         if swapping[j, k] > 0:
             difference = steps.setpoints[:, j] - steps.setpoints[:, k]
             change = np.outer(difference, response[:, j] - response[:, k])
-            found += _judged(steps, own, residual + change, "corrector-swap", (j, k))
+            rest = np.minimum(own, _with_own_gains(residual, steps, response, weights, (j, k)))
+            found += _judged(steps, rest, residual + change, "corrector-swap", (j, k))
     return found
+
+
+def _with_own_gains(
+    residual: Matrix, steps: Steps, response: Matrix, weights: Vector, pair: tuple[int, int]
+) -> Vector:
+    """Squares left at every BPM if both only had gains of their own: a dead one is no swap."""
+    patterns = [np.outer(steps.setpoints[:, column], response[:, column]) for column in pair]
+    overlap = np.array([[np.sum(a * b * weights) for b in patterns] for a in patterns])
+    pull = np.array([np.sum(a * residual * weights) for a in patterns])
+    gains = np.linalg.lstsq(overlap, pull, rcond=None)[0]
+    left = residual - gains[0] * patterns[0] - gains[1] * patterns[1]
+    return np.sum(left**2, axis=0)
 
 
 def _judged(

@@ -100,6 +100,25 @@ def test_turned_and_swapped_channels(effect, proven, devices):
     assert list(found.devices) == devices
 
 
+class Staying(Effect):
+    """A corrector that stays where it is from a tick on, while its setpoint runs away."""
+
+    def __init__(self, column, since):
+        self.column, self.since, self.value = column, since, None
+
+    def actuate(self, setpoints, tick):
+        current = setpoints.copy()
+        if tick >= self.since:
+            self.value = current[self.column] if self.value is None else self.value
+            current[self.column] = self.value
+        return current
+
+
+def test_a_dead_corrector_is_no_swap_with_one_that_makes_up_for_it():
+    made = simulate_record(ring(), ticks=1000, effects=(Staying(100, 100),), gain=0.5)
+    assert screen(made) == []
+
+
 @pytest.mark.parametrize("dither", [0.0, 1e-4])
 @pytest.mark.parametrize(
     "effect",
