@@ -20,7 +20,8 @@ from orbitfb import __version__
 from orbitfb.core.gap import GapSight
 from orbitfb.core.signals import LoopState
 from orbitfb.history.archive import ArchiveStatus
-from orbitfb.observe.metrics_table import METRICS, Metric
+from orbitfb.observe.metric import Metric
+from orbitfb.observe.metrics_list import METRICS
 from orbitfb.observe.snapshot import LoopSnapshot
 from orbitfb.observe.windows import LATENCY_BOUNDS
 

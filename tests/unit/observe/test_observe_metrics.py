@@ -16,7 +16,8 @@ from orbitfb.core.refit import Alarm, AlarmCause, Decision
 from orbitfb.core.signals import LoopState
 from orbitfb.history.archive import ArchiveStatus
 from orbitfb.observe.metrics import metrics_registry
-from orbitfb.observe.metrics_table import METRICS, metrics_table_markdown
+from orbitfb.observe.metrics_list import METRICS
+from orbitfb.observe.metrics_table import metrics_table_markdown
 from orbitfb.observe.statistics import LoopStatistics
 
 PAGE = Path(__file__).parents[3] / "docs/reference/metrics.md"
