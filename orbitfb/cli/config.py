@@ -17,7 +17,7 @@ config = typer.Typer(help="Print and check the configuration.", no_args_is_help=
 @config.command("show")
 def configshow(config_file: ConfigFile = None) -> None:
     """Print the configuration in force as TOML, each key with its meaning."""
-    from orbitfb.config import to_toml
+    from orbitfb.config_text import to_toml
 
     print(to_toml(configure(config_file)))
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from orbitfb.config import load_config, to_toml
+from orbitfb.config import load_config
+from orbitfb.config_text import to_toml
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError, RingError
 
 BAD_TOML = {
