@@ -13,11 +13,12 @@ from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
 from orbitfb.learn.judge import Verdict, judge
 from orbitfb.learn.settings import LearnSettings
+from orbitfb.learn.since import Since, counts
 from orbitfb.models.absorbed import Absorbed
 from orbitfb.models.changes import ChangeDetector
 from orbitfb.models.identify import Identifier
 from orbitfb.models.linear import LinearModel
-from orbitfb.models.rows import Rows, select_rows
+from orbitfb.models.rows import select_rows
 
 _REFUTED = 10.0
 """R̂ is given up when the rows speak against it by so many times what refuses a candidate."""
@@ -56,7 +57,7 @@ class Learner:
         self._clock = clock or SystemClock()
         self._generator = np.random.default_rng(seed)
         self._number = 0
-        self._since = _Since(None)
+        self._since = Since(None)
         self._forgotten: int | None = None
         self._detector = ChangeDetector(settings.changes, rate)
         self._alarm: Alarm | None = None
@@ -84,7 +85,7 @@ class Learner:
             What the new rows say; `chi2_other` is about the incumbent's response.
         """
         if self._since.policy_id != incumbent.policy_id:
-            self._since = _Since(incumbent.policy_id)
+            self._since = Since(incumbent.policy_id)
             self.watch_afresh()
         rows = select_rows(transitions, self.settings.tolerance)
         if self.last_tick is not None:
@@ -113,7 +114,7 @@ class Learner:
         """
         self._forgotten = self.last_tick
         self._identifier = Identifier(self._response_of(incumbent), self.settings.identify)
-        self._since = _Since(incumbent.policy_id)
+        self._since = Since(incumbent.policy_id)
         self.watch_afresh()
 
     def watch_afresh(self) -> None:
@@ -189,7 +190,7 @@ class Learner:
         if self.last_tick is None:
             raise EstimationError(
                 "none of the transitions can be used to identify the response "
-                f"({_counts(since.left_out)}); record with the loop CLOSED and readbacks that "
+                f"({counts(since.left_out)}); record with the loop CLOSED and readbacks that "
                 "follow the setpoints"
             )
         figures = since.figures() | self._model_figures(incumbent)
@@ -219,12 +220,12 @@ class Learner:
         )
         return report, candidate
 
-    def _obstacle(self, since: "_Since") -> Verdict | None:
+    def _obstacle(self, since: Since) -> Verdict | None:
         if since.rows < self.settings.minimum_rows:
             return Verdict(
                 False,
                 f"only {since.rows} rows since {since.policy_id} is in force, "
-                f"{self.settings.minimum_rows} are needed ({_counts(since.left_out)})",
+                f"{self.settings.minimum_rows} are needed ({counts(since.left_out)})",
                 {},
             )
         if since.change_square == 0.0:
@@ -252,55 +253,3 @@ class Learner:
                 np.sqrt(np.trace(model.row_covariance) * len(before)) / np.linalg.norm(before)
             ),
         }
-
-
-class _Since:
-    """What was taken in since a policy is in force."""
-
-    def __init__(self, policy_id: str | None) -> None:
-        self.policy_id = policy_id
-        self.rows = 0
-        self.kicks = 0
-        self.nats = 0.0
-        self.change_square = 0.0
-        self.chi2 = float("nan")
-        self.chi2_incumbent = float("nan")
-        self.dither_pull = 0.0
-        self.dither_information = 0.0
-        self.left_out: dict[str, int] = {}
-
-    def add(self, rows: Rows, absorbed: Absorbed) -> None:
-        for reason, count in rows.left_out.items():
-            self.left_out[reason] = self.left_out.get(reason, 0) + count
-        if absorbed.rows == 0:
-            return
-        self.rows += absorbed.rows
-        self.kicks += absorbed.kicks
-        self.nats += absorbed.rows * absorbed.nats
-        self.change_square += float(np.sum(rows.change**2))
-        self.dither_pull += absorbed.dither_pull
-        self.dither_information += absorbed.dither_information
-        self.chi2, self.chi2_incumbent = absorbed.chi2, absorbed.chi2_other
-
-    def take_nats(self) -> float:
-        """Give the evidence for R̂ since the last judgement, and begin anew."""
-        nats, self.nats = self.nats, 0.0
-        return nats
-
-    def figures(self) -> dict[str, float]:
-        dither = {}
-        if self.dither_information > 0.0:
-            dither["dither_gain"] = 1.0 + self.dither_pull / self.dither_information
-            dither["dither_gain_sigma"] = self.dither_information**-0.5
-        return dither | {
-            "rows_left_out": float(sum(self.left_out.values())),
-            "kicks": float(self.kicks),
-            "chi2": self.chi2,
-            "chi2_incumbent": self.chi2_incumbent,
-        }
-
-
-def _counts(left_out: dict[str, int]) -> str:
-    if not left_out:
-        return "none left out"
-    return "left out: " + ", ".join(f"{count} {reason}" for reason, count in left_out.items())

@@ -1,0 +1,65 @@
+"""The account of what was learnt from since a policy is in force."""
+
+import numpy as np
+
+from orbitfb.models.absorbed import Absorbed
+from orbitfb.models.rows import Rows
+
+
+class Since:
+    """What was taken in since a policy is in force.
+
+    Args:
+        policy_id: That policy; None when none is known yet.
+    """
+
+    def __init__(self, policy_id: str | None) -> None:
+        self.policy_id = policy_id
+        self.rows = 0
+        self.kicks = 0
+        self.nats = 0.0
+        self.change_square = 0.0
+        self.chi2 = float("nan")
+        self.chi2_incumbent = float("nan")
+        self.dither_pull = 0.0
+        self.dither_information = 0.0
+        self.left_out: dict[str, int] = {}
+
+    def add(self, rows: Rows, absorbed: Absorbed) -> None:
+        """Count rows, and what the identifier made of them."""
+        for reason, count in rows.left_out.items():
+            self.left_out[reason] = self.left_out.get(reason, 0) + count
+        if absorbed.rows == 0:
+            return
+        self.rows += absorbed.rows
+        self.kicks += absorbed.kicks
+        self.nats += absorbed.rows * absorbed.nats
+        self.change_square += float(np.sum(rows.change**2))
+        self.dither_pull += absorbed.dither_pull
+        self.dither_information += absorbed.dither_information
+        self.chi2, self.chi2_incumbent = absorbed.chi2, absorbed.chi2_other
+
+    def take_nats(self) -> float:
+        """Give the evidence for R̂ since the last judgement, and begin anew."""
+        nats, self.nats = self.nats, 0.0
+        return nats
+
+    def figures(self) -> dict[str, float]:
+        """Give the figures for a report, by name."""
+        dither = {}
+        if self.dither_information > 0.0:
+            dither["dither_gain"] = 1.0 + self.dither_pull / self.dither_information
+            dither["dither_gain_sigma"] = self.dither_information**-0.5
+        return dither | {
+            "rows_left_out": float(sum(self.left_out.values())),
+            "kicks": float(self.kicks),
+            "chi2": self.chi2,
+            "chi2_incumbent": self.chi2_incumbent,
+        }
+
+
+def counts(left_out: dict[str, int]) -> str:
+    """Say how many rows were left out, by reason."""
+    if not left_out:
+        return "none left out"
+    return "left out: " + ", ".join(f"{count} {reason}" for reason, count in left_out.items())
