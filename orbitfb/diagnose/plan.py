@@ -7,17 +7,15 @@ noise) the answer is what the effects themselves say would.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.ambiguity import declared
-from orbitfb.diagnose.answer_parts import Experiment
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.detectable_sizes import size_parameter
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.plan_answer import ENOUGH, Option, advice, longer, movement
 from orbitfb.diagnose.plan_candidates import (
     ORBIT_LIMIT,
     Limits,
@@ -29,13 +27,9 @@ from orbitfb.diagnose.plan_file import Plan
 from orbitfb.diagnose.plan_response import base_rows, loop_gains, outlook, separation
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.kinds import EffectKind, NoiseKind, PairKind, SourceKind, Values
-from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.safety.limits import LimitSettings
 
-ENOUGH = 30.0
-"""Expected separation [nats]: its scatter is √(2 · 30), so 99 runs in 100 end above 12 nats, of
-which 7 may be lost to the choice of values and places."""
 DEFAULT_MINUTES = 10.0
 _LEAST_TICKS = 200
 _GAINED = 1.5
@@ -114,15 +108,15 @@ def plan(
     tell("planning", 1.0)
     allowed = limits.minutes * 60 / record.layout.period
     if passive * allowed >= ENOUGH and max(o.rate for o in options) < _GAINED * passive:
-        return _longer(record.layout, causes, passive)
+        return longer(record.layout, causes, passive)
     if max(option.rate for option in options) * allowed < _LEAST:
-        return _advice(record.layout, causes)
+        return advice(record.layout, causes)
     within = [option for option in options if option.minutes <= limits.minutes]
     if within:
         best = min(within, key=lambda option: option.orbit * option.minutes)
     else:
         best = max(options, key=lambda option: option.rate)
-    return _plan(record.layout, causes, best, limits, seed)
+    return movement(record.layout, causes, best, limits, seed)
 
 
 def plan_for(
@@ -182,25 +176,6 @@ def _typical(kind: EffectKind) -> Values:
     return {parameter.name: parameter.typical for parameter in kind.parameters}
 
 
-@dataclass(frozen=True, slots=True)
-class _Option:
-    """A proposal with what it is worth.
-
-    Args:
-        proposal: What is done.
-        rate: Expected separation [nats/tick].
-        minutes: Until it is enough [min].
-        orbit: Largest rms orbit of a tick [m].
-        amplitude: Largest excursion of a corrector [A].
-    """
-
-    proposal: Proposal
-    rate: float
-    minutes: float
-    orbit: float
-    amplitude: float
-
-
 def _rate(
     bench: Bench, excursion: Vector, gains: Vector, causes: Sequence[Cause], exact: bool
 ) -> float:
@@ -220,10 +195,10 @@ def _option(
     limits: Limits,
     proposal: Proposal,
     seed: int,
-) -> _Option:
+) -> Option:
     """Judge at full amplitude, and at smaller ones where they are enough."""
     layout, rows = bench.record.layout, base_rows(bench.record)
-    found: list[_Option] = []
+    found: list[Option] = []
     for share in _SHARES:
         amplitude = tuple(share * each for each in proposal.part.amplitude)
         scaled = replace(proposal, part=proposal.part.model_copy(update={"amplitude": amplitude}))
@@ -232,71 +207,6 @@ def _option(
         ticks = max(_LEAST_TICKS, ENOUGH / max(rate, 1e-12))
         orbit = max(float(orbit_rms(layout, excursion, plane).max()) for plane in layout.planes)
         minutes = ticks * layout.period / 60
-        found.append(_Option(scaled, rate, minutes, orbit, float(np.abs(excursion).max())))
+        found.append(Option(scaled, rate, minutes, orbit, float(np.abs(excursion).max())))
     enough = [option for option in found if option.minutes <= limits.minutes]
     return min(enough, key=lambda o: o.orbit * o.minutes) if enough else found[0]
-
-
-def _plan(
-    layout: Layout, causes: Sequence[Cause], best: _Option, limits: Limits, seed: int
-) -> Plan:
-    minutes = min(best.minutes, limits.minutes)
-    ticks = int(np.ceil(minutes * 60 / layout.period))
-    separated = best.rate * ticks
-    part = best.proposal.part
-    settings = best.proposal.settings(ticks, layout.period, seed)
-    names = _names(causes)
-    short = "" if separated >= ENOUGH else " That is not enough for certainty; do it again."
-    experiment = Experiment(
-        kind=best.proposal.kind,
-        text=f"To {names}: {best.proposal.kind.replace('-', ' ')} ({best.proposal.label}), up to "
-        f"{best.amplitude:.3g} A and {best.orbit * 1e6:.3g} µm rms, for {minutes:.2g} min; "
-        f"{separated:.3g} nats are expected to separate them.{short}",
-        splits=tuple(cause.kind.id for cause in causes),
-        devices=tuple(dict.fromkeys(part.correctors)),
-        modes=tuple(mode - 1 for mode in part.modes),
-        amplitude=best.amplitude,
-        orbit_cost_um=best.orbit * 1e6,
-        minutes=minutes,
-        separation_nats=separated,
-        limits=f"orbit {limits.source}; at most {limits.write.change_per_tick:g} A per tick, "
-        f"|setpoint| {limits.write.setpoint:g} A, {limits.minutes:g} min",
-    )
-    return Plan(experiment, settings, layout)
-
-
-def _longer(layout: Layout, causes: Sequence[Cause], rate: float) -> Plan:
-    """Say that the record's own activity is as good as anything that could be done."""
-    minutes = ENOUGH / rate * layout.period / 60
-    experiment = Experiment(
-        kind="longer-record",
-        text=f"To {_names(causes)}: {minutes:.2g} min more of the same operation; no movement of "
-        "the correctors within the limits is much faster.",
-        splits=tuple(cause.kind.id for cause in causes),
-        orbit_cost_um=0.0,
-        minutes=minutes,
-        separation_nats=ENOUGH,
-    )
-    return Plan(experiment, None, layout)
-
-
-def _advice(layout: Layout, causes: Sequence[Cause]) -> Plan:
-    """Say what the effects themselves say, when no movement of the correctors helps."""
-    known = declared(causes[0].kind, causes[1].kind) if len(causes) > 1 else None
-    splits = (known.splits if known else causes[0].kind.splits).rstrip(".")
-    told = f": {splits[0].lower()}{splits[1:]}" if splits else ""
-    experiment = Experiment(
-        kind="read-only-test",
-        text=f"No movement of the correctors within the limits helps to {_names(causes)}{told}.",
-        splits=tuple(cause.kind.id for cause in causes),
-        separation_nats=0.0,
-    )
-    return Plan(experiment, None, layout)
-
-
-def _names(causes: Sequence[Cause]) -> str:
-    if len(causes) == 1:
-        spec = size_parameter(causes[0].kind)
-        size = f" of {causes[0].values[spec.name]:.3g} {spec.unit}" if spec else ""
-        return f"see {causes[0].kind.id}{size} better"
-    return f"tell {causes[0].kind.id} from {causes[1].kind.id}"

@@ -11,7 +11,9 @@ from orbitfb.core.signals import Channels
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
-from orbitfb.diagnose.plan import ENOUGH, Plan, limits_of, plan, plan_for
+from orbitfb.diagnose.plan import limits_of, plan, plan_for
+from orbitfb.diagnose.plan_answer import ENOUGH
+from orbitfb.diagnose.plan_file import Plan
 from orbitfb.diagnose.plan_response import answered, loop_gains
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import layout_of

@@ -1,0 +1,122 @@
+"""What a plan tells people: a movement of the correctors, a longer record, or advice."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.diagnose.ambiguity import declared
+from orbitfb.diagnose.answer_parts import Experiment
+from orbitfb.diagnose.detectable_sizes import size_parameter
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.plan_candidates import Limits, Proposal
+from orbitfb.diagnose.plan_file import Plan
+from orbitfb.effects.layout import Layout
+
+ENOUGH = 30.0
+"""Expected separation [nats]: its scatter is √(2 · 30), so 99 runs in 100 end above 12 nats, of
+which 7 may be lost to the choice of values and places."""
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """A proposal with what it is worth.
+
+    Args:
+        proposal: What is done.
+        rate: Expected separation [nats/tick].
+        minutes: Until it is enough [min].
+        orbit: Largest rms orbit of a tick [m].
+        amplitude: Largest excursion of a corrector [A].
+    """
+
+    proposal: Proposal
+    rate: float
+    minutes: float
+    orbit: float
+    amplitude: float
+
+
+def movement(
+    layout: Layout, causes: Sequence[Cause], best: Option, limits: Limits, seed: int
+) -> Plan:
+    """Tell which movement of the correctors to do.
+
+    Args:
+        layout: Of the record.
+        causes: One or two, to be seen or told apart.
+        best: What is done.
+        limits: Kept by it.
+        seed: Of random levels.
+    """
+    minutes = min(best.minutes, limits.minutes)
+    ticks = int(np.ceil(minutes * 60 / layout.period))
+    separated = best.rate * ticks
+    part = best.proposal.part
+    settings = best.proposal.settings(ticks, layout.period, seed)
+    names = _names(causes)
+    short = "" if separated >= ENOUGH else " That is not enough for certainty; do it again."
+    experiment = Experiment(
+        kind=best.proposal.kind,
+        text=f"To {names}: {best.proposal.kind.replace('-', ' ')} ({best.proposal.label}), up to "
+        f"{best.amplitude:.3g} A and {best.orbit * 1e6:.3g} µm rms, for {minutes:.2g} min; "
+        f"{separated:.3g} nats are expected to separate them.{short}",
+        splits=tuple(cause.kind.id for cause in causes),
+        devices=tuple(dict.fromkeys(part.correctors)),
+        modes=tuple(mode - 1 for mode in part.modes),
+        amplitude=best.amplitude,
+        orbit_cost_um=best.orbit * 1e6,
+        minutes=minutes,
+        separation_nats=separated,
+        limits=f"orbit {limits.source}; at most {limits.write.change_per_tick:g} A per tick, "
+        f"|setpoint| {limits.write.setpoint:g} A, {limits.minutes:g} min",
+    )
+    return Plan(experiment, settings, layout)
+
+
+def longer(layout: Layout, causes: Sequence[Cause], rate: float) -> Plan:
+    """Say that the record's own activity is as good as anything that could be done.
+
+    Args:
+        layout: Of the record.
+        causes: One or two, to be seen or told apart.
+        rate: Expected separation by the record's own activity [nats/tick].
+    """
+    minutes = ENOUGH / rate * layout.period / 60
+    experiment = Experiment(
+        kind="longer-record",
+        text=f"To {_names(causes)}: {minutes:.2g} min more of the same operation; no movement of "
+        "the correctors within the limits is much faster.",
+        splits=tuple(cause.kind.id for cause in causes),
+        orbit_cost_um=0.0,
+        minutes=minutes,
+        separation_nats=ENOUGH,
+    )
+    return Plan(experiment, None, layout)
+
+
+def advice(layout: Layout, causes: Sequence[Cause]) -> Plan:
+    """Say what the effects themselves say, when no movement of the correctors helps.
+
+    Args:
+        layout: Of the record.
+        causes: One or two, to be seen or told apart.
+    """
+    known = declared(causes[0].kind, causes[1].kind) if len(causes) > 1 else None
+    splits = (known.splits if known else causes[0].kind.splits).rstrip(".")
+    told = f": {splits[0].lower()}{splits[1:]}" if splits else ""
+    experiment = Experiment(
+        kind="read-only-test",
+        text=f"No movement of the correctors within the limits helps to {_names(causes)}{told}.",
+        splits=tuple(cause.kind.id for cause in causes),
+        separation_nats=0.0,
+    )
+    return Plan(experiment, None, layout)
+
+
+def _names(causes: Sequence[Cause]) -> str:
+    if len(causes) == 1:
+        spec = size_parameter(causes[0].kind)
+        size = f" of {causes[0].values[spec.name]:.3g} {spec.unit}" if spec else ""
+        return f"see {causes[0].kind.id}{size} better"
+    return f"tell {causes[0].kind.id} from {causes[1].kind.id}"
