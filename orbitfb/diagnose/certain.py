@@ -37,6 +37,11 @@ class Certain:
     record: Record
     given: tuple[Explaining, ...] = ()
 
+    def without_given(self) -> "Certain":
+        """The same without what was put into the model: it did not explain the record."""
+        kept = tuple(cause for cause in self.causes if cause.effect not in _GIVEN)
+        return Certain(kept, self.record)
+
 
 def certain_causes(record: Record, findings: Sequence[Finding], without: frozenset[str]) -> Certain:
     """Take what the integrity screen proves out of a record.

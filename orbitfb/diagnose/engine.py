@@ -55,17 +55,25 @@ def diagnose(
     whole = certain.record
     first, later = (whole, holdout) if holdout is not None else _put_aside(whole)
 
+    given = certain.given
+
     def look(part: Record, begin: float, end: float) -> Outcome:
         def tell(what: str, share: float) -> None:
             progress(what, begin + share * (end - begin))
 
-        return search(part, kinds, floor, certain.given, tell)
+        return search(part, kinds, floor, given, tell)
 
     outcome = look(first, 0.0, 0.7)
+    if certain.given:
+        # The screen judges channels by few rows: what it proves must also explain the record best.
+        free = search(first, kinds, floor, ())
+        if free.bench.full_log_likelihood > outcome.bench.full_log_likelihood:
+            certain, outcome = certain.without_given(), free
     if not outcome.winners and first is not whole:
         # Nothing yet: the end of the record may show what its beginning does not.
+        given = certain.given
         again = look(whole, 0.7, 0.85)
-        if again.winners or not certain.given:
+        if again.winners or not given:
             outcome, later = again, None
     judged = judge(outcome, certain, seed)
     progress("taking the gap apart", 0.85)

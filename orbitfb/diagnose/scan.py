@@ -92,7 +92,9 @@ class Scanner:
             yield from self._groups(kind, *closer["all"][1:])
             if closer["cell"][1] is not closer["all"][1]:
                 yield from self._groups(kind, *closer["cell"][1:])
-        if kind.sudden and "single" in closer:
+        if kind.sudden and kind.grows:
+            yield from self._growing(kind, grid)
+        elif kind.sudden and "single" in closer:
             yield from self._onsets(kind, *closer["single"][1:])
 
     def _cell(self, kind: ActuatorKind | SensorKind, changes: Changes) -> float:
@@ -197,6 +199,37 @@ class Scanner:
                     float(height[place]),
                     float(gain.size),
                 )
+
+    def _growing(
+        self, kind: ActuatorKind | SensorKind | SourceKind, grid: Sequence[Values]
+    ) -> Iterator[Candidate]:
+        """Try every row as the beginning of what grows from nothing there.
+
+        Its course is the same from every row on, only later: the scores of all rows are one
+        correlation, and what the record tells of it sums up from the end. A course that all
+        places share is assumed, and one unbroken stretch.
+        """
+        for values in grid:
+            (shapes, drivers), *_ = self._scoring.changes(kind, values).parts
+            rows, course = len(drivers), drivers[:, :1]
+            turned = np.conj(np.fft.rfft(course, 2 * rows, axis=0))
+            pulled = np.fft.rfft(shapes.pull, 2 * rows, axis=0)
+            score = np.fft.irfft(pulled * turned, axis=0)[:rows]
+            info: Vector = np.zeros(score.shape)
+            for shape, left in zip(shapes.fine, self._scoring.courses(course), strict=True):
+                energy = np.cumsum(left[:, 0] ** 2)[::-1]
+                info += np.outer(energy, np.sum(shape**2, axis=0))
+            strength, gain = best_strength(kind, score, info)
+            gain[:FIRST_ONSET] = 0.0
+            gain[rows - LAST_ONSET :] = 0.0
+            best = np.argmax(gain, axis=0)
+            height = gain[best, np.arange(gain.shape[1])]
+            for place in np.argsort(height)[::-1][:KEPT]:
+                row = int(best[place])
+                if height[place] > 0:
+                    scaled = sized(kind, values, float(strength[row, place]))
+                    cause = Cause(kind, (int(place),), scaled, row)
+                    yield Candidate(cause, float(height[place]), float(gain.size))
 
 
 def groups_of(
