@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.randomness import latent_candidates, level_candidates, noise_candidates
-from orbitfb.diagnose.scan import Candidate, Scanner
+from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.bpm_current import CHANNEL, top_up_current

@@ -1,12 +1,13 @@
 """Which of the five states a search ends in."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfb.diagnose.ambiguity import Group, classes
 from orbitfb.diagnose.answer import State
 from orbitfb.diagnose.answer_blocks import Audit, Unknown
+from orbitfb.diagnose.answer_parts import Shrink
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.ceiling import Ceiling, ceiling
 from orbitfb.diagnose.certain import Certain
@@ -20,6 +21,8 @@ _EXPLAINED = 0.8
 _STAND_IN = 3.0
 """Scatter of a winner's scores over what its noise model says, beyond which it is none."""
 _HALF = 0.5
+_STAND_IN_SHRINK = 0.2
+"""Share of a resolved gap on held-out data below which the causes only stood in for another."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +68,26 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     state = _state(outcome, certain, remains=remains, explained=explained)
     unknown = _unknown(outcome, explained) if state in ("unknown", "named_plus_remainder") else None
     return Judgement(state, tests, rest, explained, groups, unknown)
+
+
+def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) -> Judgement:
+    """Take back a name whose cause does not explain data that it was not found in.
+
+    Args:
+        judged: By the record itself.
+        outcome: Of the search.
+        shrunk: On data used neither for fitting nor for selection; None if there are none.
+    """
+    named = judged.state in ("named", "ambiguous", "named_plus_remainder")
+    if shrunk is None or not shrunk.resolved or shrunk.nats is None or not named:
+        return judged
+    if shrunk.nats < _STAND_IN_SHRINK:
+        state: State = "unknown"
+    elif shrunk.nats < _HALF and judged.state == "named":
+        state = "named_plus_remainder"
+    else:
+        return judged
+    return replace(judged, state=state, unknown=_unknown(outcome, judged.explained))
 
 
 def _state(outcome: Outcome, certain: Certain, *, remains: bool, explained: float) -> State:

@@ -14,7 +14,7 @@ from orbitfb.diagnose.detectable import detectable
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.gap import gap, surplus
 from orbitfb.diagnose.gap_maps import lag_profile, maps
-from orbitfb.diagnose.judgement import Judgement
+from orbitfb.diagnose.judgement import Judgement, held_to_account
 from orbitfb.diagnose.naming import geometry
 from orbitfb.diagnose.plan import plan
 from orbitfb.diagnose.search import Outcome
@@ -48,11 +48,12 @@ class Parts:
 
     def answer(self, certain: Certain, not_tested: tuple[NotTested, ...]) -> Diagnosis:
         """Write the answer; its provenance is left to who knows the records."""
-        judged, outcome = self.judged, self.outcome
+        outcome = self.outcome
+        shrunk, steps = self._shrink()
+        judged = held_to_account(self.judged, outcome, shrunk)
         bench = outcome.bench
         causes = () if judged.state == "unknown" else named_causes(outcome)
         causes = (*certain.causes, *causes)
-        shrunk, steps = self._shrink()
         sizes, untestable = detectable(outcome.rounds[0].bench, self.kinds)
         known = {one.effect for one in not_tested}
         sets = self._ambiguous()

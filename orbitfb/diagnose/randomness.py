@@ -14,8 +14,9 @@ from scipy.special import expit, logit
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.scan import Candidate, groups_of
+from orbitfb.diagnose.scan import groups_of
 from orbitfb.effects.kinds import LatentKind, NoiseKind, Values
 from orbitfb.physics.optics import Matrix
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import (
     FIRST_ONSET,
@@ -218,7 +219,7 @@ class Scanner:
             info: Vector = np.zeros(score.shape)
             for shape, left in zip(shapes.fine, self._scoring.courses(course), strict=True):
                 energy = np.cumsum(left[:, 0] ** 2)[::-1]
-                info += np.outer(energy, np.sum(shape**2, axis=0))
+                info += energy[:, None] * np.sum(shape**2, axis=0)
             strength, gain = best_strength(kind, score, info)
             gain[:FIRST_ONSET] = 0.0
             gain[rows - LAST_ONSET :] = 0.0

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.randomness import (
@@ -19,7 +20,7 @@ from orbitfb.diagnose.randomness import (
     level_candidates,
     noise_candidates,
 )
-from orbitfb.diagnose.scan import Candidate, Scanner
+from orbitfb.diagnose.scan import Scanner
 from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
 
 FINALISTS = 10
@@ -33,6 +34,9 @@ _ABSURD = 1.2
 """Rms of the background's sizes, in units of their scatter, that no healthy ring has."""
 _ONSET_WORTH = 4.0
 """Rows before an onset must speak against the effect by this much [nats]."""
+
+_SAME = 0.02
+"""Two fits leave the same when what they leave differs by less than this share of the gain."""
 
 Progress = Callable[[str, float], None]
 
@@ -95,6 +99,7 @@ def tournament(
     entries.sort(key=lambda entry: entry.weight, reverse=True)
     again = [_profiled(bench, entry) for entry in entries[:REFITTED]]
     tell("fitting", 1.0)
+    again = _alike_alike(again)
     return sorted((*again, *entries[REFITTED:]), key=lambda entry: entry.weight, reverse=True)
 
 
@@ -159,6 +164,29 @@ def _later(bench: Bench, entry: Entry) -> list[Entry]:
         choices=entry.candidate.choices * len(course),
     )
     return [_fitted(bench, candidate)]
+
+
+def _alike_alike(entries: Sequence[Entry]) -> list[Entry]:
+    """Charge candidates that leave the same the same inflation.
+
+    The mean over the values of a fit falls with every value to which the record is blind, so
+    that one that is not needed would pay for itself.
+    """
+    judged: list[Entry] = []
+    for entry in entries:
+        own = entry.fit
+        if own is None:
+            judged.append(entry)
+            continue
+        least = own.inflation
+        for other in entries:
+            if other.fit is not None and other.fit.white.shape == own.white.shape:
+                apart = float(np.sum((other.fit.white - own.white) ** 2))
+                if apart < _SAME * own.gain:
+                    least = min(least, other.fit.inflation)
+        weight = entry.weight + own.gain * (1.0 / least - 1.0 / own.inflation)
+        judged.append(replace(entry, fit=replace(own, inflation=least), weight=weight))
+    return judged
 
 
 def _profiled(bench: Bench, entry: Entry) -> Entry:

@@ -1,6 +1,6 @@
 """The page of the docs that lists all metrics."""
 
-from orbitfb.observe.metrics_list import BEAM, LEARNING, LOOP, SERVICE
+from orbitfb.observe.metrics_list import BEAM, DIAGNOSIS, LEARNING, LOOP, SERVICE
 
 _HEAD = """# Metrics
 
@@ -20,6 +20,7 @@ def metrics_table_markdown() -> str:
         ("The loop", LOOP),
         ("Beam, BPMs and correctors", BEAM),
         ("Policies and the learner", LEARNING),
+        ("Diagnosis", DIAGNOSIS),
         ("The service", SERVICE),
     ):
         rows = [

@@ -21,9 +21,7 @@ def answer(*effects: str, seed: int = 3, ticks: int = 700, without=frozenset()) 
     record = simulate_record(
         RING, "x", ticks, seed, plant_effects, dither=2e-3, period=LAYOUT.period
     )
-    return diagnose(
-        record, None, None, seed=1, without=without, progress=lambda what, share: None
-    )
+    return diagnose(record, None, None, seed=1, without=without, progress=lambda what, share: None)
 
 
 def test_a_record_without_a_gap_has_no_cause():
