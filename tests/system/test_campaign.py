@@ -212,7 +212,9 @@ def test_on_dask_a_worker_killed_midway_costs_nothing(tmp_path):
     began = Counter(int(line.split()[0]) for line in lines(tmp_path / "began"))
     assert set(began) == set(range(8))
     assert sum(began.values()) > 8, "nothing was under way in the worker that was killed"
-    assert len({result["pid"] for result in results}) == 2 and victim != results[-1]["pid"]
+    # What the victim had finished may have been fetched in time, or was done again.
+    assert {result["pid"] for result in results} <= {process.pid for process in workers}
+    assert results[-1]["pid"] == workers[1].pid
 
 
 def test_a_scheduler_that_is_not_there_is_said(tmp_path, dead_port):
