@@ -24,16 +24,12 @@ from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.bpm_current import CHANNEL, top_up_current
 from orbitfb.effects.build import Since, layout_of
-from orbitfb.effects.kinds import (
-    EffectKind,
-    LatentKind,
-    NoiseKind,
-    PairKind,
-    SourceKind,
-    Values,
-)
+from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.noise_correlated import NoiseCorrelated
+from orbitfb.effects.orbit_kinds import SourceKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.effect import generator

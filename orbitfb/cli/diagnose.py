@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from orbitfb.cli.options import AsJson
+from orbitfb.cli.options import AsJson, PlacesTable, RecordPlanes, RingParameters, planes_of
 from orbitfb.cli.record_first import DEFAULT, RecordFirst
 
 if TYPE_CHECKING:
     from orbitfb.diagnose.answer import Diagnosis
-    from orbitfb.diagnose.run import Progress
+    from orbitfb.diagnose.progress import Progress
 
 NOT_INTACT = 3
 """Exit code when the record failed the integrity screen."""
@@ -50,16 +50,9 @@ def diagnose_record(
             "NAME.diagnosis]."
         ),
     ] = None,
-    planes: Annotated[
-        str | None, typer.Option(help="Planes to look at: x, y or xy [those of the record].")
-    ] = None,
-    places: Annotated[
-        Path | None, typer.Option(help="Table of places (CSV) [that of the default ring].")
-    ] = None,
-    ring: Annotated[
-        Path | None,
-        typer.Option(help="Parameters of the ring (JSON) [those of the default ring]."),
-    ] = None,
+    planes: RecordPlanes = None,
+    places: PlacesTable = None,
+    ring: RingParameters = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
     without: Annotated[
         list[str] | None,
@@ -68,15 +61,13 @@ def diagnose_record(
     as_json: AsJson = False,
 ) -> None:
     """Diagnose a record: exit code 0 answered, 3 the record is not intact, 2 any other error."""
-    from orbitfb.core.errors import ConfigError
     from orbitfb.diagnose.answer import document
     from orbitfb.diagnose.run import diagnose_files
     from orbitfb.diagnose.writing import check_directory, write
     from orbitfb.effects.registry import effect
     from orbitfb.physics.places import Ring
 
-    if planes not in (None, "x", "y", "xy"):
-        raise ConfigError(f"--planes: there is no {planes!r}; choose x, y or xy")
+    chosen = planes_of(planes)
     left_out = frozenset(effect(name).id for name in without or ())
     target = out or beside(record)
     check_directory(target)
@@ -86,7 +77,7 @@ def diagnose_record(
             record,
             reference,
             holdout,
-            planes=planes,
+            planes=chosen,
             ring=known,
             seed=seed,
             without=left_out,

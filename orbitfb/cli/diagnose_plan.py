@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from orbitfb.cli.options import AsJson
+from orbitfb.cli.options import AsJson, PlacesTable, RecordPlanes, RingParameters, planes_of
 
 
 def diagnose_plan(
@@ -31,16 +31,9 @@ def diagnose_plan(
         ),
     ] = None,
     minutes: Annotated[float, typer.Option(min=0.1, max=600.0, help="Beam time [min].")] = 10.0,
-    planes: Annotated[
-        str | None, typer.Option(help="Planes to look at: x, y or xy [those of the record].")
-    ] = None,
-    places: Annotated[
-        Path | None, typer.Option(help="Table of places (CSV) [that of the default ring].")
-    ] = None,
-    ring: Annotated[
-        Path | None,
-        typer.Option(help="Parameters of the ring (JSON) [those of the default ring]."),
-    ] = None,
+    planes: RecordPlanes = None,
+    places: PlacesTable = None,
+    ring: RingParameters = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of random levels.")] = 1,
     as_json: AsJson = False,
 ) -> None:
@@ -56,13 +49,12 @@ def diagnose_plan(
     from orbitfb.effects.registry import all_effects, effect
     from orbitfb.physics.places import Ring
 
-    if planes not in (None, "x", "y", "xy"):
-        raise ConfigError(f"--planes: there is no {planes!r}; choose x, y or xy")
+    chosen = planes_of(planes)
     if against is not None and wanted is None:
         raise ConfigError("--against: needs --for, the effect that is to be told from it")
     kinds = list(all_effects().values()) if wanted is None else [effect(wanted)]
     rival = None if against is None else effect(against)
-    loaded = load(record, planes=planes, ring=Ring.load(places, ring)).record
+    loaded = load(record, planes=chosen, ring=Ring.load(places, ring)).record
     for kind in (*(kinds if wanted else ()), *((rival,) if rival else ())):
         if reason := kind.unavailable(loaded):
             raise ConfigError(f"{kind.id}: this record cannot show it: {reason}")

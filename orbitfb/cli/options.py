@@ -8,6 +8,7 @@ import typer
 if TYPE_CHECKING:
     from orbitfb.config import AppConfig
     from orbitfb.core.settings import Settings
+    from orbitfb.physics import places as physics_places
 
 S = TypeVar("S", bound="Settings")
 
@@ -46,6 +47,18 @@ EffectsFile = Annotated[
         help="File with effects of the simulated ring (TOML), as `orbitfb diagnose` writes it "
         "[those of the configuration].",
     ),
+]
+RecordPlanes = Annotated[
+    str | None,
+    typer.Option("--planes", help="Planes to look at: x, y or xy [those of the record]."),
+]
+PlacesTable = Annotated[
+    Path | None,
+    typer.Option("--places", help="Table of places (CSV) [that of the default ring]."),
+]
+RingParameters = Annotated[
+    Path | None,
+    typer.Option("--ring", help="Parameters of the ring (JSON) [those of the default ring]."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
@@ -89,6 +102,21 @@ def validated(model: type[S], values: dict[str, Any], **options: str) -> S:
             option = options.get(name, name)
             problems.setdefault(option, f"--{option}: {problem['msg']}, got {problem['input']!r}")
         raise ConfigError("; ".join(problems.values())) from None
+
+
+def planes_of(text: str | None) -> "physics_places.Planes | None":
+    """Check the planes to look at; None: those of the record.
+
+    Raises:
+        ConfigError: There are no such planes.
+    """
+    from orbitfb.core.errors import ConfigError
+
+    match text:
+        case None | "x" | "y" | "xy":
+            return text
+        case _:
+            raise ConfigError(f"--planes: there is no {text!r}; choose x, y or xy")
 
 
 def make_out(directory: Path) -> None:

@@ -14,18 +14,21 @@ from orbitfb.diagnose.fit import Fit
 from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.search import Outcome, Round
 from orbitfb.diagnose.tournament import Entry
-from orbitfb.effects.kinds import EffectKind, NoiseKind, PairKind, SourceKind
+from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.layout import Layout
+from orbitfb.effects.orbit_kinds import SourceKind
+from orbitfb.effects.random_kinds import NoiseKind
 
 
 def named_causes(outcome: Outcome) -> tuple[NamedCause, ...]:
     """Write the causes of a search, in the order in which they were found."""
-    return tuple(_named(outcome, one) for one in outcome.winners)
+    return tuple(
+        _named(outcome, one, one.accepted) for one in outcome.winners if one.accepted is not None
+    )
 
 
-def _named(outcome: Outcome, one: Round) -> NamedCause:
-    entry = one.accepted
-    assert entry is not None  # noqa: S101 - `winners` have one
+def _named(outcome: Outcome, one: Round, entry: Entry) -> NamedCause:
     layout, kind = one.bench.record.layout, entry.kind
     cause, fitted = _final(outcome, entry)
     chances = one.probabilities()

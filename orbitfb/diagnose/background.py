@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.innovation import Ladder, NoiseFloor, information
-from orbitfb.effects.layout import Layout
+from orbitfb.effects.layout import ChannelPlane, Layout
 from orbitfb.physics.optics import Matrix
 
 GAIN_RMS = 0.01
@@ -106,25 +106,23 @@ class Background:
         begin = 0 if part == "correctors" else correctors
         return self._absorbed[begin : begin + (correctors if part == "correctors" else bpms)]
 
-    def best(self, slope: Matrix, sizes: Vector | None = None) -> Vector:
-        """Find the most likely sizes, in units of their scatter, with the ladder's information.
+    @property
+    def nothing(self) -> Vector:
+        """No errors, shape (P,) over all parts; empty for an exact model."""
+        return np.zeros(0 if self._solver is None else len(self._solver[0]))
+
+    def gradient(self, slope: Matrix, sizes: Vector) -> Vector:
+        """Derivative of the log posterior by the sizes, in units of their scatter, shape (P,).
 
         Args:
             slope: λ of what is left, shape (N, n) [1/m].
-            sizes: That have been taken out of what is left; none when None.
-
-        Returns:
-            What to add to them, shape (P,) over all parts; empty for an exact model.
+            sizes: That have been taken out of what is left, shape (P,).
         """
-        return self.step(self.gradient(slope, sizes))
-
-    def gradient(self, slope: Matrix, sizes: Vector | None = None) -> Vector:
-        """Derivative of the log posterior by the sizes, shape (P,); arguments as for `best`."""
         if self._solver is None:
             return np.zeros(0)
         pull = slope.astype(np.float32) @ self._patterns
         score = np.einsum("kp,kp->p", pull, self._drivers).astype(np.float64)
-        return score if sizes is None else score - sizes
+        return score - sizes
 
     def step(self, gradient: Vector) -> Vector:
         """Precondition a gradient by the ladder's information, shape (P,)."""
@@ -138,7 +136,7 @@ class Background:
         return orbit.astype(np.float64)
 
 
-def _gradient_scatter(layout: Layout, plane: str) -> float:
+def _gradient_scatter(layout: Layout, plane: ChannelPlane) -> float:
     """Scatter of integrated gradients that beats beta at the BPMs by `BEAT_RMS` [1/m].
 
     Δβ/β of one error Δk is −Δk β cos(…)/(2 sin 2πν): its mean square over places is
@@ -147,5 +145,5 @@ def _gradient_scatter(layout: Layout, plane: str) -> float:
     ring = layout.known_ring
     row = 0 if plane == "x" else 1
     beta = ring.table.beta[row, ring.places("QUAD")]
-    per_error = np.sqrt(np.sum(beta**2) / 8.0) / abs(np.sin(2 * np.pi * ring.tune(plane)))  # type: ignore[arg-type]
+    per_error = np.sqrt(np.sum(beta**2) / 8.0) / abs(np.sin(2 * np.pi * ring.tune(plane)))
     return BEAT_RMS / float(per_error)

@@ -17,6 +17,8 @@ _PASSES = 2
 _MOST_STEPS = 8
 _SOLVED = 0.1
 """Gain of a step of the background's sizes below which they are the best [nats]."""
+_SEEN = 1e-4
+"""The same as a share of what a change is seen with."""
 
 
 class Bench:
@@ -86,27 +88,48 @@ class Bench:
         white, sizes = self._healed(leftover.left)
         return white, sizes, leftover.log_jacobian
 
-    def _healed(self, left: Matrix) -> tuple[Matrix, Vector]:
-        """Take the best healthy errors out of what is left: preconditioned conjugate gradients.
+    def information(self, change: Matrix) -> float:
+        """Measure a change of the prediction, the healthy errors doing their best against it.
 
-        They begin where those of the bench are. The ladder's information is nearly exact, so the
-        first step is nearly the answer, except for changes that the record shows very well.
+        Args:
+            change: Shape (N, n) [m].
+
+        Returns:
+            |δ|²: half of it is the expected gain [nats].
+        """
+        white = self.floor.whiten(change, self.record.starts)
+        nothing = np.zeros_like(self.sizes)
+        white, sizes = self._descend(white, nothing, _SEEN * float(np.sum(white**2)))
+        return float(np.sum(white**2) + np.sum(sizes**2))
+
+    def _healed(self, left: Matrix) -> tuple[Matrix, Vector]:
+        """Take the best healthy errors out of what is left, beginning where the bench's are."""
+        white = self.floor.whiten(left, self.record.starts)
+        sizes, change = self._nearby
+        if not len(sizes):
+            return self._descend(white, self.background.nothing, _SOLVED)
+        return self._descend(white - change, sizes, _SOLVED)
+
+    def _descend(self, white: Matrix, sizes: Vector, enough: float) -> tuple[Matrix, Vector]:
+        """Find the best healthy errors by preconditioned conjugate gradients.
+
+        The ladder's information is nearly exact, so the first step is nearly the answer, except
+        for changes that the record shows very well.
+
+        Args:
+            white: What is left with the errors at hand, shape (N, n).
+            sizes: Of those errors, shape (P,).
+            enough: Gain of a step below which they are the best [nats].
         """
         floor, background, starts = self.floor, self.background, self.record.starts
-        white = floor.whiten(left, starts)
-        sizes = self._nearby[0]
-        if len(sizes):
-            white -= self._nearby[1]
-        known = sizes if len(sizes) else None
-        gradient = background.gradient(floor.adjoint(white, starts), known)
-        sizes = np.zeros_like(gradient) if known is None else known
-        if not len(gradient):
+        if not len(sizes):
             return white, sizes
+        gradient = background.gradient(floor.adjoint(white, starts), sizes)
         direction, before = np.zeros_like(sizes), 0.0
         for _ in range(_MOST_STEPS):
             step = background.step(gradient)
             promise = float(gradient @ step)
-            if 0.5 * promise < _SOLVED:
+            if 0.5 * promise < enough:
                 break
             direction = step + (promise / before if before else 0.0) * direction
             before = promise

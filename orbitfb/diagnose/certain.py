@@ -8,7 +8,7 @@ import numpy as np
 from orbitfb.diagnose.answer_parts import Cause
 from orbitfb.diagnose.explain import Cause as Explaining
 from orbitfb.diagnose.finding import Finding
-from orbitfb.effects.kinds import PairKind
+from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.layout import Devices, Layout
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects

@@ -15,7 +15,7 @@ from orbitfb.diagnose.answer_blocks import ClosedLoop
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import Draws, interval
 from orbitfb.diagnose.explain import Cause, columns_of
-from orbitfb.effects.kinds import ActuatorKind
+from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import generator
 from orbitfb.physics.optics import Matrix

@@ -22,17 +22,10 @@ from orbitfb.diagnose.detectable_sizes import (
     within,
 )
 from orbitfb.diagnose.innovation import Ladder
-from orbitfb.effects.kinds import (
-    ActuatorKind,
-    EffectKind,
-    LatentKind,
-    NoiseKind,
-    PairKind,
-    RingKind,
-    SensorKind,
-    SourceKind,
-    Values,
-)
+from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
+from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.orbit_kinds import RingKind, SourceKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
@@ -44,10 +37,6 @@ _SAMPLE = 12
 _PAIRS = 48
 _INVISIBLE = 1e-3
 """Gain of a typical size below which a steady effect leaves no trace [nats]."""
-
-_SOLVER_STEPS = 6
-_SOLVED = 0.02
-"""Relative gain of a step below which the healthy errors have done their best."""
 
 Part = tuple[Matrix, Matrix]
 """Patterns (n, P) and drivers (N, P) or (N, 1)."""
@@ -80,36 +69,6 @@ def detectable(
         else:
             sizes.append(measure.size(kind))
     return tuple(sizes), tuple(untested)
-
-
-def information_of(bench: Bench, change: Matrix) -> float:
-    """Measure a change of the prediction, the healthy errors doing their best against it.
-
-    Args:
-        bench: Its floor and its background count.
-        change: Shape (N, n) [m].
-
-    Returns:
-        |δ|²: half of it is the expected gain [nats].
-    """
-    starts, floor, background = bench.record.starts, bench.floor, bench.background
-    white = floor.whiten(change, starts)
-    residual, now = white, float(np.sum(white**2))
-    # `best` is one step of a solver whose matrix is not exact: go on in the space of its steps.
-    moves: list[tuple[Matrix, Vector]] = []
-    for _ in range(_SOLVER_STEPS):
-        sizes = background.best(floor.adjoint(residual, starts))
-        if not len(sizes):
-            break
-        moves.append((floor.whiten(background.orbit(sizes), starts), sizes))
-        gram = np.array([[np.vdot(a[0], b[0]) + a[1] @ b[1] for b in moves] for a in moves])
-        score = np.array([np.vdot(white, healthy) for healthy, _ in moves])
-        weights = np.linalg.lstsq(gram, score, rcond=1e-12)[0]
-        before, now = now, float(np.vdot(white, white) - weights @ score)
-        if now > (1.0 - _SOLVED) * before:
-            break
-        residual = white - sum(w * healthy for w, (healthy, _) in zip(weights, moves, strict=True))
-    return max(now, 0.0)
 
 
 class _Measure:
@@ -227,7 +186,7 @@ class _Measure:
             course = drivers[:, place if drivers.shape[1] > 1 else 0]
             change += np.outer(course, patterns[:, place])
         whole = float(np.sum(self._bench.floor.whiten(change, self._starts) ** 2))
-        return information_of(self._bench, change) / whole if whole > 0.0 else 1.0
+        return self._bench.information(change) / whole if whole > 0.0 else 1.0
 
     def _whole(self, kind: EffectKind, change: Matrix, late: bool) -> Vector:
         """Of an effect on the whole ring; what healthy errors leave of it is computed once."""
@@ -235,7 +194,7 @@ class _Measure:
         raw = float(np.sum(self._bench.floor.whiten(change, self._starts) ** 2))
         key = (kind.id, late)
         if key not in self._shares and raw > 0.0:
-            self._shares[key] = information_of(self._bench, change) / raw
+            self._shares[key] = self._bench.information(change) / raw
         return np.array([raw * self._shares.get(key, 1.0)])
 
     def _of_pairs(self, kind: PairKind, values: Values) -> Vector:

@@ -10,7 +10,8 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.randomness import projections
-from orbitfb.effects.kinds import LatentKind, NoiseKind, SourceKind
+from orbitfb.effects.orbit_kinds import SourceKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.physics.optics import Matrix
 
 SIGMA = 5.0

@@ -13,18 +13,16 @@ from orbitfb.diagnose.certain import certain_causes
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.judgement import judge
 from orbitfb.diagnose.parts import Parts
+from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
-from orbitfb.diagnose.search import CLOSE, SURE, Outcome, Progress, search
+from orbitfb.diagnose.search import CLOSE, SURE, Outcome, search
+from orbitfb.diagnose.shrink import put_aside
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
 
 _SCREENED = ("bpm-stuck", "missed-read")
 """Effects that leave exact repeats: the integrity screen is certain of them, or they are not."""
-
-_LEAST_TO_SPLIT = 500
-"""Rows below which nothing is put aside: what is left would show too little."""
-_FITTED = 0.8
 
 
 def diagnose(
@@ -53,7 +51,7 @@ def diagnose(
     kinds, not_tested = _able(certain.record, without)
     floor = None if reference is None else Bench(reference).floor
     whole = certain.record
-    first, later = (whole, holdout) if holdout is not None else _put_aside(whole)
+    first, later = (whole, holdout) if holdout is not None else put_aside(whole)
 
     given = certain.given
 
@@ -86,14 +84,6 @@ def diagnose(
             )
         }
     )
-
-
-def _put_aside(record: Record) -> tuple[Record, Record | None]:
-    """Keep the end of a record for what is used neither for fitting nor for selection."""
-    if len(record) < _LEAST_TO_SPLIT:
-        return record, None
-    cut = round(_FITTED * len(record))
-    return record.rows(0, cut), record.rows(cut, len(record))
 
 
 def _able(

@@ -7,15 +7,9 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.change import source_change
-from orbitfb.effects.kinds import (
-    ActuatorKind,
-    EffectKind,
-    PairKind,
-    RingKind,
-    SensorKind,
-    SourceKind,
-    Values,
-)
+from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
+from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 

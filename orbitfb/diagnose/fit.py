@@ -202,7 +202,8 @@ def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, pr
     by_row += (gain - by_row.sum()) / len(by_row)  # the background's share belongs to no row
     count, smooth = len(best), problem.smooth
     if len(slopes) < len(smooth):  # none that is finite: nothing is known of them
-        slopes = [tuple(np.zeros_like(part) for part in now) for _ in smooth]  # type: ignore[misc]
+        nothing = np.zeros_like(now[0]), np.zeros_like(now[1]), np.zeros_like(now[2])
+        slopes = [nothing for _ in smooth]
     covariance = np.zeros((count, count))
     held, unstable = by_row, np.zeros(count, dtype=np.bool_)
     volume, inflation = 0.0, 1.0

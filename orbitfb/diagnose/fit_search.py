@@ -6,7 +6,7 @@ from scipy.optimize import minimize_scalar
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import log_likelihood
 from orbitfb.diagnose.problem import Left, Problem, from_fitted
-from orbitfb.effects.kinds import SourceKind
+from orbitfb.effects.orbit_kinds import SourceKind
 
 _TRIALS = np.linspace(-1.0, 1.0, 15)
 _FEW_TRIALS = np.linspace(-1.0, 1.0, 7)

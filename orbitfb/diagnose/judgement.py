@@ -14,7 +14,7 @@ from orbitfb.diagnose.certain import Certain
 from orbitfb.diagnose.gof import audit, passed
 from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.search import CLOSE, Outcome, Round
-from orbitfb.effects.kinds import LatentKind, NoiseKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 _EXPLAINED = 0.8
 """Share of what any model could gain below which a named cause leaves a remainder."""

@@ -20,7 +20,8 @@ from orbitfb.diagnose.plan import plan
 from orbitfb.diagnose.search import Outcome
 from orbitfb.diagnose.shrink import contrast, k_steps, shrink
 from orbitfb.diagnose.wording import headline
-from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
 
 _RIVALS = 4

@@ -6,7 +6,7 @@ of beam time. Where no excitation splits them (late readings against late correc
 noise) the answer is what the effects themselves say would.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,8 +25,12 @@ from orbitfb.diagnose.plan_candidates import (
 )
 from orbitfb.diagnose.plan_file import Plan
 from orbitfb.diagnose.plan_response import base_rows, loop_gains, outlook, separation
+from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.tournament import tournament
-from orbitfb.effects.kinds import EffectKind, NoiseKind, PairKind, SourceKind, Values
+from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.orbit_kinds import SourceKind
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.record import Record
 from orbitfb.safety.limits import LimitSettings
 
@@ -40,8 +44,6 @@ _FINALISTS = 4
 _FEWEST_ROWS = 100
 _SHARES = (1.0, 1 / 3, 0.1)
 """Amplitudes that are tried, of what the limits allow."""
-
-Progress = Callable[[str, float], None]
 
 
 def limits_of(

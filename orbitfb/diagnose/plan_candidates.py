@@ -12,7 +12,7 @@ import numpy as np
 
 from orbitfb.core.signals import Channels, Vector
 from orbitfb.diagnose.explain import Cause
-from orbitfb.effects.kinds import PairKind
+from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.layout import Layout
 from orbitfb.loop.excitation_design import ExcitationPart, ExcitationSettings, design
 from orbitfb.physics.optics import Matrix

@@ -22,16 +22,10 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import GAIN_RMS
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause, added, columns_of
-from orbitfb.effects.kinds import (
-    ActuatorKind,
-    LatentKind,
-    NoiseKind,
-    PairKind,
-    Parameter,
-    RingKind,
-    SensorKind,
-    SourceKind,
-)
+from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
+from orbitfb.effects.kinds import Parameter
+from orbitfb.effects.orbit_kinds import RingKind, SourceKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 

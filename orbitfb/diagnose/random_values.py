@@ -20,7 +20,8 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause, explain
 from orbitfb.diagnose.problem import from_fitted, prior_width, to_fitted
 from orbitfb.diagnose.randomness import latent_gain, strikes
-from orbitfb.effects.kinds import LatentKind, NoiseKind, Parameter, Values
+from orbitfb.effects.kinds import Parameter, Values
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.physics.optics import Matrix
 
 _WIDTH = 1.645

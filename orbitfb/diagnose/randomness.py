@@ -17,7 +17,8 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan import groups_of
-from orbitfb.effects.kinds import LatentKind, NoiseKind, Values
+from orbitfb.effects.kinds import Values
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.physics.optics import Matrix
 
 _LEAST_SCATTER = 0.05

@@ -13,7 +13,7 @@ from orbitfb.diagnose.background import Background
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause, actuated, columns_of, explain, restored
 from orbitfb.diagnose.innovation import NoiseFloor
-from orbitfb.effects.kinds import PairKind, SensorKind
+from orbitfb.effects.device_kinds import PairKind, SensorKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 

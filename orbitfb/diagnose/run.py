@@ -1,6 +1,6 @@
 """From the files of records to a diagnosis: read, screen, ask the engine."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -11,14 +11,12 @@ from orbitfb.diagnose.engine import diagnose
 from orbitfb.diagnose.finding import Finding as Found
 from orbitfb.diagnose.integrity import screen
 from orbitfb.diagnose.load import load
+from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
 from orbitfb.diagnose.wording import headline
 from orbitfb.effects.layout import Devices
 from orbitfb.effects.record import Record
 from orbitfb.physics.places import Planes, Ring
-
-Progress = Callable[[str, float], None]
-"""Told what is being done and what share of the whole is done."""
 
 _SAME_PERIOD = 0.1
 """Share by which the periods of two records may differ: what moves per tick goes with it."""

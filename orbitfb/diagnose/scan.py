@@ -24,15 +24,9 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import information
 from orbitfb.diagnose.scan_shapes import Changes, Scoring
 from orbitfb.diagnose.scan_special import of_pairs, of_ring, periodic
-from orbitfb.effects.kinds import (
-    ActuatorKind,
-    EffectKind,
-    PairKind,
-    RingKind,
-    SensorKind,
-    SourceKind,
-    Values,
-)
+from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
+from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 

@@ -13,7 +13,9 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.innovation import Ladder
-from orbitfb.effects.kinds import ActuatorKind, EffectKind, SensorKind, SourceKind, Values
+from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
+from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.physics.optics import Matrix
 
 _ROUGH = 4

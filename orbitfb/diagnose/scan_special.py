@@ -15,7 +15,9 @@ from orbitfb.diagnose.candidate import (
 )
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan_shapes import Scoring
-from orbitfb.effects.kinds import ActuatorKind, PairKind, RingKind, SourceKind, Values
+from orbitfb.effects.device_kinds import ActuatorKind, PairKind
+from orbitfb.effects.kinds import Values
+from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.physics.optics import Matrix
 
 _ONSETS_TRIED = 4

@@ -1,6 +1,6 @@
 """Forward selection: accept the best cause, judge the record with it, look again, fit jointly."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,9 +9,11 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.strikes import without_strikes
 from orbitfb.diagnose.tournament import Entry, tournament
-from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
 
 MOST_CAUSES = 3
@@ -26,8 +28,6 @@ _LEAST_FURTHER = 15.0
 """Least weight of a further cause [nats]: the first one is never quite right."""
 _TIDY = 1.5
 """Scatter of a further cause's scores over what the noise model says that is still tidy."""
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,7 +187,7 @@ def _together(
     """Fit all causes jointly under the floor that they leave."""
     if not causes:
         return None, ()
-    found = fit(nominal.with_floor(last.floor), causes)
+    found = fit(nominal.with_floor(last.floor), causes, precise=True)
     if not found.parameters and any(cause.kind.parameters for cause in causes):
         return None, causes  # jointly they cannot be told apart; they stay as they were found
     return found, found.causes

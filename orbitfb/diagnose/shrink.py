@@ -18,22 +18,26 @@ from orbitfb.diagnose.competitor import refitted_response
 from orbitfb.diagnose.contrast import Contrast
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.replay import Model, Replay
-from orbitfb.effects.kinds import SourceKind
+from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.record import Record
 
 STEPS = (1, 2, 5, 10, 50)
-_LATER = 1.0 / 3.0
+_LEAST_TO_SPLIT = 500
+"""Rows below which nothing is put aside: what is left would show too little."""
+_FITTED = 0.8
 _PHASES = 24
 _NINETY = (0.05, 0.95)
 
 
-def split(record: Record) -> tuple[Record, Record]:
-    """Put the last third of a record aside, before anything is fitted.
+def put_aside(record: Record) -> tuple[Record, Record | None]:
+    """Keep the end of a record for what is used neither for fitting nor for selection.
 
     Returns:
-        What is fitted, and what comes after it.
+        What is fitted, and what comes after it; None where the record is too short for that.
     """
-    cut = len(record) - max(2, round(_LATER * len(record)))
+    if len(record) < _LEAST_TO_SPLIT:
+        return record, None
+    cut = round(_FITTED * len(record))
     return record.rows(0, cut), record.rows(cut, len(record))
 
 

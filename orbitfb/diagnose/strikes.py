@@ -7,7 +7,7 @@ import numpy as np
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.randomness import latent_odds
-from orbitfb.effects.kinds import LatentKind
+from orbitfb.effects.random_kinds import LatentKind
 from orbitfb.effects.record import Record
 
 _LIKELY = 0.5

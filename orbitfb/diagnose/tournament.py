@@ -6,7 +6,7 @@ what the choice of values, place, onset and kind costs. Nothing here is calibrat
 cases: a candidate that is wrong leaves scores that scatter more than they should, and pays.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,13 +15,15 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
+from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.randomness import (
     latent_candidates,
     level_candidates,
     noise_candidates,
 )
 from orbitfb.diagnose.scan import Scanner
-from orbitfb.effects.kinds import EffectKind, LatentKind, NoiseKind
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 FINALISTS = 10
 """Most candidates that are fitted exactly."""
@@ -29,7 +31,7 @@ _LEAST_FINALISTS = 3
 _HOPELESS = 0.25
 """Share of the best weight so far that a candidate has to promise to be fitted."""
 REFITTED = 6
-"""Of them, those that are fitted again under the floor that the best one leaves."""
+"""Of them, those that are judged again, each under the floor that it leaves itself."""
 _ABSURD = 1.2
 """Rms of the background's sizes, in units of their scatter, that no healthy ring has."""
 _ONSET_WORTH = 4.0
@@ -37,8 +39,6 @@ _ONSET_WORTH = 4.0
 
 _SAME = 0.02
 """Two fits leave the same when what they leave differs by less than this share of the gain."""
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,9 +87,10 @@ def tournament(
     """
     tell = progress or (lambda what, share: None)
     proposals = propose(bench, kinds, lambda what, share: tell(what, 0.5 * share))
-    if np.sqrt(np.mean(bench.sizes**2)) > _ABSURD if len(bench.sizes) else False:
+    if np.sum(bench.sizes**2) > _ABSURD**2 * len(bench.sizes):
+        told = bench.floor if bench.told_floor else None
         # Healthy errors cannot be that large: they have swallowed the cause. Look without them.
-        bare = Bench(bench.record, bench.causes, None, bench.floor.modes, 0.0)
+        bare = Bench(bench.record, bench.causes, told, bench.floor.modes, 0.0)
         proposals = _distinct([*propose(bare, kinds), *proposals])
     entries: list[Entry] = []
     for index, candidate in enumerate(proposals):

@@ -22,16 +22,11 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.load_rows import Transition, join
 from orbitfb.diagnose.tournament import propose
-from orbitfb.effects.kinds import (
-    ActuatorKind,
-    EffectKind,
-    LatentKind,
-    NoiseKind,
-    PairKind,
-    SensorKind,
-    SourceKind,
-)
+from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
+from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.layout import Devices, Layout
+from orbitfb.effects.orbit_kinds import SourceKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
 

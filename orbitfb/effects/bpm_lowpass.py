@@ -6,7 +6,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.kinds import Parameter, SensorKind, Values
+from orbitfb.effects.device_kinds import SensorKind
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.readings import ChangedReadings
 from orbitfb.effects.record import Record

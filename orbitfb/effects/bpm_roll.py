@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from orbitfb.core.errors import ConfigError
-from orbitfb.effects.kinds import PairKind, Parameter, Values
+from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.mixing import MixedReadings
 from orbitfb.effects.record import Record

@@ -5,7 +5,8 @@ from itertools import combinations
 import numpy as np
 
 from orbitfb.core.errors import ConfigError
-from orbitfb.effects.kinds import PairKind, Values
+from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.kinds import Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.mixing import MixedReadings
 from orbitfb.effects.record import Record

@@ -3,7 +3,8 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.kinds import SourceKind, Values
+from orbitfb.effects.kinds import Values
+from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 

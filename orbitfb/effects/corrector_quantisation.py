@@ -4,7 +4,8 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.actuating import ColumnsEffect, ladder, usual_change
-from orbitfb.effects.kinds import ActuatorKind, Parameter, Values
+from orbitfb.effects.device_kinds import ActuatorKind
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.needles import common_steps, read_back_steps, single_steps
 from orbitfb.effects.record import Record

@@ -6,7 +6,8 @@ import numpy as np
 
 from orbitfb.core.errors import ConfigError
 from orbitfb.effects.actuating import PairsEffect
-from orbitfb.effects.kinds import PairKind, Parameter, Values
+from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect

@@ -3,7 +3,8 @@
 import numpy as np
 
 from orbitfb.effects.actuating import PairsEffect, couples, pairs_of
-from orbitfb.effects.kinds import PairKind, Values
+from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.kinds import Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect

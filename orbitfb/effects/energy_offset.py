@@ -3,8 +3,9 @@
 import numpy as np
 
 from orbitfb.effects.kicks import Moved, needs_ring
-from orbitfb.effects.kinds import Parameter, RingKind, Values
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
+from orbitfb.effects.orbit_kinds import RingKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix

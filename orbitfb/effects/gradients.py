@@ -3,8 +3,8 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.kinds import Courses
 from orbitfb.effects.layout import ChannelPlane, Layout
+from orbitfb.effects.orbit_kinds import Courses
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix, green, green_with_gradient_errors
 from orbitfb.physics.places import Indices, Ring, plane_row

@@ -4,8 +4,9 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.actuating import changes
-from orbitfb.effects.kinds import LatentKind, Parameter, Values
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
+from orbitfb.effects.random_kinds import LatentKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.kinds import NoiseKind, Parameter, Values
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.readings import ChangedNoise
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect

@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.kinds import NoiseKind, Parameter, Values
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix

@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
-from orbitfb.effects.kinds import NoiseKind, Parameter, Values
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.readings import ChangedNoise
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix

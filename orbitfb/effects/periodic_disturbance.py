@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from orbitfb.effects.kicks import Moved, source_names, source_patterns, together
-from orbitfb.effects.kinds import Courses, Parameter, SourceKind, Values
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
+from orbitfb.effects.orbit_kinds import Courses, SourceKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix

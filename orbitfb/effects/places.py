@@ -8,8 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.errors import ConfigError
-from orbitfb.effects.kinds import EffectKind, NoiseKind, PairKind, SourceKind
+from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.layout import Devices, Layout
+from orbitfb.effects.orbit_kinds import SourceKind
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.settings import EffectSettings
 from orbitfb.physics.places import Indices
 

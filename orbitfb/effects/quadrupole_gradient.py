@@ -4,8 +4,9 @@ import numpy as np
 
 from orbitfb.effects.gradients import ChangedGradients, gradient_kicks
 from orbitfb.effects.kicks import two_planes
-from orbitfb.effects.kinds import Courses, Parameter, SourceKind, Values
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
+from orbitfb.effects.orbit_kinds import Courses, SourceKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kicks import source_names, source_patterns
-from orbitfb.effects.kinds import NoiseKind, Parameter, Values
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from orbitfb.effects.kicks import needs_ring
-from orbitfb.effects.kinds import Parameter, RingKind, Values
+from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
+from orbitfb.effects.orbit_kinds import RingKind
 from orbitfb.effects.record import Record
 from orbitfb.effects.tunes import ChangedTunes, tune_change
 from orbitfb.physics.effect import Effect

@@ -7,7 +7,7 @@ from orbitfb.diagnose.ambiguity import classes, cosines, declared, identifiabili
 from orbitfb.diagnose.background import GAIN_RMS
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.detectable import detectable, information_of
+from orbitfb.diagnose.detectable import detectable
 from orbitfb.diagnose.detectable_random import ENOUGH
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.simulate import simulate_record
@@ -50,7 +50,7 @@ def test_a_gain_of_the_size_told_gives_the_nats_promised(bench: Bench, name: str
         else:
             change = np.zeros_like(bench.orbit)
             change[:, place] = bench.orbit[:, place]
-        gains.append(0.5 * information_of(bench, told.size * change))
+        gains.append(0.5 * bench.information(told.size * change))
     assert np.median(gains) == pytest.approx(ENOUGH, rel=0.25)
 
 
@@ -63,7 +63,7 @@ def test_healthy_errors_do_their_best_against_a_gain_however_strongly_it_is_exci
     )
     change = 0.06 * np.outer(bench.currents[:, 50], layout.response[:, 50])
     whole = 0.5 * np.sum(bench.floor.whiten(change, bench.record.starts) ** 2)
-    left = 0.5 * information_of(bench, change)
+    left = 0.5 * bench.information(change)
     assert whole > 500.0
     assert left < 0.5 * (0.06 / GAIN_RMS) ** 2 * 1.1  # that much one healthy error costs
 

@@ -7,7 +7,7 @@ from gap_cases import GAIN, PLACE, bench, gain_error, record
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.competitor import refitted_response
 from orbitfb.diagnose.replay import Replay
-from orbitfb.diagnose.shrink import contrast, k_steps, shrink, split
+from orbitfb.diagnose.shrink import contrast, k_steps, put_aside, shrink
 
 TRUE = ((PLACE, GAIN),)
 
@@ -86,17 +86,24 @@ def test_a_refit_learns_nothing_where_there_is_nothing():
     assert quiet.max() < 0.02 * np.abs(record(False).layout.response).max()
 
 
-def test_the_last_third_is_put_aside():
-    whole = record(False)
-    fitted, later = split(whole)
+def test_the_last_fifth_is_put_aside():
+    whole = record(False, ticks=600)
+    fitted, later = put_aside(whole)
+    assert later is not None
     assert len(fitted) + len(later) == len(whole)
-    assert len(later) == round(len(whole) / 3)
+    assert len(later) == round(len(whole) / 5)
     assert later.starts[0]
     assert later.time[0] > fitted.time[-1]
 
 
 def test_an_end_put_aside_serves_as_a_later_record():
-    fitted, later = split(record(True))
-    its = shrink(contrast(Bench(fitted, [gain_error()]), later), "the last third of the record")
+    fitted, later = put_aside(record(True, ticks=600))
+    assert later is not None
+    its = shrink(contrast(Bench(fitted, [gain_error()]), later), "the end of the record")
     assert its.nats > 0.9
     assert its.held_out_ticks == len(later) - 1
+
+
+def test_nothing_is_put_aside_of_a_short_record():
+    short = record(False)
+    assert put_aside(short) == (short, None)

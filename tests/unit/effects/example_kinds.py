@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from orbitfb.effects.kinds import ActuatorKind, Parameter, RingKind, SensorKind
+from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
+from orbitfb.effects.kinds import Parameter
+from orbitfb.effects.orbit_kinds import RingKind
 from orbitfb.physics.effect import Effect
 
 

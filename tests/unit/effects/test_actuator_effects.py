@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from orbitfb.core.errors import ConfigError
-from orbitfb.effects.kinds import PairKind
+from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.registry import effect
 from orbitfb.physics.plant import Plant, PlantSettings
 

@@ -8,17 +8,10 @@ import numpy as np
 import pytest
 
 from orbitfb.effects.build import layout_of
-from orbitfb.effects.kinds import (
-    ActuatorKind,
-    LatentKind,
-    NoiseKind,
-    PairKind,
-    RingKind,
-    SensorKind,
-    SourceKind,
-    Stage,
-    Target,
-)
+from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
+from orbitfb.effects.kinds import Stage, Target
+from orbitfb.effects.orbit_kinds import RingKind, SourceKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
 from orbitfb.effects.settings import describe, keys

@@ -10,8 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.change import source_change
 from orbitfb.effects.kicks import interpolation
-from orbitfb.effects.kinds import NoiseKind, RingKind, SourceKind
 from orbitfb.effects.layout import Devices, Layout
+from orbitfb.effects.orbit_kinds import RingKind, SourceKind
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import effect
 from orbitfb.effects.tunes import tune_change

@@ -1,0 +1,113 @@
+"""Effects on devices: correctors, BPMs, and pairs of either."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+
+class ActuatorKind(EffectKind):
+    """An effect on what correctors make of their setpoints, each corrector for itself.
+
+    One with the target `ring` strikes all correctors at once and has no place: `drive` gets every
+    column, and `simulate` no places.
+    """
+
+    target = "corrector"
+
+    @abstractmethod
+    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+        """Tell the currents that act on the beam.
+
+        Args:
+            setpoints: In force at every row, of k correctors, shape (N, k) [A]; constant before
+                the first row of a stretch (`record.starts`).
+            values: All parameters.
+            record: Time, stretches, period and all else.
+
+        Returns:
+            Currents in force at every row, shape (N, k) [A].
+        """
+
+    def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> Sequence[Values]:
+        """Propose values to scan beside `grid`, from what pulls at the likelihood.
+
+        For effects whose likelihood is too spiky for any grid; by default there are none.
+
+        Args:
+            setpoints: As for `drive`, of all correctors, shape (N, m) [A].
+            pull: ∂log L/∂current under the causes so far, shape (N, m) [1/A].
+            record: As for `drive`.
+        """
+        return ()
+
+
+class SensorKind(EffectKind):
+    """An effect on what BPMs tell of the orbit, each BPM for itself."""
+
+    target = "bpm"
+
+    @abstractmethod
+    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
+        """Undo the effect: what would have been read without it.
+
+        Args:
+            readings: As read, of k BPMs, shape (N, k) [m].
+            values: All parameters.
+            record: Time, stretches, period, auxiliary channels and all else.
+
+        Returns:
+            Readings without the effect, shape (N, k) [m], and log |∂restored/∂reading| summed
+            over the k BPMs, of every row, shape (N,).
+        """
+
+    @abstractmethod
+    def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
+        """Tell what the BPMs make of an orbit: the inverse of `restore`.
+
+        The change of the prediction by the effect is distort(x̂) − x̂ with the predicted orbit x̂.
+        (−(restore(x̂) − x̂) is the same to first order only: a flipped polarity would get the
+        wrong sign, a latency the wrong tick.)
+
+        Args:
+            orbit: At k BPMs, shape (N, k) [m].
+            values: All parameters.
+            record: As for `restore`.
+
+        Returns:
+            Shape (N, k) [m].
+        """
+
+
+class PairKind(EffectKind):
+    """An effect that ties two columns: swapped, coupled or rolled devices.
+
+    `bpm` pairs change readings, `corrector` pairs change currents, by a 2 × 2 matrix.
+    """
+
+    @abstractmethod
+    def pairs(self, layout: Layout) -> Indices:
+        """Ordered pairs of columns that may be tied, shape (P, 2)."""
+
+    @abstractmethod
+    def matrix(self, values: Values) -> Matrix:
+        """Shape (2, 2): (first, second) as acted on = matrix @ (first, second) as wanted.
+
+        Wanted are true positions for `bpm` (and acted on the readings), setpoints for
+        `corrector` (and acted on the currents).
+        """
+
+    def matrices(self, layout: Layout, values: Values) -> Matrix:
+        """Shape (P, 2, 2): `matrix` of every pair of `pairs`, in its order.
+
+        They are all alike by default. An effect that mixes what the columns do, and not what is
+        set (kicks and not amperes, when calibrations differ), tells it here.
+        """
+        return np.broadcast_to(self.matrix(values), (len(self.pairs(layout)), 2, 2))

@@ -1,0 +1,63 @@
+"""Effects that add an orbit of their own: fixed shapes with a course in time, or the whole ring."""
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.record import Record
+from orbitfb.physics.optics import Matrix
+
+Courses = NDArray[np.float64]
+"""Courses in time of P places: (N, P), (N, 1), or by plane (2, N, P)."""
+
+
+class SourceKind(EffectKind):
+    """An effect that adds, for each of its places, an orbit of fixed shape times a course in time.
+
+    Errors of quadrupoles, kicks, periodic disturbances, energy: everything of rank one per plane.
+    A place that acts in both planes has one course for the rows of the x BPMs and one for those
+    of the y BPMs (a gradient error acts with opposite signs): `orbitfb.effects.change` joins them.
+    """
+
+    target = "source"
+    periodic: ClassVar[bool] = False
+    """Whether it is `cosine` cos ωt + `sine` sin ωt of a `frequency` [Hz]: all frequencies are
+    then scanned at once by a Fourier transform of the scores."""
+
+    @abstractmethod
+    def places_of(self, layout: Layout) -> tuple[str, ...]:
+        """Names of the P places that it may have (with the plane where that matters)."""
+
+    @abstractmethod
+    def patterns(self, layout: Layout) -> Matrix:
+        """Orbit shape of every place, shape (n, P); of a place in both planes, both are filled."""
+
+    @abstractmethod
+    def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
+        """Course of every place's amplitude.
+
+        Args:
+            values: All parameters.
+            record: Time, period, auxiliary channels.
+            currents: That act on the beam, shape (N, m) [A].
+            orbit: Predicted orbit at the BPMs, without noise of the readings, shape (N, n) [m].
+
+        Returns:
+            Shape (N, P), or (N, 1) when it is the same for all places; or (2, N, P) when the
+            planes differ: the first for the rows of the x BPMs, the second for those of y.
+        """
+
+
+class RingKind(EffectKind):
+    """An effect on the whole ring: it has no place."""
+
+    target = "ring"
+    collective = False
+
+    @abstractmethod
+    def deflect(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
+        """Tell what it adds to the orbit, shape (N, n) [m]; arguments as for `drivers`."""
