@@ -41,7 +41,7 @@ from orbitfb.physics.places import Ring
 from orbitfb.policies.masking import mask_of
 from orbitfb.policies.stability import growth_of, warning_of
 from orbitfb.remote import Remote
-from orbitfb.reports import Reports, say_excitation
+from orbitfb.reports import Reports, postmortems, say_excitation
 from orbitfb.startup import (
     SIMULATED,
     announcement,
@@ -134,6 +134,7 @@ class Service:
         self.runner = Runner(
             machine,
             self.slot,
+        recorders = postmortems(config, ioc, self.channels, counting, self._reports, stack)
             config.loop,
             config.limits,
             config.interlocks,
@@ -141,7 +142,7 @@ class Service:
             clock,
             dither=self._dither,
             start=start,
-            subscribers=(self.history, archive, self.statistics, self.events),
+            subscribers=(self.history, archive, self.statistics, self.events, *recorders),
             counting=counting,
         )
         self.watch = self._gap_watch(config, ring, stack)
@@ -161,7 +162,9 @@ class Service:
             )
             self.learner.start()
             stack.callback(self.learner.stop)
-        registry = metrics_registry(self.statistics.snapshot, archive.status)
+        registry = metrics_registry(
+            self.statistics.snapshot, archive.status, *(its.status for its in recorders)
+        )
         http = ObserveServer(config.observe, registry, self.statistics.snapshot)
         http.start()
         stack.callback(http.stop)
@@ -178,6 +181,14 @@ class Service:
         )
         stack.callback(ControlServer(directory, remote).close)
         terminal = Terminal(
+            *(its.request for its in recorders),
+        )
+        commands = Commands({"": remote}, self.statistics, Figures(config.observe.stale_after))
+        stack.callback(ControlServer(directory, commands).close)
+        panel = (
+            OwnPanel(config, self.channels, self.statistics, stack)
+            if config.panel.enabled
+            else None
             self.statistics.snapshot,
             config.observe.terminal,
             Surroundings(

@@ -36,6 +36,7 @@ from orbitfb.policies.settings import PolicySettings
 from orbitfb.policies.supervised_settings import SupervisedSettings
 from orbitfb.policies.trajectory_settings import StructuredSettings, TrajectorySettings
 from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.postmortem.settings import PostMortemSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.sim.settings import SimSettings
 
@@ -138,6 +139,9 @@ class AppConfig(Settings):
         default=HistorySettings(), description="Transitions in memory and on disk."
     )
     observe: ObserveSettings = Field(
+    postmortem: PostMortemSettings = Field(
+        default=PostMortemSettings(), description="What is kept of a trip."
+    )
         default=ObserveSettings(), description="Metrics, health and logs."
     )
     epics: EpicsSettings = Field(default=EpicsSettings(), description="Channel Access.")

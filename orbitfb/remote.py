@@ -1,7 +1,7 @@
 """What a running service does when a command line asks it over the control socket."""
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Future
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ class Remote:
         archive: Where the archive lies, for advice.
         period: Of the loop [s]; a command takes effect at a tick, so it waits for a few.
         dress: Makes of a stored policy the one that may act: masked correctors do not move.
+        freeze: Freezes the last seconds to a file, for who asks; None when that is off.
     """
 
     runner: Runner
@@ -50,6 +51,7 @@ class Remote:
     archive: Path
     period: float
     dress: Callable[[StoredPolicy], Policy] = lambda policy: policy
+    freeze: Callable[[str], Future[Path]] | None = None
 
     def __call__(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         """Carry out a request.
@@ -65,7 +67,24 @@ class Remote:
             return self._refit(request.get("activate") is True)
         if name == "activate":
             return self._activate(request.get("policy"), request.get("force") is True)
+        if name == "postmortem":
+            return self._freeze()
         return self._command(str(name))
+
+    def _freeze(self) -> Mapping[str, Any]:
+        if self.freeze is None:
+            raise ControlError(
+                "post-mortems of this service are off (postmortem.enabled); its archive is in "
+                f"{self.archive}"
+            )
+        try:
+            path = self.freeze("asked for by the command postmortem").result(LONGEST_PATIENCE)
+        except TimeoutError:
+            raise ControlError(
+                f"the post-mortem is not on disk after {LONGEST_PATIENCE:g} s; it is written as "
+                "soon as the disk takes it"
+            ) from None
+        return {"postmortem": str(path)}
 
     def _command(self, name: str) -> Mapping[str, Any]:
         patience = min(max(5.0, 3 * self.period), LONGEST_PATIENCE)

@@ -1,13 +1,22 @@
 """What happens beside the loop goes to the figures, to the events and to the log."""
 
+from contextlib import ExitStack
+from pathlib import Path
+
 import structlog
 
+from orbitfb.config import AppConfig
+from orbitfb.config_text import to_toml
+from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ArchiveError, EstimationError
 from orbitfb.core.gap import GapSight
 from orbitfb.core.refit import Alarm, RefitReport
+from orbitfb.core.signals import Channels, Mask
 from orbitfb.loop.excitation import Excitation, Progress
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.postmortem.frozen import Frozen
+from orbitfb.postmortem.recorder import Listeners, LogTap, PostMortemRecorder, Run
 
 _log = structlog.stdlib.get_logger("orbitfb.service")
 
@@ -47,6 +56,28 @@ class Reports:
         _log.error("archive_failed", problem=str(error))
         self._statistics.happened("archive", str(error))
 
+    def postmortem_written(self, path: Path, frozen: Frozen) -> None:
+        """Take that the last seconds are on disk."""
+        cause = frozen.cause
+        _log.info(
+            "postmortem_written",
+            path=str(path),
+            trigger=cause.trigger,
+            tick=cause.tick,
+            reason=cause.reason,
+            ticks=len(frozen.ticks),
+        )
+        self._statistics.happened("postmortem", str(path))
+
+    def postmortem_failed(self, problem: str) -> None:
+        """Take why a post-mortem is lost."""
+        _log.error("postmortem_failed", problem=problem)
+        self._statistics.happened("postmortem", problem)
+
+    def postmortems_removed(self, paths: list[Path]) -> None:
+        """Take that old post-mortems were removed."""
+        _log.info("postmortems_removed", paths=[str(path) for path in paths])
+
     def ring_died(self, failure: str) -> None:
         """Take why the simulated ring of our own died."""
         self._statistics.happened("ring", failure)
@@ -57,3 +88,38 @@ def say_excitation(excitation: Excitation) -> None:
     progress = excitation.progress
     say = _log.info if progress is Progress.DONE else _log.warning
     say("excitation", progress=progress, ticks=excitation.rows)
+
+
+def postmortems(
+    config: AppConfig,
+    ioc: str,
+    channels: Channels,
+    counting: Mask,
+    reports: Reports,
+    stack: ExitStack,
+) -> tuple[PostMortemRecorder, ...]:
+    """Keep the last seconds of everything for a post-mortem: one recorder, or none if it is off.
+
+    Args:
+        config: The configuration; it goes into every file.
+        ioc: Where the ring is.
+        channels: The names behind the vectors.
+        counting: BPMs that are not masked by configuration, shape (n,).
+        reports: Told what becomes of them.
+        stack: Ends it.
+    """
+    if not config.postmortem.enabled:
+        return ()
+    clock = SystemClock()
+    recorder = PostMortemRecorder(
+        config.data_directory.resolve() / "postmortem",
+        config.postmortem,
+        Run(channels, counting, to_toml(config), {"ioc": ioc, "started": clock.wall()}),
+        Listeners(
+            reports.postmortem_written, reports.postmortem_failed, reports.postmortems_removed
+        ),
+        clock,
+    )
+    stack.callback(recorder.close)
+    stack.callback(LogTap(recorder.tell).close)
+    return (recorder,)

@@ -170,7 +170,7 @@ def refit(
 
 
 def command(
-    name: Annotated[str, typer.Argument(help="open, shadow, close, reset or status.")],
+    name: Annotated[str, typer.Argument(help="open, shadow, close, reset, postmortem or status.")],
     config_file: ConfigFile = None,
     data: DataDirectory = None,
     as_json: AsJson = False,

@@ -18,6 +18,7 @@ from prometheus_client.registry import Collector
 
 from orbitfb import __version__
 from orbitfb.core.gap import GapSight
+from orbitfb.core.postmortem import PostMortemStatus
 from orbitfb.core.signals import LoopState
 from orbitfb.history.archive import ArchiveStatus
 from orbitfb.observe.metric import Metric
@@ -35,21 +36,25 @@ class LoopCollector(Collector):
     Args:
         snapshot: Returns the figures of this moment; called once per scrape.
         archive: Returns the figures of the archive, where there is one.
+        postmortems: Returns what became of the post-mortems, where they are made.
     """
 
     def __init__(
         self,
         snapshot: Callable[[], LoopSnapshot],
         archive: Callable[[], ArchiveStatus] | None = None,
+        postmortems: Callable[[], PostMortemStatus] | None = None,
     ) -> None:
         self._snapshot = snapshot
         self._archive = archive
+        self._postmortems = postmortems
 
     def collect(self) -> Iterator[Family]:
         """Yield every family of `METRICS`, in that order."""
         snapshot = self._snapshot()
         archive = None if self._archive is None else self._archive()
-        samples = _samples(snapshot, archive)
+        postmortems = None if self._postmortems is None else self._postmortems()
+        samples = _samples(snapshot, archive, postmortems)
         for metric in METRICS:
             if metric.kind == "histogram":
                 yield _latency(metric, snapshot)
@@ -68,20 +73,22 @@ class LoopCollector(Collector):
 def metrics_registry(
     snapshot: Callable[[], LoopSnapshot],
     archive: Callable[[], ArchiveStatus] | None = None,
+    postmortems: Callable[[], PostMortemStatus] | None = None,
 ) -> CollectorRegistry:
     """Return a registry that holds the metrics of `METRICS` and no other.
 
     Args:
         snapshot: As for `LoopCollector`.
         archive: As for `LoopCollector`.
+        postmortems: As for `LoopCollector`.
     """
     registry = CollectorRegistry(auto_describe=False)
-    registry.register(LoopCollector(snapshot, archive))
+    registry.register(LoopCollector(snapshot, archive, postmortems))
     return registry
 
 
 def _samples(
-    snapshot: LoopSnapshot, archive: ArchiveStatus | None
+    snapshot: LoopSnapshot, archive: ArchiveStatus | None, postmortems: PostMortemStatus | None
 ) -> Mapping[str, Iterable[Sample]]:
     """Return the samples of all gauges and counters by name of the metric."""
     orbit, ticks, correctors = snapshot.orbit, snapshot.ticks, snapshot.correctors
@@ -134,6 +141,8 @@ def _samples(
         "orbitfb_archive_rows_written_total": _one(archive.written) if archive else (),
         "orbitfb_archive_rows_dropped_total": _one(archive.dropped) if archive else (),
         "orbitfb_archive_rows_waiting": _one(archive.waiting) if archive else (),
+        "orbitfb_postmortems_written_total": _one(postmortems.written) if postmortems else (),
+        "orbitfb_postmortems_failed_total": _one(postmortems.failed) if postmortems else (),
         "orbitfb_uptime_seconds": _one(snapshot.duration),
     }
 

@@ -254,6 +254,20 @@ SERVICE = (
         (),
         "Transitions that wait for the disk; many when it refuses.",
     ),
+    Metric(
+        "orbitfb_postmortems_written_total",
+        "counter",
+        "",
+        (),
+        "Post-mortems, of trips or on request, that were written.",
+    ),
+    Metric(
+        "orbitfb_postmortems_failed_total",
+        "counter",
+        "",
+        (),
+        "Post-mortems that could not be written and are lost.",
+    ),
     Metric("orbitfb_uptime_seconds", "gauge", "seconds", (), "Time since the service started."),
     Metric("orbitfb_build_info", "info", "", ("version", "python"), "What runs."),
 )

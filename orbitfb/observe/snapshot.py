@@ -116,7 +116,8 @@ class Happening:
     Args:
         number: Count since the start, from 1.
         time: Wall clock [s since the epoch].
-        kind: `state`, `policy`, `refit`, `alarm`, `archive`, `gap` or `ring`.
+        kind: `state`, `policy`, `refit`, `alarm`, `archive`, `gap`, `postmortem` or
+            `ring`.
         text: What happened, in a few words.
     """
 

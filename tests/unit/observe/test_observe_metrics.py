@@ -12,6 +12,7 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families 
 from prometheus_client.parser import text_string_to_metric_families
 
 from orbitfb.core.gap import GapSight
+from orbitfb.core.postmortem import PostMortemStatus
 from orbitfb.core.refit import Alarm, AlarmCause, Decision
 from orbitfb.core.signals import LoopState
 from orbitfb.history.archive import ArchiveStatus
@@ -41,9 +42,9 @@ def full(statistics, clock):
     return statistics
 
 
-def scrape(statistics, archive=None):
+def scrape(statistics, archive=None, postmortems=None):
     encode, _ = choose_encoder("text/plain")
-    text = encode(metrics_registry(statistics.snapshot, archive)).decode()
+    text = encode(metrics_registry(statistics.snapshot, archive, postmortems)).decode()
     families = list(text_string_to_metric_families(text))
     values = {
         (sample.name, tuple(sorted(sample.labels.items()))): sample.value
@@ -57,8 +58,12 @@ def archive():
     return ArchiveStatus(written=120, dropped=3, waiting=7, segment=None, problem="")
 
 
+def postmortems():
+    return PostMortemStatus(written=2, failed=1, waiting=0, last="", problem="")
+
+
 def test_a_scrape_exposes_exactly_the_table(full):
-    families, _ = scrape(full, archive)
+    families, _ = scrape(full, archive, postmortems)
     exposed = {
         f"{family.name}_total" if family.type == "counter" else family.name: family
         for family in families
