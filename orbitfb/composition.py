@@ -183,6 +183,10 @@ class Service:
         terminal = Terminal(
             *(its.request for its in recorders),
         )
+        stack.callback(ControlServer(directory, remote).close)
+        terminal = Terminal(
+            *(its.request for its in recorders),
+        )
         commands = Commands({"": remote}, self.statistics, Figures(config.observe.stale_after))
         stack.callback(ControlServer(directory, commands).close)
         panel = (
