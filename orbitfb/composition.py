@@ -131,10 +131,10 @@ class Service:
         stack.callback(archive.close)
         below = Dither(dither_settings(config), nominal.response, loop_gain(nominal), movable)
         self._dither = Excitation(waveform, below) if waveform else below
+        recorders = postmortems(config, ioc, self.channels, counting, self._reports, stack)
         self.runner = Runner(
             machine,
             self.slot,
-        recorders = postmortems(config, ioc, self.channels, counting, self._reports, stack)
             config.loop,
             config.limits,
             config.interlocks,
@@ -178,21 +178,10 @@ class Service:
             directory.resolve() / "archive",
             config.loop.period,
             lambda policy: masked(policy, movable),
-        )
-        stack.callback(ControlServer(directory, remote).close)
-        terminal = Terminal(
             *(its.request for its in recorders),
         )
         stack.callback(ControlServer(directory, remote).close)
         terminal = Terminal(
-            *(its.request for its in recorders),
-        )
-        commands = Commands({"": remote}, self.statistics, Figures(config.observe.stale_after))
-        stack.callback(ControlServer(directory, commands).close)
-        panel = (
-            OwnPanel(config, self.channels, self.statistics, stack)
-            if config.panel.enabled
-            else None
             self.statistics.snapshot,
             config.observe.terminal,
             Surroundings(
