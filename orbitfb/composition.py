@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import structlog
 
+from orbitfb.commands import Commands
 from orbitfb.config import AppConfig
 from orbitfb.control import ControlServer, Lock
 from orbitfb.core.clock import SystemClock
@@ -36,7 +37,9 @@ from orbitfb.observe.metrics import metrics_registry
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import Surroundings
+from orbitfb.own_panel import OwnPanel
 from orbitfb.own_ring import OwnRing
+from orbitfb.panel.figures import Figures
 from orbitfb.physics.places import Ring
 from orbitfb.policies.masking import mask_of
 from orbitfb.policies.stability import growth_of, warning_of
@@ -180,7 +183,13 @@ class Service:
             lambda policy: masked(policy, movable),
             *(its.request for its in recorders),
         )
-        stack.callback(ControlServer(directory, remote).close)
+        commands = Commands({"": remote}, self.statistics, Figures(config.observe.stale_after))
+        stack.callback(ControlServer(directory, commands).close)
+        panel = (
+            OwnPanel(config, self.channels, self.statistics, stack)
+            if config.panel.enabled
+            else None
+        )
         terminal = Terminal(
             self.statistics.snapshot,
             config.observe.terminal,
@@ -201,6 +210,7 @@ class Service:
             "metrics": http.address,
             "policy": self.slot.current.policy_id,
             "data": str(directory.resolve()),
+            **({"panel": panel.where, "prefix": panel.prefix} if panel else {}),
         }
         _log.info("service_started", **self._where)
 

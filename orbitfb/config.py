@@ -29,14 +29,15 @@ from orbitfb.loop.dither import DitherSettings
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.models.forward_settings import ForwardSettings
 from orbitfb.observe.settings import ObserveSettings
+from orbitfb.panel.settings import PanelSettings
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import PlantSettings
 from orbitfb.policies.masking import MaskSettings
 from orbitfb.policies.settings import PolicySettings
 from orbitfb.policies.supervised_settings import SupervisedSettings
 from orbitfb.policies.trajectory_settings import StructuredSettings, TrajectorySettings
-from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.postmortem.settings import PostMortemSettings
+from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.sim.settings import SimSettings
 
@@ -138,12 +139,13 @@ class AppConfig(Settings):
     history: HistorySettings = Field(
         default=HistorySettings(), description="Transitions in memory and on disk."
     )
-    observe: ObserveSettings = Field(
     postmortem: PostMortemSettings = Field(
         default=PostMortemSettings(), description="What is kept of a trip."
     )
+    observe: ObserveSettings = Field(
         default=ObserveSettings(), description="Metrics, health and logs."
     )
+    panel: PanelSettings = Field(default=PanelSettings(), description="The loop's own PVs.")
     epics: EpicsSettings = Field(default=EpicsSettings(), description="Channel Access.")
     sim: SimSettings = Field(default=SimSettings(), description="The soft IOC.")
     plant: PlantSettings = Field(

@@ -11,8 +11,10 @@ import fcntl
 import hashlib
 import json
 import os
+import pwd
 import socket
 import stat
+import struct
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -163,7 +165,8 @@ class ControlServer:
         with connection, contextlib.suppress(OSError):
             connection.settimeout(30.0)
             try:
-                answer = _encode({"ok": True, **self._handler(_receive(connection))})
+                request = {**_receive(connection), "peer": _peer(connection)}
+                answer = _encode({"ok": True, **self._handler(request)})
             except OrbitFeedbackError as error:
                 answer = _encode({"ok": False, "error": str(error)})
             except Exception as error:  # the outermost guard of this thread: the asker is told
@@ -179,6 +182,18 @@ class ControlServer:
         self._thread.join(timeout=1.0)
         with contextlib.suppress(FileNotFoundError):
             self._path.unlink()
+
+
+def _peer(connection: socket.socket) -> dict[str, Any]:
+    """Say who is at the other end, as the kernel knows it: `user` and `process`."""
+    credentials = struct.Struct("3i")
+    data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, credentials.size)
+    process, user, _ = credentials.unpack(data)
+    try:
+        name = pwd.getpwuid(user).pw_name
+    except KeyError:
+        name = str(user)
+    return {"user": name, "process": process}
 
 
 def is_running(data_directory: Path) -> bool:

@@ -290,4 +290,6 @@ def announcement(where: Mapping[str, object], simulated: bool) -> Iterator[str]:
         yield f"ring at {addresses or 'every network'}, port {port}"
     if where["metrics"]:
         yield f"metrics and health on {where['metrics']}"
+    if "panel" in where:
+        yield f"panel of the PVs {where['prefix']}… on {where['panel']}"
     yield f"archive, policies and log in {where['data']}"

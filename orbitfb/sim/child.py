@@ -1,4 +1,4 @@
-"""The soft IOC as a child process that is never left behind."""
+"""A Channel Access server as a child process that is never left behind; the soft IOC is one."""
 
 import os
 import re
@@ -9,9 +9,10 @@ import sys
 import tempfile
 import time
 from types import TracebackType
-from typing import IO
+from typing import IO, Self
 
 from orbitfb.core.errors import MachineError, OwnershipError
+from orbitfb.core.settings import Settings
 from orbitfb.sim.environment import client_environment
 from orbitfb.sim.job import PORT_TAKEN, SimJob
 
@@ -19,18 +20,20 @@ _READY = re.compile(rb"^READY port=(\d+) pvs=(\d+)\n", re.MULTILINE)
 _LAST_WORDS = 4000
 
 
-class SimChild:
-    """Runs `python -m orbitfb.sim`.
+class ServerChild:
+    """Runs `python -m` a module that takes a job and says READY.
 
     The child has a process group of its own, so that Ctrl-C in a terminal reaches the parent
     alone, and it ends when the pipe to it closes, so that it cannot outlive the parent.
 
     Args:
         job: What to serve.
+        module: Which to run.
+        what: It is, in words.
     """
 
-    def __init__(self, job: SimJob) -> None:
-        self._job = job
+    def __init__(self, job: Settings, module: str, what: str) -> None:
+        self._job, self._module, self._what = job, module, what
         self._process: subprocess.Popen[bytes] | None = None
         self._errors: IO[bytes] | None = None
         self._port: int | None = None
@@ -52,7 +55,7 @@ class SimChild:
             MachineError: It was never started.
         """
         if self._port is None:
-            raise MachineError("the soft IOC has not been started; call start() first")
+            raise MachineError(f"{self._what} has not been started; call start() first")
         return self._port
 
     @property
@@ -78,11 +81,11 @@ class SimChild:
             MachineError: It ended, or was not ready in time; with what it said on standard error.
         """
         if self.alive:
-            raise OwnershipError(f"the soft IOC runs already, process {self.pid}; stop() it first")
+            raise OwnershipError(f"{self._what} runs already, process {self.pid}; stop() it first")
         self._close()
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "orbitfb.sim"],
+            [sys.executable, "-m", self._module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
@@ -115,7 +118,7 @@ class SimChild:
         self._errors.seek(max(0, self._errors.tell() - _LAST_WORDS))
         return self._errors.read().decode(errors="replace").strip()
 
-    def __enter__(self) -> "SimChild":
+    def __enter__(self) -> Self:
         """Start it."""
         self.start()
         return self
@@ -132,13 +135,13 @@ class SimChild:
     @property
     def _started(self) -> subprocess.Popen[bytes]:
         if self._process is None:
-            raise MachineError("the soft IOC has not been started; call start() first")
+            raise MachineError(f"{self._what} has not been started; call start() first")
         return self._process
 
     def _await_ready(self, process: subprocess.Popen[bytes], timeout: float) -> int:
         deadline = time.monotonic() + timeout
         if process.stdin is None or process.stdout is None:
-            raise MachineError("the soft IOC was started without its pipes")
+            raise MachineError(f"{self._what} was started without its pipes")
         try:
             process.stdin.write(self._job.model_dump_json().encode() + b"\n")
             process.stdin.flush()
@@ -150,12 +153,12 @@ class SimChild:
             while (found := _READY.search(said)) is None:
                 if not selector.select(max(0.0, deadline - time.monotonic())):
                     raise MachineError(
-                        f"the soft IOC was not ready within {timeout:.1f} s; {self._reason()}"
+                        f"{self._what} was not ready within {timeout:.1f} s; {self._reason()}"
                     )
                 piece = os.read(process.stdout.fileno(), 4096)
                 if not piece:
                     kind = OwnershipError if process.wait() == PORT_TAKEN else MachineError
-                    raise kind(f"the soft IOC did not start: {self._reason()}")
+                    raise kind(f"{self._what} did not start: {self._reason()}")
                 said += piece
         return int(found.group(1))
 
@@ -170,3 +173,14 @@ class SimChild:
         if self._errors is not None:
             self._errors.close()
             self._errors = None
+
+
+class SimChild(ServerChild):
+    """Runs the soft IOC, `python -m orbitfb.sim`.
+
+    Args:
+        job: What to serve.
+    """
+
+    def __init__(self, job: SimJob) -> None:
+        super().__init__(job, "orbitfb.sim", "the soft IOC")

@@ -32,7 +32,9 @@ class Sockets:
         self.udp.close()
 
 
-def claim(interface: str, port: int, send_buffer: int | None = None) -> Sockets:
+def claim(
+    interface: str, port: int, send_buffer: int | None = None, section: str = "sim"
+) -> Sockets:
     """Bind the TCP and the UDP port of a server.
 
     Args:
@@ -40,20 +42,21 @@ def claim(interface: str, port: int, send_buffer: int | None = None) -> Sockets:
         port: Port for both; 0 for any free one.
         send_buffer: Socket buffer for each client [bytes]; None leaves the system's, and
             leaves Nagle's delay on as well, as caproto does.
+        section: Of the configuration, for advice.
 
     Raises:
         OwnershipError: Somebody else has the port, or the address is not of this computer.
     """
     for _ in range(_TRIES):
-        sockets = _try_claim(interface, port, send_buffer)
+        sockets = _try_claim(interface, port, send_buffer, section)
         if sockets is not None:
             return sockets
     raise OwnershipError(
-        f"no port is free for both TCP and UDP on {interface}; name one with sim.port"
+        f"no port is free for both TCP and UDP on {interface}; name one with {section}.port"
     )
 
 
-def _try_claim(interface: str, port: int, send_buffer: int | None) -> Sockets | None:
+def _try_claim(interface: str, port: int, send_buffer: int | None, section: str) -> Sockets | None:
     with contextlib.ExitStack() as undo:
         # asyncio turns Nagle's delay off (40 ms per orbit) only on sockets that name the protocol.
         protocol = 0 if send_buffer is None else socket.IPPROTO_TCP
@@ -69,17 +72,17 @@ def _try_claim(interface: str, port: int, send_buffer: int | None) -> Sockets | 
         except OSError as error:
             if error.errno == errno.EADDRINUSE and port == 0:
                 return None
-            raise OwnershipError(_explain(interface, port, error)) from error
+            raise OwnershipError(_explain(interface, port, error, section)) from error
         tcp.setblocking(False)
         udp.setblocking(False)
         undo.pop_all()
         return Sockets(interface, tcp.getsockname()[1], tcp, udp)
 
 
-def _explain(interface: str, port: int, error: OSError) -> str:
+def _explain(interface: str, port: int, error: OSError, section: str) -> str:
     if error.errno == errno.EADDRINUSE:
         return (
             f"port {port} on {interface} is in use, by another IOC perhaps; stop that one "
-            "or choose another sim.port (0 takes any free one)"
+            f"or choose another {section}.port (0 takes any free one)"
         )
-    return f"cannot listen on {interface} port {port}: {error.strerror}; see sim.interface"
+    return f"cannot listen on {interface} port {port}: {error.strerror}; see {section}.interface"

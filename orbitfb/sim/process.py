@@ -34,7 +34,7 @@ async def _serve(job: SimJob, announce: Callable[[int, int], None], parent: int 
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
     if parent is not None:
-        _stop_with_parent(loop, stop, parent)
+        stop_with_parent(loop, stop, parent)
     ring, settings = job.build()
     os.environ.update(server_environment(settings.plain))
     from orbitfb.sim.server import serve  # caproto reads the environment when it is imported
@@ -53,7 +53,7 @@ async def _serve(job: SimJob, announce: Callable[[int, int], None], parent: int 
     os._exit(0)
 
 
-def _stop_with_parent(loop: asyncio.AbstractEventLoop, stop: asyncio.Event, parent: int) -> None:
+def stop_with_parent(loop: asyncio.AbstractEventLoop, stop: asyncio.Event, parent: int) -> None:
     """Stop when the descriptor ends: whoever holds its other end is dead, however it died."""
 
     def readable() -> None:

@@ -1,0 +1,127 @@
+"""One implementation of every command, for two doors: the control socket and the panel.
+
+The panel's process is a client of the control socket as the command line is one. Every command
+is logged with who gave it and from where, and so is every one that was refused.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import structlog
+
+from orbitfb.core.errors import OrbitFeedbackError
+from orbitfb.observe.snapshot import LoopSnapshot
+from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.panel.figures import Figures
+
+_log = structlog.stdlib.get_logger("orbitfb.control")
+
+Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+
+SILENT = frozenset({"status", "panel"})
+"""Commands that change nothing and are not logged."""
+_LONGEST_WORD = 300
+_MANY = 8
+
+
+class Commands:
+    """Answers requests of both doors; called from the control socket's threads.
+
+    Args:
+        handlers: By the name of the command; "" has those that no other one knows.
+        statistics: Figures of the loop; gets a line for people.
+        figures: What the panel shows.
+        more: What it shows besides, by PV.
+    """
+
+    def __init__(
+        self,
+        handlers: Mapping[str, Handler],
+        statistics: LoopStatistics,
+        figures: Figures,
+        more: Callable[[LoopSnapshot], Mapping[str, Any]] = lambda _: {},
+    ) -> None:
+        self._handlers = handlers
+        self._statistics, self._figures, self._more = statistics, figures, more
+
+    def __call__(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Carry out a request.
+
+        Raises:
+            OrbitFeedbackError: It is refused; the message says why.
+        """
+        name = str(request.get("command"))
+        if name == "panel":
+            return self._panel()
+        handler = self._handlers.get(name, self._handlers[""])
+        if name in SILENT:
+            return handler(request)
+        who = origin_of(request)
+        if name == "refused":
+            self._refused("write", who, {}, _word(request.get("reason")))
+            return {}
+        told = _told(request)
+        try:
+            answer = handler(request)
+        except OrbitFeedbackError as error:
+            self._refused(name, who, told, str(error))
+            raise
+        _log.info("command_given", command=name, **told, **who)
+        self._statistics.happened("command", f"{name} by {who['user']}@{who['host']}")
+        return answer
+
+    def _refused(
+        self, name: str, who: Mapping[str, Any], told: Mapping[str, Any], reason: str
+    ) -> None:
+        _log.warning("command_refused", command=name, reason=reason, **told, **who)
+        self._statistics.happened(
+            "command", f"{name} by {who['user']}@{who['host']} refused: {reason}"
+        )
+
+    def _panel(self) -> Mapping[str, Any]:
+        snapshot = self._statistics.snapshot()
+        more = self._more(snapshot)
+        return {
+            "alive": self._figures.alive(snapshot),
+            "figures": self._figures.values(snapshot, more),
+        }
+
+
+def origin_of(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Say who gave a command: user, host, and by which door.
+
+    Args:
+        request: `peer` was put in by the control socket, which knows it from the kernel;
+            `origin` by the panel, which runs as the same user as the service.
+    """
+    peer, origin = request.get("peer"), request.get("origin")
+    if isinstance(origin, Mapping):
+        given = {key: _word(origin.get(key)) for key in ("user", "host", "pv")}
+        return {**given, "door": "panel"}
+    known = peer if isinstance(peer, Mapping) else {}
+    return {
+        "user": _word(known.get("user", "?")),
+        "host": "localhost",
+        "process": known.get("process"),
+        "door": "socket",
+    }
+
+
+def _told(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Give what goes with a command as the log keeps it: vectors by their length."""
+    told: dict[str, Any] = {}
+    for key, value in request.items():
+        if key in ("command", "origin", "peer"):
+            continue
+        many = isinstance(value, list) and len(value) > _MANY
+        told[f"with_{key}"] = f"{len(value)} values" if many else _short(value)
+    return told
+
+
+def _short(value: Any) -> Any:
+    plain = value is None or isinstance(value, bool | int | float)
+    return value if plain else _word(value)
+
+
+def _word(value: object) -> str:
+    return str(value)[:_LONGEST_WORD]
