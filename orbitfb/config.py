@@ -29,6 +29,7 @@ from orbitfb.loop.dither import DitherSettings
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.models.forward_settings import ForwardSettings
 from orbitfb.observe.settings import ObserveSettings
+from orbitfb.panel.settings import PanelSettings
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import PlantSettings
 from orbitfb.policies.masking import MaskSettings
@@ -144,6 +145,7 @@ class AppConfig(Settings):
     observe: ObserveSettings = Field(
         default=ObserveSettings(), description="Metrics, health and logs."
     )
+    panel: PanelSettings = Field(default=PanelSettings(), description="The loop's own PVs.")
     epics: EpicsSettings = Field(default=EpicsSettings(), description="Channel Access.")
     sim: SimSettings = Field(default=SimSettings(), description="The soft IOC.")
     plant: PlantSettings = Field(
