@@ -27,6 +27,7 @@ from orbitfb.history.recorder import ArchiveSettings
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.loop.dither import DitherSettings
 from orbitfb.loop.settings import LoopSettings
+from orbitfb.measure.settings import MeasureSettings
 from orbitfb.models.forward_settings import ForwardSettings
 from orbitfb.observe.settings import ObserveSettings
 from orbitfb.panel.settings import PanelSettings
@@ -54,6 +55,11 @@ class RingSettings(Settings):
         default=None, description="Ring parameters (JSON); none: the default ring."
     )
     planes: Planes = Field(default="x", description="Planes under feedback: x, y or xy.")
+    response: Path | None = Field(
+        default=None,
+        description="Measured response matrix, as `orbitfb measure-response` writes it; none: that "
+        "of the optics.",
+    )
 
     def load(self) -> Ring:
         """Read the ring that these settings name."""
@@ -134,6 +140,9 @@ class AppConfig(Settings):
     learn: LearnSettings = Field(default=LearnSettings(), description="The learner.")
     diagnose: DiagnoseSettings = Field(
         default=DiagnoseSettings(), description="Diagnosis beside the loop."
+    )
+    measure: MeasureSettings = Field(
+        default=MeasureSettings(), description="The command measure-response."
     )
     train: TrainSettings = Field(default=TrainSettings(), description="The command train.")
     history: HistorySettings = Field(

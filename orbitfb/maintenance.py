@@ -21,9 +21,9 @@ from orbitfb.learn.learner import Learner
 from orbitfb.learn.messages import TrainerJob, learner_of
 from orbitfb.learn.process import ProcessTrainer
 from orbitfb.learn.trainer import InlineTrainer, Trainer
+from orbitfb.measure.response_file import nominal_response
 from orbitfb.observe.plain import plain
 from orbitfb.physics.places import Ring
-from orbitfb.physics.response import response
 from orbitfb.policies.masking import mask_of
 from orbitfb.policies.store import PolicyStore
 from orbitfb.sim.job import SimJob
@@ -55,11 +55,11 @@ def baseline(
     """Build the policy on the nominal response of the ring.
 
     Args:
-        config: The kind and its settings.
+        config: The kind and its settings; the response, if it was measured.
         ring: The ring.
         say: Told how far it is, where that takes its time: a kind that is trained.
     """
-    matrix = response(ring, config.ring.planes)
+    matrix = nominal_response(ring, config.ring.planes, config.ring.response, config.masks)
     total = config.policy.supervised.iterations
 
     def progress(done: int, loss: float) -> None:

@@ -21,8 +21,8 @@ from orbitfb.loop.dither import DitherSettings
 from orbitfb.loop.excitation import Waveform
 from orbitfb.loop.excitation_design import check_excitation
 from orbitfb.loop.excitation_file import read_excitation
+from orbitfb.measure.response_file import nominal_response
 from orbitfb.physics.places import Ring
-from orbitfb.physics.response import response
 from orbitfb.policies.masking import mask_of
 
 SIMULATED = "sim"
@@ -260,7 +260,7 @@ def planned(config: AppConfig, ring: Ring, file: Path, duration: float | None) -
         ConfigError: It cannot be read, is of another ring, is beyond a limit or too long.
     """
     channels = ring.channels(config.ring.planes)
-    matrix = response(ring, config.ring.planes)
+    matrix = nominal_response(ring, config.ring.planes, config.ring.response, config.masks)
     period = config.loop.period
     waveform = read_excitation(file, channels, matrix, period)
     movable = mask_of(channels, config.masks)[1]

@@ -15,6 +15,7 @@ from orbitfb.cli.diagnose_plan import diagnose_plan
 from orbitfb.cli.effects import effects
 from orbitfb.cli.evaluate import evaluate
 from orbitfb.cli.kick import evaluate_kick_command
+from orbitfb.cli.measure import measure_response_command
 from orbitfb.cli.policies import policies
 from orbitfb.cli.service import command, ioc, refit, run
 from orbitfb.cli.train import train
@@ -29,6 +30,7 @@ app = typer.Typer(
 )
 for _function in (run, ioc, train, refit, command):
     app.command()(_function)
+app.command("measure-response")(measure_response_command)
 evaluate.command("kick")(evaluate_kick_command)
 app.add_typer(policies, name="policies")
 app.add_typer(evaluate, name="evaluate")

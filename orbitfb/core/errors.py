@@ -10,6 +10,8 @@
     ├── OwnershipError       somebody else holds the port, the ring or the directory
     ├── ArchiveError         a segment of the archive cannot be read or written
     ├── StoreError           a policy or model file is missing, corrupt or not ours
+    ├── MeasurementError     a response matrix that could not be measured
+    │   └── StoppedError     somebody stopped it
     ├── RecordError          a record of operation has an array that is wrong
     ├── EstimationError      data from which no response can be identified
     ├── TrainingError        a training whose loss is no longer a number
@@ -109,3 +111,11 @@ class ControlError(OrbitFeedbackError):
 
 class RecordError(OrbitFeedbackError):
     """A record of operation that cannot be diagnosed: which array, which row, what is wrong."""
+
+
+class MeasurementError(OrbitFeedbackError):
+    """A measurement of the response matrix was given up; the setpoints are back unless it says."""
+
+
+class StoppedError(MeasurementError):
+    """Somebody stopped a measurement."""

@@ -9,10 +9,10 @@ from orbitfb.core.transitions import Transitions
 from orbitfb.effects.build import layout_of, measured_response
 from orbitfb.history.archive import read_archive
 from orbitfb.maintenance import open_store
+from orbitfb.measure.response_file import nominal_response
 from orbitfb.models.identify import Identifier
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.rows import select_rows
-from orbitfb.physics.response import response
 from orbitfb.policies.kinds import StoredPolicy
 from orbitfb.training.request import NOMINAL, TrainingRequest
 
@@ -49,7 +49,7 @@ def find_ground(config: AppConfig, request: TrainingRequest) -> Ground:
     channels = ring.channels(config.ring.planes)
     start: StoredPolicy | None = None
     if request.start == NOMINAL:
-        matrix = response(ring, config.ring.planes)
+        matrix = nominal_response(ring, config.ring.planes, config.ring.response, config.masks)
         if config.effect:
             layout = layout_of(ring, config.ring.planes, config.loop.period, matrix)
             matrix = measured_response(layout, config.effect, config.seed)

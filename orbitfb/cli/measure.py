@@ -1,0 +1,123 @@
+"""The command that measures the response matrix."""
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orbitfb.cli.options import (
+    AsJson,
+    ConfigFile,
+    DataDirectory,
+    Drift,
+    DriftTicks,
+    EffectsFile,
+    EffectSpecs,
+    Planes,
+    Port,
+    Rate,
+    Seed,
+    chosen_effects,
+    configure,
+    show,
+)
+
+
+def measure_response_command(
+    ioc: Annotated[
+        str,
+        typer.Option(
+            help="sim: a simulated ring as a child process; HOST[:PORT]: an IOC that runs there "
+            "[port 15064]; env: what the EPICS_CA_… environment says; config: what [epics] of the "
+            "configuration says."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of the matrix (safetensors), for `ring.response` of the configuration "
+            "[response-<time>.safetensors in the data directory]."
+        ),
+    ] = None,
+    at_once: Annotated[
+        int | None,
+        typer.Option(
+            help="Correctors that move at once, each at a frequency of its own; 0: all of them; "
+            "1: one by one, by steps [1]."
+        ),
+    ] = None,
+    amplitude: Annotated[
+        float | None,
+        typer.Option(help="Largest step, either sign [A] [what moves the orbit by 50 µm rms]."),
+    ] = None,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Begin anew instead of going on where one was stopped.")
+    ] = False,
+    restore: Annotated[
+        bool | None,
+        typer.Option(
+            "--restore/--leave",
+            help="Put back setpoints that a killed measurement left astray, or leave them [asks].",
+        ),
+    ] = None,
+    activate: Annotated[
+        bool,
+        typer.Option(
+            "--activate",
+            help="Make a policy of the matrix, store it, put it in force; refused if a column or "
+            "row is bad.",
+        ),
+    ] = False,
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    planes: Planes = None,
+    rate: Rate = None,
+    seed: Seed = None,
+    port: Port = None,
+    drift: Drift = None,
+    drift_ticks: DriftTicks = None,
+    effect: EffectSpecs = None,
+    effects: EffectsFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the response matrix around the present setpoints, and put them back."""
+    from orbitfb.core.errors import ConfigError, StoppedError
+    from orbitfb.measuring import MeasureRequest, StopRequests, measure_response
+
+    chosen = chosen_effects(effect, effects)
+    if chosen is not None and ioc != "sim":
+        raise ConfigError(
+            f"--effect and --effects are of a simulated ring, but --ioc is {ioc}; give them to "
+            "the `orbitfb ioc` that serves it, or measure with --ioc sim"
+        )
+    settings = configure(
+        config_file,
+        data_directory=data,
+        ring__planes=planes,
+        loop__rate_hz=rate,
+        sim__rate_hz=rate,
+        seed=seed,
+        sim__port=port,
+        plant__drift__preset=drift,
+        plant__drift__ticks=drift_ticks,
+        effect=chosen,
+        measure__at_once=at_once,
+        measure__amplitude=amplitude,
+    )
+    say = partial(print, file=sys.stderr if as_json else sys.stdout, flush=True)
+    confirm = typer.confirm if sys.stdin.isatty() else None
+    with StopRequests() as stop:
+        try:
+            request = MeasureRequest(ioc, out, fresh, restore, activate)
+            answer = measure_response(settings, request, stop, say, confirm)
+        except StoppedError as stopped:
+            print(
+                f"orbitfb: {stopped}; the setpoints are back; start it again to go on",
+                file=sys.stderr,
+            )
+            raise typer.Exit(128 + stop.number) from None
+    show(answer, as_json)
+    if answer["bad_correctors"] or answer["bad_bpms"]:
+        raise typer.Exit(1)

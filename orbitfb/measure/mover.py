@@ -1,0 +1,132 @@
+"""Moves setpoints around where they were found, in limited steps, and puts them back."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from orbitfb.core.errors import MachineError, MeasurementError, NoOrbitError
+from orbitfb.core.ports import Clock, Machine
+from orbitfb.core.signals import Vector
+from orbitfb.measure.watch import Watch
+from orbitfb.safety.limits import LimitSettings, limit
+from orbitfb.safety.verdict import name_some
+
+
+class Mover:
+    """Moves setpoints, relative to those that it found.
+
+    Args:
+        machine: The ring.
+        limits: Of every write.
+        watch: Gives the orbit between two writes.
+        same: Difference up to which a setpoint is the one that was sent [A].
+
+    Attributes:
+        base: Setpoints that were found, shape (m,) [A].
+
+    Raises:
+        MachineError: The setpoints cannot be read.
+    """
+
+    def __init__(self, machine: Machine, limits: LimitSettings, watch: Watch, same: float) -> None:
+        self._machine, self._limits, self._watch, self._same = machine, limits, watch, same
+        self.base = machine.setpoints()
+        self._sent = self.base.copy()
+
+    def verify(self) -> None:
+        """See that the setpoints are where they were put.
+
+        Raises:
+            MeasurementError: Somebody else moved some, or the machine did not take them.
+        """
+        present = self._machine.setpoints()
+        moved = ~(np.abs(present - self._sent) <= self._same)
+        if moved.any():
+            names = name_some(moved, self._machine.channels.setpoint_pvs)
+            raise MeasurementError(
+                f"{np.count_nonzero(moved)} setpoints are not where they were found or put: "
+                f"{names}; somebody else moves them (a closed loop, an operator), or the machine "
+                "refuses them"
+            )
+
+    def offset(self, correctors: Sequence[int], offsets: Vector) -> None:
+        """Move some correctors away from their base, in as many steps as the limits ask for.
+
+        Args:
+            correctors: Their indices.
+            offsets: From their base, shape (k,) [A].
+
+        Raises:
+            MeasurementError: A limit does not let them, or the measurement must be given up.
+            WriteError: The machine does not take it.
+        """
+        target = self._sent.copy()
+        target[list(correctors)] = self.base[list(correctors)] + offsets
+        while not self._step(target):
+            self._watch.orbit()
+
+    def _step(self, target: Vector) -> bool:
+        """Go one step; says whether this was the last one."""
+        names = self._machine.channels.setpoint_pvs
+        limited = limit(target - self._sent, self._sent, self._limits, names)
+        if not limited.verdict.may_act or limited.scale == 0.0:
+            raise MeasurementError(limited.verdict.reason)
+        arrived = limited.scale == 1.0
+        self._sent = self._machine.write(target if arrived else limited.setpoints).setpoints.copy()
+        return arrived
+
+    def restore(self, correctors: Sequence[int]) -> None:
+        """Bring some correctors back to their base; others stay as they are now.
+
+        Raises:
+            MeasurementError: A limit does not let them.
+            MachineError: The machine does not take it, or does not say where they are.
+        """
+        mine = list(correctors)
+        self._sent = self._machine.setpoints()
+        target = self._sent.copy()
+        target[mine] = self.base[mine]
+        while not self._step(target):
+            self._machine.read(1.0)  # a step per orbit
+        present = self._machine.setpoints()
+        if not (np.abs(present[mine] - self.base[mine]) <= self._same).all():
+            raise MachineError("the setpoints that were put back do not read back")
+        self._sent = present
+
+
+def restore_persistently(
+    mover: Mover, correctors: Sequence[int], machine: Machine, clock: Clock, patience: float
+) -> None:
+    """Try again and again to bring correctors back.
+
+    Args:
+        mover: Knows their base.
+        correctors: Their indices.
+        machine: The ring; reading it is how time passes.
+        clock: Tells how much.
+        patience: How long to try [s].
+
+    Raises:
+        MeasurementError: They could not be brought back; the message names them.
+    """
+    begin = clock.monotonic()
+    while True:
+        try:
+            mover.restore(correctors)
+        except MachineError as error:
+            problem = str(error)
+        else:
+            return
+        if clock.monotonic() - begin >= patience:
+            break
+        try:
+            machine.read(0.5)
+        except NoOrbitError:
+            continue
+    names = machine.channels.setpoint_pvs
+    told = ", ".join(f"{names[j]} to {mover.base[j]:.6g} A" for j in list(correctors)[:5])
+    more = f" and {len(correctors) - 5} more" if len(correctors) > 5 else ""
+    raise MeasurementError(
+        f"the setpoints could NOT be put back within {patience:g} s ({problem}): {told}{more}; "
+        "start the measurement again: it offers to put them back"
+    )

@@ -1,0 +1,107 @@
+"""Many correctors at once: play the waveform at two sizes, demodulate what the orbits showed."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from orbitfb.core.errors import MeasurementError
+from orbitfb.core.signals import Reading, Vector
+from orbitfb.measure.column import Column
+from orbitfb.measure.mover import Mover
+from orbitfb.measure.multisine import Demodulated, Multisine, demodulate
+from orbitfb.measure.settings import MeasureSettings
+from orbitfb.measure.watch import Watch
+
+SIZES = (0.5, 1.0)
+"""Sizes of the passes; what differs between them is not linear."""
+_LEAD = 10
+"""Ticks in which the waveform grows from nothing before a pass."""
+
+
+def measure_at_once(
+    correctors: Sequence[int],
+    amplitudes: Vector,
+    wave: Multisine,
+    mover: Mover,
+    watch: Watch,
+    settings: MeasureSettings,
+) -> list[Column]:
+    """Measure several columns at once; the correctors are left where the waveform ends.
+
+    Args:
+        correctors: Their indices.
+        amplitudes: Of the larger pass, shape (k,) [A].
+        wave: A frequency for each.
+        mover: Moves them.
+        watch: Gives orbits.
+        settings: How long to let settle.
+
+    Raises:
+        MeasurementError: It must be given up.
+        MachineError: The machine does not do what it should.
+    """
+    passes = [_one_pass(correctors, amplitudes * size, wave, mover, watch) for size in SIZES]
+    shown = [demodulate(wave, samples, orbits) for samples, orbits, _, _ in passes]
+    samples, _, readbacks, time = passes[-1]
+    following = _following(wave, samples, readbacks)
+    half, full = (each.response / size for each, size in zip(shown, SIZES, strict=True))
+    doubt = np.hypot(shown[0].sigma / SIZES[0], shown[1].sigma / SIZES[1])
+    return [
+        Column(
+            full[:, k] / amplitude,
+            shown[-1].sigma[:, k] / amplitude,
+            shown[-1].noise,
+            _difference(half[:, k], full[:, k], doubt[:, k]),
+            float(following[k]) / amplitude,
+            float(shown[-1].phase[k]),
+            float(amplitude),
+            time,
+        )
+        for k, amplitude in enumerate(amplitudes)
+    ]
+
+
+def _one_pass(
+    correctors: Sequence[int], amplitudes: Vector, wave: Multisine, mover: Mover, watch: Watch
+) -> tuple[Vector, Vector, Vector, float]:
+    """Play the waveform once: samples in force, orbits, readbacks, time of the last one."""
+    samples: list[float] = []
+    readings: list[Reading] = []
+    for sample in range(-_LEAD, wave.ticks):
+        grown = min(1.0, (sample + _LEAD + 1) / _LEAD)
+        level = wave.levels(np.array([sample]))[0]
+        mover.offset(correctors, amplitudes * level * grown)
+        reading = watch.orbit()
+        if sample >= 0:
+            samples.append(sample)
+            readings.append(reading)
+    orbits = np.array([watch.position(reading) for reading in readings])
+    readbacks = np.array([reading.readback[list(correctors)] for reading in readings])
+    return np.array(samples), orbits, readbacks, readings[-1].orbit.time
+
+
+def _following(wave: Multisine, samples: Vector, readbacks: Vector) -> Vector:
+    """Give the size of every readback at its own frequency, shape (k,) [A]; NaN: not known."""
+    k = len(wave.bins)
+    following = np.full(k, np.nan)
+    known = np.isfinite(readbacks).all(axis=0)
+    if not known.any():
+        return following
+    try:
+        shown: Demodulated = demodulate(wave, samples, readbacks[:, known])
+    except MeasurementError:  # readbacks that do not come in step say nothing
+        return following
+    following[known] = shown.response[np.arange(known.sum()), np.flatnonzero(known)]
+    return following
+
+
+def _difference(half: Vector, full: Vector, doubt: Vector) -> float:
+    """Give by how much more two passes differ than their noise, rms over rms [1]."""
+    valid = np.isfinite(half) & np.isfinite(full)
+    if not valid.any():
+        return np.nan
+    apart = float(np.mean((full - half)[valid] ** 2 - doubt[valid] ** 2))
+    size = float(np.mean(full[valid] ** 2))
+    if not apart > 3.0 * float(np.mean(doubt[valid] ** 2)):
+        return 0.0
+    return float(np.sqrt(apart / size)) if size > 0.0 else np.inf
