@@ -75,7 +75,7 @@ SIZES: dict[str, Values] = {
     "energy-offset": {"offset": 1e-5},
     "energy-walk": {"step": 3e-7},
     "ground-motion-level": {"factor": 2.0},
-    "insertion-device": {"kick": 5e-7, "duration": 5.0},
+    "insertion-device": {"kick": 5e-7, "period": 0.03, "duration": 5.0},
     "local-kick": {"kick": 3e-7},
     "loop-delay": {"ticks": 0.4},
     "missed-read": {"probability": 0.02},

@@ -8,6 +8,7 @@ import numpy as np
 from orbitfb.diagnose.answer_parts import Cause
 from orbitfb.diagnose.explain import Cause as Explaining
 from orbitfb.diagnose.finding import Finding
+from orbitfb.diagnose.naming import devices_and_planes
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.layout import Devices, Layout
 from orbitfb.effects.record import Record
@@ -88,12 +89,13 @@ def _given(layout: Layout, finding: Finding) -> list[Explaining]:
 def _cause(record: Record, finding: Finding) -> Cause:
     kind = all_effects()[finding.effect]
     first = finding.rows[0] if finding.rows and finding.effect == "bpm-stuck" else 0
-    devices = tuple(name.split(" (")[0] for name in finding.devices)
-    single = len(record.layout.planes) == 1
+    devices, planes = devices_and_planes(finding.devices)
+    layout = record.layout
     return Cause(
         effect=kind.id,
         stage=kind.stage,
-        places=devices if single else finding.devices,
+        places=devices,
+        planes=layout.planes[0] if len(layout.planes) == 1 else planes,
         probability=_PROBABILITY,
         onset_s=float(record.time[first]) if first > 1 else None,
         title=kind.title,

@@ -79,11 +79,11 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
         shrunk: On data used neither for fitting nor for selection; None if there are none.
     """
     named = judged.state in ("named", "ambiguous", "named_plus_remainder")
-    if shrunk is None or not shrunk.resolved or shrunk.nats is None or not named:
+    if shrunk is None or not shrunk.resolved or shrunk.high is None or not named:
         return judged
-    if shrunk.nats < _STAND_IN_SHRINK:
+    if shrunk.high < _STAND_IN_SHRINK:
         state: State = "unknown"
-    elif shrunk.nats < _HALF and judged.state == "named":
+    elif shrunk.high < _HALF and judged.state == "named":
         state = "named_plus_remainder"
     else:
         return judged

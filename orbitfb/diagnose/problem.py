@@ -41,7 +41,7 @@ class Problem:
         self.parameters = tuple(
             (index, parameter)
             for index, cause in enumerate(causes)
-            for parameter in cause.kind.parameters
+            for parameter in cause.kind.fitted(bench.record)
             if parameter.high > parameter.low
         )
         self.start = np.array(
@@ -56,7 +56,8 @@ class Problem:
         ]
         self.scale[self.lines] = 1.0 / length
         self.low = np.array([to_fitted(p, p.low) for _, p in self.parameters])
-        self.high = np.array([to_fitted(p, p.high) for _, p in self.parameters])
+        self._rate = 1.0 / bench.record.layout.period
+        self.high = np.array([to_fitted(p, highest(p, self._rate)) for _, p in self.parameters])
         self.smooth = [
             index for index, (_, p) in enumerate(self.parameters) if not (p.rough or p.whole)
         ]
@@ -66,7 +67,8 @@ class Problem:
         values = [dict(cause.values) for cause in self.causes]
         for (index, parameter), number in zip(self.parameters, vector, strict=True):
             value = from_fitted(parameter, float(number))
-            values[index][parameter.name] = float(np.clip(value, parameter.low, parameter.high))
+            most = highest(parameter, self._rate)
+            values[index][parameter.name] = float(np.clip(value, parameter.low, most))
         return tuple(
             replace(cause, values=own) for cause, own in zip(self.causes, values, strict=True)
         )
@@ -111,6 +113,11 @@ class Problem:
 
 _NEGLIGIBLE = 1e-6
 """Share of a typical size that is as good as none."""
+
+
+def highest(parameter: Parameter, rate: float) -> float:
+    """Largest value that a record of a rate [Hz] can tell: a higher frequency is an alias."""
+    return min(parameter.high, 0.5 * rate) if parameter.unit == "Hz" else parameter.high
 
 
 def to_fitted(parameter: Parameter, value: float) -> float:

@@ -189,7 +189,7 @@ def latent_odds(bench: Bench, kind: LatentKind, values: Values) -> Matrix:
         ratio = score - 0.5 * info
     else:
         size = last**2
-        ratio = 0.5 * size * score**2 / (1.0 + size * info) - 0.5 * np.log1p(size * info)
+        ratio = _normal(score, info, size)
     return expit(ratio + logit(first))
 
 
@@ -214,8 +214,9 @@ def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) 
     for row, (_, columns) in enumerate(groups):
         member[row, columns] = 1.0
     found: dict[tuple[int, ...], Candidate] = {}
+    noisier = _noisier(score, info)
     for values in _latent_grid(kind, score, info):
-        gain = _each_ratio(kind, score, info, list(values.values())).sum(axis=0)
+        gain = _each_ratio(kind, score, info, list(values.values())).sum(axis=0) - noisier
         together = member @ gain
         tried: list[tuple[tuple[int, ...], float, int, str]] = [
             ((int(i),), float(gain[i]), len(gain), "") for i in np.argsort(gain)[-_KEPT:]
@@ -228,6 +229,13 @@ def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) 
             if its > (found[places].gain if places in found else 0.0):
                 found[places] = Candidate(Cause(kind, places, values), its, 10.0 * choices, name)
     return sorted(found.values(), key=lambda c: c.gain - np.log(c.choices), reverse=True)[:_KEPT]
+
+
+def _noisier(score: Matrix, info: Matrix) -> Vector:
+    """Gain of every BPM if its readings were noisier all the time: that is no rare strike, (n,)."""
+    sizes = _typical(info) * np.geomspace(0.02, 10.0, 24)
+    gains = [_normal(score, info, size**2).sum(axis=0) for size in sizes]
+    return np.maximum(np.max(gains, axis=0), 0.0)
 
 
 def strikes(bench: Bench, kind: LatentKind) -> tuple[Matrix, Matrix]:
@@ -250,7 +258,7 @@ def _latent_grid(kind: LatentKind, score: Matrix, info: Matrix) -> Iterator[Valu
             yield {first.name: float(share)}
         return
     few = _RARE[_RARE <= _MOST_SPIKES]
-    typical = np.sqrt(1.0 / np.maximum(np.median(info[info > 0]), 1e-300)) if info.any() else 1.0
+    typical = _typical(info)
     sizes = typical * np.geomspace(0.02, 50.0, 30)
     if kind.strength == "normal":
         for size in sizes[(sizes >= first.low) & (sizes <= first.high)]:
@@ -264,6 +272,13 @@ def _latent_grid(kind: LatentKind, score: Matrix, info: Matrix) -> Iterator[Valu
                 yield {first.name: float(share), second.name: float(size)}
 
 
+def _typical(info: Matrix) -> float:
+    """Strength of a strike that is just seen."""
+    return (
+        float(np.sqrt(1.0 / np.maximum(np.median(info[info > 0]), 1e-300))) if info.any() else 1.0
+    )
+
+
 def _ratio(kind: LatentKind, score: Matrix, info: Matrix, numbers: list[float]) -> Vector:
     return _each_ratio(kind, score, info, numbers).sum(axis=1)
 
@@ -274,7 +289,12 @@ def _each_ratio(kind: LatentKind, score: Matrix, info: Matrix, numbers: list[flo
         share = numbers[0]
         return np.logaddexp(np.log1p(-share), np.log(share) + score - 0.5 * info)
     size = numbers[-1] ** 2
-    struck = 0.5 * size * score**2 / (1.0 + size * info) - 0.5 * np.log1p(size * info)
+    struck = _normal(score, info, size)
     if kind.strength == "normal":
         return struck
     return np.logaddexp(np.log1p(-numbers[0]), np.log(numbers[0]) + struck)
+
+
+def _normal(score: Matrix, info: Matrix, variance: float) -> Matrix:
+    """Log-likelihood ratio of strikes of normal strength, shape as `score`."""
+    return 0.5 * variance * score**2 / (1.0 + variance * info) - 0.5 * np.log1p(variance * info)

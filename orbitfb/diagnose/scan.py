@@ -22,6 +22,7 @@ from orbitfb.diagnose.candidate import (
 )
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import information
+from orbitfb.diagnose.problem import highest
 from orbitfb.diagnose.scan_shapes import Changes, Scoring
 from orbitfb.diagnose.scan_special import of_pairs, of_ring, periodic
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
@@ -68,7 +69,12 @@ class Scanner:
         """Scan a grid of values for single places and for all; look closer at the best values."""
         closer: dict[str, tuple[float, Values, Changes]] = {}
         bench = self._bench
-        grid = [*kind.grid(bench.record)]
+        rate = 1.0 / bench.record.layout.period
+        grid = [
+            values
+            for values in kind.grid(bench.record)
+            if all(values[p.name] <= highest(p, rate) for p in kind.parameters)
+        ]
         if isinstance(kind, ActuatorKind):
             shapes = self._scoring.correctors()
             grid += kind.hints(bench.currents, shapes.pull, bench.record)
@@ -96,12 +102,12 @@ class Scanner:
         """Best gain, roughly, if every place of one cell were struck alike."""
         layout = self._bench.record.layout
         devices = layout.correctors if isinstance(kind, ActuatorKind) else layout.bpms
-        score = self._scoring.score(changes)
+        score = changes.score
         cells = list(devices.groups().values())
         sums = np.array([score[columns].sum() for columns in cells])
         if not len(sums) or (kind.linear is None and sums.max() < _WORTH):
             return 0.0
-        info = self._scoring.information(kind, changes)[0]
+        info = changes.information[0]
         infos = np.array([info[columns].sum() for columns in cells])
         return float(best_strength(kind, sums, infos)[1].max())
 
@@ -114,10 +120,10 @@ class Scanner:
         return float(best_strength(kind, *self._scoring.whole(change))[1][0])
 
     def _steady(self, kind: EffectKind, values: Values, changes: Changes) -> Iterator[Candidate]:
-        score = self._scoring.score(changes)
+        score = changes.score
         if kind.linear is None and score.max(initial=0.0) < _WORTH:
             return  # a change cannot gain more than its score
-        info, absorbed = self._scoring.information(kind, changes)
+        info, absorbed = changes.information
         strength, gain = best_strength(kind, score, info * (1.0 - absorbed))
         for place in np.argsort(gain)[::-1][:KEPT]:
             if gain[place] > 0:
@@ -131,10 +137,10 @@ class Scanner:
         """Try all devices, those of a plane, and every run of neighbouring cells."""
         layout = self._bench.record.layout
         devices = layout.correctors if isinstance(kind, ActuatorKind) else layout.bpms
-        score = self._scoring.score(changes)
+        score = changes.score
         (shapes, drivers), *_ = changes.parts
         matrix = information(shapes.fine, self._scoring.courses(drivers))
-        absorbed = self._scoring.information(kind, changes)[1]
+        absorbed = changes.information[1]
         keep = np.sqrt(1.0 - absorbed)
         matrix *= np.outer(keep, keep)
         groups = list(groups_of(devices.groups(), len(devices), devices.planes))

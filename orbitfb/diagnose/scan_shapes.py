@@ -7,6 +7,7 @@ the bench alone are prepared once.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -39,15 +40,33 @@ class Shapes:
     rough: list[Matrix]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Changes:
     """Changes of the prediction by P places: Σ over parts of pattern · driver.
 
     Args:
         parts: Pairs of shapes and drivers (N, P) or (N, 1).
+        measure: Tells the information on them for a scoring.
     """
 
     parts: tuple[tuple[Shapes, Matrix], ...]
+    measure: "Callable[[Changes], tuple[Vector, Vector]]"
+
+    @cached_property
+    def score(self) -> Vector:
+        """Score of every place, shape (P,)."""
+        total: Vector = np.zeros(1)
+        for shapes, drivers in self.parts:
+            if drivers.shape[1] == 1:
+                total = total + drivers[:, 0] @ shapes.pull
+            else:
+                total = total + np.einsum("kp,kp->p", shapes.pull, drivers)
+        return total
+
+    @cached_property
+    def information(self) -> tuple[Vector, Vector]:
+        """Information on every place, and the share of it that the background takes away."""
+        return self.measure(self)
 
 
 class Scoring:
@@ -82,20 +101,22 @@ class Scoring:
     def changes(self, kind: EffectKind, values: Values) -> Changes:
         """Tell how the prediction changes by every place at once."""
         bench, record = self._bench, self._bench.record
+        measure = partial(self._information, kind)
         if isinstance(kind, ActuatorKind):
             moved = kind.drive(bench.currents, values, record) - bench.currents
-            return Changes(((self.correctors(), moved),))
+            return Changes(((self.correctors(), moved),), measure)
         if isinstance(kind, SensorKind):
             # What is not small has taken the predicted orbit with it: take the model's own.
             small = bool(kind.parameters)
             orbit = bench.orbit if small else bench.currents @ record.layout.response.T
             moved = kind.distort(orbit, values, record) - orbit
-            return Changes(((self._shapes("bpms", lambda: np.eye(moved.shape[1])), moved),))
+            shapes = self._shapes("bpms", lambda: np.eye(moved.shape[1]))
+            return Changes(((shapes, moved),), measure)
         if isinstance(kind, SourceKind):
             patterns = kind.patterns(record.layout)
             drivers = kind.drivers(values, record, bench.currents, bench.orbit)
             if drivers.ndim == 2:
-                return Changes(((self._shapes(kind.id, lambda: patterns), drivers),))
+                return Changes(((self._shapes(kind.id, lambda: patterns), drivers),), measure)
             parts: list[tuple[Shapes, Matrix]] = []
             for plane, driver in zip(("x", "y"), drivers, strict=True):
                 rows = record.layout.bpms.in_plane(plane)
@@ -104,7 +125,7 @@ class Scoring:
                     own[rows] = patterns[rows]
                     shapes = self._shapes(f"{kind.id} {plane}", lambda own=own: own)
                     parts.append((shapes, driver))
-            return Changes(tuple(parts))
+            return Changes(tuple(parts), measure)
         raise TypeError(f"{kind.id} has no places to scan")
 
     def _shapes(self, name: str, patterns: Callable[[], Matrix]) -> Shapes:
@@ -116,17 +137,7 @@ class Scoring:
             )
         return self._known[name]
 
-    def score(self, changes: Changes) -> Vector:
-        """Score of every place, shape (P,)."""
-        total: Vector = np.zeros(1)
-        for shapes, drivers in changes.parts:
-            if drivers.shape[1] == 1:
-                total = total + drivers[:, 0] @ shapes.pull
-            else:
-                total = total + np.einsum("kp,kp->p", shapes.pull, drivers)
-        return total
-
-    def information(self, kind: EffectKind, changes: Changes) -> tuple[Vector, Vector]:
+    def _information(self, kind: EffectKind, changes: Changes) -> tuple[Vector, Vector]:
         """Information on every place, and the share of it that the background takes away."""
         total: Vector = np.zeros(1)
         sizes: list[Vector] = []

@@ -65,11 +65,11 @@ class CorrectorResonance(ActuatorKind):
         return filtered(setpoints, numerator, denominator, record)
 
     def grid(self, record: Record) -> tuple[Values, ...]:
-        """12 frequencies from a hundredth to twice the rate of the record, with 2 dampings."""
+        """10 frequencies from a hundredth to nearly half the rate of the record, with 2 dampings."""
         rate = 1.0 / record.layout.period
         return tuple(
             {"frequency": float(frequency), "damping": damping}
-            for frequency in rate * np.geomspace(0.01, 2.0, 12)
+            for frequency in rate * np.geomspace(0.01, 0.45, 10)
             for damping in (0.1, 0.5)
         )
 

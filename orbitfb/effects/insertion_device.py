@@ -14,8 +14,9 @@ from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
-_TRAVEL = 20e-3
-"""Way of a gap that makes the whole kick; a scale of its own for other records too [m]."""
+_PERIODS = (0.015, 0.03, 0.06, 0.2)
+_CLOSED = 10e-3
+"""Gap at which the kick is told [m]."""
 
 
 class InsertionDevice(SourceKind):
@@ -26,7 +27,17 @@ class InsertionDevice(SourceKind):
     grows = True
     parameters = (
         Parameter(
-            "kick", "rad", -1e-3, 1e-3, 0.0, 5e-7, "Kick of the closed device, per 20 mm of a gap."
+            "kick", "rad", -1e-3, 1e-3, 0.0, 5e-7, "Kick of the closed device, at a gap of 10 mm."
+        ),
+        Parameter(
+            "period",
+            "m",
+            0.01,
+            0.5,
+            0.03,
+            0.03,
+            "Period of the magnets; only where the record has a gap.",
+            log=True,
         ),
         Parameter(
             "duration",
@@ -35,7 +46,7 @@ class InsertionDevice(SourceKind):
             1e4,
             10.0,
             10.0,
-            "Time in which it closes; without effect where the record has its gap.",
+            "Time in which it closes; only where the record has no gap.",
             log=True,
             rough=True,
         ),
@@ -46,20 +57,25 @@ class InsertionDevice(SourceKind):
         "wrong or missing. Measure its table again."
     )
     equation = (
-        "x += G_bq θ g, g = (gap at first − gap) / 20 mm by the recorded gap; without one "
-        "g = min(t / duration, 1) from the onset on"
+        "x += G_bq θ g, g = exp(−π (gap − 10 mm) / period) by the recorded gap (K. Halbach, Nucl. "
+        "Instrum. Meth. 187 (1981)); without one g = min(t / duration, 1) from the onset on"
     )
     linear = "kick"
     confused_with = ("local-kick", "thermal-drift", "telegraph", "quadrupole-gradient")
     splits = "record the gap, and move it to and fro while the feedback holds"
     collective = False
 
+    def fitted(self, record: Record) -> tuple[Parameter, ...]:
+        """The period where there is a gap, the duration where there is none."""
+        kick, period, duration = self.parameters
+        return (kick, duration if gap_of(record) is None else period)
+
     def grid(self, record: Record) -> Sequence[Values]:
         """A kick; durations where there is no gap."""
         if gap_of(record) is not None:
-            return ({"kick": 5e-7, "duration": 10.0},)
-        ticks = (3, 10, 30, 100, 300)
-        return tuple({"kick": 5e-7, "duration": n * record.layout.period} for n in ticks)
+            return tuple({"kick": 5e-7, "period": p, "duration": 10.0} for p in _PERIODS)
+        each = (n * record.layout.period for n in (3, 10, 30, 100, 300))
+        return tuple({"kick": 5e-7, "period": 0.03, "duration": duration} for duration in each)
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
@@ -85,7 +101,8 @@ class InsertionDevice(SourceKind):
         if gap is None:
             closed = np.minimum(record.time / values["duration"], 1.0)
         else:
-            closed = (gap[0] - gap) / _TRAVEL
+            field = np.exp(-np.pi * (gap - _CLOSED) / values["period"])
+            closed = field - field[0]
         return values["kick"] * closed[:, None]
 
 

@@ -120,6 +120,10 @@ class EffectKind(ABC):
             return "needs a places table that knows the names of the record"
         return ""
 
+    def fitted(self, record: Record) -> tuple[Parameter, ...]:
+        """Parameters on which the record bears; the others keep the values they have."""
+        return self.parameters
+
     def grid(self, record: Record) -> Sequence[Values]:
         """Values to scan, coarse but dense enough that a local search finds the best one.
 

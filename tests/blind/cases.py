@@ -25,6 +25,7 @@ from tests.blind import (
 from tests.blind.conditions import Conditions, Dither, second_ring
 from tests.blind.draft import MAKERS, Draft, Maker
 from tests.blind.drawing import draw
+from tests.blind.healthy import healthy_errors
 from tests.blind.machine import Log, Nature, run
 from tests.blind.oracle import Innovations, detectability
 
@@ -137,7 +138,7 @@ def _draw(
         rng = np.random.default_rng([spec.seed, 2, number, attempt])
         draft = maker.draw(case, rng)
         start = _first_row(case, maker, spec, rng, attempt)
-        size, seen, log = _sized(case, draft, start, spec, filter_)
+        size, seen, log = _sized(case, maker, draft, start, spec, filter_)
         attempt += 1
         if len(log.readings) > FEWEST or attempt == TRIES:
             return (start, maker, draft, size, seen), log
@@ -155,13 +156,17 @@ def _first_row(
 
 
 def _sized(
-    case: Conditions, draft: Draft, start: int, spec: Spec, filter_: Innovations
+    case: Conditions, maker: Maker, draft: Draft, start: int, spec: Spec, filter_: Innovations
 ) -> tuple[float, float, Log]:
     """Search the size that is as detectable as wanted; an effect without a size is taken as is."""
 
+    healthy = healthy_errors(case, maker, draft) if spec.background else []
+
     def look(size: float) -> tuple[float, Log]:
         effects: list[tuple[int, Nature]] = [(start, draft.build(size))]
-        seen, log = detectability(case, effects, spec.seed, draft.law, filter_, spec.ticks + 1)
+        seen, log = detectability(
+            case, effects, spec.seed, draft.law, filter_, spec.ticks + 1, healthy
+        )
         if draft.closed is not None:
             rows = min(spec.ticks + 1, len(log.readings)) - max(start - case.warm, 0)
             seen = float(np.sqrt(2 * rows * draft.closed(size)))
@@ -172,12 +177,11 @@ def _sized(
     if not draft.size:
         return size, seen, log
     low, high = 0.0, draft.limit
-    least = draft.least * spec.background
     best = (abs(np.log(max(seen, 1e-9) / spec.target)), size, seen, log)
     for _ in range(14):
         if best[0] < CLOSE or (size >= draft.limit and seen < spec.target):
             break
-        if size <= least and seen > spec.target:
+        if size <= draft.least and seen > spec.target:
             return size, seen, log
         if seen < spec.target:
             low = size
@@ -187,7 +191,7 @@ def _sized(
         if low and high < draft.limit:
             inner = low * (high / low) ** 0.1, high * (low / high) ** 0.1
             guess = guess if inner[0] < guess < inner[1] else np.sqrt(low * high)
-        size = float(np.clip(guess, least, draft.limit))
+        size = float(np.clip(guess, draft.least, draft.limit))
         seen, log = look(size)
         best = min(best, (abs(np.log(max(seen, 1e-9) / spec.target)), size, seen, log), key=_first)
     return best[1], best[2], best[3]

@@ -25,7 +25,7 @@ class Draft:
         figures: Parameters for a size: name → (value, unit).
         size: Where the search of the size begins; 0 for an effect without a size.
         limit: Largest size that makes sense.
-        least: Size below which it is one of the small errors that every ring has.
+        least: Least size that makes sense.
         law: How it shows: in the mean, as randomness of every tick, at rare
             unknown ticks, or in rare unknown readings.
         closed: Expected gain of log-likelihood per row [nats] for a size, where there is a formula

@@ -48,7 +48,6 @@ def corrector_gain(case: Conditions, rng: Rng) -> Draft:
         lambda s: {"gain": (way * s, "1")},
         0.15,
         0.95,
-        least=0.05,
     )
 
 

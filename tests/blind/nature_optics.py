@@ -34,7 +34,6 @@ def quadrupole_gradient(case: Conditions, rng: Rng) -> Draft:
         lambda s: {"gradient": (way * s, "1/m")},
         2e-3,
         0.05,
-        least=5 * float(np.std(case.lattice.errors)),
     )
 
 

@@ -64,7 +64,6 @@ def bpm_gain(case: Conditions, rng: Rng) -> Draft:
         lambda s: {"gain": (way * s, "1")},
         0.05,
         0.9,
-        least=0.04,
     )
 
 

@@ -2,8 +2,10 @@
 
 The difference of the two readings, through the Kalman filter of a random walk of the true steps
 under the true reading noise, mode by mode, has the squared length d'² = 2 ΔL: what somebody who
-knows the effect exactly gains by it.
+knows the effect exactly, but of the small errors of its devices only how they scatter, gains by it.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -49,6 +51,7 @@ def detectability(
     law: Law,
     filter_: Innovations,
     rows: int,
+    healthy: Sequence[Nature] = (),
 ) -> tuple[float, Log]:
     """Tell d' of a single effect on the first rows of the record, and give the run itself.
 
@@ -59,13 +62,14 @@ def detectability(
         law: How the effect shows.
         filter_: Of the case.
         rows: Of the record that count.
+        healthy: Small errors, one standard deviation each, that nobody knows.
     """
     log = run(case, effects, seed)
     without = run(case, [], seed, replay=_extend(case, log.sent))
     rows = min(rows, len(log.readings))
     white = filter_.whiten(log.readings[:rows] - without.readings[:rows])
     if law == "mean":
-        return float(np.linalg.norm(white)), log
+        return _beside(white, [changed(case, log, one, seed, filter_) for one in healthy]), log
     if law == "rare":  # whole ticks
         struck = np.any(log.readings[:rows] != without.readings[:rows], axis=1)
         return _mixture(np.sum(white**2, axis=1), float(struck.mean())), log
@@ -75,6 +79,26 @@ def detectability(
         return _mixture(alone[:, columns].ravel(), float((alone[:, columns] > 0).mean())), log
     power = np.maximum(np.linalg.eigvalsh(white.T @ white / rows), 0)
     return float(np.sqrt(rows * np.sum(power - np.log1p(power)))), log
+
+
+def changed(case: Conditions, log: Log, error: Nature, seed: int, filter_: Innovations) -> Array:
+    """Whitened change of the readings of a run by a further error, (rows, n)."""
+    sent = _extend(case, log.sent)
+    there, plain = (run(case, its, seed, replay=sent).readings for its in ([(0, error)], []))
+    rows = min(len(there), len(plain))
+    return filter_.whiten(there[:rows] - plain[:rows])
+
+
+def _beside(white: Array, healthy: Sequence[Array]) -> float:
+    """d' of a change when the sizes of others, normal with variance 1, are open."""
+    total = float(np.sum(white**2))
+    if not healthy:
+        return float(np.sqrt(total))
+    rows = min(len(white), *map(len, healthy))
+    others = np.stack([its[:rows].ravel() for its in healthy])
+    pull = others @ white[:rows].ravel()
+    known = others @ others.T + np.eye(len(others))
+    return float(np.sqrt(max(total - pull @ np.linalg.solve(known, pull), 0.0)))
 
 
 def _mixture(power: Array, share: float) -> float:

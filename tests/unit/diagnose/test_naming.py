@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from orbitfb.diagnose.naming import column_names, geometry
+from orbitfb.diagnose.naming import column_names, devices_and_planes, geometry
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.layout import Devices, Layout
 from orbitfb.physics.places import Ring
@@ -30,3 +30,11 @@ def test_the_default_ring_has_every_device_in_its_sector():
 def test_devices_of_no_ring_stand_nowhere():
     one = Devices(("A",), ("x",), ("C01",))
     assert geometry(Layout(one, one, np.eye(1), 0.1, None)).bpms == {}
+
+
+def test_devices_are_named_without_planes_where_that_says_the_same():
+    assert devices_and_planes(("A (x)", "A (y)")) == (("A",), "xy")
+    assert devices_and_planes(("A (y)", "B (y)")) == (("A", "B"), "y")
+    assert devices_and_planes(("A (x)", "B (y)")) == (("A (x)", "B (y)"), "xy")
+    assert devices_and_planes(("A", "B")) == (("A", "B"), "xy")
+    assert devices_and_planes(()) == ((), "xy")

@@ -29,7 +29,7 @@ VALUES = {
     "local-kick": {"kick": 1e-6},
     "thermal-drift": {"rate": 1e-6},
     "periodic-disturbance": {"cosine": 1e-6, "sine": -2e-6, "frequency": 1.3},
-    "insertion-device": {"kick": 1e-6, "duration": 0.6},
+    "insertion-device": {"kick": 1e-6, "period": 0.03, "duration": 0.6},
     "tune-shift": {"dnu_x": 0.01, "dnu_y": -0.02},
     "tune-drift": {"rate_x": 3e-3, "rate_y": -2e-3},
     "energy-offset": {"offset": 1e-4},
@@ -335,12 +335,14 @@ def test_a_recorded_gap_drives_the_kick(layout):
         kind,
         layout,
         [2],
-        {"kick": 1e-6, "duration": 1.0},
+        {"kick": 1e-6, "period": 0.04, "duration": 1.0},
         setpoints,
         np.zeros((4, 180)),
         {"other": gap * 9, "ID03 Gap": gap, "ID05 gap": still},
     )
-    share = np.array([0.0, 0.25, 0.5, 1.0])
+    # By ratios of the field: each 5 mm of a period of 40 mm are a factor exp(π/8).
+    step = np.exp(np.pi / 8)
+    share = (step ** np.array([0, 1, 2, 4]) - 1) * step**-3
     assert_allclose(change, np.outer(share * 1e-6, kind.patterns(layout)[:, 2]), atol=1e-15)
 
 

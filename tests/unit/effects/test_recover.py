@@ -68,7 +68,7 @@ def test_what_was_simulated_is_recovered_within_its_interval(kind, benches):
         intervals = [stated.intervals[p.name] for p in kind.parameters]
     else:
         values, intervals = course_values(bench, start)
-    for parameter, (low, high) in zip(kind.parameters, intervals, strict=True):
+    for parameter, (low, high) in zip(kind.fitted(bench.record), intervals, strict=True):
         true = case.truth.values[parameter.name]
         least, most = widened(parameter, values[parameter.name], low, high)
         assert least <= true <= most, f"{parameter.name} is {values[parameter.name]:g}"
@@ -81,7 +81,7 @@ def test_the_likelihood_moves_with_every_parameter(kind, benches):
     case, bench = benches(kind)
     if not kind.parameters:
         pytest.skip("it has no parameter")
-    for parameter in kind.parameters:
+    for parameter in kind.fitted(bench.record):
         if parameter.name == "dnu_y" or parameter.name == "rate_y":
             continue  # one plane is recorded
         true = case.truth.values[parameter.name]
