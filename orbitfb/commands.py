@@ -10,7 +10,6 @@ from typing import Any
 import structlog
 
 from orbitfb.core.errors import OrbitFeedbackError
-from orbitfb.observe.snapshot import LoopSnapshot
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.panel.figures import Figures
 
@@ -39,7 +38,7 @@ class Commands:
         handlers: Mapping[str, Handler],
         statistics: LoopStatistics,
         figures: Figures,
-        more: Callable[[LoopSnapshot], Mapping[str, Any]] = lambda _: {},
+        more: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
         self._handlers = handlers
         self._statistics, self._figures, self._more = statistics, figures, more
@@ -80,7 +79,7 @@ class Commands:
 
     def _panel(self) -> Mapping[str, Any]:
         snapshot = self._statistics.snapshot()
-        more = self._more(snapshot)
+        more = self._more()
         return {
             "alive": self._figures.alive(snapshot),
             "figures": self._figures.values(snapshot, more),

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import structlog
 
-from orbitfb.commands import Commands
 from orbitfb.config import AppConfig
-from orbitfb.control import ControlServer, Lock
+from orbitfb.control import Lock
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.ports import Machine
 from orbitfb.core.signals import LoopState
 from orbitfb.diagnose.broken import Screen
 from orbitfb.diagnose.live import GapProcess, GapWatch
+from orbitfb.doors import Parts, open_doors
 from orbitfb.effects.build import layout_of
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.history.archive import ArchiveWriter
@@ -37,9 +37,7 @@ from orbitfb.observe.metrics import metrics_registry
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import Surroundings
-from orbitfb.own_panel import OwnPanel
 from orbitfb.own_ring import OwnRing
-from orbitfb.panel.figures import Figures
 from orbitfb.physics.places import Ring
 from orbitfb.policies.masking import mask_of
 from orbitfb.policies.stability import growth_of, warning_of
@@ -55,6 +53,7 @@ from orbitfb.startup import (
     planned,
     take_ring,
 )
+from orbitfb.trying import Latest
 
 _log = structlog.stdlib.get_logger("orbitfb.service")
 
@@ -145,7 +144,14 @@ class Service:
             clock,
             dither=self._dither,
             start=start,
-            subscribers=(self.history, archive, self.statistics, self.events, *recorders),
+            subscribers=(
+                self.history,
+                archive,
+                self.statistics,
+                self.events,
+                latest := Latest(),
+                *recorders,
+            ),
             counting=counting,
         )
         self.watch = self._gap_watch(config, ring, stack)
@@ -183,13 +189,18 @@ class Service:
             lambda policy: masked(policy, movable),
             *(its.request for its in recorders),
         )
-        commands = Commands({"": remote}, self.statistics, Figures(config.observe.stale_after))
-        stack.callback(ControlServer(directory, commands).close)
-        panel = (
-            OwnPanel(config, self.channels, self.statistics, stack)
-            if config.panel.enabled
-            else None
+        doors = Parts(
+            self.channels,
+            counting,
+            movable,
+            self.runner,
+            self.slot,
+            self.store,
+            below,
+            latest,
+            self.statistics,
         )
+        panel = open_doors(config, doors, remote, stack)
         terminal = Terminal(
             self.statistics.snapshot,
             config.observe.terminal,
@@ -210,7 +221,7 @@ class Service:
             "metrics": http.address,
             "policy": self.slot.current.policy_id,
             "data": str(directory.resolve()),
-            **({"panel": panel.where, "prefix": panel.prefix} if panel else {}),
+            **panel,
         }
         _log.info("service_started", **self._where)
 

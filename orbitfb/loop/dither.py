@@ -63,7 +63,8 @@ class Dither:
         n, m = response.shape
         per_ampere = float(np.linalg.norm(response)) / np.sqrt(n)
         self._kind = settings.kind
-        self._amplitude = settings.orbit_cost / per_ampere * float(np.sqrt(1.0 - gain / 2.0))
+        self._per_metre = float(np.sqrt(1.0 - gain / 2.0)) / per_ampere
+        self._cost = settings.orbit_cost
         self._random = np.random.default_rng(settings.seed)
         self._excursion = np.zeros(m)
         self._movable = np.ones(m, dtype=np.bool_) if movable is None else movable
@@ -78,9 +79,26 @@ class Dither:
         return cls(DitherSettings(), np.ones((1, correctors)))
 
     @property
+    def orbit_cost(self) -> float:
+        """Orbit motion that it may cause, rms over the BPMs [m]."""
+        return self._cost
+
+    @property
     def amplitude(self) -> float:
         """Rms excursion of a corrector [A]."""
-        return self._amplitude
+        return self._cost * self._per_metre
+
+    def retune(self, orbit_cost: float | None = None, movable: Mask | None = None) -> None:
+        """Change what it does from its next excursion on; may be called from any thread.
+
+        Args:
+            orbit_cost: Orbit motion that it may cause, rms over the BPMs [m]; None: as it is.
+            movable: Correctors that it may move, shape (m,); None: as they are.
+        """
+        if orbit_cost is not None:
+            self._cost = orbit_cost
+        if movable is not None:
+            self._movable = movable.copy()
 
     @property
     def excursion(self) -> Vector:
@@ -89,19 +107,19 @@ class Dither:
 
     def propose(self) -> Vector:
         """Draw the next excursion and return the change towards it, shape (m,) [A]."""
-        if self._amplitude == 0:
-            return np.zeros_like(self._excursion)
+        amplitude = self.amplitude
+        if amplitude == 0:  # also takes back the last excursion of one that was switched off
+            return 0.0 - self._excursion
         m = len(self._excursion)
         if self._kind is DitherKind.WHITE:
-            aim = self._amplitude * self._random.standard_normal(m)
+            aim = amplitude * self._random.standard_normal(m)
         else:
-            aim = self._amplitude * (2.0 * self._random.integers(0, 2, m) - 1.0)
+            aim = amplitude * (2.0 * self._random.integers(0, 2, m) - 1.0)
         return self._movable * aim - self._excursion
 
     def settle(self, change: Vector) -> None:
         """Note the part of a proposed change that was written, shape (m,) [A]."""
-        if self._amplitude:
-            self._excursion = self._excursion + change
+        self._excursion = self._excursion + change
 
     def restart(self, held: bool = False) -> None:
         """Take the setpoints as they are for those of the feedback.

@@ -11,8 +11,9 @@ import numpy as np
 
 from orbitfb.core.errors import MachineError
 from orbitfb.core.ports import Clock, Machine
-from orbitfb.core.signals import LoopState, Reading
+from orbitfb.core.signals import LoopState, Reading, Vector
 from orbitfb.loop import memory as remember
+from orbitfb.loop.adjustments import Adjustments, approach
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.intake import Intake, await_orbit
 from orbitfb.loop.memory import Rules
@@ -23,6 +24,7 @@ from orbitfb.loop.tick import Checked, check, decide, ramp_gain, supervise, too_
 from orbitfb.loop.work import Work
 from orbitfb.safety.limits import Limited, limit
 from orbitfb.safety.verdict import Action, Verdict, name_some
+from orbitfb.safety.watch import Growth
 
 
 class Engine:
@@ -35,6 +37,9 @@ class Engine:
         clock: The one on which the machine stamps.
         dither: Part of every change.
         start: OPEN, SHADOW or CLOSED.
+
+    Attributes:
+        wanted: What operators want; any thread may put another value here.
     """
 
     def __init__(
@@ -48,7 +53,10 @@ class Engine:
     ) -> None:
         self._machine, self._slot, self._clock = machine, slot, clock
         self._rules, self._dither = rules, dither
-        self.policy = slot.current
+        self._counting = rules.counting
+        self.wanted: Adjustments = Adjustments.none(rules.reference, len(rules.channels.correctors))
+        self._adjustments: Adjustments = self.wanted
+        self.policy = slot.acting
         self.memory = remember.first_memory(
             start, len(rules.channels.correctors), self.policy.initial_state(), clock.monotonic()
         )
@@ -63,10 +71,39 @@ class Engine:
 
     def take_policy(self) -> None:
         """Take the policy in force, with its initial state if it is a new one."""
-        policy = self._slot.current
+        policy = self._slot.acting
         if policy is not self.policy:
             self.memory = replace(self.memory, policy_state=policy.initial_state())
             self.policy = policy
+
+    @property
+    def reference(self) -> Vector:
+        """Reference orbit in force, shape (n,) [m]."""
+        return self._rules.reference
+
+    def take_adjustments(self) -> None:
+        """Take what operators want; while the loop is closed the reference follows slowly."""
+        wanted, rules = self.wanted, self._rules
+        if wanted is not self._adjustments:
+            self._adjustments = wanted
+            before = self._counting
+            counting = wanted.enabled if before is None else wanted.enabled & before
+            rules = replace(rules, counting=None if counting.all() else counting)
+        if rules.reference is not wanted.reference and self.memory.state is not LoopState.HELD:
+            closed = self.memory.state is LoopState.CLOSED
+            step = rules.loop.reference_speed * rules.loop.period if closed else np.inf
+            rules = replace(rules, reference=approach(rules.reference, wanted.reference, step))
+            # The error may grow while the loop follows; it is no sign of a wrong response then.
+            self.memory = replace(self.memory, growth=Growth())
+        self._rules = rules
+
+    def enabled(self, reading: Reading) -> Reading:
+        """Let BPMs that operators have disabled be not valid."""
+        enabled = self._adjustments.enabled
+        if enabled.all():
+            return reading
+        orbit = replace(reading.orbit, valid=reading.orbit.valid & enabled)
+        return replace(reading, orbit=orbit)
 
     def move(self, event: Event, reason: str) -> None:
         """Let an event happen.
@@ -166,7 +203,7 @@ class Engine:
             self.policy, checked, memory.policy_state, len(memory.setpoints)
         )
         dither = self._dither.propose() if closed else work.nothing
-        requested = gain * change + dither
+        requested = gain * self._adjustments.gain * change + dither
         work.done("decide")
         limited = limit(requested, memory.setpoints, rules.limits, rules.channels.correctors)
         now = work.done("limit")

@@ -13,6 +13,7 @@ import numpy as np
 from orbitfb.core.errors import ConfigError, ControlError
 from orbitfb.core.ports import Clock, Machine, Subscriber
 from orbitfb.core.signals import LoopState, Mask, TickRecord, Vector
+from orbitfb.loop.adjustments import Adjustments
 from orbitfb.loop.commands import CommandQueue, Order
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.engine import Engine
@@ -100,6 +101,32 @@ class Runner:
         """Count of ticks since the loop was built."""
         return self._ticks
 
+    @property
+    def adjustments(self) -> Adjustments:
+        """What operators want."""
+        return self._engine.wanted
+
+    @property
+    def reference(self) -> Vector:
+        """Reference orbit in force, shape (n,) [m]: on its way to the one that is wanted."""
+        return self._engine.reference
+
+    def adjust(self, wanted: Adjustments) -> None:
+        """Take other adjustments; they are in force from the next tick on.
+
+        Args:
+            wanted: All of them.
+
+        Raises:
+            ControlError: One of them does not fit the machine.
+        """
+        m, n = self._nothing.shape, self._engine.reference.shape
+        shapes = wanted.gain.shape, wanted.reference.shape, wanted.enabled.shape
+        finite = np.isfinite(wanted.gain).all() and np.isfinite(wanted.reference).all()
+        if shapes != (m, n, n) or not finite or (wanted.gain < 0).any():
+            raise ControlError("adjustments of another machine, or not finite; nothing was changed")
+        self._engine.wanted = wanted
+
     def command(self, name: str) -> Future[LoopState]:
         """Give a command; it takes effect before the next orbit is acted on.
 
@@ -167,21 +194,22 @@ class Runner:
         intake = engine.read(self._stop)
         work.done("read")
         engine.take_policy()
+        engine.take_adjustments()
         self._obey()
         if intake.reading is None:
             work.missed = engine.without_orbit(intake)
             self._refuse_closing(intake.absence)
             return False
-        work.reading = intake.reading
-        checked, work.missed = engine.check(intake.reading, intake.pace, bool(self._closing))
+        reading = work.reading = engine.enabled(intake.reading)
+        checked, work.missed = engine.check(reading, intake.pace, bool(self._closing))
         work.setpoints = engine.memory.setpoints
         self._close(checked.verdict)
-        engine.supervise(intake.reading, checked.verdict)
+        engine.supervise(reading, checked.verdict)
         work.done("check")
         if not checked.verdict.may_act:
             return False
         if self.state in (LoopState.SHADOW, LoopState.CLOSED):
-            engine.act(work, intake.reading, checked)
+            engine.act(work, reading, checked)
         return True
 
     def _obey(self) -> None:
@@ -222,7 +250,7 @@ class Runner:
             state=memory.state,
             reason=memory.reason,
             reading=work.reading,
-            reference=self._rules.reference,
+            reference=self._engine.reference,
             setpoints=work.setpoints,
             requested=work.requested,
             dither=work.dither,

@@ -27,6 +27,13 @@ class LoopSettings(Settings):
         default=True, description="Whether a held loop closes by itself, or waits for the command."
     )
 
+    reference_speed: float = Field(
+        default=100e-6,
+        gt=0,
+        le=1.0,
+        description="Fastest movement of the reference at any BPM while the loop is closed [m/s].",
+    )
+
     @property
     def period(self) -> float:
         """Time between two ticks [s]."""

@@ -1,6 +1,7 @@
 """The place from which the loop takes its policy, between two ticks."""
 
 import threading
+from collections.abc import Callable
 
 from orbitfb.core.ports import Policy
 
@@ -13,18 +14,28 @@ class PolicySlot:
 
     Args:
         policy: The policy to begin with.
+        dress: Makes of a policy the one that acts; see `redress`.
     """
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(
+        self, policy: Policy, dress: Callable[[Policy], Policy] = lambda policy: policy
+    ) -> None:
         self._lock = threading.Lock()
-        self._policy = policy
+        self._policy, self._dress = policy, dress
+        self._acting = dress(policy)
         self._swaps = 0
 
     @property
     def current(self) -> Policy:
-        """The policy that the next tick decides with."""
+        """The policy in force, as it was swapped in."""
         with self._lock:
             return self._policy
+
+    @property
+    def acting(self) -> Policy:
+        """The policy that the next tick decides with: the same, dressed."""
+        with self._lock:
+            return self._acting
 
     @property
     def swaps(self) -> int:
@@ -34,7 +45,25 @@ class PolicySlot:
 
     def swap(self, policy: Policy) -> Policy:
         """Put another policy in force and return the one that was."""
-        with self._lock:
-            before, self._policy = self._policy, policy
-            self._swaps += 1
-            return before
+        while True:
+            dress = self._dress
+            dressed = dress(policy)  # not under the lock: a tick must not wait for it
+            with self._lock:
+                if dress is self._dress:
+                    before, self._policy, self._acting = self._policy, policy, dressed
+                    self._swaps += 1
+                    return before
+
+    def redress(self, dress: Callable[[Policy], Policy]) -> None:
+        """Let every policy act otherwise from now on, such as without some correctors.
+
+        Args:
+            dress: Makes of a policy the one that acts.
+        """
+        while True:
+            policy = self.current
+            acting = dress(policy)
+            with self._lock:
+                if policy is self._policy:
+                    self._dress, self._acting = dress, acting
+                    return

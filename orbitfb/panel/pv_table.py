@@ -1,9 +1,9 @@
 """All PVs of the panel."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from orbitfb.core.signals import LoopState
-from orbitfb.panel.pv import LONGEST_TEXT, Kind, Order, PanelPv
+from orbitfb.panel.pv import LONGEST_TEXT, NO_RANGE, Kind, Order, PanelPv
 from orbitfb.panel.settings import PanelSettings
 
 MILLI, MICRO = 1e-3, 1e-6
@@ -138,4 +138,107 @@ def _policies() -> tuple[PanelPv, ...]:
 
 
 def _adjustments(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]:
-    return ()
+    gains = (
+        pair
+        for plane in extent.planes
+        for pair in _pair(
+            PanelPv(
+                f"Gain{plane.upper()}",
+                Kind.DOUBLE,
+                f"Factor of the policy's change, plane {plane}.",
+                precision=3,
+                limits=(0.0, 1.0),
+                order=Order("gain", "value", more=(("plane", plane),)),
+            )
+        )
+    )
+    largest = settings.reference_limit / MILLI
+    reference = PanelPv(
+        "Reference",
+        Kind.DOUBLES,
+        "Reference orbit, x first, then y; RB: where it is on its way.",
+        "mm",
+        5,
+        limits=(-largest, largest),
+        length=extent.bpms,
+        order=Order("reference", "values", MILLI),
+    )
+    return (
+        *gains,
+        *_pair(reference),
+        _text(
+            "ReferenceSave-Cmd",
+            "Saves the reference under this name.",
+            Order("reference-save", "name"),
+        ),
+        _text(
+            "ReferenceLoad-Cmd",
+            "Takes the reference of this name.",
+            Order("reference-load", "name"),
+        ),
+        _text("ReferenceName-I", "Name of the reference; empty: it was set by hand or never."),
+        *_switches("BpmEnable", "BPMs that count", "enable-bpms", extent.bpms),
+        *_switches(
+            "CorrectorEnable", "Correctors that move", "enable-correctors", extent.correctors
+        ),
+        *_pair(
+            PanelPv(
+                "Dither",
+                Kind.DOUBLE,
+                "Orbit motion that the dither may cause, rms; 0: off.",
+                "um",
+                3,
+                limits=(0.0, settings.dither_limit / MICRO),
+                order=Order("dither", "orbit_cost", MICRO),
+            )
+        ),
+        *_trial(extent),
+    )
+
+
+def _trial(extent: Extent) -> tuple[PanelPv, ...]:
+    modes = PanelPv(
+        "Modes",
+        Kind.INTEGER,
+        "Singular values that an SVD law keeps; SP: to try, RB: in force.",
+        limits=(1.0, float(min(extent.bpms, extent.correctors))),
+        order=Order("try", "singular_values"),
+    )
+    strength = PanelPv(
+        "Lambda",
+        Kind.DOUBLE,
+        "Tikhonov's lambda of an SVD law; SP: to try, RB: in force.",
+        "m/A",
+        7,
+        limits=(0.0, 1.0),
+        order=Order("try", "regularisation"),
+    )
+    return (
+        *_pair(modes),
+        *_pair(strength),
+        _number("PredictedRms-I", "Next change that the tried law would make, rms.", "A", 6),
+        _number("PredictedMax-I", "The same, largest.", "A", 6),
+        _number("PredictedOrbit-I", "Rms orbit error expected after it.", "um", 3),
+        _choice("Apply-Cmd", "Puts the tried law in force.", ONCE, {"command": "apply"}),
+    )
+
+
+def _pair(pv: PanelPv) -> tuple[PanelPv, PanelPv]:
+    """Make of one quantity the PV that is written and the one that shows what is in force."""
+    return (
+        replace(pv, name=f"{pv.name}-SP"),
+        replace(pv, name=f"{pv.name}-RB", limits=NO_RANGE, order=None),
+    )
+
+
+def _switches(name: str, meaning: str, command: str, length: int) -> tuple[PanelPv, PanelPv]:
+    return _pair(
+        PanelPv(
+            name,
+            Kind.SWITCHES,
+            f"{meaning}, x first, then y; 1: yes, 0: no.",
+            limits=(0.0, 1.0),
+            length=length,
+            order=Order(command, "enabled"),
+        )
+    )

@@ -69,6 +69,7 @@ class Panel(Desk):
         self._channels = {pv.name: channel_of(pv, self) for pv in self.pvs}
         self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="panel")
         self._beats = 0
+        self._unset = {pv.name for pv in self.pvs if pv.name.endswith("-SP")}
         self._telling: set[asyncio.Task[None]] = set()
 
     def context(self, sockets: Sockets) -> PanelContext:
@@ -85,6 +86,7 @@ class Panel(Desk):
         request = request_of(pv, value)
         if request is None:
             return
+        self._unset.discard(pv.name)
         told = {"user": origin.user, "host": origin.address, "pv": self._prefix + pv.name}
         await self._in_thread({**request, "origin": told}, ANSWER_TIMEOUT)
 
@@ -119,6 +121,10 @@ class Panel(Desk):
         for name, value in figures.items():
             if name in self._channels:
                 await show(self._channels[name], value)
+            wish = name.removesuffix("-RB") + "-SP"
+            if name.endswith("-RB") and wish in self._unset and value is not None:
+                await show(self._channels[wish], value)  # before anybody has written it
+                self._unset.discard(wish)
 
     def close(self) -> None:
         """Wait for nothing any more."""

@@ -1,6 +1,7 @@
 """The control socket and the locks: one holder, one answer for every message, good or bad."""
 
 import os
+import pwd
 import re
 import socket
 import stat
@@ -44,7 +45,11 @@ def served(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_an_answer_comes_back(served: Path):
-    assert ask(served, {"command": "x", "µ": [1.5]}) == {"echo": {"command": "x", "µ": [1.5]}}
+    asked = {"command": "x", "µ": [1.5], "peer": {"user": "somebody else"}}
+    echo = ask(served, asked)["echo"]
+    # who asks is known from the kernel, whatever the request says
+    peer = {"user": pwd.getpwuid(os.getuid()).pw_name, "process": os.getpid()}
+    assert echo == {"command": "x", "µ": [1.5], "peer": peer}
     assert is_running(served)
 
 

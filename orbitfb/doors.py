@@ -1,0 +1,99 @@
+"""The two doors of a service: the control socket, and the panel if that is wanted."""
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from orbitfb.adjusting import Adjuster, Base
+from orbitfb.autosave import FILE
+from orbitfb.commands import Commands, Handler
+from orbitfb.config import AppConfig
+from orbitfb.control import ControlServer
+from orbitfb.core.signals import Channels, Mask
+from orbitfb.loop.dither import Dither
+from orbitfb.loop.runner import Runner
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.own_panel import OwnPanel
+from orbitfb.panel.figures import Figures
+from orbitfb.policies.store import PolicyStore
+from orbitfb.trying import Latest, Trial
+
+_log = structlog.stdlib.get_logger("orbitfb.service")
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What operators see and command.
+
+    Args:
+        channels: Of the loop.
+        counting: BPMs that are not masked by configuration, shape (n,).
+        movable: Correctors that are not, shape (m,).
+        runner: The loop.
+        slot: Its policy.
+        store: The policies.
+        dither: The dither.
+        latest: The last orbit.
+        statistics: Figures of the loop.
+    """
+
+    channels: Channels
+    counting: Mask
+    movable: Mask
+    runner: Runner
+    slot: PolicySlot
+    store: PolicyStore
+    dither: Dither
+    latest: Latest
+    statistics: LoopStatistics
+
+
+def open_doors(
+    config: AppConfig, parts: Parts, remote: Handler, stack: ExitStack
+) -> Mapping[str, Any]:
+    """Restore what operators had set, then take their commands.
+
+    Args:
+        config: The configuration.
+        parts: Of the service.
+        remote: Answers the commands that are neither of adjustments nor of trials.
+        stack: Closes what is opened here.
+
+    Returns:
+        Where the panel is: `panel` and `prefix`; nothing if there is none.
+
+    Raises:
+        ConfigError: What was saved is damaged or of another ring; a rule is wrong.
+        OwnershipError: A socket cannot be made, a port is taken.
+    """
+    channels, slot, statistics = parts.channels, parts.slot, parts.statistics
+    directory = config.data_directory
+    base = Base(channels, parts.counting, parts.movable, config.panel, directory)
+    adjuster = Adjuster(base, parts.runner, slot, parts.dither)
+    if adjuster.restore():
+        _log.info("operator_settings_restored", file=str(directory / FILE))
+        statistics.happened("command", f"settings of operators restored from {FILE}")
+    trial = Trial(
+        slot,
+        parts.store,
+        channels,
+        config.policy.svd,
+        parts.latest,
+        lambda: adjuster.movable,
+        remote,
+    )
+    commands = Commands(
+        {"": remote, **adjuster.handlers, **trial.handlers},
+        statistics,
+        Figures(config.observe.stale_after),
+        lambda: {**adjuster.shown(), **trial.shown()},
+    )
+    stack.callback(ControlServer(directory, commands).close)
+    if not config.panel.enabled:
+        return {}
+    panel = OwnPanel(config, channels, statistics, stack)
+    return {"panel": panel.where, "prefix": panel.prefix}

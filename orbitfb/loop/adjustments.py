@@ -1,0 +1,58 @@
+"""What operators may change while the loop runs, as one value that it takes between two ticks.
+
+Nothing of it moves a setpoint by itself: setpoints are absolute and each tick adds a change to
+them, so that another gain or other devices act on the next change alone. The reference is the
+exception, as the loop follows it: while it writes, the reference moves at a limited speed.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Adjustments:
+    """What operators want.
+
+    Args:
+        gain: Factor of the policy's change, shape (m,) [1].
+        reference: Reference orbit to go to, shape (n,) [m].
+        enabled: BPMs that count as far as operators say, shape (n,).
+    """
+
+    gain: Vector
+    reference: Vector
+    enabled: Mask
+
+    @classmethod
+    def none(cls, reference: Vector, correctors: int) -> Self:
+        """Give those of a loop that nobody has adjusted.
+
+        Args:
+            reference: Shape (n,) [m].
+            correctors: m.
+        """
+        return cls(np.ones(correctors), reference, np.ones(len(reference), dtype=np.bool_))
+
+
+def approach(now: Vector, aim: Vector, step: float) -> Vector:
+    """Move a reference towards another one, straight, without changing its shape on the way.
+
+    Args:
+        now: Shape (n,) [m].
+        aim: Shape (n,) [m].
+        step: Largest movement of any element [m].
+
+    Returns:
+        The next reference; `aim` itself once it is reached.
+    """
+    if now is aim:
+        return aim
+    way = aim - now
+    largest = float(np.abs(way).max(initial=0.0))
+    if largest <= step:
+        return aim
+    return now + step / largest * way
