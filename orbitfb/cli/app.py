@@ -17,6 +17,7 @@ from orbitfb.cli.evaluate import evaluate
 from orbitfb.cli.kick import evaluate_kick_command
 from orbitfb.cli.measure import measure_response_command
 from orbitfb.cli.policies import policies
+from orbitfb.cli.postmortem import postmortem
 from orbitfb.cli.service import command, ioc, refit, run
 from orbitfb.cli.train import train
 from orbitfb.core.errors import OrbitFeedbackError
@@ -28,7 +29,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _function in (run, ioc, train, refit, command):
+for _function in (run, ioc, train, refit, command, postmortem):
     app.command()(_function)
 app.command("measure-response")(measure_response_command)
 evaluate.command("kick")(evaluate_kick_command)
