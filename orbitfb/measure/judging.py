@@ -100,6 +100,8 @@ def _judge_corrector(
     doubt = float(np.sqrt(np.mean(table.sigma[good, j] ** 2)))
     expected = float(np.sqrt(np.mean(nominal[good, j] ** 2)))
     following = table.following[j]
+    if not abs(table.phase[j]) <= settings.lag and size >= settings.weakest * expected:
+        return f"lags by {table.phase[j]:.2g} rad at its frequency; measure it by steps"
     if not size >= settings.weakest * expected:
         return f"is dead: moves the orbit by {size / expected:.2g} of what the optics say"
     if not doubt <= settings.noise * size:
@@ -108,6 +110,4 @@ def _judge_corrector(
         return f"is not linear: {table.linearity[j]:.2g} of its column"
     if np.isfinite(following) and not abs(following - 1.0) <= settings.following:
         return f"does not follow: its readback changes by {following:.3g} of its setpoint"
-    if not abs(table.phase[j]) <= settings.lag:
-        return f"lags by {table.phase[j]:.2g} rad at its frequency; measure it by steps"
     return ""

@@ -57,13 +57,16 @@ class Mover:
             offsets: From their base, shape (k,) [A].
 
         Raises:
-            MeasurementError: A limit does not let them, or the measurement must be given up.
+            MeasurementError: A limit does not let them, somebody else moves setpoints, or the
+                measurement must be given up.
             WriteError: The machine does not take it.
         """
+        self.verify()  # a write says all setpoints: it must not undo what somebody else did
         target = self._sent.copy()
         target[list(correctors)] = self.base[list(correctors)] + offsets
         while not self._step(target):
             self._watch.orbit()
+            self.verify()
 
     def _step(self, target: Vector) -> bool:
         """Go one step; says whether this was the last one."""
@@ -83,6 +86,8 @@ class Mover:
             MachineError: The machine does not take it, or does not say where they are.
         """
         mine = list(correctors)
+        expected = self._sent.copy()
+        expected[mine] = self.base[mine]
         self._sent = self._machine.setpoints()
         target = self._sent.copy()
         target[mine] = self.base[mine]
@@ -91,7 +96,7 @@ class Mover:
         present = self._machine.setpoints()
         if not (np.abs(present[mine] - self.base[mine]) <= self._same).all():
             raise MachineError("the setpoints that were put back do not read back")
-        self._sent = present
+        self._sent = expected  # what somebody else moved meanwhile is still to be seen
 
 
 def restore_persistently(

@@ -43,7 +43,7 @@ class MeasureSettings(Settings):
         default=0.02, gt=0, lt=0.5, description="Lowest frequency at once [1/tick]."
     )
     highest: float = Field(
-        default=0.3, gt=0, lt=0.5, description="Highest frequency at once [1/tick]."
+        default=0.4, gt=0, lt=0.5, description="Highest frequency at once [1/tick]."
     )
     ticks: int = Field(
         default=300, ge=50, le=100_000, description="Least length of a pass at once [ticks]."

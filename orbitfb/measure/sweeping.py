@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from orbitfb.core.errors import MeasurementError
-from orbitfb.core.signals import Reading, Vector
+from orbitfb.core.signals import Mask, Reading, Vector
 from orbitfb.measure.column import Column
 from orbitfb.measure.mover import Mover
 from orbitfb.measure.multisine import Demodulated, Multisine, demodulate
@@ -14,6 +14,12 @@ from orbitfb.measure.watch import Watch
 
 SIZES = (0.5, 1.0)
 """Sizes of the passes; what differs between them is not linear."""
+_LATEST = 6
+_SHOWN = 0.1
+"""How far a readback may be from the level in force, parts of the amplitude."""
+_MOST = 0.9
+"""Part of the correctors that must show one sample."""
+_MOST_LOST = 0.3
 _LEAD = 10
 """Ticks in which the waveform grows from nothing before a pass."""
 
@@ -77,7 +83,37 @@ def _one_pass(
             readings.append(reading)
     orbits = np.array([watch.position(reading) for reading in readings])
     readbacks = np.array([reading.readback[list(correctors)] for reading in readings])
-    return np.array(samples), orbits, readbacks, readings[-1].orbit.time
+    shown = (readbacks - mover.base[list(correctors)]) / amplitudes
+    in_force, known = _in_force(wave, np.array(samples), shown)
+    return in_force[known], orbits[known], readbacks[known], readings[-1].orbit.time
+
+
+def _in_force(wave: Multisine, written: Vector, shown: Vector) -> tuple[Vector, Mask]:
+    """Find out by the readbacks which sample was in force at every orbit.
+
+    A write may come a tick too late, or in the middle of a tick. Where most readbacks do not
+    show the waveform at all (there are none, or slow ones) the sample written last is taken.
+
+    Args:
+        wave: The waveform.
+        written: Sample written last before every orbit, shape (K,).
+        shown: Levels that the readbacks show, shape (K, k).
+
+    Returns:
+        Samples, shape (K,), and at which orbits they are known, shape (K,).
+    """
+    late = np.arange(_LATEST + 1)
+    known = np.isfinite(shown).all(axis=0)
+    if not known.any():
+        return written, np.ones(len(written), dtype=np.bool_)
+    apart = np.stack([np.abs(shown - wave.levels(written - ticks))[:, known] for ticks in late])
+    missed = np.median(apart, axis=2)
+    best = missed.argmin(axis=0)
+    agree = missed.min(axis=0) < _SHOWN
+    agree &= np.quantile(apart, _MOST, axis=2)[best, np.arange(len(written))] < _SHOWN
+    if np.mean(agree) < 1.0 - _MOST_LOST:
+        return written, np.ones(len(written), dtype=np.bool_)
+    return written - late[best], agree
 
 
 def _following(wave: Multisine, samples: Vector, readbacks: Vector) -> Vector:
