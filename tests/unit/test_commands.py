@@ -1,0 +1,91 @@
+"""One implementation of every command, and a log of who gave it from where."""
+
+from typing import Any, cast
+
+import pytest
+from structlog.testing import capture_logs
+
+from orbitfb.commands import Commands
+from orbitfb.core.errors import ControlError
+
+PANEL = {"user": "jane", "host": "10.0.5.9", "pv": "SR:FB{Orbit}Command-Cmd"}
+SOCKET = {"user": "root", "process": 17}
+
+
+class Statistics:
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def happened(self, kind: str, text: str) -> None:
+        self.lines.append(f"{kind}: {text}")
+
+
+def loop(request: Any) -> dict[str, Any]:
+    if request["command"] == "reset":
+        raise ControlError("there is nothing to reset")
+    return {"done": request["command"]}
+
+
+@pytest.fixture
+def statistics() -> Statistics:
+    return Statistics()
+
+
+@pytest.fixture
+def commands(statistics: Statistics) -> Commands:
+    handlers = {"": loop, "gain": lambda request: {"gain": request["value"]}}
+    return Commands(handlers, *cast(Any, (statistics, None)))
+
+
+def test_a_command_of_either_door_is_carried_out_and_logged(commands: Commands, statistics: Any):
+    with capture_logs() as logs:
+        assert commands({"command": "close", "peer": SOCKET}) == {"done": "close"}
+        assert commands({"command": "gain", "value": 0.5, "origin": PANEL, "peer": SOCKET}) == {
+            "gain": 0.5
+        }
+    first, second = logs
+    assert first == {
+        **SOCKET,
+        **{"event": "command_given", "command": "close", "host": "localhost"},
+        **{"door": "socket", "log_level": "info"},
+    }
+    assert second == {
+        **PANEL,
+        **{"event": "command_given", "command": "gain", "with_value": 0.5, "door": "panel"},
+        "log_level": "info",
+    }
+    assert statistics.lines == [
+        "command: close by root@localhost",
+        "command: gain by jane@10.0.5.9",
+    ]
+
+
+def test_what_is_refused_is_logged_with_the_reason(commands: Commands, statistics: Any):
+    with capture_logs() as logs, pytest.raises(ControlError, match="nothing to reset"):
+        commands({"command": "reset", "origin": PANEL})
+    assert logs[0]["event"] == "command_refused" and logs[0]["log_level"] == "warning"
+    assert (logs[0]["user"], logs[0]["reason"]) == ("jane", "there is nothing to reset")
+    assert statistics.lines == [
+        "command: reset by jane@10.0.5.9 refused: there is nothing to reset"
+    ]
+
+
+def test_a_write_that_the_panel_refused_is_logged_here(commands: Commands, statistics: Any):
+    with capture_logs() as logs:
+        assert commands({"command": "refused", "reason": "may not", "origin": PANEL}) == {}
+    assert (logs[0]["event"], logs[0]["command"]) == ("command_refused", "write")
+    assert statistics.lines == ["command: write by jane@10.0.5.9 refused: may not"]
+
+
+def test_looking_is_not_logged(commands: Commands, statistics: Any):
+    with capture_logs() as logs:
+        commands({"command": "status", "peer": SOCKET})
+    assert logs == [] and statistics.lines == []
+
+
+def test_long_vectors_and_words_do_not_fill_the_log(commands: Commands):
+    request = {"command": "close", "values": [0.0] * 180, "word": "x" * 5000, "origin": PANEL}
+    with capture_logs() as logs:
+        commands({**request, "origin": {**PANEL, "user": "y" * 5000}})
+    assert logs[0]["with_values"] == "180 values"
+    assert len(logs[0]["with_word"]) == len(logs[0]["user"]) == 300
