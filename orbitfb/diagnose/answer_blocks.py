@@ -36,23 +36,31 @@ class KStep(Part):
 class ClosedLoop(Part):
     """What the loop does: predicted without and with the causes, beside what was measured."""
 
-    without_um: Number = Field(description="predicted orbit rms, nominal model [µm]")
-    with_um: Number = Field(default=None, description="predicted with the causes [µm]")
-    with_low: Number = None
-    with_high: Number = None
-    measured_um: Number
+    without_um: Number = Field(
+        description="rms of the orbit about its reference, simulated loop of the nominal model [µm]"
+    )
+    with_um: Number = Field(default=None, description="the same with the causes [µm]")
+    with_low: Number = Field(
+        default=None,
+        description="with the causes, 90 % of records of this length are above: their noise alone",
+    )
+    with_high: Number = Field(default=None, description="the same, 90 % are below")
+    measured_um: Number = Field(description="the same of the readings [µm]")
     measured_low: Number = None
     measured_high: Number = None
-    rederived_um: Number = Field(
-        default=None, description="predicted, the policy computed anew from the mended model [µm]"
-    )
     radius_without: Number = Field(default=None, description="spectral radius of the loop, nominal")
-    radius_with: Number = Field(default=None, description="spectral radius with the causes")
-    frequency_hz: Numbers = ()
-    psd_measured: Numbers = Field(default=(), description="of the orbit [µm²/Hz]")
-    psd_without: Numbers = ()
-    psd_with: Numbers = ()
-    note: str = ""
+    radius_with: Number = Field(
+        default=None,
+        description="spectral radius with the causes, where they are gains of correctors",
+    )
+    frequency_hz: Numbers = Field(default=(), description="of the spectra [Hz]")
+    psd_measured: Numbers = Field(
+        default=(),
+        description="of the same readings, mean over the BPMs [µm²/Hz]",
+    )
+    psd_without: Numbers = Field(default=(), description="predicted, nominal model [µm²/Hz]")
+    psd_with: Numbers = Field(default=(), description="predicted with the causes [µm²/Hz]")
+    note: str = Field(default="", description="why a prediction is missing")
 
 
 class TournamentRow(Part):
@@ -66,23 +74,27 @@ class TournamentRow(Part):
     probability: Number = Field(default=None, description="of its class [1]")
     members: tuple[str, ...] = Field(default=(), description="ids of its class, itself included")
     accepted: bool = False
-    detectable_nats: Number = Field(default=None, description="where a 5-sigma size would stand")
 
 
 class Tournament(Part):
     """All kinds of effects against each other."""
 
     rows: tuple[TournamentRow, ...] = ()
-    threshold_nats: Number = Field(default=None, description="99 % line of records without a gap")
-    ceiling_nats: Number = Field(default=None, description="what a model of any kind could gain")
+    ceiling_nats: Number = Field(
+        default=None,
+        description="what the causes gain on held-out ticks and a model of any kind beyond them; "
+        "null where nothing beyond them is resolved",
+    )
 
 
 class WaterfallStep(Part):
-    """What is left of the gap after one more effect."""
+    """What is left of the gap after one more cause, in the order in which they were found."""
 
     label: str
     fit: Number = Field(default=None, description="gap left, data of the fit [nats/tick]")
-    held_out: Number = Field(default=None, description="gap left, held-out data [nats/tick]")
+    held_out: Number = Field(
+        default=None, description="gap left, data used for nothing else [nats/tick]"
+    )
 
 
 class GoodnessTest(Part):
@@ -109,18 +121,20 @@ class Fingerprint(Part):
     title: str
     x_label: str
     y_label: str
-    x: Numbers
-    measured: Numbers
-    nominal: Numbers = ()
-    refit: Numbers = ()
+    x: Numbers = Field(description="mean of every bin")
+    measured: Numbers = Field(description="what the model without it leaves, mean of the bin")
+    nominal: Numbers = Field(default=(), description="what the model without the cause expects")
+    refit: Numbers = Field(default=(), description="what the cause expects there")
     error: Numbers = Field(default=(), description="standard error of `measured`")
 
 
 class ScoreRow(Part):
-    """Gain of log-likelihood by an effect at each place of one stage."""
+    """Gain of log-likelihood by one effect of a stage at each place, on the nominal model."""
 
     stage: str
-    effect: str = ""
+    effect: str = Field(
+        default="", description="a cause; the best of the tournament, or a plain one, if none is"
+    )
     gain: Numbers = Field(description="nats, at each place")
     s_m: Numbers = Field(default=(), description="position of each place [m]; empty: not known")
     names: tuple[str, ...] = ()
@@ -132,7 +146,10 @@ class ScoreMap(Part):
     """Score of every stage over the ring."""
 
     rows: tuple[ScoreRow, ...] = ()
-    threshold_nats: Number = None
+    threshold_nats: Number = Field(
+        default=None,
+        description="what chance reaches at the best place once in 100 records",
+    )
 
 
 class LagProfile(Part):
@@ -165,9 +182,6 @@ class Identifiability(Part):
     effects: tuple[str, ...] = ()
     cosine: Table = Field(default=(), description="cosine of the changes of the prediction [1]")
     degenerate: tuple[str, ...] = Field(default=(), description="in words, a sentence each")
-    referee: str = Field(
-        default="", description="whether the estimate by the dither as instrument agrees"
-    )
 
 
 class Unknown(Part):
@@ -179,9 +193,6 @@ class Unknown(Part):
     nearest: str = Field(default="", description="id of the nearest effect of the library")
     nearest_nats: Number = None
     explained: Number = Field(default=None, description="share of the ceiling explained [1]")
-    correlations: dict[str, Number] = Field(
-        default_factory=dict, description="correlation of the rest with slow channels [1]"
-    )
 
 
 class Audit(Part):

@@ -46,8 +46,16 @@ class Cause(Part):
         description="other places that the record cannot exclude",
     )
     held_out_nats: Number = Field(default=None, description="gain on held-out ticks [nats]")
-    drop_one_nats: Number = Field(default=None, description="loss when it alone is left out [nats]")
-    shapley: Number = Field(default=None, description="its share of the whole gain [1]")
+    drop_one_nats: Number = Field(
+        default=None,
+        description="loss of log-likelihood on the data of the fit when it alone is left out, the "
+        "other causes at their values, the healthy errors fitted anew [nats]",
+    )
+    shapley: Number = Field(
+        default=None,
+        description="its share of the gain of all causes, whatever the order in which they join "
+        "(Shapley) [1]",
+    )
 
 
 class GapPiece(Part):
@@ -101,9 +109,6 @@ class Gap(Part):
     by_band: tuple[GapPiece, ...] = Field(default=(), description="by frequency band [Hz]")
     by_window: tuple[GapPiece, ...] = Field(default=(), description="by time window [s]")
     by_bin: tuple[Binning, ...] = ()
-    over_reference: Number = Field(
-        default=None, description="gap over that of the reference record [nats/tick]"
-    )
     floor_from: str = Field(default="", description="where the floor of the noise comes from")
 
 
@@ -121,7 +126,11 @@ class Shrink(Part):
         default=None, description="share that a black-box refit of R removes, same ticks [1]"
     )
     competitor_nats: Number = Field(default=None, description="the same in nats [1]")
-    net_um: Number = Field(default=None, description="share that the forward net removes [1]")
+    net_um: Number = Field(
+        default=None,
+        description="share that the forward net removes, same ticks [1]",
+    )
+    net_note: str = Field(default="", description="why there is no net, or how much is believed")
     resolved: bool = Field(default=True, description="whether the gap there is resolved at all")
     on: str = Field(default="", description="which data: the later record, the end of the record")
     before_nats_per_tick: Number = Field(default=None, description="gap there, nominal")
@@ -198,5 +207,4 @@ class Provenance(Part):
     drift_um_per_tick: Number = None
     gauge: str = Field(default="", description="how the common scale of the gains is fixed")
     thresholds: dict[str, Number] = Field(default_factory=dict)
-    benchmark: str = Field(default="", description="row of the blind test behind the confidence")
     seconds: Number = Field(default=None, description="how long the diagnosis took [s]")

@@ -8,12 +8,14 @@ from orbitfb.diagnose.answer_blocks import Tournament, TournamentRow
 from orbitfb.diagnose.answer_parts import Cause as NamedCause
 from orbitfb.diagnose.answer_parts import ParameterValue
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.blocks import Draws, interval
+from orbitfb.diagnose.blocks import Draws, Interval, interval
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit
+from orbitfb.diagnose.naming import devices_and_planes
 from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.search import Outcome, Round
 from orbitfb.diagnose.tournament import Entry
+from orbitfb.diagnose.worth import Worths
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.layout import Layout
@@ -21,14 +23,21 @@ from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import NoiseKind
 
 
-def named_causes(outcome: Outcome) -> tuple[NamedCause, ...]:
-    """Write the causes of a search, in the order in which they were found."""
+def named_causes(outcome: Outcome, worths: Worths) -> tuple[NamedCause, ...]:
+    """Write the causes of a search, in the order in which they were found.
+
+    Args:
+        outcome: Of the search.
+        worths: What each of them is worth.
+    """
     return tuple(
-        _named(outcome, one, one.accepted) for one in outcome.winners if one.accepted is not None
+        _named(outcome, one, one.accepted, worths)
+        for one in outcome.winners
+        if one.accepted is not None
     )
 
 
-def _named(outcome: Outcome, one: Round, entry: Entry) -> NamedCause:
+def _named(outcome: Outcome, one: Round, entry: Entry, worths: Worths) -> NamedCause:
     layout, kind = one.bench.record.layout, entry.kind
     cause, fitted = _final(outcome, entry)
     chances = one.probabilities()
@@ -39,12 +48,12 @@ def _named(outcome: Outcome, one: Round, entry: Entry) -> NamedCause:
         for name in place_names(layout, kind, other.cause.places)
     }
     own = place_names(layout, kind, cause.places)
-    single = len(layout.planes) == 1
+    devices, planes = devices_and_planes(own)
     return NamedCause(
         effect=kind.id,
         stage=kind.stage,
-        places=own,
-        planes=layout.planes[0] if single else "xy",
+        places=devices,
+        planes=layout.planes[0] if len(layout.planes) == 1 else planes,
         parameters=_parameters(cause, fitted, one.bench),
         probability=sum(chances.get(name, 0.0) for name in (kind.id, *rivals)),
         onset_s=float(one.bench.record.time[cause.onset]) if cause.onset else None,
@@ -54,6 +63,8 @@ def _named(outcome: Outcome, one: Round, entry: Entry) -> NamedCause:
         label=entry.candidate.group,
         places_within=tuple(sorted(within - set(own))),
         held_out_nats=entry.held_out,
+        drop_one_nats=worths.lost_without(cause, entry),
+        shapley=worths.share(cause, entry),
     )
 
 
@@ -128,8 +139,13 @@ def place_names(layout: Layout, kind: EffectKind, places: Sequence[int]) -> tupl
     return tuple(name(column) for column in places)
 
 
-def tournament_rows(outcome: Outcome) -> Tournament:
-    """Write the first tournament: every kind at its best place."""
+def tournament_rows(outcome: Outcome, rest: Interval) -> Tournament:
+    """Write the first tournament: every kind at its best place.
+
+    Args:
+        outcome: Of the search.
+        rest: What a model of any kind gains beyond the causes, on held-out ticks [nats].
+    """
     first = outcome.rounds[0]
     layout = first.bench.record.layout
     chances = first.probabilities()
@@ -154,4 +170,6 @@ def tournament_rows(outcome: Outcome) -> Tournament:
             members=(entry.kind.id,),
             accepted=entry.kind.id in accepted,
         )
-    return Tournament(rows=tuple(rows.values()))
+    found = [one.accepted.held_out for one in outcome.winners if one.accepted is not None]
+    ceiling = sum(found) + rest.value if rest.resolved else None
+    return Tournament(rows=tuple(rows.values()), ceiling_nats=ceiling)

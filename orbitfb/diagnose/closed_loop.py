@@ -2,92 +2,137 @@
 
 The law of the loop is not in the record; it is estimated as a linear one, change = −K (orbit −
 reference) + the logged dither, when the requested changes follow such a law closely enough.
-Then the loop is simulated with the floor's own noise, drawn anew, on the nominal model and on the
-nominal model with the causes that act on currents.
+Then the loop is simulated with the floor's own noise, drawn anew, and the logged references and
+dither: on the nominal model, and with the causes as they act in the simulated ring.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import welch
+from scipy.stats import t as student
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.answer_blocks import ClosedLoop
+from orbitfb.diagnose.answer_values import numbers
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import Draws, interval
 from orbitfb.diagnose.explain import Cause, columns_of
+from orbitfb.diagnose.loop_law import linear_law, reference_of
+from orbitfb.diagnose.loop_run import Runs, effects_of, run_loop
 from orbitfb.effects.device_kinds import ActuatorKind
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.record import Record
-from orbitfb.physics.effect import generator
 from orbitfb.physics.optics import Matrix
 
 _RUNS = 4
-_FOLLOWS = 0.98
-"""Share of the variance of the requested changes that a linear law must explain."""
-_RIDGE = 1e-8
-_BROKEN = 1e-2
-"""Orbit at which a simulated loop counts as lost [m]."""
+_NINETY = 0.95
+_SEGMENT = 256
+"""Ticks of a segment of the spectra."""
+_LEAST_SEGMENT = 32
+_MADE_UP = ("bpm-current", "insertion-device")
+"""Effects that follow a channel of the record, for which the simulated ring has its own course."""
 
 
-def closed_loop(bench: Bench, later: Record | None = None, seed: int = 0) -> ClosedLoop:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prediction:
+    """Rms of every run [µm], and the spectrum of the orbit [µm²/Hz]."""
+
+    rms: Vector
+    spectrum: Vector
+
+    @property
+    def value(self) -> float:
+        return float(np.sqrt(np.mean(self.rms**2)))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Where 90 % of records of this length would lie, as the runs scatter."""
+        runs = len(self.rms)
+        reach = float(student.ppf(_NINETY, runs - 1) * np.std(self.rms, ddof=1))
+        reach *= float(np.sqrt(1.0 + 1.0 / runs))
+        return max(self.value - reach, 0.0), self.value + reach
+
+
+def closed_loop(
+    bench: Bench,
+    later: Record | None = None,
+    seed: int = 0,
+    causes: Sequence[Cause] | None = None,
+) -> ClosedLoop:
     """Predict the rms of the orbit about its reference without and with the causes.
 
     Args:
         bench: The record under the causes that were found.
-        later: The record to be predicted; the bench's own when None.
+        later: The record to be predicted, which has the causes from its beginning on; the
+            bench's own when None.
         seed: Of the noise that is drawn.
+        causes: All that were found, those without a course in time too; the bench's when None.
 
     Returns:
-        The measured rms always; the predictions are null, and the note says why, when the law
-        cannot be estimated or a cause does not act as a gain of correctors.
+        The measured rms always; a prediction is null, and the note says why, when the law cannot
+        be estimated, a simulated loop is lost, or a cause cannot be simulated.
     """
     record = bench.record if later is None else later
-    reference = _reference(record)
-    squares = 1e12 * np.mean((record.readings - reference) ** 2, axis=1)
+    off = record.readings - reference_of(record)
     draws = Draws.of(np.ones(len(record), dtype=np.bool_), seed)
-    measured = interval(np.sqrt(draws.means(squares)))
-    law, follows = linear_law(record)
-    note = ""
+    measured = interval(np.sqrt(draws.means(1e12 * np.mean(off**2, axis=1))))
+    frequency, spectrum = _spectrum(record, off)
+    law, follows = linear_law(record, bench.record)
     if law is None:
-        note = f"not computed: a linear law explains {follows:.0%} of the requested changes"
-    mended = mended_response(bench.record, bench.causes)
-    if mended is None:
-        note = note or "not computed with the causes: they are no static change of the response"
-    without = None if law is None else _rms(bench, record, law, record.layout.response, seed)
-    known = law is not None and mended is not None
-    with_causes = _rms(bench, record, law, mended, seed) if known else None
-    radius = None if law is None else _radius(record.layout.response, law)
+        return ClosedLoop(
+            without_um=None,
+            measured_um=measured.value,
+            measured_low=measured.low,
+            measured_high=measured.high,
+            frequency_hz=numbers(frequency),
+            psd_measured=numbers(spectrum),
+            note=f"not predicted: a linear law explains {follows:.0%} of the requested changes",
+        )
+    acting = tuple(bench.causes if causes is None else causes)
+    nominal = _predict(bench, record, law, (), seed)
+    reason = _unable(acting)
+    mended = None
+    if not reason:
+        onsets = later is None
+        mended = _predict(bench, record, law, acting, seed, onsets=onsets)
+        reason = "" if mended is not None else "the simulated loop with the causes is lost"
+    static = mended_response(bench.record, acting)
+    low, high = (None, None) if mended is None else mended.ends
     return ClosedLoop(
-        without_um=without,
-        with_um=with_causes,
+        without_um=None if nominal is None else nominal.value,
+        with_um=None if mended is None else mended.value,
+        with_low=low,
+        with_high=high,
         measured_um=measured.value,
         measured_low=measured.low,
         measured_high=measured.high,
-        radius_without=radius,
-        radius_with=_radius(mended, law) if known else None,
-        note=note,
+        radius_without=_radius(record.layout.response, law),
+        radius_with=None if static is None else _radius(static, law),
+        frequency_hz=numbers(frequency),
+        psd_measured=numbers(spectrum),
+        psd_without=() if nominal is None else numbers(nominal.spectrum),
+        psd_with=() if mended is None else numbers(mended.spectrum),
+        note=_note(nominal, reason),
     )
 
 
-def linear_law(record: Record) -> tuple[Matrix | None, float]:
-    """Estimate K of change = −K (orbit − reference) + dither.
+def _note(nominal: _Prediction | None, reason: str) -> str:
+    parts = [] if nominal is not None else ["the simulated loop of the nominal model is lost"]
+    if reason:
+        parts.append(f"not predicted with the causes: {reason}")
+    return "; ".join(parts)
 
-    Returns:
-        K, shape (m, n) [A/m], None when changes do not follow such a law; and the share of
-        their variance that it explains, on every other ten ticks that it was not fitted to.
-    """
-    known = np.isfinite(record.requested).all(axis=1)
-    change = record.requested - (0.0 if record.dither is None else record.dither)
-    error = record.readings - _reference(record)
-    fitted = known & ((np.arange(len(record)) // 10) % 2 == 0)
-    judged = known & ~fitted
-    if fitted.sum() <= error.shape[1] or not np.any(change[judged]):
-        return None, 0.0
-    law = _ridge(error[fitted], change[fitted])
-    left = change[judged] + error[judged] @ law.T
-    follows = 1.0 - float(np.sum(left**2) / np.sum(change[judged] ** 2))
-    if not follows >= _FOLLOWS:
-        return None, max(follows, 0.0)
-    return _ridge(error[known], change[known]), follows
+
+def _unable(causes: Sequence[Cause]) -> str:
+    """Say why the loop cannot be simulated with these causes; empty when it can."""
+    for cause in causes:
+        if cause.kind.id in _MADE_UP:
+            return f"{cause.kind.id} follows a channel whose course the simulated ring makes up"
+        if isinstance(cause.kind, NoiseKind):
+            return f"what {cause.kind.id} adds is in the floor of the record, and cannot be parted"
+    return ""
 
 
 def mended_response(record: Record, causes: Sequence[Cause]) -> Matrix | None:
@@ -116,51 +161,35 @@ def mended_response(record: Record, causes: Sequence[Cause]) -> Matrix | None:
     return response
 
 
-def _ridge(error: Matrix, change: Matrix) -> Matrix:
-    normal = error.T @ error
-    normal[np.diag_indices_from(normal)] += _RIDGE * np.trace(normal) / len(normal)
-    return -np.linalg.solve(normal, error.T @ change).T.astype(np.float64)
-
-
-def _reference(record: Record) -> Matrix:
-    return np.zeros_like(record.readings) if record.reference is None else record.reference
-
-
-def _radius(response: Matrix | None, law: Matrix | None) -> float | None:
+def _radius(response: Matrix, law: Matrix) -> float:
     """Spectral radius of the loop u ← u − K R u on the correctors."""
-    if response is None or law is None:
-        return None
     return float(np.max(np.abs(np.linalg.eigvals(np.eye(law.shape[0]) - law @ response))))
 
 
-def _rms(
-    bench: Bench, record: Record, law: Matrix | None, response: Matrix | None, seed: int
-) -> float | None:
-    """Rms of the simulated readings about the reference [µm]; None when the loop is lost."""
-    if law is None or response is None:
+def _predict(
+    bench: Bench,
+    record: Record,
+    law: Matrix,
+    causes: Sequence[Cause],
+    seed: int,
+    *,
+    onsets: bool = True,
+) -> _Prediction | None:
+    """Simulate some runs; None when one of them is lost."""
+    effects = [effects_of(causes, record.layout, seed + run, onsets=onsets) for run in range(_RUNS)]
+    off = run_loop(Runs(record, bench.floor, law, effects, seed))
+    if off is None:
         return None
-    rng = generator(seed, "diagnose closed loop")
-    reference = _reference(record)
-    dither = np.zeros_like(record.setpoints) if record.dither is None else record.dither
-    floor = bench.floor
-    start = record.readings[0] - record.setpoints[0] @ response.T
-    squares: list[float] = []
-    for _ in range(_RUNS):
-        steps = rng.standard_normal(record.readings.shape) * np.sqrt(floor.walk)
-        steps[0] = 0.0
-        ground = start + floor.to_bpms(np.cumsum(steps, axis=0))
-        noise = np.sqrt(floor.reading) * rng.standard_normal(record.readings.shape)
-        total, setpoints = 0.0, record.setpoints[0].copy()
-        for row in range(len(record)):
-            reading = response @ setpoints + ground[row] + noise[row]
-            off = reading - reference[row]
-            total += float(off @ off)
-            if total > _BROKEN**2 * off.size * len(record):
-                return None
-            setpoints = setpoints - law @ off + _finite(dither[row])
-        squares.append(total / record.readings.size)
-    return 1e6 * float(np.sqrt(np.mean(squares)))
+    rms = 1e6 * np.sqrt(np.mean(off**2, axis=(1, 2)))
+    return _Prediction(rms, np.mean([_spectrum(record, one)[1] for one in off], axis=0))
 
 
-def _finite(row: Vector) -> Vector:
-    return np.where(np.isfinite(row), row, 0.0)
+def _spectrum(record: Record, off: Matrix) -> tuple[Vector, Vector]:
+    """Frequencies [Hz] and mean spectrum over the BPMs [µm²/Hz] of the longest stretch."""
+    longest = max(record.stretches, key=lambda piece: piece.stop - piece.start)
+    rows = 1e6 * off[longest]
+    segment = min(_SEGMENT, len(rows))
+    if segment < _LEAST_SEGMENT:
+        return np.zeros(0), np.zeros(0)
+    frequency, density = welch(rows, fs=1.0 / record.layout.period, nperseg=segment, axis=0)
+    return frequency[1:], density[1:].mean(axis=1)

@@ -30,6 +30,8 @@ class Contrast:
         seed: Of the bootstrap.
         rivals: Other causes, fitted each alone, that the error of the nominal model may consist
             of: without them a stand-in is not told from the right cause.
+        net: Orbit that a second competitor adds, shape (N, n) [m]; None: there is none. It widens
+            the span for its own figures only: those of the others are the same with and without.
 
     Attributes:
         model: With all the causes.
@@ -37,6 +39,7 @@ class Contrast:
         nominal: Weights of the differences in the nominal model, shape (k,).
         mine: Those in `model`.
         other: Those in `competitor`.
+        second: Those in the second competitor, shape (k + 1,); None: there is none.
         ticks: That are predicted.
     """
 
@@ -47,6 +50,7 @@ class Contrast:
         change: Matrix,
         seed: int,
         rivals: Sequence[Cause] = (),
+        net: Matrix | None = None,
     ) -> None:
         self.replay, self._seed = replay, seed
         ladder = [Model(tuple(causes[:count])) for count in range(len(causes) + 1)]
@@ -59,14 +63,17 @@ class Contrast:
         self.mine, self.other = self.nominal.copy(), self.nominal.copy()
         self.mine[: len(causes)] = 1.0
         self.other[len(causes)] = 1.0
+        self.second: Vector | None = None
+        if net is not None:
+            self.second = np.append(np.zeros(len(self._pairs)), 1.0)
+            self._pairs.append((NOMINAL, Model(orbit=net)))
         self.draws = Draws.of(replay.counted(), seed)
         self.ticks = int(replay.counted().sum())
         differences = [self._white(change) for change in self._differences(1)]
         error = self._white(replay.errors(NOMINAL))
         self._normal = self.draws.sums(_products(differences, differences))
-        score = self.draws.sums(_products(differences, [error]))[:, :, 0]
-        self._inverse = np.linalg.pinv(self._normal, hermitian=True, rcond=1e-9)
-        self._share = np.einsum("dij,dj->di", self._inverse, score)
+        self._score = self.draws.sums(_products(differences, [error]))[:, :, 0]
+        self._solved: dict[int, tuple[Matrix, Vector]] = {}
 
     def likelihood(self, model: Model) -> Vector:
         """Gain of log-likelihood over the nominal model [nats/tick], shape (DRAWS + 1,)."""
@@ -78,7 +85,7 @@ class Contrast:
         """Gap of a model to the best in the span [nats/tick], shape (DRAWS + 1,).
 
         Args:
-            weights: Of the differences in the model: `nominal`, `mine` or `other`.
+            weights: Of the differences in the model: `nominal`, `mine`, `other` or `second`.
         """
         return 0.5 * self._square(weights, self._normal) / self.ticks
 
@@ -113,11 +120,25 @@ class Contrast:
 
         The draws have the noise twice: that of the record and that of drawing from it.
         """
-        off = self._share - weights
+        own = len(weights)
+        inverse, share = self._span(own)
+        size = size[:, :own, :own]
+        off = share - weights
         length = np.einsum("di,dij,dj->d", off, size, off)
-        noise = np.einsum("dij,dji->d", size, self._inverse)
+        noise = np.einsum("dij,dji->d", size, inverse)
         noise[1:] *= 2.0
         return np.maximum(length - noise, 0.0)
+
+    def _span(self, count: int) -> tuple[Matrix, Vector]:
+        """Inverse of the normal equations of the first differences, and their weights b."""
+        if count not in self._solved:
+            normal = self._normal[:, :count, :count]
+            inverse = np.asarray(
+                np.linalg.pinv(normal, hermitian=True, rcond=1e-9), dtype=np.float64
+            )
+            share = np.einsum("dij,di->dj", inverse, self._score[:, :count])
+            self._solved[count] = inverse, np.asarray(share, dtype=np.float64)
+        return self._solved[count]
 
     def _differences(self, steps: int) -> list[Matrix]:
         return [

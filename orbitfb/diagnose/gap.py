@@ -7,9 +7,7 @@ more: what the best explanation leaves above it; that belongs to the gap as far 
 A floor estimated with the record itself cannot tell that.
 """
 
-from collections.abc import Mapping, Sequence
-from itertools import combinations
-from math import factorial
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -18,18 +16,18 @@ from orbitfb.diagnose.answer_parts import Gap
 from orbitfb.diagnose.answer_values import numbers
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import Draws, Interval, interval
-from orbitfb.diagnose.explain import Cause, explain
+from orbitfb.diagnose.explain import explain
 from orbitfb.diagnose.gap_maps import corrector_scores
 from orbitfb.diagnose.gap_parts import bands, bins, windows
 from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.replay import NOMINAL, Model, Replay
 from orbitfb.diagnose.surplus import Surplus
+from orbitfb.diagnose.worth import Gains, shapley
 from orbitfb.physics.optics import Matrix
 
 STEADY = 0.01
 """Relative change of the noise's variance between reference and record that is nobody's gap."""
 _SURE = 3.0
-_MANY = 5
 UNEXPLAINED = "unexplained"
 
 
@@ -84,6 +82,7 @@ def gap(
     stage_gains: Mapping[str, float] | None = None,
     reference_rows: int | None = None,
     seed: int = 0,
+    gains: Gains | None = None,
 ) -> Gap:
     """Measure the gap and take it apart; the parts add up to the whole.
 
@@ -95,6 +94,7 @@ def gap(
             explains is shared out by them, as far as they reach.
         reference_rows: As for `surplus`.
         seed: Of the bootstrap.
+        gains: Of the bench, where they are known already.
     """
     hidden = dict(unseen or {})
     whole = surplus(bench, best=best, unseen=sum(hidden.values()), reference_rows=reference_rows)
@@ -115,7 +115,7 @@ def gap(
         um_high=excess.high,
         floor_um=1e6 * float(np.sqrt(Replay.of(bench).floor_variance())),
         resolved=total.resolved,
-        by_stage=_by_stage(bench, hidden, stage_gains or {}, total.value, ticks),
+        by_stage=_by_stage(gains or Gains(bench), hidden, stage_gains or {}, total.value, ticks),
         by_bpm=dict(zip(names, (cells.sum(axis=0) / ticks).tolist(), strict=True)),
         by_corrector=corrector_scores(bench, whole, ticks),
         um_by_bpm=dict(zip(names, by_bpm_um.tolist(), strict=True)),
@@ -149,7 +149,7 @@ def _micrometres(bench: Bench, best: Matrix | None, draws: Draws) -> tuple[Inter
 
 
 def _by_stage(
-    bench: Bench,
+    gains: Gains,
     unseen: Mapping[str, float],
     stage_gains: Mapping[str, float],
     total: float,
@@ -157,7 +157,7 @@ def _by_stage(
 ) -> dict[str, float | None]:
     """Share the gap out: to the causes by Shapley, the rest by the best gains of the stages."""
     parts = {stage: gain / ticks for stage, gain in unseen.items()}
-    for cause, share in zip(bench.causes, shapley(bench, bench.causes), strict=True):
+    for cause, share in zip(gains.causes, shapley(gains), strict=True):
         parts[cause.kind.stage] = parts.get(cause.kind.stage, 0.0) + share / ticks
     rest = total - sum(parts.values())
     positive = {stage: gain / ticks for stage, gain in stage_gains.items() if gain > 0.0}
@@ -167,42 +167,3 @@ def _by_stage(
             parts[stage] = parts.get(stage, 0.0) + rest * gain / reach
     parts[UNEXPLAINED] = total - sum(parts.values())
     return dict(parts)
-
-
-def shapley(bench: Bench, causes: Sequence[Cause]) -> list[float]:
-    """Give every cause its share of the gain of all, whatever the order [nats].
-
-    The mean over all orders of what a cause adds to those before it (L. S. Shapley, 1953), at the
-    fitted values; beyond five causes, in the order given.
-
-    Args:
-        bench: The record under these causes.
-        causes: Those of the bench.
-    """
-    replay = Replay.of(bench)
-    counted = replay.counted()
-
-    def gain(members: tuple[int, ...]) -> float:
-        model = Model(tuple(causes[index] for index in members))
-        white = replay.white(model)[counted]
-        return float(np.sum(replay.jacobian(model)) - 0.5 * np.sum(white**2))
-
-    count = len(causes)
-    if count > _MANY:
-        ladder = [gain(tuple(range(k))) for k in range(count + 1)]
-        return [float(step) for step in np.diff(ladder)]
-    value = {
-        members: gain(members)
-        for size in range(count + 1)
-        for members in combinations(range(count), size)
-    }
-    shares: list[float] = []
-    for index in range(count):
-        share = 0.0
-        for members, its in value.items():
-            if index not in members:
-                weight = factorial(len(members)) * factorial(count - len(members) - 1)
-                joined = tuple(sorted((*members, index)))
-                share += weight / factorial(count) * (value[joined] - its)
-        shares.append(share)
-    return shares

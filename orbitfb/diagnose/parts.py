@@ -5,21 +5,26 @@ from dataclasses import dataclass
 
 from orbitfb.diagnose.ambiguity import identifiability
 from orbitfb.diagnose.answer import Diagnosis
-from orbitfb.diagnose.answer_blocks import AmbiguousSet, KStep
-from orbitfb.diagnose.answer_parts import Experiment, Gap, NotTested, Provenance, Shrink
+from orbitfb.diagnose.answer_blocks import AmbiguousSet
+from orbitfb.diagnose.answer_parts import Experiment, Gap, NotTested, Provenance
 from orbitfb.diagnose.answering import named_causes, tournament_rows
 from orbitfb.diagnose.certain import Certain
 from orbitfb.diagnose.closed_loop import closed_loop
+from orbitfb.diagnose.contrast import Contrast
 from orbitfb.diagnose.detectable import detectable
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.fingerprints import fingerprints
 from orbitfb.diagnose.gap import gap, surplus
 from orbitfb.diagnose.gap_maps import lag_profile, maps
 from orbitfb.diagnose.judgement import Judgement, held_to_account
 from orbitfb.diagnose.naming import geometry
+from orbitfb.diagnose.net_competitor import fitted_net
 from orbitfb.diagnose.plan import plan
+from orbitfb.diagnose.score_map import score_map
 from orbitfb.diagnose.search import Outcome
 from orbitfb.diagnose.shrink import contrast, k_steps, shrink
 from orbitfb.diagnose.wording import headline
+from orbitfb.diagnose.worth import Gains, Worths, waterfall
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
@@ -50,16 +55,20 @@ class Parts:
     def answer(self, certain: Certain, not_tested: tuple[NotTested, ...]) -> Diagnosis:
         """Write the answer; its provenance is left to who knows the records."""
         outcome = self.outcome
-        shrunk, steps = self._shrink()
+        compared, net_note = self._compared()
+        where = "the later record" if self.told else "the end of the record"
+        shrunk = None if compared is None else shrink(compared, where, net_note)
         judged = held_to_account(self.judged, outcome, shrunk)
         bench = outcome.bench
-        causes = () if judged.state == "unknown" else named_causes(outcome)
-        causes = (*certain.causes, *causes)
+        gains = Gains(bench)
+        found = () if judged.state == "unknown" else named_causes(outcome, Worths(outcome, gains))
+        causes = (*certain.causes, *found)
         sizes, untestable = detectable(outcome.rounds[0].bench, self.kinds)
         known = {one.effect for one in not_tested}
         sets = self._ambiguous()
-        the_gap = self._gap()
-        loop = closed_loop(bench, self.later, self.seed) if causes else None
+        the_gap = self._gap(gains)
+        loop = closed_loop(bench, self.later, self.seed, outcome.causes) if causes else None
+        held = compared if shrunk is not None and shrunk.resolved else None
         whole = surplus(bench, best=judged.rest.white if judged.rest.resolved else None)
         return Diagnosis(
             state=judged.state,
@@ -81,10 +90,13 @@ class Parts:
             detectable=sizes,
             ambiguous=sets,
             unknown=judged.unknown,
-            k_steps=steps,
+            k_steps=() if compared is None else k_steps(compared),
             closed_loop=loop,
-            tournament=tournament_rows(outcome),
+            tournament=tournament_rows(outcome, judged.rest.nats),
+            waterfall=waterfall(outcome, gains, the_gap.nats_per_tick, held) if found else (),
             audit=judged.audit,
+            fingerprints=fingerprints(bench) if causes else (),
+            score_map=score_map(outcome),
             lag_profile=lag_profile(bench, whole),
             maps=maps(bench, whole),
             identifiability=identifiability(outcome.rounds[0].bench, outcome.rounds[0].entries),
@@ -92,7 +104,7 @@ class Parts:
             provenance=Provenance(data_sha256="", seed=self.seed, versions={}),
         )
 
-    def _gap(self) -> Gap:
+    def _gap(self, gains: Gains) -> Gap:
         stages: dict[str, float] = {}
         unseen: dict[str, float] = {}
         for entry in self.outcome.rounds[0].entries:
@@ -110,19 +122,22 @@ class Parts:
             unseen=unseen,
             stage_gains=stages,
             seed=self.seed,
+            gains=gains,
         )
 
-    def _shrink(self) -> tuple[Shrink | None, tuple[KStep, ...]]:
+    def _compared(self) -> tuple[Contrast | None, str]:
+        """Bring causes and competitors to the later record; and why there is no forward net."""
         moving = [
             cause
             for cause in self.outcome.causes
             if not isinstance(cause.kind, NoiseKind | LatentKind)
         ]
         if self.later is None or not moving:
-            return None, ()
-        compared = contrast(self.outcome.bench, self.later, self.seed, self._rivals())
-        where = "the later record" if self.told else "the end of the record"
-        return shrink(compared, where), k_steps(compared)
+            return None, ""
+        bench = self.outcome.bench
+        net = fitted_net(bench, self.seed)
+        compared = contrast(bench, self.later, self.seed, self._rivals(), net)
+        return compared, net.note
 
     def _rivals(self) -> tuple[Cause, ...]:
         """The best that were not accepted: a stand-in must not be judged by itself alone."""

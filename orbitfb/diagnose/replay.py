@@ -31,10 +31,12 @@ class Model:
     Args:
         causes: In the model beside the nominal response.
         change: Added to the nominal response, shape (n, m) [m/A]; None: nothing.
+        orbit: Added to the predicted orbit of a record, shape (N, n) [m]; None: nothing.
     """
 
     causes: tuple[Cause, ...] = ()
     change: Matrix | None = None
+    orbit: Matrix | None = None
 
 
 NOMINAL = Model()
@@ -137,6 +139,8 @@ class Replay:
         left = explain(self.record, model.causes, self.orbit).left - self.healthy
         if model.change is not None:
             left -= actuated(self.record, model.causes) @ model.change.T
+        if model.orbit is not None:
+            left -= model.orbit
         return left
 
     def _own_jacobian(self, model: Model, index: int) -> Vector:

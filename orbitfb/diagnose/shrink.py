@@ -1,7 +1,7 @@
 """How far the gap shrinks on data that was used neither for fitting nor for selection.
 
-Beside the causes stands a competitor: a black-box refit of R̂ on the ticks of the fit, scored on
-the same later ticks. A cause must beat a fit.
+Beside the causes stand two competitors: a black-box refit of R̂ and the forward net, both on the
+ticks of the fit and scored on the same later ticks. A cause must beat a fit.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from orbitfb.diagnose.blocks import interval
 from orbitfb.diagnose.competitor import refitted_response
 from orbitfb.diagnose.contrast import Contrast
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.net_competitor import NetCompetitor
 from orbitfb.diagnose.replay import Model, Replay
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.record import Record
@@ -41,7 +42,13 @@ def put_aside(record: Record) -> tuple[Record, Record | None]:
     return record.rows(0, cut), record.rows(cut, len(record))
 
 
-def contrast(bench: Bench, later: Record, seed: int = 0, rivals: Sequence[Cause] = ()) -> Contrast:
+def contrast(
+    bench: Bench,
+    later: Record,
+    seed: int = 0,
+    rivals: Sequence[Cause] = (),
+    net: NetCompetitor | None = None,
+) -> Contrast:
     """Bring the causes and their competitor to a later record.
 
     Args:
@@ -50,6 +57,7 @@ def contrast(bench: Bench, later: Record, seed: int = 0, rivals: Sequence[Cause]
             periodic disturbance is, where the later record does not say when it was taken.
         seed: Of the bootstrap.
         rivals: The best few of the tournament that were not accepted, fitted to the same ticks.
+        net: Fitted to the same ticks; None: left out.
     """
     rivals = tuple(replace(rival, onset=0) for rival in rivals)
     causes = tuple(replace(cause, onset=0) for cause in bench.causes)
@@ -58,37 +66,44 @@ def contrast(bench: Bench, later: Record, seed: int = 0, rivals: Sequence[Cause]
     if not continued:
         causes = _in_phase(replay, causes)
     change = refitted_response(Replay.of(bench))
-    return Contrast(replay, causes, change, seed, rivals)
+    orbit = None if net is None else net.extra(replay)
+    return Contrast(replay, causes, change, seed, rivals, orbit)
 
 
-def shrink(its: Contrast, on: str = "the later record") -> Shrink:
+def shrink(its: Contrast, on: str = "the later record", net_note: str = "") -> Shrink:
     """Tell which share of the gap is gone with the causes.
 
     Args:
         its: Of `contrast`.
         on: Which data that is.
+        net_note: What there is to say about the forward net.
 
     Returns:
-        Shares are null where the gap is not resolved in the later record.
+        Shares are null where the gap is not resolved in the later record, unless the causes make
+        one there that is.
     """
     gained = its.likelihood(its.model)
     after = its.distance(its.mine)
     before = np.maximum(gained + after, 0.0)
     um_before, um_after, um_other = its.excesses([its.nominal, its.mine, its.other])
+    um_net = None if its.second is None else its.excess(its.second)
     there = interval(its.distance(its.nominal))
     competitor = its.likelihood(its.competitor)
     nats, low, high = _share(gained, before)
     um, um_low, um_high = _share(um_before - um_after, um_before)
+    told = there.resolved or (high is not None and high < 0.0)
     return Shrink(
-        nats=nats,
-        low=low,
-        high=high,
-        um=um,
-        um_low=um_low,
-        um_high=um_high,
+        nats=nats if told else None,
+        low=low if told else None,
+        high=high if told else None,
+        um=um if told else None,
+        um_low=um_low if told else None,
+        um_high=um_high if told else None,
         held_out_ticks=its.ticks,
         competitor_um=_share(um_before - um_other, um_before)[0],
         competitor_nats=_share(competitor, before)[0],
+        net_um=None if um_net is None else _share(um_before - um_net, um_before)[0],
+        net_note=net_note,
         resolved=there.resolved,
         on=on,
         before_nats_per_tick=float(before[0]),
@@ -109,7 +124,9 @@ def k_steps(its: Contrast, steps: Sequence[int] = STEPS) -> tuple[KStep, ...]:
     for step in steps:
         if not its.replay.counted(step).any():
             continue
-        nominal, mine, other = its.excesses([its.nominal, its.mine, its.other], step)
+        models = [its.nominal, its.mine, its.other]
+        models += [] if its.second is None else [its.second]
+        nominal, mine, other, *second = its.excesses(models, step)
         before, after = interval(nominal), interval(mine)
         told.append(
             KStep(
@@ -121,6 +138,7 @@ def k_steps(its: Contrast, steps: Sequence[int] = STEPS) -> tuple[KStep, ...]:
                 effect_low=after.low,
                 effect_high=after.high,
                 competitor_um=float(other[0]),
+                net_um=float(second[0][0]) if second else None,
                 floor_um=1e6 * float(np.sqrt(its.replay.floor_variance(step))),
                 resolved=before.resolved,
             )

@@ -1,4 +1,4 @@
-"""Write `diagnosis.json`, `report.html` and `effect.toml`, each whole or not at all."""
+"""Write `diagnosis.json`, `report.html`, `gap.csv` and `effect.toml`, each whole or not at all."""
 
 import os
 import uuid
@@ -9,12 +9,13 @@ from orbitfb.core.errors import RecordError
 from orbitfb.diagnose.answer import Diagnosis, document
 from orbitfb.diagnose.answer_parts import Cause
 from orbitfb.diagnose.report.page import page
+from orbitfb.diagnose.tables import gap_csv
 from orbitfb.effects.files import effects_toml
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import effect
 from orbitfb.effects.settings import EffectSettings, read_effect
 
-ANSWER, REPORT, EFFECTS = "diagnosis.json", "report.html", "effect.toml"
+ANSWER, REPORT, EFFECTS, GAP = "diagnosis.json", "report.html", "effect.toml", "gap.csv"
 
 
 def check_directory(directory: Path) -> None:
@@ -53,15 +54,17 @@ def write(its: Diagnosis, directory: Path) -> tuple[Path, ...]:
         _replace(directory / ANSWER, document(its))
         _replace(directory / REPORT, page(its))
         if its.failed:
-            (directory / EFFECTS).unlink(missing_ok=True)
+            for stale in (EFFECTS, GAP):
+                (directory / stale).unlink(missing_ok=True)
             return directory / ANSWER, directory / REPORT
+        _replace(directory / GAP, gap_csv(its))
         _replace(directory / EFFECTS, fragment(its))
     except OSError as error:
         raise RecordError(
             f"--out {directory}: {error.filename or directory}: {error.strerror}; the files there "
             "are whole, but may be of different diagnoses"
         ) from error
-    return directory / ANSWER, directory / REPORT, directory / EFFECTS
+    return tuple(directory / name for name in (ANSWER, REPORT, GAP, EFFECTS))
 
 
 def fragment(its: Diagnosis) -> str:

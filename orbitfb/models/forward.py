@@ -64,14 +64,47 @@ def fit_forward(
     if not np.any(rows_train.change):
         raise EstimationError("nothing was written in the training rows; close the loop or explore")
     other_changes(rows_train, rows_validation, settings, response)
+    net, noise = train_forward(rows_train, response, settings, device, progress, checkpoint, every)
+    figures = validate(net, rows_train, rows_validation, noise, settings)
+    return replace(net, figures=figures)
+
+
+def train_forward(
+    rows: Rows,
+    response: Vector,
+    settings: ForwardSettings,
+    device: str | None = None,
+    progress: Progress | None = None,
+    checkpoint: Checkpoint | None = None,
+    every: int = 100,
+) -> tuple[ForwardNet, Noise]:
+    """Fit an ensemble without validating it: for who judges it on a record of his own.
+
+    Args:
+        rows: What to learn from.
+        response: As for `fit_forward`.
+        settings: Nets and training.
+        device: As for `fit_forward`.
+        progress: As for `fit_forward`.
+        checkpoint: As for `fit_forward`.
+        every: As for `fit_forward`.
+
+    Returns:
+        The ensemble, without figures, and the noise of the modes.
+
+    Raises:
+        EstimationError: The rows are too few, or nothing was excited.
+        TrainingError: The training diverged.
+        StoreError: The checkpoint is damaged or of another training.
+    """
+    if not np.any(rows.change):
+        raise EstimationError("nothing was written in the training rows; close the loop or explore")
     base = response if settings.residual else np.zeros_like(response)
     modes, _, directions = np.linalg.svd(response)
-    errors = rows_train.difference - rows_train.change @ response.T
-    errors = np.where(rows_train.valid, errors, 0.0)
-    noise = estimate_noise(
-        errors, rows_train.starts, modes, settings.reading_noise, settings.ground
-    )
-    at = _coordinates(rows_train, noise, modes, directions.T, settings)
+    errors = rows.difference - rows.change @ response.T
+    errors = np.where(rows.valid, errors, 0.0)
+    noise = estimate_noise(errors, rows.starts, modes, settings.reading_noise, settings.ground)
+    at = _coordinates(rows, noise, modes, directions.T, settings)
     members = [
         Perceptron((sum(response.shape), *settings.hidden, len(modes)), 1000 * settings.seed + k)
         for k in range(settings.members)
@@ -84,7 +117,7 @@ def fit_forward(
     target = pick_device(device or settings.device)
     curve = train(
         {f"member{k}": member.to(target) for k, member in enumerate(members)},
-        _loss(rows_train, base, at, noise, members, settings, target, generator),
+        _loss(rows, base, at, noise, members, settings, target, generator),
         iterations=settings.iterations,
         learning_rate=_cosine(settings),
         generator=generator,
@@ -94,8 +127,7 @@ def fit_forward(
         checkpoint_every=every,
     )
     net = ForwardNet(base, at, tuple(member.arrays() for member in members), {}, tuple(curve))
-    figures = validate(net, rows_train, rows_validation, noise, settings)
-    return replace(net, figures=figures)
+    return net, noise
 
 
 def _coordinates(

@@ -175,9 +175,6 @@ def _unknown(its: Diagnosis) -> str:
         pieces.append(
             paragraph(f"The library explains {percent(rest.explained)} of what any model could.")
         )
-    if rest.correlations:
-        rows = [(text(name), figure_of(r)) for name, r in rest.correlations.items()]
-        pieces.append(table(("slow channel", "correlation"), rows))
     return "".join(pieces)
 
 
@@ -235,7 +232,6 @@ def provenance(its: Diagnosis) -> str:
             ("seed", str(origin.seed)),
             ("versions", text(", ".join(f"{k} {v}" for k, v in origin.versions.items()))),
             ("thresholds", text(_thresholds(its))),
-            ("behind the confidence", text(origin.benchmark)),
             ("computed in", "" if origin.seconds is None else f"{origin.seconds:.3g} s"),
         )
         if value and value not in ("<code></code>", "not resolved s", "not resolved µm")

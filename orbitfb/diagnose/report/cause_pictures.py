@@ -51,17 +51,6 @@ def tournament(its: Tournament) -> str:
         axes.set_xscale("symlog", linthresh=10.0)
         axes.axvline(0.0, color=BLACK, lw=0.6)
         _lines(axes, its)
-        shown = [(i, row.detectable_nats) for i, row in enumerate(rows) if row.detectable_nats]
-        if shown:
-            axes.plot(
-                [nats for _, nats in shown],
-                [i for i, _ in shown],
-                "|",
-                color=GREEN,
-                ms=11,
-                mew=2,
-                label="a 5σ size would stand here",
-            )
         _brackets(axes, rows)
         axes.set_xlabel("gain on held-out ticks [nats]; linear below 10, logarithmic above")
         if axes.get_legend_handles_labels()[0]:
@@ -94,10 +83,6 @@ def _grouped(rows: Sequence[TournamentRow]) -> list[TournamentRow]:
 
 
 def _lines(axes: Axes, its: Tournament) -> None:
-    if its.threshold_nats is not None:
-        axes.axvline(
-            its.threshold_nats, color=GREY, ls="--", lw=1, label="99 % of records without a gap"
-        )
     if its.ceiling_nats is not None:
         axes.axvline(
             its.ceiling_nats, color=ORANGE, ls="-.", lw=1, label="what any model could gain"

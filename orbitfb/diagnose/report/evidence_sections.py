@@ -26,11 +26,6 @@ def gap(its: Diagnosis) -> str:
         return section("gap", "Where the gap lies", missing("The gap"))
     its_gap = its.gap
     onsets = [cause.onset_s for cause in its.causes if cause.onset_s is not None]
-    over = (
-        paragraph(f"Over the reference record: {figure_of(its_gap.over_reference)} nats/tick.")
-        if its_gap.over_reference is not None
-        else ""
-    )
     source = f" Floor: {text(its_gap.floor_from)}." if its_gap.floor_from else ""
     return section(
         "gap",
@@ -40,7 +35,6 @@ def gap(its: Diagnosis) -> str:
             f"would cost, in nats per tick.{source}",
             "note",
         ),
-        over,
         gap_pictures.stages(its_gap.by_stage)
         if known(tuple(its_gap.by_stage.values()))
         else missing("By stage"),
@@ -135,11 +129,17 @@ def _shrink(its: Shrink) -> str:
             f"{figure_of(its.before_um)} → {figure_of(its.after_um)} µm",
             share(its.um, its.um_low, its.um_high),
             percent(its.competitor_um),
-            percent(its.net_um) if its.net_um is not None else "",
+            _net(its),
         ),
     ]
     heads = ("measure", "gap", "gone with the causes", "with a refitted R", "with the forward net")
     return said + table(heads, rows)
+
+
+def _net(its: Shrink) -> str:
+    if its.net_um is None:
+        return text(its.net_note)
+    return percent(its.net_um) + (f" ({text(its.net_note)})" if its.net_note else "")
 
 
 def predictions(its: Diagnosis) -> str:
@@ -147,7 +147,13 @@ def predictions(its: Diagnosis) -> str:
     pieces = [missing("The prediction over k steps")]
     if any(step.nominal_um is not None for step in its.k_steps):
         rows = [_step(step) for step in its.k_steps]
-        heads = ("ticks ahead", "nominal [µm]", "with the causes [µm]", "refitted R [µm]")
+        heads = (
+            "ticks ahead",
+            "nominal [µm]",
+            "with the causes [µm]",
+            "refitted R [µm]",
+            "forward net [µm]",
+        )
         pieces = [loop_pictures.k_steps(its.k_steps), table(heads, rows)]
     if its.closed_loop is None:
         pieces.append(missing("The closed loop"))
@@ -164,13 +170,14 @@ def predictions(its: Diagnosis) -> str:
     return section("predictions", "Predictions and the closed loop", *pieces)
 
 
-def _step(step: KStep) -> tuple[str, str, str, str]:
+def _step(step: KStep) -> tuple[str, str, str, str, str]:
     nominal = interval(step.nominal_um, step.nominal_low, step.nominal_high)
     return (
         str(step.k),
         nominal if step.resolved else f"{nominal} (not resolved)",
         interval(step.effect_um, step.effect_low, step.effect_high),
         figure_of(step.competitor_um),
+        "" if step.net_um is None else figure_of(step.net_um),
     )
 
 
@@ -183,7 +190,7 @@ def limits(its: Diagnosis) -> str:
         alike = its.identifiability
         if any(known(row) for row in alike.cosine):
             pieces.append(loop_pictures.cosines(alike))
-        pieces += [paragraph(text(line)) for line in (*alike.degenerate, alike.referee)]
+        pieces += [paragraph(text(line)) for line in alike.degenerate]
     if its.detectable:
         rows = [
             (text(d.effect), text(d.parameter), _size(d.size, d.unit), _size(d.best, d.unit))

@@ -11,7 +11,6 @@ from orbitfb.diagnose.answer_blocks import Audit, ClosedLoop, HeatMap, Identifia
 from orbitfb.diagnose.report.draw import (
     BLACK,
     BLUE,
-    GREEN,
     GREY,
     ORANGE,
     PURPLE,
@@ -86,7 +85,6 @@ def closed_loop(its: ClosedLoop) -> str:
             ("nominal", its.without_um, None, None, BLUE),
             ("with causes", its.with_um, its.with_low, its.with_high, RED),
             ("measured", its.measured_um, its.measured_low, its.measured_high, BLACK),
-            ("policy renewed", its.rederived_um, None, None, GREEN),
         )
         shown = [row for row in rows if row[1] is not None]
         heights = [row[1] for row in shown]

@@ -184,7 +184,6 @@ def named(**changes):
         measured_um=0.349,
         measured_low=0.344,
         measured_high=0.354,
-        rederived_um=0.341,
         radius_without=0.82,
         radius_with=0.91,
         frequency_hz=np.linspace(0.05, 5, 100),
@@ -265,17 +264,14 @@ def named(**changes):
                     probability=0.98 if i == 0 else 0.01 if i < 3 else 0.0,
                     members=classes.get(effect, (effect,)),
                     accepted=i == 0,
-                    detectable_nats=12.5 if i > 6 else None,
                 )
                 for i, (effect, nats) in enumerate(zip(EFFECTS, heights, strict=True))
             ),
-            threshold_nats=6.0,
             ceiling_nats=430.0,
         ),
         "waterfall": (
             WaterfallStep(label="nominal", fit=0.42, held_out=0.41),
             WaterfallStep(label="+ corrector-lag", fit=0.01, held_out=0.016),
-            WaterfallStep(label="floor", fit=0.0, held_out=0.0),
         ),
         "audit": Audit(
             tests=(
@@ -350,7 +346,6 @@ def named(**changes):
             effects=("corrector-lag", "corrector-slew", "bpm-lowpass"),
             cosine=[[1.0, 0.8, 0.3], [0.8, 1.0, None], [0.3, None, 1.0]],
             degenerate=("All BPM gains and all corrector gains are one degree of freedom.",),
-            referee="The estimate by the dither as instrument agrees within 1.1 sigma.",
         ),
         "geometry": Geometry(
             bpms=bpms,
@@ -381,7 +376,6 @@ def unknown():
         nearest="bpm-current",
         nearest_nats=4.0,
         explained=0.11,
-        correlations={"current": 0.6},
     )
     gap = Gap(nats_per_tick=0.1, low=0.08, high=0.12, um=0.05, floor_um=0.3)
     said = headline("unknown", gap=gap, unknown=its, effects=43)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from gap_cases import GAIN, PLACE, bench, record
 
-from orbitfb.diagnose.closed_loop import closed_loop, linear_law, mended_response
+from orbitfb.diagnose.closed_loop import closed_loop, mended_response
+from orbitfb.diagnose.loop_law import linear_law
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 

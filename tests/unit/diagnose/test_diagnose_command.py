@@ -71,7 +71,7 @@ def finding(severity):
     return Finding("readback-differs", severity, ("COR04",), (3, 9), "the readback stays")
 
 
-def test_a_record_is_answered_with_three_files_beside_it(engine, record, tmp_path):
+def test_a_record_is_answered_with_its_files_beside_it(engine, record, tmp_path):
     result = run(record, "--seed", 3)
     assert result.exit_code == 0, result.output
     assert "named: Gap 0.42" in result.stdout
@@ -80,6 +80,7 @@ def test_a_record_is_answered_with_three_files_beside_it(engine, record, tmp_pat
     assert {path.name for path in out.iterdir()} == {
         "diagnosis.json",
         "report.html",
+        "gap.csv",
         "effect.toml",
     }
     assert read_diagnosis(out / "diagnosis.json").state == "named"
@@ -197,4 +198,4 @@ def test_a_write_that_fails_leaves_the_old_file_whole(monkeypatch, tmp_path):
     with pytest.raises(RecordError, match="full"):
         writing.write(examples.bare(), tmp_path)
     assert (tmp_path / "diagnosis.json").read_text(encoding="utf-8") == before
-    assert len(list(tmp_path.iterdir())) == 3
+    assert len(list(tmp_path.iterdir())) == 4

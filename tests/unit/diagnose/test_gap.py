@@ -6,11 +6,12 @@ from gap_cases import GAIN, PLACE, bench, gain_error, record
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.gap import UNEXPLAINED, gap, shapley, surplus
+from orbitfb.diagnose.gap import UNEXPLAINED, gap, surplus
 from orbitfb.diagnose.gap_maps import lag_profile, maps
 from orbitfb.diagnose.gap_parts import band_edges
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.replay import NOMINAL, Model, Replay
+from orbitfb.diagnose.worth import Gains, shapley
 from orbitfb.effects.registry import effect
 
 TRUE = ((PLACE, GAIN),)
@@ -86,7 +87,7 @@ def test_shares_of_two_causes_add_up():
     both = Bench(record(True), causes)
     replay = Replay.of(both)
     gain = 0.5 * (np.sum(replay.white(NOMINAL) ** 2) - np.sum(replay.white(Model(causes)) ** 2))
-    shares = shapley(both, causes)
+    shares = shapley(Gains(both))
     assert sum(shares) == pytest.approx(gain, rel=1e-9)
     assert shares[0] > abs(shares[1])
 
