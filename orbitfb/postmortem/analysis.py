@@ -89,8 +89,13 @@ class Analysis:
 def error_of(its: PostMortem) -> Vector:
     """Give orbit − reference, shape (rows, n) [m]; NaN where a BPM does not count."""
     columns = its.columns
-    valid = columns["valid"] & its.counting & np.isfinite(columns["orbit"])
-    return np.where(valid, columns["orbit"] - columns["reference"], np.nan)
+    orbit = np.where(valid_of(its) & its.counting, columns["orbit"], np.nan)
+    return orbit - columns["reference"]
+
+
+def valid_of(its: PostMortem, rows: slice = slice(None)) -> Mask:
+    """Say which readings were valid and finite, shape (rows, n)."""
+    return its.columns["valid"][rows] & np.isfinite(its.columns["orbit"][rows])
 
 
 def analyse(its: PostMortem) -> Analysis | None:
@@ -205,7 +210,7 @@ def _first_bpm(
 
 def _lost(its: PostMortem, trip: int) -> tuple[int, Mask] | None:
     """Find the first tick of the last seconds in which BPMs became invalid and stayed so."""
-    valid, since = its.columns["valid"] | ~its.counting, its.columns["since_trip"]
+    valid, since = valid_of(its) | ~its.counting, its.columns["since_trip"]
     read = np.flatnonzero(np.isfinite(its.columns["time"][: trip + 1]))
     read = read[since[read] >= since[trip] - _LOOK_BACK]
     if not len(read):

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from orbitfb.core.signals import LoopState
-from orbitfb.postmortem.analysis import CURRENT, interlocks_of
+from orbitfb.postmortem.analysis import CURRENT, interlocks_of, valid_of
 from orbitfb.postmortem.reading import PostMortem
 from orbitfb.safety.verdict import name_some
 
 _SAID = {"loop_state_changed", "loop_reason_changed", "policy_swapped", "bpm_mask_changed"}
 """Events that the ticks tell themselves."""
 _NOT_TOLD = {"logger", "figures"}
-_LONGEST = 300
+_LONGEST = 240
 _DROP = 0.01
 _TOLERANCE = 0.1
 
@@ -91,7 +91,7 @@ def _of_row(
 def _of_readings(its: PostMortem, row: int, tolerance: float) -> Iterator[str]:
     """Compare two orbits that followed each other."""
     columns = its.columns
-    valid, was = (columns["valid"][each] | ~its.counting for each in (row, row - 1))
+    was, valid = valid_of(its, slice(row - 1, row + 1)) | ~its.counting
     for mask, what in ((was & ~valid, "became invalid"), (valid & ~was, "are valid again")):
         if mask.any():
             yield f"BPMs {what}: {name_some(mask, its.channels.bpms)}"
@@ -122,7 +122,7 @@ def _told(fields: str) -> str:
     if not isinstance(found, dict):
         return ""
     said = [
-        f"{name} {value}"
+        f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in found.items()
         if name not in _NOT_TOLD and value not in (None, "", [], {})
     ]

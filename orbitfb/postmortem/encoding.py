@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from orbitfb import __version__
 from orbitfb.core.signals import Channels, Mask, TickRecord
-from orbitfb.history.columns import Columns, allocate, fill
+from orbitfb.history.columns import AUXILIARY, Columns, allocate, fill
 from orbitfb.history.segment import STATES, unit_of
 from orbitfb.observe.plain import dumps
 from orbitfb.postmortem.content import (
@@ -78,6 +78,7 @@ def encode(
             file[f"channels/{word}"] = _texts(getattr(channels, word), LONGEST_NAME)
         file["channels/counting"] = counting
         file["reasons"] = _texts(reasons, LONGEST_REASON)
+        file.create_group(AUXILIARY[:-1])
         for name, values in columns.items():
             made = _make(file, name, values)
             unit = MARGIN_UNITS.get(name)

@@ -1,8 +1,10 @@
 """Pictures of a post-mortem: the courses around the trip, and the orbit at three moments."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import TwoSlopeNorm
+from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 from orbitfb.core.signals import Vector
@@ -10,6 +12,14 @@ from orbitfb.diagnose.report.draw import BLACK, BLUE, GREEN, GREY, ORANGE, PURPL
 from orbitfb.postmortem.analysis import CURRENT, Analysis, error_of
 from orbitfb.postmortem.content import PHASES
 from orbitfb.postmortem.reading import PostMortem
+
+_ABOVE: dict[str, Any] = {
+    "loc": "lower left",
+    "bbox_to_anchor": (0.0, 0.97),
+    "frameon": False,
+    "borderaxespad": 0.1,
+}
+"""Where a legend stands: over the axes, on no line."""
 
 _STATES = {
     "OPEN": SKY,
@@ -38,7 +48,7 @@ def courses(figure: Figure, its: PostMortem, found: Analysis) -> None:
     ):
         phases.plot(since, its.columns["phases"][:, index] * 1e3, color=colour, lw=0.9, label=phase)
     phases.set_ylabel("phase [ms]")
-    phases.legend(ncols=4, loc="upper left")
+    phases.legend(ncols=4, **_ABOVE)
     phases.set_xlabel("time after the trip [s]")
     for axes in rows:
         axes.axvline(0.0, color=BLACK, lw=0.9, ls="--")
@@ -72,7 +82,7 @@ def orbits(figure: Figure, its: PostMortem, found: Analysis) -> None:
         axes.set_xlabel(f"BPM, in the order of the ring ({its.channels.planes})")
     axes.set_ylabel("orbit error [µm]")
     axes.axhline(0.0, color=GREY, lw=0.5)
-    axes.legend(ncols=4, loc="upper left")
+    axes.legend(ncols=4, **_ABOVE)
 
 
 def _orbit(axes: Axes, its: PostMortem, found: Analysis) -> None:
@@ -100,21 +110,21 @@ def _orbit(axes: Axes, its: PostMortem, found: Analysis) -> None:
             label=None if name in shown else name,
         )
         shown.add(name)
-    axes.legend(ncols=len(shown) + 3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    axes.legend(ncols=len(shown) + 3, **_ABOVE)
 
 
 def _map(figure: Figure, axes: Axes, its: PostMortem) -> None:
     """Draw the orbit error of every BPM over time; invalid ones stay white."""
     since, error = its.columns["since_trip"], error_of(its) * 1e6
     known = np.abs(error[np.isfinite(error)])
-    most = max(float(np.percentile(known, 99.5)) if len(known) else 1.0, 1e-3)
-    edges = _edges(since)
+    most = max(float(known.max()) if len(known) else 1.0, 1e-2)
+    usual = max(float(np.median(known)) if len(known) else 1.0, 1e-3 * most)
     drawn = axes.pcolormesh(
-        edges,
+        _edges(since),
         np.arange(error.shape[1] + 1) - 0.5,
         np.ma.masked_invalid(error.T),
         cmap="RdBu_r",
-        norm=TwoSlopeNorm(0.0, -most, most),
+        norm=SymLogNorm(2.0 * usual, vmin=-most, vmax=most),
         rasterized=True,
     )
     figure.colorbar(drawn, ax=axes, label="error [µm]", pad=0.01)
@@ -134,7 +144,7 @@ def _kicks(axes: Axes, its: PostMortem) -> None:
     axes.plot(since, gap * 1e3, color=RED, lw=0.9, label="readback off setpoint")
     axes.set_ylabel("largest [mA]")
     axes.set_yscale("symlog", linthresh=0.1)
-    axes.legend(ncols=2, loc="upper left")
+    axes.legend(ncols=2, **_ABOVE)
 
 
 def _edges(since: Vector) -> Vector:
