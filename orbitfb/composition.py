@@ -16,7 +16,7 @@ from orbitfb.core.ports import Machine
 from orbitfb.core.signals import LoopState
 from orbitfb.diagnose.broken import Screen
 from orbitfb.diagnose.live import GapProcess, GapWatch
-from orbitfb.doors import Parts, open_doors
+from orbitfb.doors import Parts, check_panel, open_doors
 from orbitfb.effects.build import layout_of
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.history.archive import ArchiveWriter
@@ -89,6 +89,7 @@ class Service:
         self.channels = ring.channels(config.ring.planes)
         waveform = planned(config, ring, excite, duration) if excite else None
         epics = find_ring(config, ioc)
+        check_panel(config, self.channels)
         make_directory(directory)
         stack.enter_context(
             Lock(

@@ -18,7 +18,9 @@ from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.own_panel import OwnPanel
+from orbitfb.panel.access import read_access
 from orbitfb.panel.figures import Figures
+from orbitfb.panel.pv_table import Extent, panel_pvs, writable_names
 from orbitfb.policies.store import PolicyStore
 from orbitfb.trying import Latest, Trial
 
@@ -50,6 +52,19 @@ class Parts:
     dither: Dither
     latest: Latest
     statistics: LoopStatistics
+
+
+def check_panel(config: AppConfig, channels: Channels) -> None:
+    """Read the access rules of the panel, before anything is started.
+
+    Raises:
+        ConfigError: One of them is wrong.
+    """
+    settings = config.panel
+    if settings.enabled:
+        extent = Extent(config.ring.planes, len(channels.bpms), len(channels.correctors))
+        names = writable_names(panel_pvs(settings, extent))
+        read_access(settings.rules, settings.interface, names)
 
 
 def open_doors(

@@ -68,6 +68,7 @@ class Panel(Desk):
         self._ask = ask_service
         self._channels = {pv.name: channel_of(pv, self) for pv in self.pvs}
         self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="panel")
+        self._looking = asyncio.Lock()
         self._beats = 0
         self._unset = {pv.name for pv in self.pvs if pv.name.endswith("-SP")}
         self._telling: set[asyncio.Task[None]] = set()
@@ -89,6 +90,7 @@ class Panel(Desk):
         self._unset.discard(pv.name)
         told = {"user": origin.user, "host": origin.address, "pv": self._prefix + pv.name}
         await self._in_thread({**request, "origin": told}, ANSWER_TIMEOUT)
+        await self.look()  # what is acknowledged shows in the readbacks
 
     def refused(self, pv: PanelPv, value: Any, origin: Origin, reason: str) -> None:
         """Have the service log a write that was refused here."""
@@ -108,6 +110,10 @@ class Panel(Desk):
 
     async def look(self) -> None:
         """Ask the service how it is and show it; what is not known is INVALID."""
+        async with self._looking:  # an older answer must not be shown after a newer one
+            await self._look()
+
+    async def _look(self) -> None:
         try:
             answer = await self._in_thread({"command": "panel"}, LOOK_TIMEOUT)
         except ControlError as error:
