@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.observe.wording import micrometres
 from orbitfb.postmortem.reading import PostMortem
 from orbitfb.safety.interlocks import InterlockSettings, not_following
 
@@ -202,9 +203,10 @@ def _first_bpm(
     score = np.nan_to_num(away / np.maximum(spread, np.median(spread)))
     where = int(np.argmax(score))
     outside = int((score > OUTSIDE).sum())
-    what = (
-        f"{away[where] * 1e6:.3g} µm from where it was, {score[where]:.3g} times its usual spread"
-    )
+    what = f"{micrometres(away[where])} from where it was, {score[where]:.3g} of its usual spreads"
+    if outside > np.isfinite(error[onset]).sum() / 2:
+        what = f"the whole orbit left within this tick; this BPM was furthest out: {what}"
+        outside = 0
     return Device(bpms[where], float(since[onset]), what, max(outside - 1, 0))
 
 

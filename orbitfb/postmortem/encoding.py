@@ -43,7 +43,7 @@ def encode(
     configuration: str,
     about: Mapping[str, Any],
     breathe: Callable[[], None] = lambda: None,
-) -> bytes:
+) -> memoryview:
     """Make the file of a post-mortem.
 
     Args:
@@ -87,7 +87,7 @@ def encode(
         for name, values in _more([tick.record for tick in frozen.ticks]).items():
             file[MORE + name] = values
         _write_events(file, frozen)
-    return image.getvalue()
+    return image.getbuffer()  # not a copy, for which all threads would wait
 
 
 def _columns(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from orbitfb.core.errors import RecordError
 from orbitfb.core.signals import Channels, LoopState, Mask
 from orbitfb.history.columns import AUXILIARY, STATES, Columns
+from orbitfb.history.segment import MARK
 from orbitfb.postmortem.content import (
     ABOUT,
     CONFIGURATION,
@@ -153,6 +154,11 @@ def _opened(path: Path) -> Iterator[h5py.File]:
             plain = attribute.dtype.kind in "iu" and attribute.shape == ()
             found: Any = file.attrs["schema_version"] if plain else None
             if ABOUT not in file or found != SCHEMA_VERSION:
+                if MARK in file:
+                    raise RecordError(
+                        f"{path} is a segment of the archive, no post-mortem; `orbitfb postmortem` "
+                        "lists those that there are"
+                    )
                 raise RecordError(
                     f"{path} is no post-mortem of schema_version {SCHEMA_VERSION} (it has {found}, "
                     f"{'with' if ABOUT in file else 'without'} '{ABOUT}'); use the version of "

@@ -138,7 +138,9 @@ class PostMortemRecorder:
         self._thread.join(_CLOSE_WAIT)
 
     def _hand_over(self, frozen: Frozen, asked: "Future[Path] | None") -> None:
-        if len(self._queue) >= MOST_WAITING or self._stop.is_set():
+        if self._stop.is_set():
+            self._give_up("the service is stopping; no more post-mortems are written", asked)
+        elif len(self._queue) >= MOST_WAITING:
             self._give_up(
                 f"{MOST_WAITING} post-mortems wait for the disk; this one is given up", asked
             )

@@ -21,7 +21,7 @@ class Shelf:
         self.directory = directory
         self._named = datetime.min.replace(tzinfo=UTC)
 
-    def put(self, wall: float, content: bytes) -> Path:
+    def put(self, wall: float, content: bytes | memoryview) -> Path:
         """Write a file and give its name.
 
         Args:

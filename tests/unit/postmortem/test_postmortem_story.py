@@ -123,15 +123,13 @@ def run(*arguments):
     return CliRunner().invoke(app, ["postmortem", *map(str, arguments)])
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg"])
-def test_the_command_tells_and_draws(tripped, tmp_path, suffix):
-    _, path = tripped
-    out = tmp_path / f"picture{suffix}"
-    done = run(path, "--out", out)
+def test_the_command_tells_and_draws(tripped, tmp_path):
+    loop, path = tripped
+    out = tmp_path / "picture.png"
+    done = run(path.name, "--data", loop.directory.parent, "--out", out)
     assert done.exit_code == 0, done.output
     assert "reason: stored current 0 mA" in done.output and f"picture: {out}" in done.output
-    begin = out.read_bytes()[:2000]
-    assert {".png": b"\x89PNG", ".svg": b"<svg"}[suffix] in begin
+    assert out.read_bytes().startswith(b"\x89PNG")
     assert not list(tmp_path.glob(".*"))
 
 
@@ -156,10 +154,10 @@ def test_the_command_lists_what_there_is(tripped, tmp_path):
     assert "is damaged, or no post-mortem" in broken
     listed = json.loads(run("--data", data, "--json").output)["postmortems"]
     assert [its["file"] for its in listed][1] == str(path) and "problem" in listed[0]
-    for name in ("last", path.name):
-        out = run(name, "--data", data, "--out", tmp_path / "x.svg", "--json")
-        answer = json.loads(out.output)
-        assert answer["tick"] == 60 and answer["stored_current"]["at"] == 0.0
+    out = run("last", "--data", data, "--out", tmp_path / "x.svg", "--json")
+    answer = json.loads(out.output)
+    assert answer["tick"] == 60 and answer["stored_current"]["at"] == 0.0
+    assert "<svg" in (tmp_path / "x.svg").read_text()[:2000]
     nothing = run("--data", tmp_path / "nowhere")
     assert nothing.exit_code == 0 and "the loop has not tripped" in nothing.output
 
