@@ -3,7 +3,7 @@
 import gc
 import threading
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ import structlog
 from orbitfb.config import AppConfig
 from orbitfb.control import Lock
 from orbitfb.core.clock import SystemClock
+from orbitfb.core.errors import ControlError
 from orbitfb.core.ports import Machine
 from orbitfb.core.signals import LoopState
 from orbitfb.diagnose.broken import Screen
@@ -26,6 +27,7 @@ from orbitfb.learn.builders import loop_gain, masked
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.excitation import Excitation
+from orbitfb.loop.guarded import GuardedMachine
 from orbitfb.loop.masked import MaskedMachine
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
@@ -37,6 +39,7 @@ from orbitfb.observe.metrics import metrics_registry
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import Surroundings
+from orbitfb.own_lease import take_lease
 from orbitfb.own_ring import OwnRing
 from orbitfb.physics.places import Ring
 from orbitfb.policies.masking import mask_of
@@ -104,6 +107,7 @@ class Service:
         if self._own_ring is not None:
             epics = self._own_ring.settings(config)
         take_ring(epics, self.channels, stack)
+        self.lease = take_lease(config, epics, self._lease_lost, stack)
         clock = SystemClock()
         self.machine = EpicsMachine(self.channels, epics, clock)
         stack.callback(self.machine.close)
@@ -111,6 +115,8 @@ class Service:
 
         counting, movable = mask_of(self.channels, config.masks)
         machine: Machine = self.machine
+        if self.lease is not None:
+            machine = GuardedMachine(machine, self.lease.refusal)
         if not counting.all():
             machine = MaskedMachine(machine, counting)
         self.store = open_store(config)
@@ -135,6 +141,7 @@ class Service:
         below = Dither(dither_settings(config), nominal.response, loop_gain(nominal), movable)
         self._dither = Excitation(waveform, below) if waveform else below
         recorders = postmortems(config, ioc, self.channels, counting, self._reports, stack)
+        latest = Latest()
         self.runner = Runner(
             machine,
             self.slot,
@@ -145,14 +152,7 @@ class Service:
             clock,
             dither=self._dither,
             start=start,
-            subscribers=(
-                self.history,
-                archive,
-                self.statistics,
-                self.events,
-                latest := Latest(),
-                *recorders,
-            ),
+            subscribers=(self.history, archive, self.statistics, self.events, latest, *recorders),
             counting=counting,
         )
         self.watch = self._gap_watch(config, ring, stack)
@@ -200,6 +200,7 @@ class Service:
             below,
             latest,
             self.statistics,
+            self.lease,
         )
         panel = open_doors(config, doors, remote, stack)
         terminal = Terminal(
@@ -268,6 +269,13 @@ class Service:
             if self.runner.failure is not None:
                 _log.error("loop_failed", exc_info=self.runner.failure)
             _log.info("service_stopped", state=self.runner.state, reason=self.runner.reason)
+
+    def _lease_lost(self, owner: str) -> None:
+        """Open the loop: another controller writes to the machine."""
+        _log.error("lease_lost", owner=owner)
+        self.statistics.happened("lease", f"taken by {owner}: the loop opens")
+        with suppress(ControlError):  # it is open already, or latched
+            self.runner.command("open")
 
     def _gap_watch(self, config: AppConfig, ring: Ring, stack: ExitStack) -> GapWatch:
         """Watch the gap between model and machine, if that is wanted."""

@@ -22,6 +22,7 @@ from orbitfb.core.errors import ConfigError
 from orbitfb.core.settings import Settings
 from orbitfb.diagnose.settings import DiagnoseSettings
 from orbitfb.effects.settings import EffectSettings
+from orbitfb.epics.lease import LeaseSettings
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.history.recorder import ArchiveSettings
 from orbitfb.learn.settings import LearnSettings
@@ -155,6 +156,9 @@ class AppConfig(Settings):
         default=ObserveSettings(), description="Metrics, health and logs."
     )
     panel: PanelSettings = Field(default=PanelSettings(), description="The loop's own PVs.")
+    lease: LeaseSettings = Field(
+        default=LeaseSettings(), description="Who of several controllers writes to the machine."
+    )
     epics: EpicsSettings = Field(default=EpicsSettings(), description="Channel Access.")
     sim: SimSettings = Field(default=SimSettings(), description="The soft IOC.")
     plant: PlantSettings = Field(

@@ -12,7 +12,9 @@ from orbitfb.autosave import FILE
 from orbitfb.commands import Commands, Handler
 from orbitfb.config import AppConfig
 from orbitfb.control import ControlServer
+from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import Channels, Mask
+from orbitfb.epics.lease import Lease
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
@@ -41,6 +43,7 @@ class Parts:
         dither: The dither.
         latest: The last orbit.
         statistics: Figures of the loop.
+        lease: Of the machine; None: there is none.
     """
 
     channels: Channels
@@ -52,6 +55,12 @@ class Parts:
     dither: Dither
     latest: Latest
     statistics: LoopStatistics
+    lease: Lease | None
+
+    @property
+    def lease_shown(self) -> dict[str, Any]:
+        """Who holds the lease, by PV of the panel."""
+        return {"Lease-I": self.lease.owner if self.lease else ""}
 
 
 def check_panel(config: AppConfig, channels: Channels) -> None:
@@ -101,11 +110,17 @@ def open_doors(
         lambda: adjuster.movable,
         remote,
     )
+
+    def close(request: Mapping[str, Any]) -> Mapping[str, Any]:
+        if parts.lease is not None and (reason := parts.lease.refusal()):
+            raise ControlError(f"close refused: {reason}")
+        return remote(request)
+
     commands = Commands(
-        {"": remote, **adjuster.handlers, **trial.handlers},
+        {"": remote, "close": close, **adjuster.handlers, **trial.handlers},
         statistics,
         Figures(config.observe.stale_after),
-        lambda: {**adjuster.shown(), **trial.shown()},
+        lambda: {**adjuster.shown(), **trial.shown(), **parts.lease_shown},
     )
     stack.callback(ControlServer(directory, commands).close)
     if not config.panel.enabled:

@@ -10,8 +10,9 @@ from orbitfb.composition import Service
 from orbitfb.config import AppConfig
 from orbitfb.core.errors import MachineError, OrbitFeedbackError
 from orbitfb.core.signals import LoopState
+from orbitfb.live import check_live
 from orbitfb.observe.summary import check_place, write_summary
-from orbitfb.startup import StopSignals, check_duration, start_state
+from orbitfb.startup import StopSignals, check_duration, find_ring, start_state
 
 _log = structlog.stdlib.get_logger("orbitfb.service")
 
@@ -24,6 +25,7 @@ def run_service(
     summary_file: Path | None = None,
     announce: Callable[[str], None] = lambda _: None,
     excite: Path | None = None,
+    live: bool = False,
 ) -> int:
     """Run the loop until a signal, the end of the duration, or FAULT.
 
@@ -35,6 +37,7 @@ def run_service(
         summary_file: Where to write the figures of the run.
         announce: Gets a few lines about what was started where.
         excite: File of an excitation, to be done once.
+        live: Whether the port of production is meant; then the loop starts OPEN.
 
     Returns:
         The exit code: 0, or 1 after FAULT.
@@ -43,7 +46,8 @@ def run_service(
         OrbitFeedbackError: It could not start, or its simulated ring died and none came back;
             nothing is left running.
     """
-    state = start_state(start, ioc)
+    state = LoopState.OPEN if live and start is None else start_state(start, ioc)
+    check_live(find_ring(config, ioc), ioc, start, live)
     check_duration(duration)
     if summary_file is not None:
         check_place(summary_file)
@@ -55,6 +59,8 @@ def run_service(
                 _log.error("start_failed", problem=str(error))
             raise
         service.announce(announce)
+        if live:
+            announce("live: the loop is OPEN and writes nothing; `orbitfb command close` closes it")
         signals.hand_over()
         service.run(signals.stop, duration)
     if summary_file is not None:

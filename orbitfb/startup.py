@@ -28,6 +28,8 @@ from orbitfb.policies.masking import mask_of
 SIMULATED = "sim"
 ENVIRONMENT = "env"
 CONFIGURED = "config"
+PRODUCTION_PORT = 5064
+"""The port of Channel Access that every machine uses unless it says otherwise."""
 
 
 class StopSignals:
@@ -150,7 +152,7 @@ def find_ring(config: AppConfig, ioc: str) -> EpicsSettings:
             f"--ioc {ioc}: there is nowhere to search for PVs: the address list is empty and "
             "EPICS_CA_AUTO_ADDR_LIST is NO; set EPICS_CA_ADDR_LIST or epics.address_list"
         )
-    _servers(settings)
+    servers_of(settings)
     return settings
 
 
@@ -160,7 +162,9 @@ def _from_environment(environment: Mapping[str, str]) -> dict[str, object]:
     return {
         "address_list": environment.get("EPICS_CA_ADDR_LIST", ""),
         "auto_address_list": environment.get("EPICS_CA_AUTO_ADDR_LIST", "YES").upper() != "NO",
-        "server_port": _port(environment.get(name, "5064"), f"environment variable {name}"),
+        "server_port": _port(
+            environment.get(name, str(PRODUCTION_PORT)), f"environment variable {name}"
+        ),
     }
 
 
@@ -168,12 +172,12 @@ def _port(text: str, where: str) -> int:
     if not (text.isascii() and text.isdigit() and LOWEST_PORT <= int(text) < 65536):
         raise ConfigError(
             f"{where}: {text!r} is no port for Channel Access; give one from {LOWEST_PORT} to "
-            f"65535 (libca would use {5064}, the usual one of a machine, for any other)"
+            f"65535 (libca would use {PRODUCTION_PORT}, the usual one of a machine, for any other)"
         )
     return int(text)
 
 
-def _servers(settings: EpicsSettings) -> list[str]:
+def servers_of(settings: EpicsSettings) -> list[str]:
     """Resolve the places where PVs are searched for, `ADDRESS:PORT` each.
 
     Raises:
@@ -205,7 +209,7 @@ def take_ring(settings: EpicsSettings, channels: Channels, stack: ExitStack) -> 
         OwnershipError: Another one writes to it.
     """
     first = channels.setpoint_pvs[:: len(channels.setpoint_pvs) // len(channels.planes)]
-    for server in _servers(settings):
+    for server in servers_of(settings):
         for plane, pv in zip(channels.planes, first, strict=True):
             stack.enter_context(
                 Lock(

@@ -65,6 +65,14 @@ def run(
     metrics_port: Annotated[
         int | None, typer.Option(help="Port of /metrics; 0: any free one [9180].")
     ] = None,
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live",
+            help="Run on a machine: without it port 5064, that of production, is refused; with it "
+            "the loop starts OPEN and waits for the command close.",
+        ),
+    ] = False,
 ) -> None:
     """Close the loop: read the orbit, correct it, learn from it."""
     from orbitfb.core.errors import ConfigError
@@ -92,7 +100,7 @@ def run(
         observe__port=metrics_port,
     )
     announce = partial(print, flush=True)
-    raise typer.Exit(run_service(settings, ioc, start, duration, summary, announce, excite))
+    raise typer.Exit(run_service(settings, ioc, start, duration, summary, announce, excite, live))
 
 
 def ioc(

@@ -5,3 +5,5 @@ CURRENT_PV = "SR:C03-BI{DCCT:1}I:Real-I"
 
 RF_PV = "RF{Osc:1}Freq:SP"
 """RF frequency [Hz]."""
+LEASE_PV = "SR:FB{Lease:%}Owner-SP"
+"""Who writes to a plane of the machine; % stands for the plane, X or Y."""

@@ -10,9 +10,11 @@ from caproto import (
     AlarmStatus,
     ChannelAlarm,
     ChannelDouble,
+    ChannelString,
     TimeStamp,
 )
 
+from orbitfb.core.names import LEASE_PV
 from orbitfb.sim.board import Board, Entry
 from orbitfb.sim.layout import Layout, PvSpec
 from orbitfb.sim.stamp import Stamp
@@ -84,6 +86,24 @@ def knob_channels(layout: Layout, turned: Callable[[str, float], None]) -> dict[
         turned: Called with the PV and what was written to it, in its units.
     """
     return {spec.name: KnobChannel(spec, partial(turned, spec.name)) for spec in layout.knobs}
+
+
+class TextChannel(ChannelString):
+    """A text that anybody may write, up to 39 characters."""
+
+    def __init__(self) -> None:
+        super().__init__(value="", string_encoding="latin-1")
+
+    def get_field(self, field: str) -> "TextChannel":
+        """Give the field of the record; there is only the value."""
+        if field != "VAL":
+            raise KeyError(field)
+        return self
+
+
+def lease_channels(planes: str) -> dict[str, TextChannel]:
+    """Make the texts that say which controller writes to each plane, by name."""
+    return {LEASE_PV.replace("%", plane.upper()): TextChannel() for plane in planes}
 
 
 class Watcher(Protocol):

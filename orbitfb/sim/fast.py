@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.sim.board import Board
-from orbitfb.sim.channels import BoardChannel, BoardReading, BoardSetpoint, knob_channels
+from orbitfb.sim.channels import (
+    BoardChannel,
+    BoardReading,
+    BoardSetpoint,
+    knob_channels,
+    lease_channels,
+)
 from orbitfb.sim.circuit import FastContext
 from orbitfb.sim.feed import Feed
 from orbitfb.sim.layout import Layout
@@ -45,6 +51,7 @@ class FastFront:
             for index, spec in enumerate(specs)
         ]
         self._knobs = knob_channels(layout, turned)
+        self._leases = lease_channels(layout.planes)
         self._taken = False
         self._watched: set[BoardChannel] = set()
         self._stale: set[BoardChannel] = set()
@@ -107,7 +114,7 @@ class FastFront:
     def context(self, sockets: Sockets) -> FastContext:
         """Make the caproto server that serves it."""
         pvdb: dict[str, Any] = dict(zip(self.board.names, self._channels, strict=True))
-        return FastContext(pvdb | self._knobs, sockets, self)
+        return FastContext(pvdb | self._knobs | self._leases, sockets, self)
 
     def _tell_setpoints(self) -> None:
         for feed in self.feeds:

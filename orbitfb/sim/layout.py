@@ -62,6 +62,7 @@ class Layout:
         kick: The random kick [mm].
         stored: The stored current that the simulated ring is to have [mA].
         rf_frequency: What the oscillator shows [Hz].
+        planes: x, y or xy.
     """
 
     readings: tuple[PvSpec, ...]
@@ -69,6 +70,7 @@ class Layout:
     kick: PvSpec
     stored: PvSpec
     rf_frequency: float
+    planes: str
 
     def __len__(self) -> int:
         return len(self.readings) + len(self.setpoints) + len(self.knobs)
@@ -133,4 +135,5 @@ def lay_out(channels: Channels, settings: SimSettings) -> Layout:
             STORED_PV, "mA", 3, display=most, drive=most, initial=settings.stored_current * MILLI
         ),
         rf_frequency=settings.rf_frequency or 0.0,
+        planes=channels.planes,
     )

@@ -8,7 +8,7 @@ import numpy as np
 from caproto import AlarmSeverity, AlarmStatus
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.sim.channels import ReadOnlyChannel, ScalarChannel, knob_channels
+from orbitfb.sim.channels import ReadOnlyChannel, ScalarChannel, knob_channels, lease_channels
 from orbitfb.sim.context import ClaimedContext
 from orbitfb.sim.layout import Layout, PvSpec
 from orbitfb.sim.listening import Sockets
@@ -76,7 +76,7 @@ class PlainFront:
         layout = self._names
         names = [spec.name for spec in (*layout.readings, *layout.setpoints)]
         pvdb: dict[str, Any] = dict(zip(names, [*self._readings, *self._setpoints], strict=True))
-        return ClaimedContext(pvdb | self._knobs, sockets)
+        return ClaimedContext(pvdb | self._knobs | lease_channels(layout.planes), sockets)
 
     async def _publish(self, values: Vector, stamp: Stamp) -> None:
         for channel, value in zip(self._readings, values.tolist(), strict=True):
