@@ -105,6 +105,16 @@ def test_a_loop_that_ticks_no_more_is_frozen_by_the_thread(loop):
     assert [tick.record.tick for tick in loop.written[0][1].ticks] == [*range(10, 44)]
 
 
+def test_a_tick_that_comes_much_later_is_not_part_of_it(loop):
+    loop.ticks(40)
+    loop.ticks(4, "beam_lost")
+    loop.clock.advance(0.9)  # not so long that the thread takes it first
+    loop.ticks(1)
+    loop.settle()
+    [path] = loop.files()
+    assert read_postmortem(path).columns["tick"].tolist() == [*range(10, 44)]
+
+
 def test_a_fault_is_frozen_too(loop):
     loop.ticks(40)
     loop.ticks(1, RuntimeError("no idea"))
