@@ -150,6 +150,8 @@ def tournament_rows(outcome: Outcome, rest: Interval) -> Tournament:
     layout = first.bench.record.layout
     chances = first.probabilities()
     accepted = {one.accepted.kind.id for one in outcome.winners if one.accepted is not None}
+    alike = tuple(rival.kind.id for rival in first.rivals())
+    alike = (first.accepted.kind.id, *alike) if first.accepted is not None else ()
     rows: dict[str, TournamentRow] = {}
     draws = Draws.of(~first.bench.record.starts, 0)
     for entry in first.entries:
@@ -160,14 +162,15 @@ def tournament_rows(outcome: Outcome, rest: Interval) -> Tournament:
             spread = interval(draws.sums(entry.fit.held_out_by_row))
             low, high = spread.low, spread.high
         names = place_names(layout, entry.kind, entry.cause.places)
+        members = alike if entry.kind.id in alike else (entry.kind.id,)
         rows[entry.kind.id] = TournamentRow(
             effect=entry.kind.id,
             places=entry.candidate.group or ", ".join(names[:3]),
             nats=entry.held_out,
             low=low,
             high=high,
-            probability=chances.get(entry.kind.id),
-            members=(entry.kind.id,),
+            probability=sum(chances.get(name, 0.0) for name in members),
+            members=members,
             accepted=entry.kind.id in accepted,
         )
     found = [one.accepted.held_out for one in outcome.winners if one.accepted is not None]

@@ -192,4 +192,5 @@ def _spectrum(record: Record, off: Matrix) -> tuple[Vector, Vector]:
     if segment < _LEAST_SEGMENT:
         return np.zeros(0), np.zeros(0)
     frequency, density = welch(rows, fs=1.0 / record.layout.period, nperseg=segment, axis=0)
-    return frequency[1:], density[1:].mean(axis=1)
+    kept = slice(1, -1 if segment % 2 == 0 else None)  # neither the mean nor half a line
+    return frequency[kept], density[kept].mean(axis=1)

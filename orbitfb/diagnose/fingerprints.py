@@ -100,7 +100,7 @@ def _slice(bench: Bench, replay: Replay, cause: Cause, before: Matrix, delta: Ma
         expected = 1e3 * _along(replay, delta, shapes)
         setpoints = 1e3 * record.setpoints[:, places]
         return _Slice(
-            "current that is missing [mA]",
+            "current beyond the setpoint [mA]",
             left,
             expected,
             (
@@ -199,9 +199,10 @@ def _drawn(cause: Cause, its: _Slice, label: str, course: Vector, share: float) 
         return np.bincount(bins, values, minlength=_BINS)[full] / count[full]
 
     noise = float(np.std(left - expected))
-    said = f"; this slice shows {share:.0%} of it" if share < 1.0 else ""
+    name = cause.kind.id
+    said = f" This slice shows {share:.0%} of it." if share < 1.0 else ""
     return Fingerprint(
-        title=f"{cause.kind.id}: what is left without it, and what it makes{said}.",
+        title=f"What the model without {name} leaves, and what {name} makes of it.{said}",
         x_label=label,
         y_label=its.label,
         x=numbers(mean(course)),

@@ -181,7 +181,8 @@ def _unknown(its: Diagnosis) -> str:
 def experiment(its: Diagnosis) -> str:
     """Write the card of the recommended experiment."""
     if its.experiment is None:
-        return section("experiment", "Recommended experiment", missing("An experiment"))
+        why = "" if its.state == "ambiguous" else "nothing has to be told apart"
+        return section("experiment", "Recommended experiment", missing("An experiment", why))
     plan = its.experiment
     rows = [(name, value) for name, value in _plan(plan) if value]
     return section(

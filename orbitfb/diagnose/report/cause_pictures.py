@@ -25,6 +25,7 @@ from orbitfb.diagnose.report.draw import (
     STAGES,
     known,
     picture,
+    rounded,
     sectors,
     shorten,
     values,
@@ -54,7 +55,7 @@ def tournament(its: Tournament) -> str:
         _brackets(axes, rows)
         axes.set_xlabel("gain on held-out ticks [nats]; linear below 10, logarithmic above")
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="lower right", frameon=True, facecolor="white", edgecolor="none")
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
 
     return picture(
         "Every kind of effect at its best places, on ticks not used to fit it. Red: accepted; "
@@ -121,11 +122,13 @@ def scores(its: ScoreMap, ring: Geometry | None) -> str:
             _score(axes, row)
             if its.threshold_nats is not None:
                 axes.axhline(its.threshold_nats, color=GREY, ls="--", lw=0.8)
+                axes.set_ylim(None, max(axes.get_ylim()[1], 1.3 * its.threshold_nats))
             sectors(axes, ring, label=index == 0)
 
     return picture(
-        "Gain of log-likelihood [nats] by an effect at each place. Filled: the places named; "
-        "shaded: places that cannot be excluded; dashed: threshold for the best of all places.",
+        "Gain of log-likelihood [nats] by an effect at each place, on the nominal model. "
+        "Marks: the places named; shaded: places that cannot be excluded; dashed: what chance "
+        "reaches at the best place once in 100 records.",
         (10.0, 1.7 * len(drawn) + 0.4),
         paint,
     )
@@ -177,19 +180,24 @@ def waterfall(steps: Sequence[WaterfallStep]) -> str:
     """Draw what is left of the gap, effect by effect, beside each other for fit and held-out."""
 
     def paint(figure: Figure) -> None:
-        pair = figure.subplots(1, 2, sharey=True)
-        for axes, title, left in zip(
-            pair,
-            ("data of the fit", "held-out data"),
-            ([step.fit for step in steps], [step.held_out for step in steps]),
-            strict=True,
-        ):
-            _falls(axes, [step.label for step in steps], left)
+        columns = {
+            "data of the fit": [step.fit for step in steps],
+            "held-out data": [step.held_out for step in steps],
+        }
+        drawn = {title: left for title, left in columns.items() if known(left)}
+        all_axes = figure.subplots(1, 2, sharey=True)
+        for axes, title in zip(all_axes, columns, strict=True):
             axes.set_title(title)
-        pair[0].set_ylabel("gap left [nats/tick]")
+            if title in drawn:
+                _falls(axes, [step.label for step in steps], drawn[title])
+            else:
+                axes.set_title(f"{title}: not resolved")
+                axes.set_axis_off()
+        all_axes[0].set_ylabel("gap left [nats/tick]")
 
     return picture(
-        "From the nominal model to the floor. Light: what each effect takes away.",
+        "The gap left as one cause after the other joins the model; zero is the floor. Light: what "
+        "each takes away.",
         (9.5, 2.9),
         paint,
     )
@@ -206,7 +214,7 @@ def _falls(axes: Axes, labels: Sequence[str], left: Sequence[float | None]) -> N
             axes.bar(place, before - after, 0.65, bottom=after, color=colour, alpha=0.25)
             axes.plot([place - 0.67, place + 0.33], [before, before], color=GREY, lw=0.7)
     for place, height in zip(places, heights, strict=True):
-        said = f"{height:.3g}" if np.isfinite(height) else "not resolved"
+        said = rounded(height, heights) if np.isfinite(height) else "not resolved"
         axes.annotate(
             said,
             (float(place), height if np.isfinite(height) else 0.0),
@@ -217,4 +225,5 @@ def _falls(axes: Axes, labels: Sequence[str], left: Sequence[float | None]) -> N
             fontsize=8,
         )
     axes.set_xticks(places, [shorten(label, 26) for label in labels], rotation=20, ha="right")
+    axes.margins(y=0.12)
     axes.axhline(0.0, color=BLACK, lw=0.6)

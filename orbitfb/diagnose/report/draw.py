@@ -83,6 +83,12 @@ def values(numbers: Sequence[float | None]) -> Vector:
     return np.array([np.nan if number is None else number for number in numbers], dtype=float)
 
 
+def rounded(number: float, among: Sequence[float] | Vector) -> str:
+    """Write a number in three digits; what is nothing beside its neighbours is 0."""
+    largest = float(np.nanmax(np.abs(among))) if len(among) else 0.0
+    return "0" if abs(number) <= 1e-6 * largest else f"{number:.3g}"
+
+
 def known(numbers: Sequence[float | None]) -> bool:
     """Tell whether there is any number to draw."""
     return any(number is not None for number in numbers)

@@ -1,7 +1,7 @@
 """Sections of the page that show why: gap, tournament, places, predictions, limits, audit."""
 
 from orbitfb.diagnose.answer import Diagnosis
-from orbitfb.diagnose.answer_blocks import Audit, KStep
+from orbitfb.diagnose.answer_blocks import Audit, ClosedLoop, KStep
 from orbitfb.diagnose.answer_parts import Shrink
 from orbitfb.diagnose.report import cause_pictures, gap_pictures, loop_pictures, map_pictures
 from orbitfb.diagnose.report.draw import known
@@ -70,7 +70,7 @@ def tournament(its: Diagnosis) -> str:
             f"<b>{text(row.effect)}</b>" if row.accepted else text(row.effect),
             text(row.places),
             interval(row.nats, row.low, row.high),
-            "not resolved" if row.probability is None else f"{min(row.probability, 0.999):.2g}",
+            "not resolved" if row.probability is None else f"{min(row.probability, 0.999):.3g}",
             listed(row.members, _CLASS_MOST) if len(row.members) > 1 else "",
         )
         for row in ranked
@@ -84,13 +84,15 @@ def tournament(its: Diagnosis) -> str:
 def places(its: Diagnosis) -> str:
     """Show the score over the ring."""
     drawn = cause_pictures.scores(its.score_map, its.geometry) if its.score_map else ""
-    return section("places", "Where along the ring", drawn or missing("The score map"))
+    title = "Where along the ring"
+    return section("places", title, drawn or missing("The score map", "no effect with places"))
 
 
 def fingerprints(its: Diagnosis) -> str:
     """Show the slices that show the effects best."""
     drawn = [cause_pictures.fingerprint(one) for one in its.fingerprints if known(one.measured)]
-    return section("fingerprints", "Fingerprints", *(drawn or [missing("A fingerprint")]))
+    reason = "no cause has a course in time to be shown" if its.causes else "no cause is named"
+    return section("fingerprints", "Fingerprints", *(drawn or [missing("A fingerprint", reason)]))
 
 
 def shrinking(its: Diagnosis) -> str:
@@ -98,9 +100,17 @@ def shrinking(its: Diagnosis) -> str:
     return section(
         "shrink",
         "How far the gap shrinks",
-        _shrink(its.shrink) if its.shrink else missing("The shrink"),
-        cause_pictures.waterfall(its.waterfall) if its.waterfall else missing("The waterfall"),
+        _shrink(its.shrink) if its.shrink else missing("The shrink", _why_no_shrink(its)),
+        cause_pictures.waterfall(its.waterfall)
+        if its.waterfall
+        else missing("The waterfall", "no cause is named"),
     )
+
+
+def _why_no_shrink(its: Diagnosis) -> str:
+    if not its.causes:
+        return "no cause is named"
+    return "no data are left for it, or no cause has a course in time"
 
 
 def _shrink(its: Shrink) -> str:
@@ -144,7 +154,7 @@ def _net(its: Shrink) -> str:
 
 def predictions(its: Diagnosis) -> str:
     """Show predictions over k steps and the closed loop."""
-    pieces = [missing("The prediction over k steps")]
+    pieces = [missing("The prediction over k steps", _why_no_shrink(its))]
     if any(step.nominal_um is not None for step in its.k_steps):
         rows = [_step(step) for step in its.k_steps]
         heads = (
@@ -156,18 +166,26 @@ def predictions(its: Diagnosis) -> str:
         )
         pieces = [loop_pictures.k_steps(its.k_steps), table(heads, rows)]
     if its.closed_loop is None:
-        pieces.append(missing("The closed loop"))
+        pieces.append(missing("The closed loop", "no cause is named"))
     else:
         loop = its.closed_loop
         pieces += [
             loop_pictures.closed_loop(loop),
-            paragraph(
-                f"Spectral radius of the loop: {figure_of(loop.radius_without)} nominal, "
-                f"{figure_of(loop.radius_with)} with the causes (stable below 1)."
-            ),
+            paragraph(_stability(loop)),
             paragraph(text(loop.note), "note"),
         ]
     return section("predictions", "Predictions and the closed loop", *pieces)
+
+
+def _stability(loop: ClosedLoop) -> str:
+    if loop.radius_without is None:
+        return ""
+    mended = loop.radius_with
+    with_causes = "" if mended is None else f", {mended:.5f} with the causes"
+    return (
+        f"Spectral radius of the loop: {loop.radius_without:.5f} nominal{with_causes} (stable "
+        "below 1; near 1 it is that of the modes that the law hardly corrects)."
+    )
 
 
 def _step(step: KStep) -> tuple[str, str, str, str, str]:

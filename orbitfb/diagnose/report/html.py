@@ -80,9 +80,10 @@ def paragraph(content: str, kind: str = "") -> str:
     return f'<p class="{kind}">{content}</p>' if kind else f"<p>{content}</p>"
 
 
-def missing(what: str) -> str:
-    """Say that something was not computed, in the place of an empty picture."""
-    return paragraph(f"{text(what)}: not computed for this record.", "missing")
+def missing(what: str, why: str = "") -> str:
+    """Say that something was not computed, and why, in the place of an empty picture."""
+    reason = f" ({text(why)})" if why else ""
+    return paragraph(f"{text(what)}: not computed for this record{reason}.", "missing")
 
 
 def section(anchor: str, title: str, *pieces: str) -> str:

@@ -7,6 +7,7 @@ from orbitfb.diagnose.answer_blocks import HeatMap
 from orbitfb.diagnose.report.draw import picture, shorten, values
 
 _MOST_ROWS = 16
+_MOST_COLUMNS = 12
 
 
 def heat(its: HeatMap) -> str:
@@ -26,9 +27,14 @@ def paint_heat(axes: Axes, its: HeatMap, grid: np.ndarray) -> None:
     largest = float(np.nanmax(np.abs(grid))) if np.isfinite(grid).any() else 1.0
     columns = values(its.columns)
     extent = (-0.5, grid.shape[1] - 0.5, len(grid) - 0.5, -0.5)
-    if len(columns) == grid.shape[1] > 1:
+    named = len(columns) == grid.shape[1] > 1
+    even = named and np.allclose(np.diff(columns), columns[1] - columns[0])
+    if even:
         half = (columns[-1] - columns[0]) / (len(columns) - 1) / 2
         extent = (columns[0] - half, columns[-1] + half, len(grid) - 0.5, -0.5)
+    elif named:  # such as octaves: each has the same room, and its own number
+        every = max(1, len(columns) // _MOST_COLUMNS)
+        axes.set_xticks(range(len(columns))[::every], [f"{v:.3g}" for v in columns[::every]])
     image = axes.imshow(
         grid,
         aspect="auto",
@@ -37,8 +43,9 @@ def paint_heat(axes: Axes, its: HeatMap, grid: np.ndarray) -> None:
         vmin=-largest if its.signed else None,
         vmax=largest if its.signed else None,
     )
-    if 0 < len(its.row_names) <= _MOST_ROWS:
-        axes.set_yticks(range(len(its.row_names)), [shorten(name) for name in its.row_names])
+    if its.row_names:
+        rows = range(len(its.row_names))[:: -(-len(its.row_names) // _MOST_ROWS)]
+        axes.set_yticks(rows, [shorten(its.row_names[row]) for row in rows])
     if 0 < len(its.column_names) <= _MOST_ROWS:
         names = [shorten(name) for name in its.column_names]
         axes.set_xticks(range(len(names)), names, rotation=45, ha="right")
