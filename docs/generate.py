@@ -25,6 +25,9 @@ from orbitfb.effects.pages import effect_page, effects_index
 from orbitfb.effects.registry import all_effects
 from orbitfb.loop.states import COMMANDS, TABLE, Event
 from orbitfb.observe.metrics_table import metrics_table_markdown
+from orbitfb.panel.pv_docs import panel_table_markdown
+from orbitfb.panel.pv_table import Extent
+from orbitfb.panel.settings import PanelSettings
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.sim.pv_table import count_pvs, pv_families, pv_table_markdown
 from orbitfb.sim.settings import SimSettings
@@ -48,6 +51,26 @@ doubles, one PV per BPM and plane.
 - The simulated ring listens on 127.0.0.1, port 15064 (`sim.port`), not on the production port
   5064. A write to the kick PV moves the orbit at the next tick and the step stays; the stored
   current is what was last written to `SR:SIM{Ring}Current-SP`, from the next tick on.
+- Besides, a text for each plane, `SR:FB{Lease:X}Owner-SP` and `SR:FB{Lease:Y}Owner-SP`, says which
+  controller writes to it (`lease.pv`; see [Safety](../explanations/safety.md#two-controllers)).
+- Further down: [the PVs of the panel](#the-panel), by which operators see and command the loop.
+
+"""
+
+PANEL_HEAD = """
+## The panel
+
+PVs of the loop itself, served while `orbitfb run` runs with `panel.enabled`; see
+[Operate by PVs](../how-to/operate-by-pvs.md). Their names begin with `panel.prefix`, by default
+`SR:FB{Orbit}`, and they are served on `panel.interface`, port `panel.port` (127.0.0.1, 15074).
+
+- `-SP` is what is wanted, `-RB` what is in force, `-Cmd` does something once, `-I` is shown.
+- A write beyond the limits, or one that the loop refuses, is an error to the client; it puts the PV
+  in alarm (MAJOR, WRITE), leaves its value alone, and is logged. Nothing is ever clipped.
+- A write is acknowledged (`caput -c`) when the service has done it, and shows in the `-RB` then.
+- A value that is not known is INVALID. Texts are arrays of characters (`caget -S`).
+- The table is that of a loop on x; with `--planes y` or `xy` there are `GainY-SP`, `GainY-RB` and
+  `RmsY-I` as well or instead, and vectors have the length of both planes.
 
 """
 
@@ -80,6 +103,9 @@ def pvs_page() -> str:
         total = count_pvs(pv_families(ring, planes, settings))
         parts.append(f"\n## `--planes {planes}`: {total} PVs\n\n")
         parts.append(pv_table_markdown(ring, planes, settings))
+    channels = ring.channels("x")
+    extent = Extent("x", len(channels.bpms), len(channels.correctors))
+    parts += [PANEL_HEAD, panel_table_markdown(PanelSettings(), extent)]
     return "".join(parts)
 
 
