@@ -70,6 +70,13 @@ def measure_response_command(
             "row is bad.",
         ),
     ] = False,
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live",
+            help="Measure a machine: without it port 5064, that of production, is refused.",
+        ),
+    ] = False,
     config_file: ConfigFile = None,
     data: DataDirectory = None,
     planes: Planes = None,
@@ -84,7 +91,8 @@ def measure_response_command(
 ) -> None:
     """Measure the response matrix around the present setpoints, and put them back."""
     from orbitfb.core.errors import ConfigError, StoppedError
-    from orbitfb.measuring import MeasureRequest, StopRequests, measure_response
+    from orbitfb.measuring.command import MeasureRequest, measure_response
+    from orbitfb.measuring.stopping import StopRequests
 
     chosen = chosen_effects(effect, effects)
     if chosen is not None and ioc != "sim":
@@ -110,7 +118,7 @@ def measure_response_command(
     confirm = typer.confirm if sys.stdin.isatty() else None
     with StopRequests() as stop:
         try:
-            request = MeasureRequest(ioc, out, fresh, restore, activate)
+            request = MeasureRequest(ioc, out, fresh, restore, activate, live)
             answer = measure_response(settings, request, stop, say, confirm)
         except StoppedError as stopped:
             print(

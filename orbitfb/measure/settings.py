@@ -40,7 +40,7 @@ class MeasureSettings(Settings):
         "by steps; 0: all of them.",
     )
     lowest: float = Field(
-        default=0.02, gt=0, lt=0.5, description="Lowest frequency at once [1/tick]."
+        default=0.04, gt=0, lt=0.5, description="Lowest frequency at once [1/tick]."
     )
     highest: float = Field(
         default=0.4, gt=0, lt=0.5, description="Highest frequency at once [1/tick]."

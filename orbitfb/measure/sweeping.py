@@ -14,6 +14,10 @@ from orbitfb.measure.watch import Watch
 
 SIZES = (0.5, 1.0)
 """Sizes of the passes; what differs between them is not linear."""
+_NEIGHBOURS = 9
+"""Correctors nearest in frequency whose differences tell the noise there."""
+_SIGNIFICANT = 12.0
+"""Ratio of mean squares from which a difference between the passes is not noise."""
 _LATEST = 6
 _SHOWN = 0.1
 """How far a readback may be from the level in force, parts of the amplitude."""
@@ -52,12 +56,17 @@ def measure_at_once(
     following = _following(wave, samples, readbacks)
     half, full = (each.response / size for each, size in zip(shown, SIZES, strict=True))
     doubt = np.hypot(shown[0].sigma / SIZES[0], shown[1].sigma / SIZES[1])
+    apart, expected = _differences(half, full, doubt, wave)
+    size = np.nanmean(full**2, axis=0)
+    significant = apart > _SIGNIFICANT * expected
+    bent = np.where(significant, np.sqrt(np.maximum(apart - expected, 0.0) / size), 0.0)
+    colour = np.sqrt(expected / np.nanmean(doubt**2, axis=0))
     return [
         Column(
             full[:, k] / amplitude,
-            shown[-1].sigma[:, k] / amplitude,
+            shown[-1].sigma[:, k] * colour[k] / amplitude,
             shown[-1].noise,
-            _difference(half[:, k], full[:, k], doubt[:, k]),
+            float(bent[k]),
             float(following[k]) / amplitude,
             float(shown[-1].phase[k]),
             float(amplitude),
@@ -131,13 +140,28 @@ def _following(wave: Multisine, samples: Vector, readbacks: Vector) -> Vector:
     return following
 
 
-def _difference(half: Vector, full: Vector, doubt: Vector) -> float:
-    """Give by how much more two passes differ than their noise, rms over rms [1]."""
-    valid = np.isfinite(half) & np.isfinite(full)
-    if not valid.any():
-        return np.nan
-    apart = float(np.mean((full - half)[valid] ** 2 - doubt[valid] ** 2))
-    size = float(np.mean(full[valid] ** 2))
-    if not apart > 3.0 * float(np.mean(doubt[valid] ** 2)):
-        return 0.0
-    return float(np.sqrt(apart / size)) if size > 0.0 else np.inf
+def _differences(
+    half: Vector, full: Vector, doubt: Vector, wave: Multisine
+) -> tuple[Vector, Vector]:
+    """Compare two passes, and say how far noise alone would take them apart.
+
+    A moving orbit is louder at low frequencies, so the noise is that of the neighbours in
+    frequency; of too few correctors it is taken as white.
+
+    Args:
+        half: Responses of one pass, shape (n, k) [m]; NaN where not known.
+        full: Of the other.
+        doubt: Standard deviation of their difference, were the noise white, shape (n, k) [m].
+        wave: Has the frequencies.
+
+    Returns:
+        Mean square difference of every column and the expected one, shape (k,) [m²].
+    """
+    apart = np.nanmean((full - half) ** 2, axis=0)
+    white = np.nanmean(doubt**2, axis=0)
+    order = np.argsort(wave.bins)
+    local = np.empty_like(apart)
+    for rank, k in enumerate(order):
+        first = max(0, min(rank - _NEIGHBOURS // 2, len(order) - _NEIGHBOURS))
+        local[k] = np.median(apart[order[first : first + _NEIGHBOURS]])
+    return apart, local if len(order) >= _NEIGHBOURS else white
