@@ -16,7 +16,8 @@ from orbitfb.loop.excitation import Excitation, Progress
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.postmortem.frozen import Frozen
-from orbitfb.postmortem.recorder import Listeners, LogTap, PostMortemRecorder, Run
+from orbitfb.postmortem.log_tap import LogTap
+from orbitfb.postmortem.recorder import Listeners, PostMortemRecorder, Run
 
 _log = structlog.stdlib.get_logger("orbitfb.service")
 

@@ -68,7 +68,7 @@ def _chosen(file: Path, directory: Path) -> Path:
 
 def _list(directory: Path, as_json: bool) -> None:
     from orbitfb.core.errors import RecordError
-    from orbitfb.postmortem.reading import number_of, read_about, text_of
+    from orbitfb.postmortem.opening import number_of, read_about, text_of
     from orbitfb.postmortem.shelf import stored
     from orbitfb.postmortem.story import time_text
     from orbitfb.tabulate import as_json as json_of

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from orbitfb.core.signals import LoopState
-from orbitfb.postmortem.analysis import CURRENT, interlocks_of, valid_of
+from orbitfb.postmortem.analysis import CURRENT
+from orbitfb.postmortem.devices import interlocks_of, valid_of
 from orbitfb.postmortem.reading import PostMortem
 from orbitfb.safety.verdict import name_some
 

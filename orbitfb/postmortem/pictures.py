@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.report.draw import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, shorten
-from orbitfb.postmortem.analysis import CURRENT, Analysis, error_of
+from orbitfb.postmortem.analysis import CURRENT, Analysis
 from orbitfb.postmortem.content import PHASES
+from orbitfb.postmortem.devices import error_of
 from orbitfb.postmortem.reading import PostMortem
 
 _ABOVE: dict[str, Any] = {

@@ -1,19 +1,15 @@
 """Read a post-mortem, believing nothing that the file says before it is checked."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.errors import RecordError
 from orbitfb.core.signals import Channels, LoopState, Mask
 from orbitfb.history.columns import AUXILIARY, STATES, Columns
-from orbitfb.history.segment import MARK
 from orbitfb.postmortem.content import (
     ABOUT,
     CONFIGURATION,
@@ -24,10 +20,10 @@ from orbitfb.postmortem.content import (
     MORE,
     MOST_NAMES,
     MOST_ROWS,
-    SCHEMA_VERSION,
     plan,
 )
 from orbitfb.postmortem.datasets import Datasets
+from orbitfb.postmortem.opening import opened, text_of
 
 LARGEST = 2 * 2**30
 """Most that is read of a file, if nothing else is said [bytes]."""
@@ -107,16 +103,6 @@ class PostMortem:
         return [STATES[number] for number in self.columns["state"]]
 
 
-def read_about(path: Path) -> Mapping[str, Any]:
-    """Read what a post-mortem says of itself, and nothing else of it.
-
-    Raises:
-        RecordError: It is no post-mortem, or damaged.
-    """
-    with _opened(path) as file:
-        return Datasets(file, path, LONGEST_TEXT).mapping(ABOUT, LONGEST_TEXT)
-
-
 def read_postmortem(path: Path, largest: int = LARGEST) -> PostMortem:
     """Read a post-mortem.
 
@@ -128,49 +114,8 @@ def read_postmortem(path: Path, largest: int = LARGEST) -> PostMortem:
         RecordError: It is no post-mortem, damaged, too large, or holds what makes no sense;
             says which array and row.
     """
-    with _opened(path) as file:
+    with opened(path) as file:
         return _read(Datasets(file, path, largest), path)
-
-
-def text_of(about: Mapping[str, Any], key: str) -> str:
-    """Give a text of what a file says of itself; nothing if it says something else."""
-    value = about.get(key)
-    return value if isinstance(value, str) else ""
-
-
-def number_of(about: Mapping[str, Any], key: str) -> float:
-    """Give a number of what a file says of itself; NaN if it says something else."""
-    value = about.get(key)
-    return float(value) if isinstance(value, int | float) and abs(value) < 1e15 else float("nan")
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
-    if not path.is_file():
-        raise RecordError(f"there is no file {path}; `orbitfb postmortem` lists what there is")
-    try:
-        with h5py.File(path, "r") as file:
-            attribute = h5py.h5a.open(file.id, b"schema_version")
-            plain = attribute.dtype.kind in "iu" and attribute.shape == ()
-            found: Any = file.attrs["schema_version"] if plain else None
-            if ABOUT not in file or found != SCHEMA_VERSION:
-                if MARK in file:
-                    raise RecordError(
-                        f"{path} is a segment of the archive, no post-mortem; `orbitfb postmortem` "
-                        "lists those that there are"
-                    )
-                raise RecordError(
-                    f"{path} is no post-mortem of schema_version {SCHEMA_VERSION} (it has {found}, "
-                    f"{'with' if ABOUT in file else 'without'} '{ABOUT}'); use the version of "
-                    "orbitfb that wrote it"
-                )
-            yield file
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError) as error:
-        raise RecordError(
-            f"{path} is damaged, or no post-mortem ({error}); take it from a backup"
-        ) from error
-    except MemoryError as error:
-        raise RecordError(f"{path} does not fit into the memory") from error
 
 
 def _read(data: Datasets, path: Path) -> PostMortem:

@@ -1,6 +1,5 @@
 """Freezes the last seconds at every trip, in a thread of its own; the tick never waits for it."""
 
-import logging
 import threading
 import time
 from collections import deque
@@ -225,32 +224,3 @@ class PostMortemRecorder:
         self._listeners.failed(problem)
         if asked is not None:
             asked.set_exception(ControlError(problem))
-
-
-class LogTap(logging.Handler):
-    """Hands every event of the log to a recorder, with the thread that had something to say.
-
-    Args:
-        tell: Takes level, name and fields.
-    """
-
-    def __init__(self, tell: Callable[[str, str, dict[str, Any]], None]) -> None:
-        super().__init__()
-        self._tell = tell
-        logging.getLogger().addHandler(self)
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Take a line; one of a library has no fields."""
-        level = record.levelname.lower()
-        if isinstance(record.msg, dict):
-            fields = dict(record.msg)
-            for name in ("level", "timestamp", "_record", "_from_structlog"):
-                fields.pop(name, None)
-            self._tell(level, str(fields.pop("event", "")), fields)
-        else:
-            self._tell(level, record.name, {"message": record.getMessage()})
-
-    def close(self) -> None:
-        """Listen no longer."""
-        logging.getLogger().removeHandler(self)
-        super().close()

@@ -8,9 +8,11 @@ from typing import Any
 
 from orbitfb.observe.plain import plain
 from orbitfb.observe.wording import UNKNOWN, micrometres
-from orbitfb.postmortem.analysis import Analysis, Device, Sizes, analyse
+from orbitfb.postmortem.analysis import Analysis, Sizes, analyse
 from orbitfb.postmortem.changes import Change, changes
-from orbitfb.postmortem.reading import PostMortem, number_of
+from orbitfb.postmortem.devices import Device
+from orbitfb.postmortem.opening import number_of
+from orbitfb.postmortem.reading import PostMortem
 
 MOST_LINES = 40
 """Changes that are told to people; JSON has all of them."""

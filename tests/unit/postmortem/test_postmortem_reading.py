@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from orbitfb.core.errors import RecordError
-from orbitfb.postmortem.reading import read_about, read_postmortem
+from orbitfb.postmortem.opening import read_about
+from orbitfb.postmortem.reading import read_postmortem
 
 
 def replace(file, name, values):

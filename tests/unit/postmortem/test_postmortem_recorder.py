@@ -11,8 +11,9 @@ from postmortem_loop import PATIENCE, Loop, ring
 from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import LoopState
 from orbitfb.postmortem.frozen import Trigger
+from orbitfb.postmortem.log_tap import LogTap
 from orbitfb.postmortem.reading import read_postmortem
-from orbitfb.postmortem.recorder import MOST_WAITING, LogTap
+from orbitfb.postmortem.recorder import MOST_WAITING
 from orbitfb.postmortem.shelf import Shelf
 
 
