@@ -140,6 +140,28 @@ def make_out(directory: Path) -> None:
         ) from error
 
 
+def pairs(values: list[str]) -> dict[str, Any]:
+    """Read what goes with a command: KEY=VALUE each, values as JSON, else as text.
+
+    Raises:
+        ConfigError: One is no pair.
+    """
+    import json
+
+    from orbitfb.core.errors import ConfigError
+
+    read: dict[str, Any] = {}
+    for pair in values:
+        key, equals, value = pair.partition("=")
+        if not key or not equals:
+            raise ConfigError(f"{pair}: give KEY=VALUE, as in plane=x")
+        try:
+            read[key] = json.loads(value)
+        except ValueError:
+            read[key] = value
+    return read
+
+
 def show(answer: dict[str, Any], as_json: bool) -> None:
     """Print an answer, for people or as JSON."""
     from orbitfb import tabulate

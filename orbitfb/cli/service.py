@@ -21,6 +21,7 @@ from orbitfb.cli.options import (
     Seed,
     chosen_effects,
     configure,
+    pairs,
     show,
 )
 
@@ -179,6 +180,16 @@ def refit(
 
 def command(
     name: Annotated[str, typer.Argument(help="open, shadow, close, reset, postmortem or status.")],
+    values: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="KEY=VALUE",
+            help="What goes with gain (plane=x value=0.5), dither (orbit_cost=1e-6), try "
+            "(singular_values=120 regularisation=1e-5; then apply), reference (values=[…], m), "
+            "reference-save and reference-load (name=golden), enable-bpms and enable-correctors "
+            "(enabled=[true, …]).",
+        ),
+    ] = None,
     config_file: ConfigFile = None,
     data: DataDirectory = None,
     as_json: AsJson = False,
@@ -187,4 +198,5 @@ def command(
     from orbitfb.control import ask
 
     settings = configure(config_file, data_directory=data)
-    show(ask(settings.data_directory, {"command": name}), as_json)
+    request = {**pairs(values or []), "command": name}
+    show(ask(settings.data_directory, request), as_json)

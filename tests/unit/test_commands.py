@@ -5,8 +5,9 @@ from typing import Any, cast
 import pytest
 from structlog.testing import capture_logs
 
+from orbitfb.cli.options import pairs
 from orbitfb.commands import Commands
-from orbitfb.core.errors import ControlError
+from orbitfb.core.errors import ConfigError, ControlError
 
 PANEL = {"user": "jane", "host": "10.0.5.9", "pv": "SR:FB{Orbit}Command-Cmd"}
 SOCKET = {"user": "root", "process": 17}
@@ -89,3 +90,20 @@ def test_long_vectors_and_words_do_not_fill_the_log(commands: Commands):
         commands({**request, "origin": {**PANEL, "user": "y" * 5000}})
     assert logs[0]["with_values"] == "180 values"
     assert len(logs[0]["with_word"]) == len(logs[0]["user"]) == 300
+
+
+def test_what_goes_with_a_command_on_the_command_line():
+    typed = ["plane=x", "value=0.5", "enabled=[true,false]", "name=a=b", "policy=null"]
+    assert pairs(typed) == {
+        "plane": "x",
+        "value": 0.5,
+        "enabled": [True, False],
+        "name": "a=b",
+        "policy": None,
+    }
+
+
+@pytest.mark.parametrize("typed", ["plane", "=x", ""])
+def test_what_is_no_pair(typed: str):
+    with pytest.raises(ConfigError, match="give KEY=VALUE"):
+        pairs([typed])
