@@ -130,7 +130,8 @@ def _write_events(file: h5py.File, frozen: Frozen) -> None:
 def _more(records: Sequence[TickRecord]) -> dict[str, NDArray[Any]]:
     """Give what a record holds beside the columns, by name."""
     found: dict[str, NDArray[Any]] = {}
-    for name in (field.name for field in fields(TickRecord) if field.name not in _KNOWN):
+    kind = records[0] if records else TickRecord
+    for name in (field.name for field in fields(kind) if field.name not in _KNOWN):
         values = [getattr(record, name) for record in records]
         shapes = {np.shape(value) for value in values}
         numbers = all(isinstance(value, bool | int | float | np.ndarray) for value in values)

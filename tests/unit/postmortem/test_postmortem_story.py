@@ -1,6 +1,7 @@
 """What a post-mortem tells: when, why, what went wrong first, what changed."""
 
 import json
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pytest
@@ -8,8 +9,12 @@ from postmortem_loop import PATIENCE, Loop, ring
 from typer.testing import CliRunner
 
 from orbitfb.cli.app import app
+from orbitfb.core.signals import TickRecord
+from orbitfb.postmortem.encoding import encode
 from orbitfb.postmortem.reading import read_postmortem
+from orbitfb.postmortem.settings import PostMortemSettings
 from orbitfb.postmortem.story import lines, story_of, values
+from orbitfb.postmortem.tape import Tape
 
 
 def told(loop, last=10.0):
@@ -103,6 +108,32 @@ def test_changes_are_told_in_their_order(loop):
     short, _ = told(loop, last=0.3)
     assert len(short.changes) < len(story.changes)
     assert all(change.since_trip >= -0.3 for change in short.changes)
+
+
+@dataclass(frozen=True, slots=True)
+class Richer(TickRecord):
+    """A record with more than the columns know."""
+
+    left_out: np.ndarray
+    verdict: str
+    causes: tuple[str, ...]
+
+
+def test_whatever_else_a_record_has_is_kept_and_its_changes_told(loop, tmp_path):
+    loop.ticks(20)
+    tape = Tape(PostMortemSettings(), loop.clock)
+    for record in loop.records[10:]:
+        values = {field.name: getattr(record, field.name) for field in fields(record)}
+        late = record.tick > 15
+        more = {"left_out": np.array([late]), "verdict": "skip" if late else "", "causes": ("a",)}
+        tape.tick(Richer(**values, **more))
+    path = tmp_path / "x.h5"
+    counting = np.ones(ring.N, dtype=bool)
+    path.write_bytes(encode(tape.now("me"), loop.machine.channels, counting, "", {}))
+    its = read_postmortem(path)
+    assert its.more["left_out"].dtype == np.bool_ and its.more["left_out"].sum() == 4
+    assert its.more["causes"][0] == b'["a"]'
+    assert [change.text for change in story_of(its, 10.0).changes] == ["verdict: skip"]
 
 
 def test_no_ticks_at_all_is_a_story_too(loop):
