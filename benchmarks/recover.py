@@ -18,9 +18,10 @@ from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.random_values import state
-from orbitfb.diagnose.randomness import latent_candidates, level_candidates, noise_candidates
+from orbitfb.diagnose.randomness import level_candidates, noise_candidates
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.diagnose.strike_scan import latent_candidates
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.bpm_current import CHANNEL, top_up_current
 from orbitfb.effects.build import Since, layout_of

@@ -23,6 +23,9 @@ GAIN_RMS = 0.01
 BEAT_RMS = 0.015
 """Beta-beat of gradient errors that is taken as healthy [1]."""
 
+Healthy = Literal["correctors", "bpms", "x", "y"]
+"""What has small errors: gains of correctors, of BPMs, gradients as seen in a plane."""
+
 _LEVELS = 14
 """Of the ladder of filters: what is wrong in the information stays in the best sizes."""
 
@@ -32,11 +35,13 @@ class _Part:
     """P small errors: orbit = Σ size · pattern · driver.
 
     Args:
+        name: What has them.
         patterns: Shape (n, P).
         drivers: Shape (N, P).
         scatter: Standard deviation of every size, shape (P,).
     """
 
+    name: Healthy
     patterns: Matrix
     drivers: Matrix
     scatter: Vector
@@ -61,15 +66,15 @@ class Background:
         n, m = layout.response.shape
         gain = GAIN_RMS * scale
         self._parts = [
-            _Part(layout.response, currents, np.full(m, gain)),
-            _Part(np.eye(n), orbit, np.full(n, gain)),
+            _Part("correctors", layout.response, currents, np.full(m, gain)),
+            _Part("bpms", np.eye(n), orbit, np.full(n, gain)),
         ]
         if layout.ring is not None and len(layout.ring.places("QUAD")):
             for plane in layout.planes:
                 to_bpms = layout.orbit_per_kick("QUAD", plane)
                 at_quads = currents @ layout.orbit_at("QUAD", plane).T
                 scatter = np.full(to_bpms.shape[1], scale * _gradient_scatter(layout, plane))
-                self._parts.append(_Part(to_bpms, at_quads, scatter))
+                self._parts.append(_Part(plane, to_bpms, at_quads, scatter))
         # Single precision is enough for errors of one per cent, and half the work.
         self._patterns = np.concatenate([p.patterns for p in self._parts], axis=1, dtype=np.float32)
         self._drivers = np.concatenate([p.drivers * p.scatter for p in self._parts], axis=1)
@@ -94,17 +99,22 @@ class Background:
         left = 1.0 - np.diagonal(cho_solve(self._solver, np.eye(len(matrix))))
         self._absorbed = np.clip(1.0 - left / np.maximum(known, 1e-12), 0.0, 1.0)
 
-    def absorbed(self, part: Literal["correctors", "bpms"]) -> Vector:
-        """Share of the information on a gain error that the background takes away, (m,) or (n,).
+    def absorbed(self, name: Healthy) -> Vector:
+        """Share of the information on an error that the background takes away, shape (P,).
 
-        What acts like a gain error of one device can be told from the healthy errors of all of
-        them only as far as this leaves.
+        What acts like an error of one device can be told from the healthy errors of all of them
+        only as far as this leaves.
+
+        Args:
+            name: Gains of `correctors` or `bpms`; gradients of the quadrupoles as seen in `x`, `y`.
         """
-        correctors, bpms = (len(p.scatter) for p in self._parts[:2])
-        if not len(self._absorbed):
-            return np.zeros(correctors if part == "correctors" else bpms)
-        begin = 0 if part == "correctors" else correctors
-        return self._absorbed[begin : begin + (correctors if part == "correctors" else bpms)]
+        begin = 0
+        for part in self._parts:
+            end = begin + len(part.scatter)
+            if part.name == name:
+                return self._absorbed[begin:end] if len(self._absorbed) else np.zeros(end - begin)
+            begin = end
+        raise KeyError(name)
 
     @property
     def nothing(self) -> Vector:

@@ -103,12 +103,17 @@ class Bench:
         return float(np.sum(white**2) + np.sum(sizes**2))
 
     def _healed(self, left: Matrix) -> tuple[Matrix, Vector]:
-        """Take the best healthy errors out of what is left, beginning where the bench's are."""
+        """Take the best healthy errors out of what is left.
+
+        The search begins where the bench's errors are, or at none if that is better: errors that
+        had swallowed a cause are far from those beside it.
+        """
         white = self.floor.whiten(left, self.record.starts)
         sizes, change = self._nearby
-        if not len(sizes):
+        near = white - change if len(sizes) else white
+        if not len(sizes) or np.vdot(white, white) < np.vdot(near, near) + sizes @ sizes:
             return self._descend(white, self.background.nothing, _SOLVED)
-        return self._descend(white - change, sizes, _SOLVED)
+        return self._descend(near, sizes, _SOLVED)
 
     def _descend(self, white: Matrix, sizes: Vector, enough: float) -> tuple[Matrix, Vector]:
         """Find the best healthy errors by preconditioned conjugate gradients.
@@ -154,6 +159,19 @@ class Bench:
         other.remember(self.sizes)
         other.white, other.sizes, other.jacobian = other.residual(())
         other.slope = floor.adjoint(other.white, self.record.starts)
+        return other
+
+    def cleared_of(self, causes: Sequence[Cause]) -> "Bench":
+        """The same causes judged with floor, orbit and healthy errors as further ones leave them.
+
+        What a large cause has thrown off is all of these; a floor alone does not put it right.
+        """
+        floor = self.floor if self.told_floor else None
+        every = (*self.causes, *causes)
+        other = Bench(self.record, every, floor, self.floor.modes, self.scale)
+        other.causes = self.causes
+        other.white, other.sizes, other.jacobian = other.residual(())
+        other.slope = other.floor.adjoint(other.white, self.record.starts)
         return other
 
     def floor_without(self, causes: Sequence[Cause]) -> NoiseFloor:

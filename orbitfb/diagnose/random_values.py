@@ -19,7 +19,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause, explain
 from orbitfb.diagnose.problem import from_fitted, prior_width, to_fitted
-from orbitfb.diagnose.randomness import latent_gain, strikes
+from orbitfb.diagnose.strike_scan import latent_gain, strikes
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.physics.optics import Matrix

@@ -5,20 +5,23 @@ product with λ and the information on them a sum over a few ladder filters. Pat
 the bench alone are prepared once.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
+from orbitfb.diagnose.background import Healthy
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.innovation import Ladder
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.layout import ChannelPlane
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.physics.optics import Matrix
 
+_PLANES: tuple[ChannelPlane, ...] = ("x", "y")
 _ROUGH = 4
 """Levels of the ladder for the first look at a whole grid of values."""
 
@@ -46,10 +49,13 @@ class Changes:
 
     Args:
         parts: Pairs of shapes and drivers (N, P) or (N, 1).
+        alike: Healthy errors of the same places that may act like them, part by part; None where
+            there are none.
         measure: Tells the information on them for a scoring.
     """
 
     parts: tuple[tuple[Shapes, Matrix], ...]
+    alike: tuple[Healthy | None, ...]
     measure: "Callable[[Changes], tuple[Vector, Vector]]"
 
     @cached_property
@@ -85,10 +91,7 @@ class Scoring:
         self._rough = Ladder(bench.floor, _ROUGH, between=True)
         self._starts = bench.record.starts
         self._known: dict[str, Shapes] = {}
-        self._gain_courses = {
-            "correctors": self._rough.filtered(bench.currents, self._starts),
-            "bpms": self._rough.filtered(bench.orbit, self._starts),
-        }
+        self._courses: dict[Healthy, list[Matrix]] = {}
 
     def courses(self, drivers: Matrix) -> list[Matrix]:
         """Filter drivers (N, P) as every level of the ladder does."""
@@ -101,31 +104,34 @@ class Scoring:
     def changes(self, kind: EffectKind, values: Values) -> Changes:
         """Tell how the prediction changes by every place at once."""
         bench, record = self._bench, self._bench.record
-        measure = partial(self._information, kind)
+        measure = self._information
         if isinstance(kind, ActuatorKind):
             moved = kind.drive(bench.currents, values, record) - bench.currents
-            return Changes(((self.correctors(), moved),), measure)
+            return Changes(((self.correctors(), moved),), ("correctors",), measure)
         if isinstance(kind, SensorKind):
             # What is not small has taken the predicted orbit with it: take the model's own.
             small = bool(kind.parameters)
             orbit = bench.orbit if small else bench.currents @ record.layout.response.T
             moved = kind.distort(orbit, values, record) - orbit
             shapes = self._shapes("bpms", lambda: np.eye(moved.shape[1]))
-            return Changes(((shapes, moved),), measure)
+            return Changes(((shapes, moved),), ("bpms",), measure)
         if isinstance(kind, SourceKind):
             patterns = kind.patterns(record.layout)
             drivers = kind.drivers(values, record, bench.currents, bench.orbit)
             if drivers.ndim == 2:
-                return Changes(((self._shapes(kind.id, lambda: patterns), drivers),), measure)
+                shapes = self._shapes(kind.id, lambda: patterns)
+                return Changes(((shapes, drivers),), (None,), measure)
             parts: list[tuple[Shapes, Matrix]] = []
-            for plane, driver in zip(("x", "y"), drivers, strict=True):
+            alike: list[Healthy | None] = []
+            for plane, driver in zip(_PLANES, drivers, strict=True):
                 rows = record.layout.bpms.in_plane(plane)
                 if len(rows):
                     own = np.zeros_like(patterns)
                     own[rows] = patterns[rows]
                     shapes = self._shapes(f"{kind.id} {plane}", lambda own=own: own)
                     parts.append((shapes, driver))
-            return Changes(tuple(parts), measure)
+                    alike.append(plane if kind.target == "quadrupole" else None)
+            return Changes(tuple(parts), tuple(alike), measure)
         raise TypeError(f"{kind.id} has no places to scan")
 
     def _shapes(self, name: str, patterns: Callable[[], Matrix]) -> Shapes:
@@ -137,27 +143,34 @@ class Scoring:
             )
         return self._known[name]
 
-    def _information(self, kind: EffectKind, changes: Changes) -> tuple[Vector, Vector]:
+    def _information(self, changes: Changes) -> tuple[Vector, Vector]:
         """Information on every place, and the share of it that the background takes away."""
         total: Vector = np.zeros(1)
-        sizes: list[Vector] = []
-        courses: list[Matrix] = []
-        for shapes, drivers in changes.parts:
+        taken: Vector = np.zeros(1)
+        for (shapes, drivers), name in zip(changes.parts, changes.alike, strict=True):
             sizes = [np.sum(shape**2, axis=0) for shape in shapes.rough]
             courses = self._rough.filtered(drivers, self._starts)
-            for size, course in zip(sizes, courses, strict=True):
-                total = total + size * np.einsum("kp,kp->p", course, course)
-        if not isinstance(kind, ActuatorKind | SensorKind):
-            return total, np.zeros_like(total)
-        actuator = isinstance(kind, ActuatorKind)
-        like = self._gain_courses["correctors" if actuator else "bpms"]
-        both, own = np.zeros_like(total), np.zeros_like(total)
-        for size, course, gain in zip(sizes, courses, like, strict=True):
-            both += size * np.einsum("kp,kp->p", course, gain)
-            own += size * np.einsum("kp,kp->p", gain, gain)
-        alike = both**2 / np.maximum(total * own, 1e-300)
-        absorbed = self._bench.background.absorbed("correctors" if actuator else "bpms")
-        return total, np.clip(alike, 0.0, 1.0) * absorbed
+            known = _products(sizes, courses, courses)
+            total = total + known
+            if name is not None:
+                like = self._healthy(name)
+                both, own = _products(sizes, courses, like), _products(sizes, like, like)
+                share = np.clip(both**2 / np.maximum(known * own, 1e-300), 0.0, 1.0)
+                taken = taken + known * share * self._bench.background.absorbed(name)
+        return total, taken / np.maximum(total, 1e-300)
+
+    def _healthy(self, name: Healthy) -> list[Matrix]:
+        """Courses of the small errors of all places, filtered as the rough ladder does."""
+        if name not in self._courses:
+            bench, layout = self._bench, self._bench.record.layout
+            if name == "correctors":
+                course = bench.currents
+            elif name == "bpms":
+                course = bench.orbit
+            else:
+                course = bench.currents @ layout.orbit_at("QUAD", name).T
+            self._courses[name] = self._rough.filtered(course, self._starts)
+        return self._courses[name]
 
     def whole(self, change: Matrix) -> tuple[Vector, Vector]:
         """Give score and information, shape (1,), of one change of all readings (N, n)."""
@@ -167,3 +180,14 @@ class Scoring:
     def seen(self, change: Matrix) -> float:
         """Tell the information on one change of all readings (N, n) [nats]."""
         return float(np.sum(self._bench.floor.whiten(change, self._starts) ** 2))
+
+
+def _products(
+    sizes: Sequence[Vector], courses: Sequence[Matrix], others: Sequence[Matrix]
+) -> Vector:
+    """Σ over levels of size · (course · other), place by place."""
+    pieces = [
+        size * np.einsum("kp,kp->p", course, other)
+        for size, course, other in zip(sizes, courses, others, strict=True)
+    ]
+    return np.sum(pieces, axis=0)

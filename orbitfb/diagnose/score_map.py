@@ -7,6 +7,7 @@ information J on it (`orbitfb.diagnose.scan`), on the record under the nominal m
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -17,7 +18,7 @@ from orbitfb.diagnose.answer_values import numbers
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.naming import column_names
-from orbitfb.diagnose.scan_shapes import Changes, Scoring
+from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.diagnose.search import Outcome
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
 from orbitfb.effects.kinds import EffectKind
@@ -81,7 +82,7 @@ def _gains(scoring: Scoring, bench: Bench, cause: Cause) -> Vector | None:
     changes = scoring.changes(cause.kind, cause.values)
     if cause.onset:
         parts = tuple((shapes, _since(cause, drivers)) for shapes, drivers in changes.parts)
-        changes = Changes(parts, changes.measure)
+        changes = replace(changes, parts=parts)
     score = changes.score
     information, absorbed = changes.information
     known = information * (1.0 - absorbed)

@@ -6,7 +6,7 @@ import numpy as np
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.randomness import latent_odds
+from orbitfb.diagnose.strike_scan import latent_odds
 from orbitfb.effects.random_kinds import LatentKind
 from orbitfb.effects.record import Record
 

@@ -16,12 +16,9 @@ from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.progress import Progress
-from orbitfb.diagnose.randomness import (
-    latent_candidates,
-    level_candidates,
-    noise_candidates,
-)
+from orbitfb.diagnose.randomness import level_candidates, noise_candidates
 from orbitfb.diagnose.scan import Scanner
+from orbitfb.diagnose.strike_scan import latent_candidates
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
@@ -37,6 +34,8 @@ _ABSURD = 1.2
 _ONSET_WORTH = 4.0
 """Rows before an onset must speak against the effect by this much [nats]."""
 
+_THROWN_OFF = 300.0
+"""Share of a cause's gain that lies in the floor alone, beyond which more is wrong than that."""
 _SAME = 0.02
 """Two fits leave the same when what they leave differs by less than this share of the gain."""
 
@@ -195,10 +194,21 @@ def _profiled(bench: Bench, entry: Entry) -> Entry:
     if entry.fit is None or entry.weight < 0.0:
         return entry
     floor = bench.floor_without(entry.fit.causes)
-    own = bench.with_floor(floor)
+    shrunk = 0.5 * np.sum(np.log(bench.floor.innovation_variance / floor.innovation_variance))
+    if len(bench.record) * shrunk > _THROWN_OFF:
+        own = bench.cleared_of(entry.fit.causes)
+    else:
+        own = bench.with_floor(floor)
     found = fit(own, entry.fit.causes)
-    gain = found.gain + own.full_log_likelihood - bench.full_log_likelihood
+    lost = own.full_log_likelihood - bench.full_log_likelihood  # by the other floor alone
+    gain = found.gain + lost
     weight = gain / found.inflation - found.occam - float(np.log(entry.candidate.choices))
     if weight <= entry.weight:
         return entry
-    return Entry(entry.candidate, replace(found, gain=gain), weight)
+    judged = replace(
+        found,
+        gain=gain,
+        held_out=found.held_out + lost,
+        held_out_by_row=found.held_out_by_row + lost / len(found.held_out_by_row),
+    )
+    return Entry(entry.candidate, judged, weight)

@@ -65,6 +65,13 @@ class InsertionDevice(SourceKind):
     splits = "record the gap, and move it to and fro while the feedback holds"
     collective = False
 
+    def unavailable(self, record: Record) -> str:
+        """Without a ring, or where the recorded gap stands still."""
+        gap = gap_of(record)
+        if gap is not None and np.ptp(gap) == 0.0:
+            return "the recorded gap does not move"
+        return super().unavailable(record)
+
     def fitted(self, record: Record) -> tuple[Parameter, ...]:
         """The period where there is a gap, the duration where there is none."""
         kick, period, duration = self.parameters
@@ -115,6 +122,6 @@ def gap_of(record: Record) -> Vector | None:
     gaps = [
         values
         for name, values in record.auxiliary.items()
-        if "gap" in name.lower() and np.all(np.isfinite(values)) and np.ptp(values) > 0
+        if "gap" in name.lower() and np.all(np.isfinite(values))
     ]
     return max(gaps, key=lambda values: float(np.ptp(values)), default=None)

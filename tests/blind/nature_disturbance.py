@@ -143,6 +143,7 @@ def telegraph(case: Conditions, rng: Rng) -> Draft:
         lambda s: {"kick": (s / 2, "rad"), "probability": (1 / stay, "1")},
         3e-8,
         1e-5,
+        law="random",  # nobody knows when it jumps
     )
 
 

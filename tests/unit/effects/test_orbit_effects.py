@@ -346,6 +346,15 @@ def test_a_recorded_gap_drives_the_kick(layout):
     assert_allclose(change, np.outer(share * 1e-6, kind.patterns(layout)[:, 2]), atol=1e-15)
 
 
+def test_a_gap_that_stands_still_kicks_nobody(layout):
+    kind = effect("insertion-device")
+    channels = {"gap": np.full(4, 7e-3)}
+    values = {"kick": 1e-6, "period": 0.04, "duration": 1.0}
+    setpoints = currents_of(layout, 4)
+    change = told(kind, layout, [2], values, setpoints, np.zeros((4, 180)), channels)
+    assert_array_equal(change, 0.0)
+
+
 def test_walks_have_the_variance_that_they_tell(layout):
     rows = 4000
     setpoints = np.zeros((rows, 180))

@@ -14,7 +14,7 @@ from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.problem import from_fitted, to_fitted
 from orbitfb.diagnose.random_values import likelihood_of, state
-from orbitfb.diagnose.randomness import latent_gain
+from orbitfb.diagnose.strike_scan import latent_gain
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.registry import all_effects
 

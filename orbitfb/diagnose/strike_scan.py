@@ -1,0 +1,165 @@
+"""Effects that strike single ticks at random: how likely each is to be in a record.
+
+A strike z d at one tick has the score λ·d and the information dᵀ W d, so its likelihood ratio is
+known tick by tick for a z that is one, or is normal.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.special import expit, logit
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.scan import groups_of
+from orbitfb.effects.kinds import Values
+from orbitfb.effects.random_kinds import LatentKind
+from orbitfb.physics.optics import Matrix
+
+_RARE = np.geomspace(0.0005, 0.5, 25)
+_LEAST_SPIKE = 4.0
+"""Spikes are larger than this many standard deviations; what is smaller is plain noise."""
+_MOST_SPIKES = 0.05
+_KEPT = 3
+
+
+def latent_gain(
+    bench: Bench, kind: LatentKind, values: Values, places: Sequence[int] = ()
+) -> Vector:
+    """Log-likelihood ratio of an effect that strikes at random, by row, shape (N,) [nats].
+
+    Args:
+        bench: The record under the causes so far.
+        kind: The effect.
+        values: All parameters.
+        places: BPMs that it strikes, if it strikes BPM by BPM; all when there are none.
+    """
+    score, info = strikes(bench, kind)
+    if kind.per_bpm and len(places):
+        score, info = score[:, list(places)], info[:, list(places)]
+    return _ratio(kind, score, info, [values[p.name] for p in kind.parameters])
+
+
+def latent_odds(bench: Bench, kind: LatentKind, values: Values) -> Matrix:
+    """Probability that a row (or a reading) was struck, shape (N, 1) or (N, n)."""
+    score, info = strikes(bench, kind)
+    first, last = values[kind.parameters[0].name], values[kind.parameters[-1].name]
+    if kind.strength == "always one":
+        ratio = score - 0.5 * info
+    else:
+        size = last**2
+        ratio = _normal(score, info, size)
+    return expit(ratio + logit(first))
+
+
+def latent_candidates(bench: Bench, kind: LatentKind) -> list[Candidate]:
+    """Find the best parameters, and the BPMs where it strikes BPM by BPM, best first."""
+    score, info = strikes(bench, kind)
+    if kind.per_bpm:
+        return _latent_places(bench, kind, score, info)
+    best: Candidate | None = None
+    for values in _latent_grid(kind, score, info):
+        gain = float(np.sum(_ratio(kind, score, info, list(values.values()))))
+        if gain > (0.0 if best is None else best.gain):
+            best = Candidate(Cause(kind, (), values), gain, 10.0)
+    return [] if best is None else [best]
+
+
+def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) -> list[Candidate]:
+    """Best parameters of every BPM, of every run of cells and of all."""
+    bpms = bench.record.layout.bpms
+    groups = list(groups_of(bpms.groups(), len(bpms), bpms.planes))
+    member = np.zeros((len(groups), len(bpms)))
+    for row, (_, columns) in enumerate(groups):
+        member[row, columns] = 1.0
+    found: dict[tuple[int, ...], Candidate] = {}
+    noisier = _noisier(score, info)
+    for values in _latent_grid(kind, score, info):
+        gain = _each_ratio(kind, score, info, list(values.values())).sum(axis=0) - noisier
+        together = member @ gain
+        tried: list[tuple[tuple[int, ...], float, int, str]] = [
+            ((int(i),), float(gain[i]), len(gain), "") for i in np.argsort(gain)[-_KEPT:]
+        ]
+        for index in np.argsort(together)[-_KEPT:]:
+            name, columns = groups[int(index)]
+            places = tuple(int(i) for i in columns)
+            tried.append((places, float(together[index]), len(groups), name))
+        for places, its, choices, name in tried:
+            if its > (found[places].gain if places in found else 0.0):
+                found[places] = Candidate(Cause(kind, places, values), its, 10.0 * choices, name)
+    return sorted(found.values(), key=lambda c: c.gain - np.log(c.choices), reverse=True)[:_KEPT]
+
+
+def _noisier(score: Matrix, info: Matrix) -> Vector:
+    """Gain of every BPM if its readings were noisier all the time: that is no rare strike, (n,)."""
+    sizes = _typical(info) * np.geomspace(0.02, 10.0, 24)
+    gains = [_normal(score, info, size**2).sum(axis=0) for size in sizes]
+    return np.maximum(np.max(gains, axis=0), 0.0)
+
+
+def strikes(bench: Bench, kind: LatentKind) -> tuple[Matrix, Matrix]:
+    """Score and information of a strike of strength one, (N, 1) or per BPM (N, n)."""
+    shapes = kind.shapes(bench.record, bench.currents, bench.orbit)
+    floor = bench.floor
+    # A change of one row is an innovation now and, less the gain, in the rows after.
+    echo = (1.0 + floor.gains / (2.0 - floor.gains)) / floor.innovation_variance
+    # A reading that was filled in speaks neither for nor against, nor does the step after it.
+    filled = bench.record.filled.copy()
+    filled[1:] |= bench.record.filled[:-1]
+    shapes = np.where(filled, 0.0, shapes)
+    score = bench.slope * shapes
+    if kind.per_bpm:
+        return score, shapes**2 * (floor.modes**2 @ echo)
+    info = (floor.to_modes(shapes) ** 2) @ echo
+    return score.sum(axis=1, keepdims=True), info[:, None]
+
+
+def _latent_grid(kind: LatentKind, score: Matrix, info: Matrix) -> Iterator[Values]:
+    first = kind.parameters[0]
+    if kind.strength == "always one":
+        for share in _RARE[(first.low <= _RARE) & (first.high >= _RARE)]:
+            yield {first.name: float(share)}
+        return
+    few = _RARE[_RARE <= _MOST_SPIKES]
+    typical = _typical(info)
+    sizes = typical * np.geomspace(0.02, 50.0, 30)
+    if kind.strength == "normal":
+        for size in sizes[(sizes >= first.low) & (sizes <= first.high)]:
+            yield {first.name: float(size)}
+        return
+    second = kind.parameters[1]
+    large = typical * np.geomspace(_LEAST_SPIKE, 100.0, 12)
+    for share in few[::2]:
+        for size in large:
+            if first.low <= share <= first.high and second.low <= size <= second.high:
+                yield {first.name: float(share), second.name: float(size)}
+
+
+def _typical(info: Matrix) -> float:
+    """Strength of a strike that is just seen."""
+    return (
+        float(np.sqrt(1.0 / np.maximum(np.median(info[info > 0]), 1e-300))) if info.any() else 1.0
+    )
+
+
+def _ratio(kind: LatentKind, score: Matrix, info: Matrix, numbers: list[float]) -> Vector:
+    return _each_ratio(kind, score, info, numbers).sum(axis=1)
+
+
+def _each_ratio(kind: LatentKind, score: Matrix, info: Matrix, numbers: list[float]) -> Matrix:
+    """Log-likelihood ratio of every row, and of every BPM where it strikes BPM by BPM."""
+    if kind.strength == "always one":
+        share = numbers[0]
+        return np.logaddexp(np.log1p(-share), np.log(share) + score - 0.5 * info)
+    size = numbers[-1] ** 2
+    struck = _normal(score, info, size)
+    if kind.strength == "normal":
+        return struck
+    return np.logaddexp(np.log1p(-numbers[0]), np.log(numbers[0]) + struck)
+
+
+def _normal(score: Matrix, info: Matrix, variance: float) -> Matrix:
+    """Log-likelihood ratio of strikes of normal strength, shape as `score`."""
+    return 0.5 * variance * score**2 / (1.0 + variance * info) - 0.5 * np.log1p(variance * info)
