@@ -120,6 +120,7 @@ def test_everything_is_there_after_a_restart_but_the_state(bench: Bench, tmp_pat
         np.testing.assert_array_equal(one, other, name)
     assert again.adjuster.shown() == bench.adjuster.shown()
     assert again.dither.orbit_cost == 2e-6
+    assert not cast(Any, again.slot.acting).movable[2]
     saved = json.loads((tmp_path / FILE).read_text())
     assert saved["disabled_bpms"] == [f"{CHANNELS.bpms[0]}:x", f"{CHANNELS.bpms[-1]}:y"]
     assert "CLOSED" not in (tmp_path / FILE).read_text() and "state" not in saved

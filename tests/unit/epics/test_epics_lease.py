@@ -63,9 +63,11 @@ def test_a_free_lease_is_taken_at_once(texts: Texts):
 def test_a_live_lease_is_refused_and_left_alone(texts: Texts):
     texts.texts[0] = "ws7:12:ab:5"
     texts.at(0.9, "ws7:12:ab:6")
+    begin = texts.clock.monotonic()
     with pytest.raises(OwnershipError, match=r"under the control of ws7:12:ab \(host:process"):
         texts.lease().take()
     assert texts.written == []
+    assert texts.clock.monotonic() - begin < 1.2  # as soon as it is known
 
 
 def test_a_stale_lease_is_taken_over_after_its_time_and_not_before(texts: Texts):
