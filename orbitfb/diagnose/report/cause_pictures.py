@@ -33,6 +33,8 @@ from orbitfb.diagnose.report.draw import (
 )
 
 _MOST = 30
+_LINEAR = 10.0
+"""Gain beyond which the axis of the tournament is logarithmic [nats]."""
 
 
 def tournament(its: Tournament) -> str:
@@ -49,11 +51,14 @@ def tournament(its: Tournament) -> str:
         axes.errorbar(gains, places, xerr=bars, fmt="none", ecolor=BLACK, elinewidth=0.8)
         axes.set_yticks(places, [_label(row) for row in rows], fontsize=8)
         axes.set_ylim(len(rows) - 0.4, -0.6)
-        axes.set_xscale("symlog", linthresh=10.0)
+        wide = float(np.nanmax(np.abs(gains))) > _LINEAR
+        if wide:
+            axes.set_xscale("symlog", linthresh=_LINEAR)
         axes.axvline(0.0, color=BLACK, lw=0.6)
         _lines(axes, its)
         _brackets(axes, rows)
-        axes.set_xlabel("gain on held-out ticks [nats]; linear below 10, logarithmic above")
+        scale = f"; linear below {_LINEAR:g}, logarithmic above" if wide else ""
+        axes.set_xlabel(f"gain on held-out ticks [nats]{scale}")
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
 

@@ -1,8 +1,10 @@
 """Sections of the page that show why: gap, tournament, places, predictions, limits, audit."""
 
+from collections.abc import Sequence
+
 from orbitfb.diagnose.answer import Diagnosis
 from orbitfb.diagnose.answer_blocks import Audit, ClosedLoop, KStep
-from orbitfb.diagnose.answer_parts import Shrink
+from orbitfb.diagnose.answer_parts import Gap, Shrink
 from orbitfb.diagnose.report import cause_pictures, gap_pictures, loop_pictures, map_pictures
 from orbitfb.diagnose.report.draw import known
 from orbitfb.diagnose.report.html import (
@@ -35,6 +37,30 @@ def gap(its: Diagnosis) -> str:
             f"would cost, in nats per tick.{source}",
             "note",
         ),
+        *_parts(its, onsets),
+        gap_pictures.lags(its.lag_profile)
+        if its.lag_profile and known(its.lag_profile.slope)
+        else missing("By lag"),
+        *[
+            map_pictures.heat(one) if any(known(row) for row in one.values) else missing(one.title)
+            for one in its.maps
+            if any(any(row) for row in one.values) or not _nothing(its_gap)
+        ],
+    )
+
+
+def _nothing(its: Gap) -> bool:
+    """Whether every part of the gap is zero: the nominal model is the best explanation."""
+    return its.nats_per_tick == 0.0 and not any(its.by_bpm.values())
+
+
+def _parts(its: Diagnosis, onsets: Sequence[float]) -> list[str]:
+    its_gap = its.gap
+    if its_gap is None:
+        return []
+    if _nothing(its_gap):
+        return [missing("The parts of the gap", "nothing explains the record better than noise")]
+    return [
         gap_pictures.stages(its_gap.by_stage)
         if known(tuple(its_gap.by_stage.values()))
         else missing("By stage"),
@@ -49,14 +75,7 @@ def gap(its: Diagnosis) -> str:
         gap_pictures.bins(its_gap.by_bin)
         if its_gap.by_bin
         else missing("By amplitude, direction and reversal"),
-        gap_pictures.lags(its.lag_profile)
-        if its.lag_profile and known(its.lag_profile.slope)
-        else missing("By lag"),
-        *[
-            map_pictures.heat(one) if any(known(row) for row in one.values) else missing(one.title)
-            for one in its.maps
-        ],
-    )
+    ]
 
 
 def tournament(its: Diagnosis) -> str:
