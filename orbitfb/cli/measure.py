@@ -115,11 +115,20 @@ def measure_response_command(
         measure__amplitude=amplitude,
     )
     say = partial(print, file=sys.stderr if as_json else sys.stdout, flush=True)
-    confirm = typer.confirm if sys.stdin.isatty() else None
-    with StopRequests() as stop:
+    stop = StopRequests()
+
+    def confirm(question: str) -> bool:
+        stop.at_once = True
+        try:
+            return typer.confirm(question)
+        finally:
+            stop.at_once = False
+
+    asker = confirm if sys.stdin.isatty() else None
+    with stop:
         try:
             request = MeasureRequest(ioc, out, fresh, restore, activate, live)
-            answer = measure_response(settings, request, stop, say, confirm)
+            answer = measure_response(settings, request, stop, say, asker)
         except StoppedError as stopped:
             print(
                 f"orbitfb: {stopped}; the setpoints are back; start it again to go on",

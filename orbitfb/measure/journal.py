@@ -88,8 +88,18 @@ class Journal:
         self._write(self._moved, content.model_dump_json(indent=1).encode())
 
     def clear(self) -> None:
-        """Say that all correctors are back."""
-        self._moved.unlink(missing_ok=True)
+        """Say that all correctors are back.
+
+        Raises:
+            MeasurementError: The file cannot be removed; the next start finds nothing astray.
+        """
+        try:
+            self._moved.unlink(missing_ok=True)
+        except OSError as error:
+            raise MeasurementError(
+                f"{self._moved} cannot be removed ({error.strerror}); mend that directory. The "
+                "setpoints are where they were"
+            ) from error
 
     def moved(self) -> Moved | None:
         """Tell what was moved and not put back; None: nothing.

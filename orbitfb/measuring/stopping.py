@@ -12,10 +12,13 @@ class StopRequests:
 
     Attributes:
         number: Of the first signal; 0: none came.
+        at_once: A signal ends the program there and then: somebody is asked a question, and
+            nothing has been moved.
     """
 
     def __init__(self) -> None:
         self.number = 0
+        self.at_once = False
 
     def asked(self) -> bool:
         """Say whether one came."""
@@ -23,6 +26,8 @@ class StopRequests:
 
     def _handle(self, number: int, _frame: object) -> None:
         self.number = self.number or number
+        if self.at_once:
+            raise SystemExit(128 + number)
 
     def __enter__(self) -> Self:
         """Take the signals."""
