@@ -3,7 +3,7 @@
 import contextvars
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from caproto import (
     AccessRights,
@@ -33,20 +33,20 @@ class Origin:
     address: str
 
 
-class Desk:
+class Desk(Protocol):
     """What the channels need of whoever answers for them."""
 
     def may_write(self, pv: PanelPv, origin: Origin) -> bool:
         """Say whether somebody may write a PV."""
-        raise NotImplementedError
+        ...
 
     async def obey(self, pv: PanelPv, value: Any, origin: Origin) -> None:
         """Do what was written; raise what refuses it."""
-        raise NotImplementedError
+        ...
 
     def refused(self, pv: PanelPv, value: Any, origin: Origin, reason: str) -> None:
         """Take note of a write that was refused before anybody was asked."""
-        raise NotImplementedError
+        ...
 
 
 _writer: contextvars.ContextVar[Origin | None] = contextvars.ContextVar("writer", default=None)

@@ -12,7 +12,7 @@ from caproto.asyncio.server import VirtualCircuit
 from orbitfb.control import ask
 from orbitfb.core.errors import ControlError, OrbitFeedbackError
 from orbitfb.panel.access import read_access
-from orbitfb.panel.channels import Desk, Origin, channel_of, show
+from orbitfb.panel.channels import Origin, channel_of, show
 from orbitfb.panel.job import PanelJob
 from orbitfb.panel.pv import PanelPv, request_of
 from orbitfb.panel.pv_table import panel_pvs, writable_names
@@ -47,7 +47,7 @@ class PanelContext(ClaimedContext):
     CircuitClass = PanelCircuit
 
 
-class Panel(Desk):
+class Panel:
     """Serves the PVs of one service.
 
     Args:
