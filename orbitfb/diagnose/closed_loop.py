@@ -88,7 +88,7 @@ def closed_loop(
             measured_high=measured.high,
             frequency_hz=numbers(frequency),
             psd_measured=numbers(spectrum),
-            note=f"not predicted: a linear law explains {follows:.0%} of the requested changes",
+            note=f"not predicted: {_why_no_law(follows)}",
         )
     acting = tuple(bench.causes if causes is None else causes)
     nominal = _predict(bench, record, law, (), seed)
@@ -116,6 +116,12 @@ def closed_loop(
         psd_with=() if mended is None else numbers(mended.spectrum),
         note=_note(nominal, reason),
     )
+
+
+def _why_no_law(follows: float) -> str:
+    if np.isnan(follows):
+        return "too few ticks to tell the law of the loop"
+    return f"a linear law explains {follows:.0%} of the requested changes"
 
 
 def _note(nominal: _Prediction | None, reason: str) -> str:

@@ -21,7 +21,8 @@ def linear_law(record: Record, other: Record | None = None) -> tuple[Matrix | No
 
     Returns:
         K, shape (m, n) [A/m], None when changes do not follow such a law; and the share of
-        their variance that it explains, on ticks that it was not fitted to.
+        their variance that it explains, on ticks that it was not fitted to; NaN when there are
+        too few ticks to tell.
     """
     known, change, error = _law_of(record)
     fitted = known & ((np.arange(len(record)) // 10) % 2 == 0)
@@ -30,12 +31,12 @@ def linear_law(record: Record, other: Record | None = None) -> tuple[Matrix | No
         follows = _share(_ridge(error[fitted], change[fitted]), error[judged], change[judged])
         law = _ridge(error[known], change[known])
     elif other is not None and other is not record:
-        found, _ = linear_law(other)
+        found, its_share = linear_law(other)
         if found is None:
-            return None, 0.0
+            return None, its_share
         law, follows = found, _share(found, error[known], change[known])
     else:
-        return None, 0.0
+        return None, np.nan
     return (law if follows >= _FOLLOWS else None), max(follows, 0.0)
 
 

@@ -84,3 +84,9 @@ def test_noise_cannot_be_parted_from_the_floor():
     assert found.with_um is None
     assert "noise-level" in found.note
     assert found.without_um is not None
+
+
+def test_too_few_ticks_are_said_to_be_too_few(slow):
+    found = closed_loop(Bench(slow.record.rows(0, 120)))
+    assert found.without_um is None
+    assert "too few ticks" in found.note
