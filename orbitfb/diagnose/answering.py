@@ -12,6 +12,7 @@ from orbitfb.diagnose.blocks import Draws, Interval, interval
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit
 from orbitfb.diagnose.naming import devices_and_planes
+from orbitfb.diagnose.nearby import Nearby, nearby
 from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.search import Outcome, Round
 from orbitfb.diagnose.tournament import Entry
@@ -47,6 +48,9 @@ def _named(outcome: Outcome, one: Round, entry: Entry, worths: Worths) -> NamedC
         for other in one.places_within()
         for name in place_names(layout, kind, other.cause.places)
     }
+    around = nearby(one.bench, entry)
+    for place in () if around is None else around.places:
+        within.update(place_names(layout, kind, (place,)))
     own = place_names(layout, kind, cause.places)
     devices, planes = devices_and_planes(own)
     return NamedCause(
@@ -54,7 +58,7 @@ def _named(outcome: Outcome, one: Round, entry: Entry, worths: Worths) -> NamedC
         stage=kind.stage,
         places=devices,
         planes=layout.planes[0] if len(layout.planes) == 1 else planes,
-        parameters=_parameters(cause, fitted, one.bench),
+        parameters=_wherever(_parameters(cause, fitted, one.bench), around),
         probability=sum(chances.get(name, 0.0) for name in (kind.id, *rivals)),
         onset_s=float(one.bench.record.time[cause.onset]) if cause.onset else None,
         alternatives=tuple(rivals),
@@ -100,6 +104,19 @@ def _parameters(cause: Cause, fitted: Fit | None, bench: Bench) -> dict[str, Par
             unstable=fitted.unstable[index],
         )
     return values
+
+
+def _wherever(
+    values: dict[str, ParameterValue], around: Nearby | None
+) -> dict[str, ParameterValue]:
+    """Widen the intervals of values to those of all places that the record leaves open."""
+    wide = dict(values)
+    for name, (low, high) in ({} if around is None else around.intervals).items():
+        its = values.get(name)
+        if its is not None and its.low is not None and its.high is not None:
+            ends = {"low": min(low, its.low), "high": max(high, its.high)}
+            wide[name] = its.model_copy(update=ends)
+    return wide
 
 
 def _random(cause: Cause, bench: Bench) -> dict[str, ParameterValue]:

@@ -39,6 +39,8 @@ _SEEN = 100.0
 _SHRINKS = 5
 _WIDTH = 1.645
 """Standard deviations of a 90 % interval."""
+_IDEAL = 0.02
+"""Share of an effect's size by which nature departs from the law that the library has for it."""
 _WHOLE = 500.0
 """Reach in a logarithm beyond which an interval covers all bounds."""
 
@@ -88,7 +90,9 @@ class Fit:
         if told is not None:
             return told
         centre = to_fitted(parameter, self.causes[owner].values[parameter.name])
-        reach = _WIDTH * float(np.sqrt(max(self.covariance[index, index], 0.0)))
+        size = 1.0 if parameter.log else abs(centre - parameter.nominal)
+        variance = max(self.covariance[index, index], 0.0) + (_IDEAL * size) ** 2
+        reach = _WIDTH * float(np.sqrt(variance))
         reach = min(reach, _WHOLE) if parameter.log else reach
         low, high = (from_fitted(parameter, centre + sign * reach) for sign in (-1.0, 1.0))
         return max(low, parameter.low), min(high, parameter.high)

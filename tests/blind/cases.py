@@ -106,6 +106,20 @@ def other_ring(folder: Path, seed: int) -> Ring:
 
 def make(spec: Spec, folder: Path, suite_seed: int) -> Case:
     """Draw a case and bring its effects to their detectability."""
+    case, chosen, log = choose(spec, folder, suite_seed)
+    split = min(spec.ticks, len(log.readings) - 1)
+    later = None
+    if len(log.readings) - 1 - split >= 100:
+        later = arrays(case, log, split, len(log.readings) - 1)
+    return Case(arrays(case, log, 0, split), later, _truth(case, spec, chosen, split))
+
+
+def choose(spec: Spec, folder: Path, suite_seed: int) -> tuple[Conditions, list[Chosen], Log]:
+    """Draw circumstances and effects of their sizes; the same of the same seeds.
+
+    Returns:
+        Circumstances, effects, and the run of all of them.
+    """
     ring = first_ring() if spec.ring == "first" else other_ring(folder, suite_seed)
     rng = np.random.default_rng([spec.seed, 1])
     case = draw(
@@ -121,11 +135,7 @@ def make(spec: Spec, folder: Path, suite_seed: int) -> Case:
         log = run(
             case, [(start, draft.build(size)) for start, _, draft, size, _ in chosen], spec.seed
         )
-    split = min(spec.ticks, len(log.readings) - 1)
-    later = None
-    if len(log.readings) - 1 - split >= 100:
-        later = _arrays(case, log, split, len(log.readings) - 1)
-    return Case(_arrays(case, log, 0, split), later, _truth(case, spec, chosen, split))
+    return case, chosen, log
 
 
 def _draw(
@@ -201,8 +211,8 @@ def _first(item: tuple[float, float, float, Log]) -> float:
     return item[0]
 
 
-def _arrays(case: Conditions, log: Log, start: int, stop: int) -> dict[str, NDArray[Any]]:
-    """Arrays of a record of transitions start … stop, in the units of records from elsewhere."""
+def arrays(case: Conditions, log: Log, start: int, stop: int) -> dict[str, NDArray[Any]]:
+    """Give arrays of transitions start … stop, in the units of records from elsewhere."""
     rows, after = slice(start, stop), slice(start + 1, stop + 1)
     dither = np.diff(case.dither, axis=0, append=case.dither[-1:])[case.warm :]
     meta = {
@@ -243,7 +253,7 @@ def _truth(
                 "stage": maker.stage,
                 "known": maker.known,
                 "places": draft.places,
-                "parameters": _figures(draft.figures(size)),
+                "parameters": figures(draft.figures(size)),
                 "onset_s": None if start <= case.warm else (start - case.warm) * case.period,
                 "d_prime": seen,
                 "oracle_nats": seen**2 / 2,
@@ -267,5 +277,6 @@ def _truth(
     }
 
 
-def _figures(values: Mapping[str, tuple[float, str]]) -> dict[str, dict[str, Any]]:
+def figures(values: Mapping[str, tuple[float, str]]) -> dict[str, dict[str, Any]]:
+    """Write parameters as the truth has them."""
     return {name: {"value": float(v), "unit": unit} for name, (v, unit) in values.items()}

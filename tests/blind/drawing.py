@@ -56,7 +56,7 @@ def draw(
     case.dither = _excursions(case, rng)
     standing = np.exp(rng.uniform(np.log(30e-6), np.log(250e-6)))
     for plane in case.all_planes:
-        case.quad_kicks[plane] = _ground(case, plane, standing, rng)
+        case.quad_kicks[plane] = wander(case, plane, standing, rng)
     case.current = _top_up(case, rng)
     case.gap = _gap(case, rng)
     return case
@@ -100,7 +100,7 @@ def _excursions(case: Conditions, rng: np.random.Generator) -> Array:
     )
 
 
-def _ground(case: Conditions, plane: Plane, standing: float, rng: np.random.Generator) -> Array:
+def wander(case: Conditions, plane: Plane, standing: float, rng: np.random.Generator) -> Array:
     """Kicks of quadrupoles that stand beside their axes and wander."""
     lattice, rows = case.lattice, case.rows
     quads = lattice.quads

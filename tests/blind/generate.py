@@ -33,9 +33,9 @@ def write_case(spec: Spec, name: str, out: Path, truth: Path, suite_seed: int) -
     if truth_file.exists() and (out / "records" / f"{name}.npz").exists():
         return name
     case = make(spec, out, suite_seed)
-    _save(out / "records" / f"{name}.npz", case.record)
+    save(out / "records" / f"{name}.npz", case.record)
     if case.later is not None:
-        _save(out / "later" / f"{name}.npz", case.later)
+        save(out / "later" / f"{name}.npz", case.later)
     for folder in ("records", "later"):
         file = out / folder / f"{name}.npz"
         if file.exists():
@@ -45,7 +45,8 @@ def write_case(spec: Spec, name: str, out: Path, truth: Path, suite_seed: int) -
     return name
 
 
-def _save(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
+def save(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Write a record."""
     np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 

@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 from tests.blind.figures import DETECTABLE
-from tests.blind.score import read_truth
+from tests.blind.truth import read_truth
 
 
 def main() -> None:

@@ -8,9 +8,7 @@ cases are given by `--baseline NAME=DIR`, those of a library without the true ef
 """
 
 import argparse
-import hashlib
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,22 +19,7 @@ import numpy as np
 from orbitfb.physics.places import Ring
 from tests.blind.figures import Figure, calibration, confusion, figures, left_out
 from tests.blind.judging import Judged, Order, judge
-
-
-def read_truth(folder: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Read all truth files; what is not as it was hashed is refused.
-
-    Raises:
-        SystemExit: A file is missing or was changed since.
-    """
-    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-    truths = []
-    for name, digest in manifest["files"].items():
-        content = (folder / name).read_bytes()
-        if hashlib.sha256(content).hexdigest() != digest:
-            sys.exit(f"{folder / name}: not the truth that was hashed")
-        truths.append(json.loads(content))
-    return truths, manifest
+from tests.blind.truth import read_truth
 
 
 def _all(truths: Sequence[dict[str, Any]], folder: Path, orders: dict[str, Order]) -> list[Judged]:
