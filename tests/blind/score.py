@@ -4,7 +4,8 @@
 
 `--answers` holds a folder per case with `diagnosis.json`. Further sets of answers to the same
 cases are given by `--baseline NAME=DIR`, those of a library without the true effect by
-`--without DIR`. Writes FILE (JSON) and beside it FILE.md.
+`--without DIR`, what became of recommended experiments by `--experiments DIR`. Writes FILE (JSON)
+and beside it FILE.md.
 """
 
 import argparse
@@ -19,6 +20,7 @@ import numpy as np
 from orbitfb.physics.places import Ring
 from tests.blind.figures import Figure, calibration, confusion, figures, left_out
 from tests.blind.judging import Judged, Order, judge
+from tests.blind.resolving import Tried, experiments_table, read_tried, resolving
 from tests.blind.truth import read_truth
 
 
@@ -80,6 +82,7 @@ def main() -> None:
     parser.add_argument("--truth", type=Path, required=True)
     parser.add_argument("--answers", type=Path, required=True)
     parser.add_argument("--without", type=Path, help="answers of a library without the effect")
+    parser.add_argument("--experiments", type=Path, help="plans/, truth/ and answers/ of those")
     parser.add_argument("--baseline", action="append", default=[], help="NAME=DIR, repeatable")
     parser.add_argument("--rings", type=Path, help="folder with second-ring.csv and .json")
     parser.add_argument("--out", type=Path, required=True)
@@ -95,10 +98,15 @@ def main() -> None:
     for text in options.baseline:
         name, _, folder = text.partition("=")
         columns[name] = figures(_all(truths, Path(folder), orders))
-    extra = []
+    missed: list[Figure] = []
+    extra: list[Figure] = []
     if options.without is not None:
         asked = [t for t in truths if (options.without / t["case"]).is_dir()]
-        extra = left_out(_all(asked, options.without, orders))
+        missed = left_out(_all(asked, options.without, orders))
+    tried: list[Tried] = []
+    if options.experiments is not None:
+        tried = read_tried(options.experiments, truths, orders)
+        extra += resolving(tried)
     _, reliability = calibration(judged)
     table = confusion(judged)
     document = {
@@ -106,14 +114,18 @@ def main() -> None:
         "seed": manifest["seed"],
         "truth_sha256": manifest["sha256"],
         "figures": {name: [_numbers(f) for f in rows] for name, rows in columns.items()},
-        "left_out": [_numbers(f) for f in extra],
+        "left_out": [_numbers(f) for f in missed],
+        "resolving": [_numbers(f) for f in extra],
+        "experiments": [one.line() for one in tried],
         "reliability": reliability,
         "confusion": {kind: dict(called) for kind, called in table.items()},
         "cases": [_line(one) for one in judged],
     }
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(document, indent=1), encoding="utf-8")
-    text = markdown(columns, extra, table, reliability, manifest)
+    text = markdown(columns, [*missed, *extra], table, reliability, manifest) + experiments_table(
+        tried
+    )
     options.out.with_suffix(".md").write_text(text, encoding="utf-8")
     print(text)
 

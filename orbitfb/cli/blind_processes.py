@@ -1,0 +1,190 @@
+"""The processes of the check on sealed cases: one per diagnosis, and modules of the checkout."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+LONGEST = 600.0
+"""Time after which a diagnosis counts as without an answer [s]."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One record to diagnose.
+
+    Args:
+        record: Its file.
+        later: The later record, if there is one.
+        out: Directory of the answer.
+        rings: Options that name a ring of its own.
+        without: Effect that the library is to lack; empty: none.
+    """
+
+    record: Path
+    later: Path | None
+    out: Path
+    rings: tuple[str, ...]
+    without: str
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended.
+
+    Args:
+        code: Its exit code; −1: it took too long.
+        seconds: That it took.
+        stdout: What it told.
+        stderr: Its last words.
+    """
+
+    code: int
+    seconds: float
+    stdout: str
+    stderr: str
+
+    def keep(self, file: Path, **more: Any) -> None:
+        """Write this, and what else is to be known, as JSON."""
+        told = {"exit": self.code, "seconds": self.seconds, "stderr": self.stderr, **more}
+        file.write_text(json.dumps(told, indent=1), encoding="utf-8")
+
+
+def source_checkout() -> Path:
+    """Find the checkout that this package runs from; the generator is not part of the package.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    import orbitfb
+    from orbitfb.core.errors import ConfigError
+
+    root = Path(orbitfb.__file__).resolve().parents[1]
+    if not (root / "tests" / "blind" / "generate.py").is_file():
+        raise ConfigError(
+            "the generator of sealed cases is not part of the installed package; run this from a "
+            "checkout of the source (tests/blind), installed with `pip install --editable`"
+        )
+    return root
+
+
+def tasks(data: Path, answers: Path, without: dict[str, str] | None = None) -> Iterator[Task]:
+    """List the records that still lack an answer.
+
+    Args:
+        data: With `records/`, and `later/` where there is more.
+        answers: A directory for each record.
+        without: Effect that the library is to lack, by record; only these records then.
+    """
+    for record in sorted((data / "records").glob("*.npz")):
+        name = record.stem
+        target = answers / name
+        if (without is not None and name not in without) or answered(target / "run.json"):
+            continue
+        later = data / "later" / record.name
+        yield Task(
+            record=record,
+            later=later if later.exists() else None,
+            out=target,
+            rings=rings_of(record, data),
+            without="" if without is None else without[name],
+        )
+
+
+def answered(told: Path) -> bool:
+    """Tell whether a command has ended well already; one that failed is tried again."""
+    return told.exists() and json.loads(told.read_text(encoding="utf-8"))["exit"] in (0, 3)
+
+
+def rings_of(record: Path, data: Path) -> tuple[str, ...]:
+    """Give the options that name the ring of a record, if it is not the usual one."""
+    import numpy as np
+
+    places = data / "second-ring.csv"
+    if not places.exists():
+        return ()
+    with np.load(record, allow_pickle=False) as arrays:
+        name = str(arrays["bpm_names"][0])
+    if f"\n{name}," not in places.read_text(encoding="utf-8"):
+        return ()
+    return ("--places", str(places), "--ring", str(places.with_suffix(".json")))
+
+
+def diagnose_all(todo: Sequence[Task], jobs: int, what: str) -> None:
+    """Diagnose records, some at the same time."""
+    each(_diagnose, todo, jobs, what)
+
+
+def each(work: Callable[[T], None], todo: Sequence[T], jobs: int, what: str) -> None:
+    """Do some things at the same time, and count them on the screen."""
+    with ThreadPoolExecutor(jobs) as pool:
+        for count, _ in enumerate(pool.map(work, todo), 1):
+            print(f"\r{count} of {len(todo)} {what}", end="", file=sys.stderr, flush=True)
+    if todo:
+        print(file=sys.stderr)
+
+
+def command(*arguments: str) -> Ended:
+    """Run `orbitfb` in a process of its own, on one core."""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    start = time.monotonic()
+    try:
+        ended = subprocess.run(
+            [sys.executable, "-m", "orbitfb", *arguments],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=LONGEST,
+            check=False,
+        )
+        code, told, said = ended.returncode, ended.stdout, ended.stderr[-4000:]
+    except subprocess.TimeoutExpired:
+        code, told, said = -1, "", f"no answer within {LONGEST:g} s"
+    return Ended(code, round(time.monotonic() - start, 3), told, said)
+
+
+def _diagnose(task: Task) -> None:
+    """Run one diagnosis; how it ended is kept beside its answer."""
+    task.out.mkdir(parents=True, exist_ok=True)
+    arguments = ["diagnose", "record", str(task.record), "--out", str(task.out), "--json"]
+    arguments += task.rings
+    if task.later is not None:
+        arguments += ["--holdout", str(task.later)]
+    if task.without:
+        arguments += ["--without", task.without]
+    command(*arguments).keep(task.out / "run.json")
+
+
+def module(source: Path, name: str, *arguments: str, quiet: bool = False) -> str:
+    """Run a module of the checkout as a process of its own; give what it prints.
+
+    Raises:
+        ConfigError: It failed; its last words are in the message.
+    """
+    from orbitfb.core.errors import ConfigError
+
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    environment["PYTHONPATH"] = os.pathsep.join(
+        [str(source), *filter(None, [os.environ.get("PYTHONPATH")])]
+    )
+    ended = subprocess.run(
+        [sys.executable, "-m", name, *arguments],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=None,
+        text=True,
+        check=False,
+    )
+    if ended.returncode:
+        raise ConfigError(f"python -m {name} ended with {ended.returncode}: see its words above")
+    if not quiet:
+        print(ended.stdout, end="")
+    return ended.stdout
