@@ -132,13 +132,13 @@ def each(work: Callable[[T], None], todo: Sequence[T], jobs: int, what: str) -> 
         print(file=sys.stderr)
 
 
-def command(*arguments: str) -> Ended:
-    """Run `orbitfb` in a process of its own, on one core."""
+def command(*arguments: str, module: str = "orbitfb") -> Ended:
+    """Run `orbitfb`, or another module, in a process of its own, on one core."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     start = time.monotonic()
     try:
         ended = subprocess.run(
-            [sys.executable, "-m", "orbitfb", *arguments],
+            [sys.executable, "-m", module, *arguments],
             env=environment,
             capture_output=True,
             text=True,

@@ -138,8 +138,8 @@ def experiments_table(tried: Sequence[Tried]) -> str:
         "",
         "The same machine once more, with the planned excitation and new noise; the new record "
         "alone is diagnosed. Resolved: `named` or `named_plus_remainder`, and the very effect, "
-        "none of its class. A plan that failed did not resolve; what the generator could not do is left "
-        "out. Answers that recommend something else than an excitation are not tried: "
+        "none of its class. A plan that failed did not resolve; what the generator could not do "
+        "is left out. Answers that recommend something else than an excitation are not tried: "
         f"{kinds}. Cut short by the length of the case or an interlock: {short}.",
         "",
         "| true | to be told apart | experiment | ticks | answer | resolved |",

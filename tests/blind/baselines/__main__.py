@@ -7,7 +7,6 @@ Prints the names of the methods that answered; what was left out, and why, goes 
 
 import argparse
 import json
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from orbitfb.cli.blind_processes import answered, command, each, rings_of
 from orbitfb.physics.places import Ring
 from tests.blind.baselines import forest, loco
 from tests.blind.baselines.residual import Naive, read
@@ -37,23 +37,17 @@ def write(record: Path, second: Path, target: Path, method: Method) -> None:
     (folder / "run.json").write_text(json.dumps({"exit": 0, "seconds": seconds}), encoding="utf-8")
 
 
-def naive_tournament(records: list[Path], second: Path, target: Path) -> bool:
-    """Ask the diagnosis itself, with the naive residual, if it can be told to use it."""
-    command = [sys.executable, "-m", "orbitfb", "diagnose", "record"]
-    told = subprocess.run([*command, "--help"], capture_output=True, text=True, check=False)
-    if "--residual" not in told.stdout:
-        return False
-    for record in records:
-        folder = target / record.stem
-        if (folder / "run.json").exists():
-            continue
-        folder.mkdir(parents=True, exist_ok=True)
-        start = time.monotonic()
-        options = ["--out", str(folder), "--json", "--residual", "naive"]
-        ended = subprocess.run([*command, str(record), *options], capture_output=True, check=False)
-        run = {"exit": ended.returncode, "seconds": time.monotonic() - start}
-        (folder / "run.json").write_text(json.dumps(run), encoding="utf-8")
-    return True
+def naive(data: Path, target: Path, record: Path) -> None:
+    """Ask the diagnosis itself, on the naive residual; it is a process of its own."""
+    folder = target / record.stem
+    if answered(folder / "run.json"):
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    arguments = [str(record), "--out", str(folder), *rings_of(record, data)]
+    later = data / "later" / record.name
+    if later.exists():
+        arguments += ["--holdout", str(later)]
+    command(*arguments, module="tests.blind.baselines.naive").keep(folder / "run.json")
 
 
 def main() -> None:
@@ -75,10 +69,13 @@ def main() -> None:
         for record in records:
             write(record, second, options.out / "forest", partial(forest.answer, forest=trees))
         done.append("forest")
-    if naive_tournament(records, second, options.out / "naive"):
-        done.append("naive")
-    else:
-        print("left out: naive (the diagnosis has no --residual)", file=sys.stderr)
+    each(
+        partial(naive, options.data, options.out / "naive-residual"),
+        records,
+        options.jobs,
+        "answered by the naive residual",
+    )
+    done.append("naive-residual")
     print(" ".join(done))
 
 
