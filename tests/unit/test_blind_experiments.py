@@ -64,6 +64,7 @@ def sealed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ticks=250,
         later=0,
         seed=5,
+        background=False,
     )
     write_case(spec, opaque(1, 0), data, truth, 1)
     seal(data, truth, "quick", 1)
