@@ -31,7 +31,7 @@ from orbitfb.loop.guarded import GuardedMachine
 from orbitfb.loop.masked import MaskedMachine
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.maintenance import baseline, open_store, sim_job, trainer
+from orbitfb.maintenance import baseline, open_store, safeguards, sim_job, trainer
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
 from orbitfb.observe.logs import configure_logs
@@ -154,6 +154,7 @@ class Service:
             start=start,
             subscribers=(self.history, archive, self.statistics, self.events, latest, *recorders),
             counting=counting,
+            safeguards=safeguards(nominal, config, movable),
         )
         self.watch = self._gap_watch(config, ring, stack)
         self.learner: LearnerThread | None = None

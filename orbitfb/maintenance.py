@@ -21,11 +21,13 @@ from orbitfb.learn.learner import Learner
 from orbitfb.learn.messages import TrainerJob, learner_of
 from orbitfb.learn.process import ProcessTrainer
 from orbitfb.learn.trainer import InlineTrainer, Trainer
+from orbitfb.loop.guard import Safeguards
 from orbitfb.measure.response_file import nominal_response
 from orbitfb.observe.plain import plain
 from orbitfb.physics.places import Ring
-from orbitfb.policies.masking import mask_of
+from orbitfb.policies.masking import mask_of, without
 from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.svd import SvdPolicy
 from orbitfb.sim.job import SimJob
 
 REFIT_TIMEOUT = 60.0
@@ -70,6 +72,18 @@ def baseline(
             )
 
     return first_policy(matrix, config.policy, movable(config, ring), progress)
+
+
+def safeguards(nominal: ResponsePolicy, config: AppConfig, mask: Mask) -> Safeguards:
+    """Give the loop the SVD baseline to fall back on, and the means to leave correctors out.
+
+    Args:
+        nominal: The policy on the nominal response.
+        config: The settings of the SVD policy.
+        mask: Correctors that may move, shape (m,).
+    """
+    svd = SvdPolicy(nominal.response, config.policy.svd)
+    return Safeguards(masked(svd, mask), without)
 
 
 def trainer(config: AppConfig, matrix: Vector, mask: Mask) -> Trainer:

@@ -10,19 +10,22 @@ from dataclasses import replace
 import numpy as np
 
 from orbitfb.core.errors import MachineError
-from orbitfb.core.ports import Clock, Machine
+from orbitfb.core.ports import Clock, Machine, Policy
 from orbitfb.core.signals import LoopState, Reading, Vector
 from orbitfb.loop import memory as remember
 from orbitfb.loop.adjustments import Adjustments, approach
+from orbitfb.loop.choice import choose
 from orbitfb.loop.dither import Dither
+from orbitfb.loop.guard import NONE, Guard, Safeguards
 from orbitfb.loop.intake import Intake, await_orbit
 from orbitfb.loop.memory import Rules
 from orbitfb.loop.pacing import Pace, miss, take
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.states import Event
-from orbitfb.loop.tick import Checked, check, decide, ramp_gain, supervise, too_long
+from orbitfb.loop.tick import Checked, check, ramp_gain, screened, supervise, too_long
 from orbitfb.loop.work import Work
-from orbitfb.safety.limits import Limited, limit
+from orbitfb.safety.limits import Limited
+from orbitfb.safety.prediction import Answers, predict
 from orbitfb.safety.verdict import Action, Verdict, name_some
 from orbitfb.safety.watch import Growth
 
@@ -37,6 +40,7 @@ class Engine:
         clock: The one on which the machine stamps.
         dither: Part of every change.
         start: OPEN, SHADOW or CLOSED.
+        safeguards: What there is to fall back on.
 
     Attributes:
         wanted: What operators want; any thread may put another value here.
@@ -50,16 +54,24 @@ class Engine:
         clock: Clock,
         dither: Dither,
         start: LoopState,
+        safeguards: Safeguards = NONE,
     ) -> None:
-        self._machine, self._slot, self._clock = machine, slot, clock
+        self._machine, self._clock = machine, clock
+        deadline = rules.loop.policy_deadline * rules.loop.period
+        self._guard = Guard(slot, safeguards, clock, deadline)
+        self._flaws = np.zeros(len(rules.channels.bpms), dtype=np.int8)
         self._rules, self._dither = rules, dither
         self._counting = rules.counting
         self.wanted: Adjustments = Adjustments.none(rules.reference, len(rules.channels.correctors))
         self._adjustments: Adjustments = self.wanted
-        self.policy = slot.acting
         self.memory = remember.first_memory(
-            start, len(rules.channels.correctors), self.policy.initial_state(), clock.monotonic()
+            start, rules, self.policy.initial_state(), clock.monotonic()
         )
+
+    @property
+    def policy(self) -> Policy:
+        """The policy that decides."""
+        return self._guard.policy
 
     def read(self, stop: threading.Event) -> Intake:
         """Wait for the orbit of this tick; a closed loop no longer than until it must hold."""
@@ -71,10 +83,8 @@ class Engine:
 
     def take_policy(self) -> None:
         """Take the policy in force, with its initial state if it is a new one."""
-        policy = self._slot.acting
-        if policy is not self.policy:
-            self.memory = replace(self.memory, policy_state=policy.initial_state())
-            self.policy = policy
+        if self._guard.take():
+            self.memory = replace(self.memory, policy_state=self.policy.initial_state())
 
     @property
     def reference(self) -> Vector:
@@ -97,8 +107,9 @@ class Engine:
             self.memory = replace(self.memory, growth=Growth())
         self._rules = rules
 
-    def enabled(self, reading: Reading) -> Reading:
-        """Let BPMs that operators have disabled be not valid."""
+    def believed(self, reading: Reading) -> Reading:
+        """Let BPMs be not valid that operators have disabled, or that cannot be believed."""
+        reading, self._flaws, self.memory = screened(reading, self.memory, self._rules)
         enabled = self._adjustments.enabled
         if enabled.all():
             return reading
@@ -115,6 +126,8 @@ class Engine:
         now, recloses = self._clock.monotonic(), self._rules.loop.reclose
         after = remember.move(self.memory, event, reason, now, recloses)
         if after.state is LoopState.CLOSED and before is not LoopState.CLOSED:
+            if before is not LoopState.HELD:
+                self._guard.forgive()
             after = replace(after, policy_state=self.policy.initial_state())
             self._dither.restart(before is LoopState.HELD)
         self.memory = after
@@ -145,23 +158,31 @@ class Engine:
         stamp, loop = reading.orbit.time, self._rules.loop
         missed, pace = take(stamp, reading.received, pace, loop.period)
         self.memory = replace(self.memory, pace=pace)
+        if missed:
+            self.memory = replace(self.memory, answers=Answers())
         trouble = ""
         closed = self.memory.state is LoopState.CLOSED
         unknown = bool(np.isnan(self.memory.setpoints).any())
         doubt = closing or unknown or self.memory.state is LoopState.HELD
         if doubt:
             trouble, _ = self._ask_setpoints()
-        checked = check(reading, self.memory, self._rules)
+        checked = self._ask_interlocks(reading)
         if checked.off.any() and not doubt:
             trouble, names = self._ask_setpoints()
             if trouble or names:
-                checked = check(reading, self.memory, self._rules)
+                checked = self._ask_interlocks(reading)
             if closed and names:
                 trouble = f"setpoints were moved by somebody else: {names}"
         if trouble and checked.verdict.action < Action.HOLD:
             checked = replace(checked, verdict=Verdict(Action.HOLD, "setpoints", trouble))
         self.memory = checked.memory
         return checked, missed
+
+    def _ask_interlocks(self, reading: Reading) -> Checked:
+        guard = self._guard
+        movable = guard.movable(len(self.memory.setpoints))
+        leaves_out = guard.can_leave_out
+        return check(reading, self.memory, self._rules, self._flaws, movable, leaves_out)
 
     def _ask_setpoints(self) -> tuple[str, str]:
         """Have the machine state its setpoints; say what failed, or which are not as believed."""
@@ -196,23 +217,22 @@ class Engine:
             reading: Its orbit.
             checked: The same, found fit to act on.
         """
-        rules, memory = self._rules, self.memory
+        rules, memory, guard = self._rules, self.memory, self._guard
         closed = memory.state is LoopState.CLOSED
-        gain = ramp_gain(reading.received - memory.since, rules.loop) if closed else 1.0
-        change, policy_state = decide(
-            self.policy, checked, memory.policy_state, len(memory.setpoints)
-        )
+        ramp = ramp_gain(reading.received - memory.since, rules.loop) if closed else 1.0
         dither = self._dither.propose() if closed else work.nothing
-        requested = gain * self._adjustments.gain * change + dither
-        work.done("decide")
-        limited = limit(requested, memory.setpoints, rules.limits, rules.channels.correctors)
-        now = work.done("limit")
+        deciding, gain = self.policy, ramp * self._adjustments.gain
+        choice = choose(guard, checked, memory, rules, gain, dither, work.done)
+        now = self._clock.monotonic()
+        limited, policy_state = choice.limited, choice.policy_state
         if not limited.verdict.may_act:
-            self.move(Event.TRIP, f"policy {self.policy.policy_id}: {limited.verdict.reason}")
+            self.move(Event.TRIP, f"policy {deciding.policy_id}: {limited.verdict.reason}")
             return
-        work.requested, work.dither, work.scale = requested, dither, limited.scale
-        reasons = filter(None, (checked.verdict.reason, limited.verdict.reason))
-        self.memory = remember.note(memory, "; ".join(reasons), may_act=True)
+        if self.policy is not deciding:
+            self.memory = replace(self.memory, policy_state=self.policy.initial_state())
+        work.requested, work.dither, work.scale = choice.requested, choice.dither, limited.scale
+        reasons = filter(None, (checked.verdict.reason, *choice.reasons))
+        self.memory = remember.note(self.memory, "; ".join(reasons), may_act=True)
         if not closed:
             return
         age = now - reading.received
@@ -220,11 +240,17 @@ class Engine:
             self.move(Event.HOLD, f"the orbit was {age:.3g} s old when it came to writing")
             return
         if self._write(work, reading, limited):
-            self._dither.settle(limited.scale * dither)
-            # A change that was shortened is not what the policy asked for: nothing winds up.
-            settled = gain == 1.0 and limited.scale == 1.0
-            if settled and policy_state is not memory.policy_state:
+            self._dither.settle(limited.scale * choice.dither)
+            self._expect(work.applied)
+            if ramp == 1.0 and choice.settled and policy_state is not self.memory.policy_state:
                 self.memory = replace(self.memory, policy_state=policy_state)
+
+    def _expect(self, applied: Vector) -> None:
+        """Remember what the change just written should do to the orbit."""
+        answer = self._guard.predict(applied)
+        if answer is not None:
+            answers = predict(answer, self.memory.answers, self._rules.interlocks)
+            self.memory = replace(self.memory, answers=answers)
 
     def _write(self, work: Work, reading: Reading, limited: Limited) -> bool:
         before = self.memory.setpoints

@@ -1,6 +1,6 @@
 """All that one tick hands to the next, as a value, and what a change of state does to it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,10 @@ from orbitfb.core.signals import Channels, LoopState, Mask, Vector
 from orbitfb.loop.pacing import Pace
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.states import Event, next_state
+from orbitfb.safety.bpms import BpmMemory
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
+from orbitfb.safety.prediction import Answers
 from orbitfb.safety.watch import Growth, LastOrbit
 
 
@@ -51,6 +53,10 @@ class LoopMemory:
         off: Ticks in a row that each corrector did not follow, shape (m,).
         pace: Place in the stream of orbits.
         since: When the state was entered, monotonic [s].
+        bpms: What is remembered of every BPM.
+        lost: Correctors that are left out as they do not follow, shape (m,).
+        answers: What the last changes should have done, and did.
+        current: Stored current at the last orbit [A]; NaN: not known.
         fresh: When the last orbit fit to act on was complete, monotonic [s].
         good: Good orbits in a row while HELD.
         recloses: Whether HELD ends by itself.
@@ -64,8 +70,12 @@ class LoopMemory:
     last: LastOrbit
     off: NDArray[np.int64]
     pace: Pace
+    bpms: BpmMemory
+    lost: Mask
     since: float
     fresh: float
+    answers: Answers = field(default_factory=Answers)
+    current: float = float("nan")
     good: int = 0
     recloses: bool = True
 
@@ -75,18 +85,19 @@ class LoopMemory:
         return self.recent[0]
 
 
-def first_memory(start: LoopState, correctors: int, policy_state: Any, now: float) -> LoopMemory:
+def first_memory(start: LoopState, rules: Rules, policy_state: Any, now: float) -> LoopMemory:
     """Build the memory of a loop that has not ticked yet.
 
     A loop that is to start CLOSED begins HELD: it proves a few orbits and closes by itself.
 
     Args:
         start: OPEN, SHADOW or CLOSED.
-        correctors: m.
+        rules: Settings and names.
         policy_state: Of the first policy.
         now: Monotonic [s].
     """
     closes = start is LoopState.CLOSED
+    correctors = len(rules.channels.correctors)
     return LoopMemory(
         state=LoopState.HELD if closes else start,
         reason="starting: closes by itself after a few good orbits" if closes else "",
@@ -96,6 +107,8 @@ def first_memory(start: LoopState, correctors: int, policy_state: Any, now: floa
         last=LastOrbit(),
         off=np.zeros(correctors, dtype=np.int64),
         pace=Pace(),
+        bpms=BpmMemory.first(len(rules.channels.bpms), rules.interlocks),
+        lost=np.zeros(correctors, dtype=np.bool_),
         since=now,
         fresh=now,
     )
@@ -146,6 +159,8 @@ def move(memory: LoopMemory, event: Event, reason: str, now: float, recloses: bo
         latched = after in (LoopState.TRIPPED, LoopState.FAULT)
         return memory if latched else replace(memory, reason=reason, good=0)
     memory = replace(memory, state=after, reason=reason, since=now, good=0)
+    if after in (LoopState.OPEN, LoopState.SHADOW):
+        memory = replace(memory, lost=np.zeros_like(memory.lost))
     if after is LoopState.CLOSED:
         return replace(memory, growth=Growth())
     if after is LoopState.HELD:

@@ -17,6 +17,7 @@ from orbitfb.loop.adjustments import Adjustments
 from orbitfb.loop.commands import CommandQueue, Order
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.engine import Engine
+from orbitfb.loop.guard import NONE, Safeguards
 from orbitfb.loop.memory import Rules
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
@@ -42,6 +43,7 @@ class Runner:
         start: OPEN, SHADOW, or CLOSED: then it closes by itself after a few good orbits.
         subscribers: Get every record, in this thread.
         counting: BPMs that are not masked by configuration, shape (n,); None: all.
+        safeguards: What there is to fall back on: a baseline, correctors that can be left out.
 
     Attributes:
         failure: What led to FAULT, for the log; None otherwise.
@@ -65,6 +67,7 @@ class Runner:
         start: LoopState = LoopState.OPEN,
         subscribers: Sequence[Subscriber] = (),
         counting: Mask | None = None,
+        safeguards: Safeguards = NONE,
     ) -> None:
         channels = machine.channels
         n, m = len(channels.bpms), len(channels.correctors)
@@ -74,7 +77,9 @@ class Runner:
             raise ConfigError(f"a loop cannot start {start}: choose OPEN, SHADOW or CLOSED")
         rules = Rules(settings, limits, interlocks, reference.copy(), channels, counting)
         self._rules, self._clock = rules, clock
-        self._engine = Engine(machine, slot, rules, clock, dither or Dither.off(m), start)
+        self._engine = Engine(
+            machine, slot, rules, clock, dither or Dither.off(m), start, safeguards
+        )
         self._subscribers = tuple(subscribers)
         self._nothing = np.zeros(m)
         self._nothing.flags.writeable = False
@@ -200,7 +205,7 @@ class Runner:
             work.missed = engine.without_orbit(intake)
             self._refuse_closing(intake.absence)
             return False
-        reading = work.reading = engine.enabled(intake.reading)
+        reading = work.reading = engine.believed(intake.reading)
         checked, work.missed = engine.check(reading, intake.pace, bool(self._closing))
         work.setpoints = engine.memory.setpoints
         self._close(checked.verdict)

@@ -18,7 +18,12 @@ class LoopSettings(Settings):
         default=1.9, gt=1, le=1e5, description="Periods without a fresh orbit before HELD."
     )
     trip_after: float | None = Field(
-        default=None, gt=0, description="Time in HELD after which the loop trips [s]; none = never."
+        default=600.0, gt=0, description="Time in HELD after which the loop trips [s]."
+    )
+    policy_deadline: float = Field(
+        default=1.0,
+        gt=0,
+        description="Periods that a policy may take to decide; else the baseline decides.",
     )
     proving: int = Field(
         default=3, ge=1, description="Good orbits in a row before a held loop closes again."

@@ -10,6 +10,9 @@ from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.states import Event
 from orbitfb.safety import interlocks, watch
+from orbitfb.safety.bpms import Flaws, bpm_quota, screen
+from orbitfb.safety.correctors import follow
+from orbitfb.safety.prediction import answered, idle
 from orbitfb.safety.verdict import Action, Verdict, worst
 
 
@@ -34,13 +37,51 @@ class Checked:
     memory: LoopMemory
 
 
-def check(reading: Reading, memory: LoopMemory, rules: Rules) -> Checked:
-    """Form the orbit error and ask every interlock.
+def screened(
+    reading: Reading, memory: LoopMemory, rules: Rules
+) -> tuple[Reading, Flaws, LoopMemory]:
+    """Let BPMs whose readings must not be believed be not valid.
 
     Args:
         reading: From the machine.
         memory: What the last tick left.
         rules: Settings and reference.
+
+    Returns:
+        The reading, what is wrong with each BPM, shape (n,), and the new memory.
+    """
+    orbit = reading.orbit
+    flaws, bpms = screen(
+        orbit.position,
+        orbit.position - rules.reference,
+        orbit.valid,
+        memory.bpms,
+        rules.interlocks,
+        len(rules.channels.planes),
+        memory.state in (LoopState.CLOSED, LoopState.HELD),
+    )
+    if flaws.any():
+        reading = replace(reading, orbit=replace(orbit, valid=orbit.valid & (flaws == 0)))
+    return reading, flaws, replace(memory, bpms=bpms)
+
+
+def check(
+    reading: Reading,
+    memory: LoopMemory,
+    rules: Rules,
+    flaws: Flaws | None = None,
+    movable: Mask | None = None,
+    leaves_out: bool = False,
+) -> Checked:
+    """Form the orbit error and ask every interlock.
+
+    Args:
+        reading: From the machine, screened.
+        memory: What the last tick left.
+        rules: Settings and reference.
+        flaws: What is wrong with each BPM, shape (n,).
+        movable: Correctors that the policy moves, shape (m,); None: all.
+        leaves_out: Whether correctors that do not follow can be left out.
     """
     settings, names = rules.interlocks, rules.channels
     closed = memory.state is LoopState.CLOSED
@@ -50,21 +91,42 @@ def check(reading: Reading, memory: LoopMemory, rules: Rules) -> Checked:
         error = np.where(valid, error, 0.0)
     rms, largest = _size(error, int(np.count_nonzero(valid)))
     fresh, last = watch.repeated(reading.orbit, valid, memory.last, settings)
-    quota = interlocks.bpm_quota(valid, settings, names.bpms, rules.counting)
+    quota = bpm_quota(valid, settings, names.bpms, rules.counting, flaws, len(names.planes))
     unknown = Action.TRIP if closed else Action.HOLD
-    current = interlocks.stored_current(reading.auxiliary, settings, unknown)
+    before = memory.current if closed else float("nan")
+    current = interlocks.stored_current(reading.auxiliary, settings, unknown, before)
     verdicts = [fresh, quota, current]
-    growth = memory.growth
+    growth, answers = memory.growth, memory.answers
     if fresh.may_act and quota.may_act:
         verdicts.append(interlocks.orbit_distortion(rms, largest, settings))
         if closed:
             diverging, growth = watch.divergence(rms, growth, settings)
-            verdicts.append(diverging)
+            answering, answers = answered(reading.orbit.position, valid, rms, answers, settings)
+            verdicts += [answering, diverging]
+    if not closed:
+        answers = idle(reading.orbit.position, valid, answers)
     off = interlocks.not_following(reading.readback, memory.recent, settings)
-    ticks = settings.readback_ticks if closed else 1
-    following, counts = watch.readback(off, memory.off, ticks, names.correctors)
-    verdicts.append(following)
-    after = replace(memory, last=last, growth=growth, off=counts)
+    following = follow(
+        off if movable is None else off & movable,
+        reading.readback,
+        memory.off,
+        memory.lost,
+        settings,
+        names.correctors,
+        acting=closed or (leaves_out and memory.state is LoopState.HELD),
+        held=memory.state is LoopState.HELD,
+        leaves_out=leaves_out,
+    )
+    verdicts.append(following.verdict)
+    after = replace(
+        memory,
+        last=last,
+        growth=growth,
+        answers=answers,
+        off=following.counts,
+        lost=following.lost,
+        current=reading.auxiliary.get(settings.current_channel, float("nan")),
+    )
     return Checked(error, valid, rms, off, worst(*verdicts), after)
 
 

@@ -43,9 +43,9 @@ class Work:
         self._mark = self.clock.monotonic()
 
     def done(self, phase: str) -> float:
-        """Close a phase and return the monotonic time [s]."""
+        """Close a phase, or add to it, and return the monotonic time [s]."""
         now = self.clock.monotonic()
-        self._marks[phase] = now - self._mark
+        self._marks[phase] = self._marks.get(phase, 0.0) + now - self._mark
         self._mark = now
         return now
 

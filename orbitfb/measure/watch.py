@@ -8,7 +8,8 @@ from orbitfb.core.errors import MeasurementError, NoOrbitError, StoppedError
 from orbitfb.core.ports import Machine
 from orbitfb.core.signals import Mask, Reading, Vector
 from orbitfb.measure.settings import MeasureSettings
-from orbitfb.safety.interlocks import InterlockSettings, bpm_quota, stored_current
+from orbitfb.safety.bpms import bpm_quota
+from orbitfb.safety.interlocks import InterlockSettings, stored_current
 from orbitfb.safety.verdict import Action
 
 

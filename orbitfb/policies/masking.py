@@ -184,6 +184,23 @@ def _share(
     return frozen(share)
 
 
+def without(policy: Policy, lost: Mask) -> Policy:
+    """Let a policy do without some correctors, besides those that it leaves alone already.
+
+    Args:
+        policy: One that has the response that it was made for; any other is returned as it is.
+        lost: Correctors that must not move, shape (m,).
+    """
+    response: Vector | None = getattr(policy, "response", None)
+    if response is None:
+        return policy
+    movable = ~lost
+    while isinstance(policy, MaskedPolicy):
+        movable &= policy.movable
+        policy = policy.policy
+    return MaskedPolicy(policy, response, movable) if movable.any() else policy
+
+
 class MaskSettings(Settings):
     """BPMs that are not used and correctors that do not move."""
 

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.safety.verdict import FINE, Action, Verdict, name_some
+from orbitfb.safety.verdict import FINE, Action, Verdict
 
 
 class InterlockSettings(Settings):
@@ -17,6 +17,13 @@ class InterlockSettings(Settings):
         default=0.01,
         ge=0,
         description="Least stored current [A]; none = do not look at the current.",
+    )
+    current_drop: float = Field(
+        default=0.2,
+        gt=0,
+        le=1,
+        description="Part of the stored current whose loss from one orbit to the next trips; 1 = "
+        "never.",
     )
     current_channel: str = Field(
         default="current", description="Auxiliary channel that carries the stored current."
@@ -31,19 +38,66 @@ class InterlockSettings(Settings):
         description="BPMs that may be invalid (they are left out), besides those of `masks.bpms`; "
         "more hold the loop.",
     )
+    max_adjacent_bpms: int = Field(
+        default=2, ge=1, description="Invalid BPMs in a row along the ring; more hold the loop."
+    )
+    bpm_zero: bool = Field(
+        default=True, description="Whether a reading of exactly 0 is no reading (a dead channel)."
+    )
+    bpm_frozen_ticks: int = Field(
+        default=2,
+        ge=0,
+        description="Repeats of one BPM's reading in a row, while others change, from which that "
+        "BPM is left out; 0 = never. Looked at only if `frozen_ticks` is not 0.",
+    )
+    bpm_jump: float = Field(
+        default=250e-6,
+        gt=0,
+        description="Step [m] of one BPM's orbit error, ten times that of the others, from which "
+        "it is left out until it reads again what it did.",
+    )
+    bpm_proving: int = Field(
+        default=5,
+        ge=1,
+        description="Good readings in a row before a BPM that was left out counts again.",
+    )
+    max_lost_correctors: int = Field(
+        default=3,
+        ge=0,
+        description="Correctors that may be left out because they do not follow; more trip.",
+    )
     readback_tolerance: float | None = Field(
         default=0.1,
         gt=0,
         description="Largest |readback − setpoint| [A]; none = do not look at it.",
     )
     readback_ticks: int = Field(
-        default=3, ge=1, description="Ticks in a row that a corrector may not follow before HELD."
+        default=3,
+        ge=1,
+        description="Ticks in a row that a corrector may not follow before it is left out.",
     )
     readback_lag: int = Field(
         default=2,
         ge=0,
         le=100,
         description="Ticks by which a readback may lag behind its setpoint.",
+    )
+    prediction_ticks: int = Field(
+        default=3,
+        ge=0,
+        description="Changes in a row that the orbit does not answer as the response matrix says, "
+        "while it gets no better, that trip; 0 = never.",
+    )
+    prediction_least: float = Field(
+        default=0.3,
+        gt=-1,
+        lt=1,
+        description="Least part of the predicted answer that must be seen.",
+    )
+    prediction_floor: float = Field(
+        default=2e-6,
+        gt=0,
+        description="Rms of a predicted answer [m] below which nothing can be told from it.",
     )
     divergence_ticks: int = Field(
         default=5, ge=2, description="Ticks in a row that the rms must grow to count as divergence."
@@ -68,19 +122,24 @@ def stored_current(
     auxiliary: Mapping[str, float],
     settings: InterlockSettings,
     unknown: Action = Action.TRIP,
+    before: float = float("nan"),
 ) -> Verdict:
-    """Ask for enough stored current.
+    """Ask for enough stored current, and that it does not drop.
 
     Args:
         auxiliary: Slow channels, SI.
         settings: Thresholds.
         unknown: What to ask for when the current is not known (a machine that is coming back
             has not told it yet, which is no reason to latch).
+        before: Stored current at the orbit before [A]; NaN: not known.
     """
     if settings.current_min is None:
         return FINE
     current = auxiliary.get(settings.current_channel, float("nan"))
     if current >= settings.current_min:
+        if settings.current_drop < 1 and current < (1 - settings.current_drop) * before:
+            reason = f"the stored current dropped from {before * 1e3:.4g} to {current * 1e3:.4g} mA"
+            return Verdict(Action.TRIP, "stored_current", reason)
         return FINE
     if not np.isfinite(current):
         reason = f"the stored current ({settings.current_channel}) is not known"
@@ -90,32 +149,6 @@ def stored_current(
         "that the loop needs"
     )
     return Verdict(Action.TRIP, "stored_current", reason)
-
-
-def bpm_quota(
-    valid: Mask,
-    settings: InterlockSettings,
-    names: Sequence[str] = (),
-    counting: Mask | None = None,
-) -> Verdict:
-    """Let a few BPMs be invalid, not more, and never all of them.
-
-    Args:
-        valid: Shape (n,).
-        settings: Thresholds.
-        names: The BPMs, for the reason.
-        counting: BPMs that are not masked by configuration, shape (n,): what the others read does
-            not matter, so they do not use up the quota; None: all.
-    """
-    bad = ~valid if counting is None else counting & ~valid
-    invalid = int(np.count_nonzero(bad))
-    if invalid == 0:
-        return FINE
-    wanted = len(valid) if counting is None else int(np.count_nonzero(counting))
-    reason = f"{invalid} of {wanted} BPMs are invalid: {name_some(bad, names)}"
-    if invalid <= settings.max_invalid_bpms and invalid < wanted:
-        return Verdict(Action.WARN, "bpm_quota", reason)
-    return Verdict(Action.HOLD, "bpm_quota", f"{reason}; allowed: {settings.max_invalid_bpms}")
 
 
 def orbit_distortion(rms: float, largest: float, settings: InterlockSettings) -> Verdict:

@@ -117,7 +117,7 @@ class LoopUnderFaults(RuleBasedStateMachine):
             LoopSettings(ramp=0.3, proving=PROVING),
             LimitSettings(setpoint=LIMIT, change_per_tick=STEP),
             # Random disturbances may well grow for five ticks: divergence has its own tests.
-            InterlockSettings(max_invalid_bpms=2, divergence_ticks=1000),
+            InterlockSettings(max_invalid_bpms=2, divergence_ticks=1000, bpm_proving=1),
             np.zeros(N),
             self.machine.clock,
         )

@@ -38,7 +38,7 @@ class Bench:
             self.slot,
             LoopSettings(**{"ramp": 0.0, **loop}),
             LimitSettings(),
-            InterlockSettings(max_invalid_bpms=2, **(interlocks or {})),
+            InterlockSettings(**{"max_invalid_bpms": 2, "bpm_proving": 1} | (interlocks or {})),
             np.zeros(N),
             self.clock,
             dither,

@@ -1,0 +1,90 @@
+"""What to send: the guarded policy's change, dithered, limited, without correctors at a limit."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.loop.guard import Decision, Guard
+from orbitfb.loop.memory import LoopMemory, Rules
+from orbitfb.loop.tick import Checked
+from orbitfb.safety.limits import Limited, limit
+from orbitfb.safety.verdict import name_some
+
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A change that is ready to be sent.
+
+    Args:
+        limited: What may be sent.
+        requested: What was asked for, shape (m,) [A].
+        dither: The dither's part of it, shape (m,) [A].
+        policy_state: What the policy would carry on.
+        settled: Whether that may be kept: the change is what the policy asked for.
+        reasons: What there is to say; empty when nothing.
+    """
+
+    limited: Limited
+    requested: Vector
+    dither: Vector
+    policy_state: Any
+    settled: bool
+    reasons: tuple[str, ...]
+
+
+def choose(
+    guard: Guard,
+    checked: Checked,
+    memory: LoopMemory,
+    rules: Rules,
+    gain: Vector,
+    dither: Vector,
+    done: Callable[[str], float],
+) -> Choice:
+    """Decide and limit; correctors that would go beyond their limit leave the solution.
+
+    Args:
+        guard: Asks the policy, or the baseline.
+        checked: The orbit error and what of it counts.
+        memory: Of the loop.
+        rules: Limits and names.
+        gain: Factor of the policy's change, shape (m,) [1].
+        dither: Shape (m,) [A].
+        done: Told the phase of the tick that has just ended.
+    """
+    names = rules.channels.correctors
+    out, state, alarm = memory.lost, memory.policy_state, ""
+    full: Mask = np.zeros_like(out)
+    rounds = 0
+    while True:
+        asked = guard.policy
+        decision: Decision = guard.decide(checked, state, out)
+        alarm = alarm or decision.alarm or guard.alarm
+        if guard.policy is not asked:
+            state = guard.policy.initial_state()
+        shaken = np.where(out, 0.0, dither) if out.any() else dither
+        requested = gain * decision.change + shaken
+        done("decide")
+        limited = limit(requested, memory.setpoints, rules.limits, names)
+        done("limit")
+        tight = limited.at_limit
+        more = out | tight
+        rounds += 1
+        if rounds > _ROUNDS or not tight.any() or not guard.can_leave_out or more.all():
+            break
+        out, full = more, full | tight
+    reasons = [alarm, limited.verdict.reason]
+    if full.any():
+        reasons.append(
+            f"{int(full.sum())} correctors at their limit of ±{rules.limits.setpoint:g} A "
+            f"({name_some(full, names)}) are left out"
+        )
+    # A change that was shortened is not what the policy asked for: nothing winds up.
+    settled = limited.scale == 1.0 and not full.any()
+    told = tuple(filter(None, reasons))
+    return Choice(limited, requested, shaken, decision.policy_state, settled, told)

@@ -1,0 +1,165 @@
+"""Who decides: the policy in force, or the baseline when that fails; without which correctors."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from orbitfb.core.ports import Clock, Policy
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.loop.tick import Checked, decide
+
+Without = Callable[[Policy, Mask], Policy]
+"""Makes of a policy one that does not move some correctors, shape (m,), the rest solved anew."""
+
+STRIKES = 3
+"""Decisions in a row that came too late before the baseline takes over for good."""
+_KEPT = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Safeguards:
+    """What there is to fall back on.
+
+    Args:
+        fallback: The baseline, that decides when the policy in force does not; None: there is
+            none, and a policy that fails stops the loop.
+        without: See `Without`; None: no corrector can be left out.
+    """
+
+    fallback: Policy | None = None
+    without: Without | None = None
+
+
+NONE = Safeguards()
+"""Nothing to fall back on: a policy that fails stops the loop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """A change that is wanted.
+
+    Args:
+        change: Shape (m,) [A].
+        policy_state: New state of the policy in force.
+        alarm: Why the policy in force did not decide; empty when it did.
+    """
+
+    change: Vector
+    policy_state: Any
+    alarm: str = ""
+
+
+class Guard:
+    """Holds the policy in force and asks it; the baseline steps in within the same tick.
+
+    Args:
+        slot: Where the policy in force lies.
+        safeguards: What there is to fall back on.
+        clock: Monotonic clock.
+        deadline: How long a decision may take [s].
+
+    Attributes:
+        policy: The one that decides.
+        alarm: Why that is not the one in the slot; empty when it is.
+    """
+
+    def __init__(
+        self, slot: PolicySlot, safeguards: Safeguards, clock: Clock, deadline: float
+    ) -> None:
+        self._slot, self._clock, self._deadline = slot, clock, deadline
+        self._fallback, self._without = safeguards.fallback, safeguards.without
+        self._taken = slot.acting
+        self._swaps: int = slot.swaps
+        self._late = 0
+        self._solved: dict[tuple[int, bytes], tuple[Policy, Policy]] = {}
+        self.policy: Policy = self._taken
+        self.alarm = ""
+
+    @property
+    def can_leave_out(self) -> bool:
+        """Whether correctors can be left out."""
+        return self._without is not None
+
+    def take(self) -> bool:
+        """Take the policy of the slot if it is another one; say whether it is."""
+        swaps, acting = self._slot.swaps, self._slot.acting
+        if acting is self._taken and swaps == self._swaps:
+            return False
+        changed = acting is not self.policy
+        self._taken, self._swaps = acting, swaps
+        self._use(acting, "")
+        return changed
+
+    def forgive(self) -> None:
+        """Give the policy of the slot another chance: an operator closes the loop."""
+        if self.alarm:
+            self._use(self._taken, "")
+
+    def movable(self, correctors: int) -> Mask:
+        """Correctors that the policy in force may move, shape (m,)."""
+        mask: Mask | None = getattr(self.policy, "movable", None)
+        return np.ones(correctors, dtype=np.bool_) if mask is None else mask
+
+    def predict(self, change: Vector) -> Vector | None:
+        """Give what a change does to the orbit by the policy's matrix, shape (n,) [m]."""
+        response: Vector | None = getattr(self.policy, "response", None)
+        return None if response is None else response @ change
+
+    def decide(self, checked: Checked, policy_state: Any, lost: Mask) -> Decision:
+        """Ask the policy in force, and the baseline if that raises, is late or not finite.
+
+        Args:
+            checked: The orbit error and what of it counts.
+            policy_state: Of the policy in force.
+            lost: Correctors to leave out, shape (m,).
+
+        Raises:
+            ValueError: The policy returned another shape, and there is no baseline.
+        """
+        began = self._clock.monotonic()
+        fallback = self._fallback
+        if fallback is None or self.policy is fallback:
+            return Decision(
+                *decide(self._leaving(self.policy, lost), checked, policy_state, len(lost))
+            )
+        try:
+            change, after = decide(
+                self._leaving(self.policy, lost), checked, policy_state, len(lost)
+            )
+        except Exception as error:  # a policy may raise anything: the baseline decides instead
+            trouble = f"raised {type(error).__name__}: {error}"
+        else:
+            took = self._clock.monotonic() - began
+            if not np.isfinite(change).all():
+                trouble = "asked for a change that is not finite"
+            elif took <= self._deadline:
+                self._late = 0
+                return Decision(change, after)
+            else:
+                self._late += 1
+                trouble = f"took {took * 1e3:.3g} ms, longer than {self._deadline * 1e3:.3g} ms"
+        alarm = f"policy {self.policy.policy_id} {trouble}: {fallback.policy_id} decides"
+        state = fallback.initial_state()
+        change, after = decide(self._leaving(fallback, lost), checked, state, len(lost))
+        if trouble.startswith("took") and self._late < STRIKES:
+            return Decision(change, policy_state, alarm)  # once more, then it is put aside
+        self._use(fallback, alarm)
+        return Decision(change, after, alarm)
+
+    def _use(self, policy: Policy, alarm: str) -> None:
+        self.policy, self.alarm, self._late = policy, alarm, 0
+        self._solved.clear()
+
+    def _leaving(self, policy: Policy, lost: Mask) -> Policy:
+        if self._without is None or not lost.any():
+            return policy
+        key = id(policy), lost.tobytes()
+        known = self._solved.get(key)
+        if known is None or known[0] is not policy:
+            if len(self._solved) >= _KEPT:
+                self._solved.clear()
+            known = self._solved[key] = policy, self._without(policy, lost)
+        return known[1]

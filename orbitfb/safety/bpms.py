@@ -1,0 +1,199 @@
+"""Readings of single BPMs that must not be believed, though they look like numbers.
+
+A dead channel reads exactly 0, which a feedback takes for "on the axis"; a hung one repeats
+itself; a bad one jumps while its neighbours stay. Each is left out at once and comes back by
+itself once it has been good for some orbits in a row.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.verdict import FINE, Action, Verdict
+
+Flaws = NDArray[np.int8]
+
+ALONE = 10.0
+"""A BPM jumps only if it moves so many times as far as the median of its plane: a beam that is
+kicked moves everywhere (largest / median of a closed orbit is below 5)."""
+
+
+class Flaw(IntEnum):
+    """What is wrong with a reading; the first that holds."""
+
+    NONE = 0
+    INVALID = 1
+    ZERO = 2
+    FROZEN = 3
+    JUMP = 4
+    PROVING = 5
+
+
+WORDS = {
+    Flaw.INVALID: "invalid",
+    Flaw.ZERO: "exactly 0",
+    Flaw.FROZEN: "frozen",
+    Flaw.JUMP: "jumped",
+    Flaw.PROVING: "proving",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class BpmMemory:
+    """What is remembered of every BPM.
+
+    Args:
+        last: Readings of the orbit before, shape (n,) [m].
+        base: Orbit error when the BPM was last believed, shape (n,) [m]; NaN: not known.
+        repeats: How often in a row each brought the same reading again, shape (n,).
+        good: Good readings in a row, counted up to the proving, shape (n,).
+    """
+
+    last: Vector
+    base: Vector
+    repeats: NDArray[np.int64]
+    good: NDArray[np.int64]
+
+    @classmethod
+    def first(cls, size: int, settings: InterlockSettings) -> "BpmMemory":
+        """Believe every BPM to begin with.
+
+        Args:
+            size: n.
+            settings: Has the proving.
+        """
+        unknown, none = np.full(size, np.nan), np.zeros(size, dtype=np.int64)
+        return cls(unknown, unknown, none, np.full(size, settings.bpm_proving))
+
+
+def screen(
+    position: Vector,
+    error: Vector,
+    valid: Mask,
+    memory: BpmMemory,
+    settings: InterlockSettings,
+    planes: int = 1,
+    latching: bool = True,
+) -> tuple[Flaws, BpmMemory]:
+    """Judge every reading of an orbit.
+
+    A BPM that jumped stays out until it reads again what it did, or until the loop is opened:
+    a step of one BPM alone is a fault of that BPM, however long it lasts.
+
+    Args:
+        position: As read, shape (n,) [m].
+        error: The same less the reference, shape (n,) [m].
+        valid: What the machine calls valid, shape (n,).
+        memory: What the last call returned.
+        settings: Thresholds.
+        planes: How many planes lie one after the other in the vectors.
+        latching: Whether jumps count: the loop is CLOSED or HELD.
+
+    Returns:
+        A `Flaw` for every BPM, shape (n,), and the new memory.
+    """
+    known = valid & np.isfinite(position)
+    zero = known & (position == 0.0) if settings.bpm_zero else np.zeros_like(known)
+    same = known & (position == memory.last)
+    repeats = memory.repeats
+    if not np.array_equal(same, known):  # an orbit that repeats itself as a whole: `repeated`
+        repeats = np.where(same, repeats + 1, 0)
+    frozen = np.zeros_like(known)
+    if settings.frozen_ticks and settings.bpm_frozen_ticks:
+        frozen = known & (repeats >= settings.bpm_frozen_ticks)
+    jump = np.zeros_like(known)
+    if latching:
+        jump = known & _jumped(error - memory.base, settings.bpm_jump, planes)
+    flaws = np.zeros(position.shape, dtype=np.int8)
+    for flaw, mask in (
+        (Flaw.JUMP, jump),
+        (Flaw.FROZEN, frozen),
+        (Flaw.ZERO, zero),
+        (Flaw.INVALID, ~known),
+    ):
+        flaws[mask] = flaw
+    bad = flaws > Flaw.NONE
+    good = np.where(bad, 0, np.minimum(memory.good + 1, settings.bpm_proving))
+    flaws[~bad & (good < settings.bpm_proving)] = Flaw.PROVING
+    base = np.where(bad, memory.base, error)
+    return flaws, BpmMemory(position, base, repeats, good)
+
+
+def _jumped(step: Vector, limit: float, planes: int) -> Mask:
+    """Find the BPMs that moved far, and much farther than the others of their plane."""
+    size = np.abs(step)
+    far = size > limit  # False where nothing is known
+    if not far.any():
+        return far
+    rows = size.reshape(planes, -1)
+    moved = np.array([np.median(row[np.isfinite(row)], keepdims=True)[0] for row in rows])
+    return far & (rows > ALONE * moved[:, None]).reshape(-1)
+
+
+def longest_run(bad: Mask) -> int:
+    """Count the longest unbroken row of a ring, whose last element is next to its first.
+
+    Args:
+        bad: Shape (n,).
+    """
+    if bad.all():
+        return len(bad)
+    start = int(np.argmin(bad))  # begin at a good one: no run goes through the seam
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], np.roll(bad, -start), [0]))))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def bpm_quota(
+    valid: Mask,
+    settings: InterlockSettings,
+    names: Sequence[str] = (),
+    counting: Mask | None = None,
+    flaws: Flaws | None = None,
+    planes: int = 1,
+) -> Verdict:
+    """Let a few BPMs be invalid, not more, not too many next to each other, and never all.
+
+    Args:
+        valid: Shape (n,).
+        settings: Thresholds.
+        names: The BPMs, for the reason.
+        counting: BPMs that are not masked by configuration, shape (n,): what the others read does
+            not matter, so they do not use up the quota; None: all.
+        flaws: Why each is invalid, for the reason; from `screen`.
+        planes: How many planes lie one after the other.
+    """
+    bad = ~valid if counting is None else counting & ~valid
+    invalid = int(np.count_nonzero(bad))
+    if invalid == 0:
+        return FINE
+    counted = np.ones_like(valid) if counting is None else counting
+    wanted = int(np.count_nonzero(counted))
+    reason = f"{invalid} of {wanted} BPMs are invalid: {_name_flaws(bad, names, flaws)}"
+    if invalid > settings.max_invalid_bpms or invalid == wanted:
+        return Verdict(Action.HOLD, "bpm_quota", f"{reason}; allowed: {settings.max_invalid_bpms}")
+    rows = zip(bad.reshape(planes, -1), counted.reshape(planes, -1), strict=True)
+    run = max(longest_run(row[own]) for row, own in rows if own.any())
+    if run > settings.max_adjacent_bpms:
+        return Verdict(
+            Action.HOLD,
+            "bpm_quota",
+            f"{reason}; {run} of them next to each other, allowed: {settings.max_adjacent_bpms}",
+        )
+    return Verdict(Action.WARN, "bpm_quota", reason)
+
+
+def _name_flaws(bad: Mask, names: Sequence[str], flaws: Flaws | None, at_most: int = 5) -> str:
+    where = [int(index) for index in np.flatnonzero(bad)]
+    shown: list[str] = []
+    for index in where[:at_most]:
+        name = names[index] if names else f"#{index}"
+        flaw = Flaw.INVALID if flaws is None else Flaw(int(flaws[index]))
+        plain = flaw in (Flaw.NONE, Flaw.INVALID)
+        shown.append(name if plain else f"{name} ({WORDS[flaw]})")
+    more = len(where) - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more else "")

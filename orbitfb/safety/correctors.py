@@ -1,0 +1,74 @@
+"""Correctors that do not do what they are told: left out, and too many of them trip."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.verdict import Action, Verdict, name_some
+from orbitfb.safety.watch import readback as not_yet
+
+
+@dataclass(frozen=True, slots=True)
+class Following:
+    """How the correctors follow.
+
+    Args:
+        verdict: What to do.
+        counts: Ticks in a row that each did not follow, shape (m,).
+        lost: Correctors to leave out, shape (m,).
+    """
+
+    verdict: Verdict
+    counts: NDArray[np.int64]
+    lost: Mask
+
+
+def follow(
+    off: Mask,
+    readback: Vector,
+    counts: NDArray[np.int64],
+    lost: Mask,
+    settings: InterlockSettings,
+    names: Sequence[str] = (),
+    acting: bool = True,
+    held: bool = False,
+    leaves_out: bool = True,
+) -> Following:
+    """Leave out what does not follow its setpoint for some ticks in a row.
+
+    Args:
+        off: Correctors that matter and do not follow now, shape (m,).
+        readback: Shape (m,) [A]; NaN where none is known.
+        counts: Ticks in a row so far, shape (m,).
+        lost: Correctors that are left out already, shape (m,).
+        settings: Thresholds.
+        names: The correctors, for the reason.
+        acting: Whether the loop writes, or waits to; else any that is off keeps it from closing.
+        held: Whether the loop waits for a fault to go: it does not return meanwhile.
+        leaves_out: Whether any can be left out; else those that are off hold the loop.
+    """
+    ticks = settings.readback_ticks if acting else 1
+    verdict, counts = not_yet(off & ~lost, counts, ticks, names)
+    if not acting or not leaves_out:
+        return Following(verdict, counts, lost)
+    new = counts >= ticks
+    out = lost | new
+    count = int(np.count_nonzero(out))
+    if count > settings.max_lost_correctors and new.any():
+        away = bool((new & ~np.isfinite(readback)).any())
+        reason = (
+            f"{count} correctors do not follow their setpoint: {name_some(out, names)}; "
+            f"allowed: {settings.max_lost_correctors}"
+        )
+        action = Action.HOLD if away else Action.TRIP  # an IOC that is away may come back
+        return Following(Verdict(action, "readback", reason), counts, lost)
+    if held and (off & ~out).any():
+        return Following(Verdict(Action.HOLD, "readback", verdict.reason), counts, out)
+    if not out.any():
+        return Following(verdict, counts, out)
+    reason = f"{count} correctors do not follow and are left out: {name_some(out, names)}"
+    return Following(Verdict(Action.WARN, "readback", reason), counts, out)
