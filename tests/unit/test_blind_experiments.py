@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from orbitfb.cli import blind_experiments
+from orbitfb.cli import blind_experiments, blind_processes
+from orbitfb.cli.app import app
 from orbitfb.cli.blind_experiments import Asked, asked, plan
 from orbitfb.cli.blind_processes import Ended
 from orbitfb.physics.places import Ring
@@ -201,3 +203,27 @@ def test_resolved_is_a_sure_name_of_the_very_effect(tmp_path: Path) -> None:
     assert "not tried: read-only-test 1." in table
     assert "interlock: 4." in table
     assert table.count("| yes |") == 2
+
+
+@pytest.mark.parametrize("flag", ["--experiments", "--no-experiments"])
+def test_the_command_does_them_unless_told_not_to(
+    flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    modules: dict[str, tuple[str, ...]] = {}
+    done: list[Path] = []
+
+    def module(source: Path, name: str, *arguments: str, quiet: bool = False) -> str:
+        modules[name] = arguments
+        return ""
+
+    def do_them(*arguments: Path | int) -> None:
+        done.append(Path(str(arguments[4])))
+
+    monkeypatch.setattr(blind_processes, "module", module)
+    monkeypatch.setattr(blind_experiments, "do_experiments", do_them)
+    told = ["diagnose", "blind", "--out", str(tmp_path / "out"), "--no-baselines", flag]
+    assert CliRunner().invoke(app, told).exit_code == 0
+    wanted = tmp_path / "out" / "experiments"
+    assert done == ([wanted] if flag == "--experiments" else [])
+    assert (str(wanted) in modules["tests.blind.score"]) == bool(done)
+    assert "tests.blind.baselines" not in modules
