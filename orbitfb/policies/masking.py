@@ -178,9 +178,12 @@ def _share(
     free, still = np.flatnonzero(movable), np.flatnonzero(~movable)
     share = np.zeros((m, m))
     share[free, free] = 1.0
-    if len(still):  # by least squares: without λ the equations may have no unique solution
+    if len(still):
         among, across = square[np.ix_(free, free)], square[np.ix_(free, still)]
-        share[np.ix_(free, still)] = np.linalg.lstsq(among, across, rcond=None)[0]
+        if regularisation > 0:  # a corrector may be lost in the middle of a tick
+            share[np.ix_(free, still)] = np.linalg.solve(among, across)
+        else:  # without λ the equations may have no unique solution
+            share[np.ix_(free, still)] = np.linalg.lstsq(among, across, rcond=None)[0]
     return frozen(share)
 
 

@@ -24,6 +24,10 @@ from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.verdict import FINE, Action, Verdict
 
 
+OTHERWISE = 3.0
+"""How many times the predicted answer the beam may move before it says nothing about R."""
+
+
 @dataclass(frozen=True, slots=True)
 class Answers:
     """What was predicted and what was seen, over the last ticks.
@@ -119,14 +123,20 @@ def _share(
 ) -> float | None:
     """Give the part of the predicted answer that was seen, the best of all lags.
 
-    Before the first prediction nothing was sent. None while all are too small to tell.
+    Before the first prediction nothing was sent. None while all are too small to tell, or what
+    was seen is so much larger that something else must have moved the beam.
     """
     if not predicted or not change.size:
         return None
     shares: list[float] = []
-    for newer, older in pairwise((*predicted, np.zeros_like(predicted[0]))):
+    largest = float(change @ change)
+    sent = (*predicted, np.zeros_like(predicted[0]))[: settings.readback_lag + 2]
+    for newer, older in pairwise(sent):
         expected = (newer - older)[counts]
         power = float(expected @ expected)
-        if power >= change.size * settings.prediction_floor**2:
-            shares.append(float(change @ expected) / power)
-    return max(shares[: settings.readback_lag + 1], default=None)
+        if power < change.size * settings.prediction_floor**2:
+            continue
+        share = float(change @ expected) / power
+        if share >= settings.prediction_least or largest <= OTHERWISE**2 * power:
+            shares.append(share)
+    return max(shares, default=None)

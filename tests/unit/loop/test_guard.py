@@ -1,0 +1,170 @@
+"""Policies that fail, correctors that are lost or full, a response that is wrong."""
+
+import time
+
+import numpy as np
+import pytest
+
+from orbitfb.core.clock import ManualClock
+from orbitfb.core.signals import LoopState
+from orbitfb.loop.guard import Safeguards
+from orbitfb.loop.runner import Runner
+from orbitfb.loop.settings import LoopSettings
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.physics.places import Ring
+from orbitfb.physics.plant import Plant
+from orbitfb.physics.plant_machine import PlantMachine
+from orbitfb.policies.masking import without
+from orbitfb.policies.svd import SvdPolicy, SvdSettings
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.limits import LimitSettings
+
+RING = Ring.load()
+RUN = 300
+RESPONSE = Plant(RING, "x", seed=0).nominal_response
+
+
+class Bad:
+    """A policy that behaves until it is told not to."""
+
+    policy_id = "bad"
+
+    def __init__(self, clock):
+        self.inside, self.kind, self.clock = SvdPolicy(RESPONSE, SvdSettings()), "good", clock
+
+    def initial_state(self):
+        return self.inside.initial_state()
+
+    def act(self, error, valid, state):
+        change, after = self.inside.act(error, valid, state)
+        if self.kind == "raises":
+            raise RuntimeError("no idea")
+        if self.kind == "nan":
+            change = change * np.nan
+        if self.kind == "shape":
+            change = change[1:]
+        if self.kind == "slow":
+            self.clock.advance(0.11)
+        return change, after
+
+
+class Bench:
+    def __init__(self, policy=None, seed=0, limits=None, fallback=True, response=RESPONSE, **keys):
+        self.clock, self.records = ManualClock(), []
+        self.machine = PlantMachine(Plant(RING, "x", seed=seed), self.clock)
+        self.bad = Bad(self.clock)
+        self.slot = PolicySlot(policy or self.bad)
+        self.baseline = SvdPolicy(response, SvdSettings(gain=0.6), "baseline")
+        self.runner = Runner(
+            self.machine,
+            self.slot,
+            LoopSettings(**keys),
+            limits or LimitSettings(),
+            InterlockSettings(),
+            np.zeros(180),
+            self.clock,
+            start=LoopState.CLOSED,
+            subscribers=(self.records.append,),
+            safeguards=Safeguards(self.baseline if fallback else None, without),
+        )
+
+    def steps(self, count):
+        return [self.runner.step() for _ in range(count)][-1]
+
+
+@pytest.mark.parametrize("kind", ["raises", "nan", "shape"])
+def test_the_baseline_decides_in_the_very_tick_in_which_a_policy_fails(kind):
+    bench = Bench()
+    bench.steps(30)
+    bench.bad.kind = kind
+    record = bench.runner.step()
+    assert record.state is LoopState.CLOSED and record.policy_id == "baseline"
+    assert np.isfinite(record.written) and record.applied.any()
+    assert record.reason.startswith("policy bad ") and "baseline decides" in record.reason
+    record = bench.steps(20)
+    assert record.policy_id == "baseline" and "baseline decides" in record.reason
+    assert bench.machine.true_orbit_rms < 1e-6
+    bench.slot.swap(SvdPolicy(RESPONSE, SvdSettings(), "another"))
+    record = bench.steps(2)
+    assert (record.policy_id, record.reason) == ("another", "")
+
+
+def test_a_slow_policy_is_put_aside_after_three_strikes():
+    bench = Bench(hold_after=3.0)
+    bench.steps(30)
+    bench.bad.kind = "slow"
+    record = bench.runner.step()
+    assert "longer than 100 ms: baseline decides" in record.reason
+    bench.bad.kind = "good"
+    assert bench.runner.step().policy_id == "bad"
+    bench.bad.kind = "slow"
+    for _ in range(6):
+        record = bench.runner.step()
+    assert record.policy_id == "baseline"
+
+
+def test_an_operator_who_closes_anew_gives_the_policy_another_chance():
+    bench = Bench()
+    bench.steps(30)
+    bench.bad.kind = "raises"
+    assert bench.runner.step().policy_id == "baseline"
+    bench.bad.kind = "good"
+    bench.runner.command("open")
+    bench.steps(2)
+    bench.runner.command("close")
+    assert bench.steps(2).policy_id == "bad"
+
+
+def test_a_corrector_at_its_limit_leaves_the_solution_and_the_rest_take_over():
+    policy = SvdPolicy(RESPONSE, SvdSettings())
+    free = Bench(policy)
+    free.steps(60)
+    wanted = np.abs(free.records[-1].setpoints)
+    limit = float(np.sort(wanted)[-4])  # three would go beyond
+    bench = Bench(policy, limits=LimitSettings(setpoint=limit))
+    record = bench.steps(60)
+    assert record.state is LoopState.CLOSED
+    assert "are left out" in record.reason
+    assert max(np.abs(its.setpoints).max() for its in bench.records) <= limit
+    pinned = Bench(policy, limits=LimitSettings(setpoint=limit))
+    pinned.runner._engine._guard._without = None  # as it was: the whole change is scaled
+    pinned.steps(60)
+    assert bench.machine.true_orbit_rms < 0.2 * pinned.machine.true_orbit_rms
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("wrong", ["sign", "bpms", "correctors"])
+def test_a_wrong_response_trips_a_few_ticks_after_closing(wrong, seed):
+    order = np.random.default_rng(seed).permutation(180)
+    response = {"sign": -RESPONSE, "bpms": RESPONSE[order], "correctors": RESPONSE[:, order]}[wrong]
+    bench = Bench(SvdPolicy(response, SvdSettings()), seed)
+    for _ in range(60):
+        if bench.runner.step().state is LoopState.TRIPPED:
+            break
+    record = bench.records[-1]
+    assert record.state is LoopState.TRIPPED
+    assert "does not answer as the response matrix says" in record.reason
+    closed = [its for its in bench.records if its.state is LoopState.CLOSED]
+    assert len(closed) < 8
+    assert max(np.sqrt(np.mean(its.reading.orbit.position**2)) for its in bench.records) < 0.7e-3
+
+
+@pytest.mark.parametrize("gain", [0.3, 1.0])
+def test_a_right_response_is_not_called_wrong_by_kicks_and_waves(gain):
+    bench = Bench(SvdPolicy(RESPONSE, SvdSettings(gain=gain)), ramp=0.0)
+    random = np.random.default_rng(3)
+    plant = bench.machine.plant
+    for _ in range(RUN):
+        if random.random() < 0.2:
+            plant.kick(float(random.uniform(1e-6, 100e-6)))
+        assert bench.runner.step().state is not LoopState.TRIPPED, bench.runner.reason
+
+
+def test_leaving_a_corrector_out_costs_little_time():
+    baseline = SvdPolicy(RESPONSE, SvdSettings())
+    lost = np.arange(180) == 7
+    begin = time.perf_counter()
+    policy = without(baseline, lost)
+    assert time.perf_counter() - begin < 1.0  # about 20 ms; once for every corrector that is lost
+    change, _ = policy.act(np.ones(180) * 1e-5, np.ones(180, dtype=bool), policy.initial_state())
+    assert change[7] == 0.0 and change.any()
