@@ -161,7 +161,7 @@ class Service:
         if config.learn.enabled:
             self.learner = LearnerThread(
                 trainer(config, first.response, movable),
-                Screen(self.history, self.channels, self.watch.broken),
+                Screen(self.history, self.channels, self.watch.broken, config.interlocks),
                 self.slot,
                 self._reports.refitted,
                 keep=keeper.keep,

@@ -15,6 +15,8 @@ from orbitfb.core.gap import GapSight
 from orbitfb.core.signals import Channels, Mask
 from orbitfb.core.transitions import Transitions
 from orbitfb.diagnose.answer import Diagnosis
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.rows import astray
 
 BREAKING = frozenset(
     {
@@ -123,16 +125,25 @@ class Screen:
         history: The last transitions.
         channels: Of the ring.
         broken: Tells what is broken now.
+        interlocks: Tell when a corrector does not follow its setpoint; None: do not look.
     """
 
     def __init__(
-        self, history: Source, channels: Channels, broken: Callable[[], Sequence[Broken]]
+        self,
+        history: Source,
+        channels: Channels,
+        broken: Callable[[], Sequence[Broken]],
+        interlocks: InterlockSettings | None = None,
     ) -> None:
         self._history, self._channels, self._broken = history, channels, broken
+        self._interlocks = interlocks
 
     def snapshot(self, last: int | None = None, since_tick: int | None = None) -> Transitions:
         """Copy the transitions, screened."""
         transitions = self._history.snapshot(last, since_tick)
+        if self._interlocks is not None and len(transitions):
+            refused = astray(transitions, self._interlocks)
+            transitions = replace(transitions, usable=transitions.usable & ~refused)
         return screened(transitions, self._broken(), self._channels)
 
 

@@ -6,7 +6,14 @@ import numpy as np
 
 from orbitfb.epics.channels import ChannelGroup, Monitor
 from orbitfb.epics.libca import Context
-from orbitfb.epics.records import blank_records, stamps_of, usable, wall_time
+from orbitfb.epics.records import (
+    EPICS_EPOCH,
+    NANOSECONDS,
+    blank_records,
+    stamps_of,
+    usable,
+    wall_time,
+)
 from orbitfb.epics.settings import AuxiliarySettings
 
 
@@ -20,14 +27,22 @@ class AuxiliaryChannels:
 
     def __init__(self, context: Context, settings: Mapping[str, AuxiliarySettings]) -> None:
         self._names = tuple(settings)
+        self._limits = np.array(
+            [np.inf if its.stale_after is None else its.stale_after for its in settings.values()]
+        )
         self._scales = np.array([channel.scale for channel in settings.values()])
         self._records = blank_records(len(settings))
         pvs = [channel.pv for channel in settings.values()]
         self.group = ChannelGroup(context, pvs, Monitor(self._records))
 
-    def values(self) -> dict[str, float]:
-        """Return the values by name, SI; NaN where disconnected, INVALID or never seen."""
-        known = self.group.connected & usable(self._records)
+    def values(self, now: float) -> dict[str, float]:
+        """Return the values by name, SI; NaN where disconnected, INVALID, stale or never seen.
+
+        Args:
+            now: Wall clock [s since the epoch].
+        """
+        ages = now - EPICS_EPOCH - stamps_of(self._records) / NANOSECONDS
+        known = self.group.connected & usable(self._records) & (ages <= self._limits)
         values = np.where(known, self._records["value"], np.nan) * self._scales
         return dict(zip(self._names, values.tolist(), strict=True))
 

@@ -117,7 +117,8 @@ class EpicsMachine:
         frame = self._inbox.take(timeout)
         snapshot = frame.arrival.snapshot
         orbit = Orbit(snapshot.values * MILLIMETRE, snapshot.valid, snapshot.time)
-        return Reading(orbit, frame.readback, self._auxiliary.values(), frame.arrival.received)
+        auxiliary = self._auxiliary.values(self._clock.wall())
+        return Reading(orbit, frame.readback, auxiliary, frame.arrival.received)
 
     def setpoints(self) -> Vector:
         """Ask the machine for the absolute setpoints in force, shape (m,) [A].

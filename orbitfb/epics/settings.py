@@ -15,11 +15,17 @@ class AuxiliarySettings(Settings):
 
     pv: str = Field(min_length=1, description="Name of the PV.")
     scale: float = Field(default=1.0, description="SI value = scale × value of the PV.")
+    stale_after: float | None = Field(
+        default=None,
+        gt=0,
+        description="Age by its stamp beyond which the value is not known any more [s]; none = "
+        "never: the PV is posted only when it changes.",
+    )
 
 
 def _default_auxiliary() -> dict[str, AuxiliarySettings]:
     return {
-        "current": AuxiliarySettings(pv=CURRENT_PV, scale=MILLIAMPERE),
+        "current": AuxiliarySettings(pv=CURRENT_PV, scale=MILLIAMPERE, stale_after=10.0),
         "rf_frequency": AuxiliarySettings(pv=RF_PV),
     }
 

@@ -131,7 +131,8 @@ def _jumped(step: Vector, limit: float, planes: int) -> Mask:
     if not far.any():
         return far
     rows = size.reshape(planes, -1)
-    moved = np.array([np.median(row[np.isfinite(row)], keepdims=True)[0] for row in rows])
+    known = [row[np.isfinite(row)] for row in rows]
+    moved = np.array([float(np.median(row)) if row.size else 0.0 for row in known])
     return far & (rows > ALONE * moved[:, None]).reshape(-1)
 
 

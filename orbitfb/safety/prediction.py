@@ -23,7 +23,6 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.verdict import FINE, Action, Verdict
 
-
 OTHERWISE = 3.0
 """How many times the predicted answer the beam may move before it says nothing about R."""
 

@@ -52,7 +52,7 @@ def database(job: dict) -> str:
         for pv in job["setpoint_pvs"]
     ]
     records += [
-        f'record(ai, "{pv}") {{ field(VAL, "{value}") field(PINI, "YES") }}'
+        f'record(ai, "{pv}") {{ field(VAL, "{value}") field(PINI, "YES") field(MDEL, "-1") }}'
         for pv, value in job["auxiliary"].items()
     ]
     return "\n".join(records)
@@ -93,6 +93,7 @@ def run(job: dict) -> None:
         (Field(readback), Field(setpoint))
         for readback, setpoint in zip(job["readback_pvs"], job["setpoint_pvs"], strict=True)
     ]
+    slow = [(Field(pv), value) for pv, value in job["auxiliary"].items()]
     stamp, faults = Field(STAMP), [Field(pv) for pv in FAULTS]
     plant = None if job["plant_seed"] is None else Plant(Ring.load(), seed=job["plant_seed"])
     period, tick = 1.0 / job["rate_hz"], 0
@@ -107,6 +108,8 @@ def run(job: dict) -> None:
             orbit = (tick % 1000) * 1e-3 + np.arange(len(bpms)) * 1e-6
         else:
             orbit = plant.step(np.array(setpoints)).reading * 1e3
+        for field, value in slow if tick % 20 == 0 else ():
+            field.put(value)
         stamp.put(tick)
         for index, (bpm, value) in enumerate(zip(bpms, orbit, strict=True)):
             if index == skip:

@@ -6,7 +6,8 @@ Each line on the standard input is a JSON object that replaces all faults: `bpms
 `zero`, `nan`, `frozen`, `stamp` or an offset [m]; `correctors` maps indices to `stuck`, `off`,
 `away` (the readback is not known) or an error of the readback [A]; `sign` is that of the response;
 `shift` says by how many places the BPMs are exchanged; `current` is the stored current [mA], null:
-not known. Everything else, the server and its PVs, is the program's own. Prints the port.
+not known; `current_old` keeps its stamp. Everything else, the server and its PVs, is the
+program's own. Prints the port.
 """
 
 import json
@@ -18,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfb.core.names import CURRENT_PV
 from orbitfb.sim.board import Board
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.process import run_job
@@ -89,6 +91,8 @@ def main() -> None:
     def stamped(board: Board, values: np.ndarray, stamp: Any) -> None:
         bpms = faulty.faults.get("bpms", {})
         late = [first + int(key) for key, kind in bpms.items() if kind == "stamp"]
+        if faulty.faults.get("current_old"):
+            late.append(board.names.index(CURRENT_PV))
         old = [(index, board.get(index)) for index in late]
         show(board, values, stamp)
         for index, entry in old:

@@ -18,12 +18,12 @@ from orbitfb.control import ask
 
 pytestmark = pytest.mark.system
 
-RATE = 20.0
+RATE = 40.0
 HERE = Path(__file__).parent
 CONFIG = """
 [loop]
-rate_hz = 20.0
-ramp = 0.5
+rate_hz = 40.0
+ramp = 0.3
 [learn]
 enabled = false
 [diagnose.live]
@@ -31,6 +31,10 @@ enabled = false
 [postmortem]
 before = 1.0
 after = 0.2
+[epics.auxiliary.current]
+pv = "SR:C03-BI{DCCT:1}I:Real-I"
+scale = 1e-3
+stale_after = 0.5
 """
 
 
@@ -176,14 +180,11 @@ def test_a_corrector_that_does_not_follow_is_left_out(session: Session, kind: ob
 def test_a_dead_corrector_does_not_let_setpoints_and_hardware_part_ways(session: Session):
     bad = strongest(session, 1)[0]
     session.fault(correctors={str(bad): "stuck"})
-    session.kick(0.3)
-    time.sleep(1.0)
-    before = setpoints(session.port)[bad]
-    session.kick(0.3)
-    time.sleep(1.0)
-    after = setpoints(session.port)[bad]
-    readback = transitions(session.service.data).readback[-1][bad]
-    assert abs(after - readback) < 0.6, (before, after, readback)
+    was = setpoints(session.port)[bad]
+    for _ in range(2):  # each asks for much more of it than the tolerance of a readback
+        session.kick(0.3)
+        time.sleep(0.5)
+    assert abs(setpoints(session.port)[bad] - was) < 0.6
     session.again()
 
 
@@ -194,11 +195,17 @@ def test_more_correctors_than_may_be_lost_trip(session: Session):
 
 
 @pytest.mark.parametrize(
-    ("current", "words"), [(None, "is not known"), (300.0, "dropped"), (5.0, "below the 10 mA")]
+    ("fault", "words"),
+    [
+        ({"current": None}, "is not known"),
+        ({"current_old": True}, "is not known"),
+        ({"current": 300.0}, "dropped"),
+        ({"current": 5.0}, "below the 10 mA"),
+    ],
 )
-def test_the_stored_current_trips(session: Session, current: float | None, words: str):
+def test_the_stored_current_trips(session: Session, fault: dict[str, Any], words: str):
     trips = len(session.service.events("postmortem_written"))
-    session.fault(current=current)
+    session.fault(**fault)
     session.wait("TRIPPED", words)
     left = setpoints(session.port)
     wait_for("post-mortem", lambda: len(session.service.events("postmortem_written")) > trips)
