@@ -23,6 +23,7 @@ from orbitfb.diagnose.answer import schema as diagnosis_schema
 from orbitfb.diagnose.answer_page import answer_page
 from orbitfb.effects.pages import effect_page, effects_index
 from orbitfb.effects.registry import all_effects
+from orbitfb.loop.faults import faults_markdown
 from orbitfb.loop.states import COMMANDS, TABLE, Event
 from orbitfb.observe.metrics_table import metrics_table_markdown
 from orbitfb.panel.pv_docs import panel_table_markdown
@@ -270,9 +271,10 @@ def fill_marked(text: str, mark: str, content: str) -> str:
 
 
 def safety_page() -> str:
-    """Return the safety page with its state table renewed."""
+    """Return the safety page with its tables of states and faults renewed."""
     page = (DOCS / "explanations/safety.md").read_text(encoding="utf-8")
-    return fill_marked(page, "states", states_table())
+    page = fill_marked(page, "states", states_table())
+    return fill_marked(page, "faults", faults_markdown())
 
 
 PAGES: dict[str, Callable[[], str]] = {

@@ -232,3 +232,12 @@ def test_a_wrong_response_is_found_before_the_orbit_is_lost(
     archived = transitions(session.service.data)
     assert rms_where(archived.closed, archived.orbit, archived.valid)[-10:].max() < 1e-3
     session.again()
+
+
+def test_a_frozen_orbit_is_not_integrated(session: Session):
+    session.fault(bpms={str(index): "frozen" for index in range(180)})
+    session.wait("HELD", "all 180 readings are those of the orbit before")
+    left = setpoints(session.port)
+    time.sleep(0.3)
+    np.testing.assert_array_equal(setpoints(session.port), left)
+    session.well()

@@ -173,7 +173,7 @@ def test_what_an_orbit_does_to_a_closed_loop(event, state, reason):
     assert len(bench.machine.writes) - count == (1 if event == "one_nan" else 0)
 
 
-def test_a_frozen_orbit_holds_in_the_end():
+def test_a_frozen_orbit_is_not_integrated():
     bench = Bench().close()
     count = len(bench.machine.writes)
     assert bench.step("frozen", "frozen").state is LoopState.HELD

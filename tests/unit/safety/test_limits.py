@@ -89,3 +89,14 @@ def test_the_largest_step_scales_the_whole_vector():
 def test_limits_are_finite_and_positive(key, value):
     with pytest.raises(ValidationError, match=key):
         LimitSettings(**{key: value})
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_nan_does_not_pass_a_clamp(bad):
+    """np.clip(nan) is nan, and min(nan, x) depends on the order: neither may decide."""
+    change = np.array([0.1, bad, 0.1])
+    limited = limit(change, np.zeros(3), LimitSettings())
+    assert limited.verdict.action is Action.TRIP
+    assert not limited.change.any() and not limited.setpoints.any()
+    unknown = limit(np.full(3, 0.1), np.array([0.0, bad, 0.0]), LimitSettings())
+    assert unknown.verdict.action is Action.TRIP and not unknown.change.any()
