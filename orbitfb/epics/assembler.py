@@ -6,6 +6,10 @@ one, and each of them is newer than what it contributed to the vector before. No
 needed: the assembler counts down the events without which the next vector cannot be complete,
 and looks at the stamps only when they have come. That is one subtraction per event, and one look
 at all stamps per tick even if a channel is stuck for ever.
+
+A channel that sends nothing during a whole tick in which the others do is stuck: one vector is
+lost, the next ones come without it, until it sends again. More than a few at once are no channels
+that are stuck but a torn orbit, and nothing comes.
 """
 
 from dataclasses import dataclass
@@ -51,9 +55,10 @@ class Assembler:
     Args:
         size: Count of channels n.
         window: How far the stamps of one vector may lie apart [s].
+        most_stuck: Channels that may be stuck; 0: all must send.
     """
 
-    def __init__(self, size: int, window: float = 0.0) -> None:
+    def __init__(self, size: int, window: float = 0.0, most_stuck: int = 0) -> None:
         self.records = blank_records(size)
         self.connected: Mask = np.zeros(size, dtype=np.bool_)
         self.checks = 0
@@ -61,6 +66,9 @@ class Assembler:
         self._window = round(window * NANOSECONDS)
         self._used: NDArray[np.int64] = np.full(size, NEVER, dtype=np.int64)
         self._published = NEVER
+        self._most_stuck = most_stuck
+        self._stuck: Mask = np.zeros(size, dtype=np.bool_)
+        self._stuck_at = self._used.copy()
         self._present: Mask = np.zeros(size, dtype=np.bool_)
         self._returning = False
         self._patience = PATIENCE
@@ -100,7 +108,7 @@ class Assembler:
 
     def snapshot(self) -> Snapshot:
         """Copy the vector that `arrived` has announced, before the next event is written."""
-        valid = self.connected & usable(self.records)
+        valid = self.connected & ~self._stuck & usable(self.records)
         return Snapshot(np.where(valid, self.records["value"], np.nan), valid, self._published)
 
     def describe(self, names: tuple[str, ...]) -> str:
@@ -147,7 +155,9 @@ class Assembler:
     def _complete(self) -> bool:
         self.checks += 1
         stamps = stamps_of(self.records)
-        connected = self.connected
+        if self._stuck.any():
+            self._stuck &= self.connected & (stamps == self._stuck_at)
+        connected = self.connected & ~self._stuck
         present = stamps[connected]
         if not present.size:
             self._awaited = 1
@@ -160,6 +170,10 @@ class Assembler:
             self._returning = False
         newest = int(present.max())
         late = int(np.count_nonzero(connected & ~self._fresh(stamps, newest)))
+        if late and self._most_stuck and self._give_up(stamps, connected):
+            connected = self.connected & ~self._stuck
+            present = stamps[connected]
+            late = int(np.count_nonzero(connected & ~self._fresh(stamps, newest)))
         if late or newest <= self._published:
             # Each of them must send at least once more, whatever else comes in between.
             self._awaited = max(late, 1)
@@ -168,6 +182,21 @@ class Assembler:
         self._used[connected] = present
         self._present = connected.copy()
         self._awaited = present.size
+        return True
+
+    def _give_up(self, stamps: NDArray[np.int64], connected: Mask) -> bool:
+        """Expect no more of those that were silent for a whole tick; say whether there are any."""
+        silent = connected & (stamps <= self._used)
+        count = int(np.count_nonzero(silent))
+        sent = stamps[connected & ~silent]
+        most = min(self._most_stuck - int(np.count_nonzero(self._stuck)), len(sent) - 1)
+        # Two ticks are under way: the silent ones have left out the first of them altogether.
+        if not 0 < count <= most or int(sent.max()) - int(sent.min()) <= self._window:
+            return False
+        if int(sent.min()) <= self._published:
+            return False
+        self._stuck |= silent
+        self._stuck_at = np.where(silent, stamps, self._stuck_at)
         return True
 
 

@@ -58,7 +58,9 @@ class EpicsMachine:
         self._limits_due = True
         size = len(channels.setpoint_pvs)
         self._drive_limits = np.full((size, 2), np.nan)
-        self._orbit_assembler = Assembler(len(channels.orbit_pvs), settings.stamp_window)
+        self._orbit_assembler = Assembler(
+            len(channels.orbit_pvs), settings.stamp_window, settings.stuck_bpms
+        )
         self._readback_assembler = Assembler(len(channels.readback_pvs), settings.stamp_window)
         self._inbox = Inbox(
             self._orbit_assembler,

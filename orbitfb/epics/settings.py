@@ -58,6 +58,12 @@ class EpicsSettings(Settings):
         ge=0,
         description="How far the stamps of one orbit may lie apart [s]; 0: they must be equal.",
     )
+    stuck_bpms: int = Field(
+        default=9,
+        ge=0,
+        description="BPMs that may keep their old stamp while the others send a tick: they are "
+        "left out until they send again; 0: such an orbit is refused.",
+    )
     stale_after: float = Field(
         default=1.0,
         gt=0,

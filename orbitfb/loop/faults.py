@@ -36,13 +36,15 @@ class Fault:
 
 FAULTS = (
     Fault(
-        "a BPM is disconnected, INVALID, NaN or exactly 0, repeats its reading while others "
-        "change, or jumps alone",
-        "left out within the tick and named with the reason, the law solved for the rest; counts "
+        "a BPM is disconnected, INVALID, NaN or exactly 0, keeps its stamp or repeats its reading "
+        "while others change, or jumps alone",
+        "left out within the tick (one that keeps its stamp: after one lost orbit) and named with "
+        "the reason, the law solved for the rest; counts "
         "again after a row of good readings; one that jumped, once it reads what it did, or after "
         "the loop was opened",
         (_CLOSED,),
         (
+            "epics.stuck_bpms",
             "interlocks.bpm_zero",
             "interlocks.bpm_frozen_ticks",
             "interlocks.bpm_jump",
@@ -51,6 +53,7 @@ FAULTS = (
         (
             "test_a_bad_bpm_is_left_out_named_and_comes_back",
             "test_a_nan_bpm_is_not_read_as_on_reference",
+            "test_a_bpm_that_keeps_its_stamp_is_masked_and_comes_back",
             "test_half_of_the_machine_away_is_masked_and_comes_back",
         ),
     ),
@@ -72,7 +75,7 @@ FAULTS = (
         ),
     ),
     Fault(
-        "no coherent orbit, an old one, the same one again, or one BPM that keeps its stamp",
+        "no coherent orbit, an old one, or the same one again",
         "nothing is written: an old orbit is never acted on",
         (_HELD, _TRIPPED),
         ("loop.hold_after", "interlocks.frozen_ticks", "epics.stale_after", "loop.trip_after"),

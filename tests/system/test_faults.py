@@ -124,7 +124,13 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
 
 @pytest.mark.parametrize(
     ("kind", "word"),
-    [("zero", "exactly 0"), ("nan", ""), ("frozen", "frozen"), (0.001, "jumped")],
+    [
+        ("zero", "exactly 0"),
+        ("nan", ""),
+        ("stamp", ""),
+        ("frozen", "frozen"),
+        (0.001, "jumped"),
+    ],
 )
 def test_a_bad_bpm_is_left_out_named_and_comes_back(session: Session, kind: object, word: str):
     session.fault(bpms={"70": kind})

@@ -252,3 +252,44 @@ def test_description_of_silence():
     assert "1 of 5 BPMs still carry stamp" in assembler.describe(NAMES)
     send(assembler, 0, stamp_of(0))
     assert "stamps went back" in assembler.describe(NAMES)
+
+
+def tick(assembler: Assembler, number: int, without: tuple[int, ...] = ()):
+    """Send a tick; the snapshots that came of it."""
+    sent = (send(assembler, i, stamp_of(number)) for i in range(SIZE) if i not in without)
+    return [snapshot for snapshot in sent if snapshot is not None]
+
+
+def stuck_ready(most: int = 2) -> Assembler:
+    assembler = Assembler(SIZE, 0.0, most)
+    for index in range(SIZE):
+        assembler.set_connected(index, True)
+    assert tick(assembler, 0)
+    return assembler
+
+
+def test_a_channel_that_keeps_its_stamp_costs_one_vector_and_comes_back():
+    assembler = stuck_ready()
+    assert tick(assembler, 1, (3,)) == []
+    for number in range(2, 6):
+        (snapshot,) = tick(assembler, number, (3,))
+        assert snapshot.valid.tolist() == [True, True, True, False, True]
+        assert np.isnan(snapshot.values[3]) and snapshot.stamp == stamp_of(number)
+    assert len(tick(assembler, 6)) == 1  # it sends again: from the next tick on it counts
+    (snapshot,) = tick(assembler, 7)
+    assert snapshot.valid.all()
+
+
+def test_more_than_may_be_stuck_are_a_torn_orbit():
+    assembler = stuck_ready(most=1)
+    for number in range(1, 5):
+        assert tick(assembler, number, (2, 3)) == []
+
+
+def test_who_is_only_late_within_a_tick_is_not_stuck():
+    assembler = stuck_ready()
+    for index in (0, 1, 1, 1, 1, 2):  # repetitions make it look in the middle of a tick
+        assert send(assembler, index, stamp_of(1)) is None
+    assert send(assembler, 3, stamp_of(1)) is None
+    snapshot = send(assembler, 4, stamp_of(1))
+    assert snapshot is not None and snapshot.valid.all()
