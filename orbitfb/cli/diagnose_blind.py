@@ -16,6 +16,10 @@ def diagnose_blind(
         typer.Option(help="quick: about 50 cases, fast: 230, full: 1700."),
     ] = "quick",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the cases.")] = 1,
+    first: Annotated[
+        int | None,
+        typer.Option(min=1, help="Only so many cases of the suite, drawn at random [all]."),
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Diagnoses at the same time.")] = 2,
     out: Annotated[
         Path, typer.Option(help="Directory for records, truth, answers and the table.")
@@ -46,6 +50,7 @@ def diagnose_blind(
         "tests.blind.generate",
         *("--suite", suite, "--seed", str(seed), "--jobs", str(jobs)),
         *("--out", str(data), "--truth", str(truth)),
+        *(() if first is None else ("--first", str(first))),
     )
     diagnose_all(list(tasks(data, answers)), jobs, "diagnosed")
     arguments = ["--truth", str(truth), "--answers", str(answers), "--rings", str(data)]

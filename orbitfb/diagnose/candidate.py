@@ -26,12 +26,14 @@ class Candidate:
         gain: Estimated gain of the log-likelihood [nats].
         choices: Among how many places and onsets it was chosen.
         group: Name of the group of devices that it strikes; empty for single ones.
+        alone: The gain if no healthy device scattered about its kin [nats]; None: the same.
     """
 
     cause: Cause
     gain: float
     choices: float
     group: str = ""
+    alone: float | None = None
 
 
 def best_strength(kind: EffectKind, score: Vector, info: Vector) -> tuple[Vector, Vector]:

@@ -27,6 +27,8 @@ from orbitfb.diagnose.problem import Left, Problem, from_fitted, to_fitted
 from orbitfb.effects.kinds import Parameter
 from orbitfb.physics.optics import Matrix
 
+_TIDY_BLOCKS = 8.0
+"""Weight of the prior that scores scatter as the noise model says [blocks]."""
 BLOCK = 25
 """Ticks of a block of the split, and of the variance of the scores."""
 _STEPS = 12
@@ -217,7 +219,7 @@ def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, pr
         curvature = _normal_equations(now, slopes)[1]
         known = curvature + np.diag(1e-6 / scale**2)
         inverse = np.asarray(np.linalg.pinv(known), dtype=np.float64)
-        inflation = _inflation(rows, inverse)
+        inflation = _inflation(rows, inverse, _known_by_row(slopes, inverse))
         covariance[np.ix_(smooth, smooth)] = inverse * inflation
         held, unstable[smooth] = _held_out(scale, now, slopes, rows, by_row)
         bent = np.eye(len(smooth)) + curvature * np.outer(scale, scale)
@@ -248,15 +250,31 @@ def _by_row(white: Matrix, jacobian: Vector) -> Vector:
     return -0.5 * np.sum(white**2, axis=1) + jacobian
 
 
-def _inflation(rows: Matrix, inverse: Matrix) -> float:
-    """Compare the scatter of the scores of blocks with what the curvature says."""
+def _known_by_row(slopes: list[Left], inverse: Matrix) -> Vector:
+    """Share that every row has in what is known of the values, shape (N,)."""
+    shares = [
+        inverse[i, j] * np.sum(a[0] * b[0], axis=1)
+        for i, a in enumerate(slopes)
+        for j, b in enumerate(slopes)
+    ]
+    return np.sum(shares, axis=0)
+
+
+def _inflation(rows: Matrix, inverse: Matrix, known: Vector) -> float:
+    """Compare the scatter of the scores of blocks with what the curvature says.
+
+    A few blocks that know everything say little about the scatter: as much as so many blocks of
+    like weight would, against a prior of some blocks that scatter as they should.
+    """
     blocks = len(rows) // BLOCK
     if blocks < 8:
         return 1.0
     sums = rows[: blocks * BLOCK].reshape(blocks, BLOCK, -1).sum(axis=1)
     sums -= sums.mean(axis=0)
-    scatter = sums.T @ sums
-    return max(1.0, float(np.trace(inverse @ scatter)) / len(inverse))
+    scatter = float(np.trace(inverse @ (sums.T @ sums))) / len(inverse)
+    weight = np.maximum(known[: blocks * BLOCK].reshape(blocks, BLOCK).sum(axis=1), 0.0)
+    alike = float(np.sum(weight) ** 2 / max(float(np.sum(weight**2)), 1e-300))
+    return max(1.0, (_TIDY_BLOCKS + alike * scatter) / (_TIDY_BLOCKS + alike))
 
 
 def _held_out(

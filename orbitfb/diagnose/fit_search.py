@@ -8,9 +8,12 @@ from orbitfb.diagnose.bench import log_likelihood
 from orbitfb.diagnose.problem import Left, Problem, from_fitted
 from orbitfb.effects.orbit_kinds import SourceKind
 
+_FIRST_TRIALS = np.linspace(-1.0, 1.0, 33)
 _TRIALS = np.linspace(-1.0, 1.0, 15)
 _FEW_TRIALS = np.linspace(-1.0, 1.0, 7)
 """Where a linear parameter follows, the likelihood bends but does not jump."""
+_FIRST_LOOK = 9
+"""Values of a bending likelihood that are tried before the best one is searched."""
 _REACH = 0.45
 """How far a search goes at first: in the logarithm, or as a share of the value."""
 _ZOOM = 0.3
@@ -32,12 +35,14 @@ def line_search(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left
     high = min(problem.high[0], best[0] + reach)
     if not high > low:
         return best, now
-    found = minimize_scalar(
-        lambda number: -log_likelihood(*problem.residual(np.array([number]))),
-        bounds=(low, high),
-        method="bounded",
-        options={"maxiter": 12},
-    )
+
+    def depth(number: float) -> float:
+        return -log_likelihood(*problem.residual(np.array([number])))
+
+    trials = np.linspace(low, high, _FIRST_LOOK)
+    lowest = int(np.argmin([depth(float(number)) for number in trials]))
+    around = trials[max(lowest - 1, 0)], trials[min(lowest + 1, len(trials) - 1)]
+    found = minimize_scalar(depth, bounds=around, method="bounded", options={"maxiter": 10})
     if -float(found.fun) <= log_likelihood(*now):
         return best, now
     there = np.array([float(found.x)])
@@ -68,7 +73,9 @@ def rough_search(problem: Problem, best: Vector, index: int, *, near: bool = Fal
     reach *= _ZOOM**2 if near else 1.0
     follows = problem.causes[problem.parameters[index][0]].kind.linear is not None
     offsets = _FEW_TRIALS if follows else _TRIALS
-    for _ in range(_ZOOMS):
+    for zoom in range(_ZOOMS):
+        if not (near or follows):
+            offsets = _TRIALS if zoom else _FIRST_TRIALS
         trials = np.clip(centre + reach * offsets, problem.low[index], problem.high[index])
         heights = [problem.likelihood(best, index, float(number)) for number in trials]
         top = int(np.argmax(heights))

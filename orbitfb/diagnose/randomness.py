@@ -110,11 +110,13 @@ def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
     reading = float(np.sqrt(bench.floor.reading))
     for members, name, choices in _sets(bench, kind, seen):
         # Healthy devices scatter each for itself: what a group has in common shows the better.
-        gain = 0.5 * len(members) * (float(np.mean(seen[members])) / deviation) ** 2
+        typical = float(np.mean(seen[members]))
+        gain = 0.5 * len(members) * (typical / deviation) ** 2
+        alone = 0.5 * len(members) * (typical / chance) ** 2
         values = _values(kind, float(np.mean(strength[members])), reading)
         if values is not None:
             places = tuple(int(i) for i in members)
-            yield Candidate(Cause(kind, places, values), gain, choices, name)
+            yield Candidate(Cause(kind, places, values), gain, choices, name, alone)
 
 
 def _sets(bench: Bench, kind: NoiseKind, seen: Vector) -> Iterator[tuple[Indices, str, float]]:

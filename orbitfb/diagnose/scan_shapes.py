@@ -17,9 +17,10 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.innovation import Ladder
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
-from orbitfb.effects.layout import ChannelPlane
+from orbitfb.effects.layout import ChannelPlane, Layout
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
 
 _PLANES: tuple[ChannelPlane, ...] = ("x", "y")
 _ROUGH = 4
@@ -49,13 +50,13 @@ class Changes:
 
     Args:
         parts: Pairs of shapes and drivers (N, P) or (N, 1).
-        alike: Healthy errors of the same places that may act like them, part by part; None where
-            there are none.
+        alike: Healthy errors that may act like them, part by part: what has them, and which one
+            belongs to which place; None where there are none.
         measure: Tells the information on them for a scoring.
     """
 
     parts: tuple[tuple[Shapes, Matrix], ...]
-    alike: tuple[Healthy | None, ...]
+    alike: tuple[tuple[Healthy, Indices] | None, ...]
     measure: "Callable[[Changes], tuple[Vector, Vector]]"
 
     @cached_property
@@ -107,14 +108,14 @@ class Scoring:
         measure = self._information
         if isinstance(kind, ActuatorKind):
             moved = kind.drive(bench.currents, values, record) - bench.currents
-            return Changes(((self.correctors(), moved),), ("correctors",), measure)
+            return Changes(((self.correctors(), moved),), (("correctors", _own(moved)),), measure)
         if isinstance(kind, SensorKind):
             # What is not small has taken the predicted orbit with it: take the model's own.
             small = bool(kind.parameters)
             orbit = bench.orbit if small else bench.currents @ record.layout.response.T
             moved = kind.distort(orbit, values, record) - orbit
             shapes = self._shapes("bpms", lambda: np.eye(moved.shape[1]))
-            return Changes(((shapes, moved),), ("bpms",), measure)
+            return Changes(((shapes, moved),), (("bpms", _own(moved)),), measure)
         if isinstance(kind, SourceKind):
             patterns = kind.patterns(record.layout)
             drivers = kind.drivers(values, record, bench.currents, bench.orbit)
@@ -122,7 +123,8 @@ class Scoring:
                 shapes = self._shapes(kind.id, lambda: patterns)
                 return Changes(((shapes, drivers),), (None,), measure)
             parts: list[tuple[Shapes, Matrix]] = []
-            alike: list[Healthy | None] = []
+            alike: list[tuple[Healthy, Indices] | None] = []
+            beside = _quadrupoles_of(kind, record.layout)
             for plane, driver in zip(_PLANES, drivers, strict=True):
                 rows = record.layout.bpms.in_plane(plane)
                 if len(rows):
@@ -130,7 +132,7 @@ class Scoring:
                     own[rows] = patterns[rows]
                     shapes = self._shapes(f"{kind.id} {plane}", lambda own=own: own)
                     parts.append((shapes, driver))
-                    alike.append(plane if kind.target == "quadrupole" else None)
+                    alike.append(None if beside is None else (plane, beside))
             return Changes(tuple(parts), tuple(alike), measure)
         raise TypeError(f"{kind.id} has no places to scan")
 
@@ -147,16 +149,17 @@ class Scoring:
         """Information on every place, and the share of it that the background takes away."""
         total: Vector = np.zeros(1)
         taken: Vector = np.zeros(1)
-        for (shapes, drivers), name in zip(changes.parts, changes.alike, strict=True):
+        for (shapes, drivers), its in zip(changes.parts, changes.alike, strict=True):
             sizes = [np.sum(shape**2, axis=0) for shape in shapes.rough]
             courses = self._rough.filtered(drivers, self._starts)
             known = _products(sizes, courses, courses)
             total = total + known
-            if name is not None:
-                like = self._healthy(name)
+            if its is not None:
+                name, which = its
+                like = [course[:, which] for course in self._healthy(name)]
                 both, own = _products(sizes, courses, like), _products(sizes, like, like)
                 share = np.clip(both**2 / np.maximum(known * own, 1e-300), 0.0, 1.0)
-                taken = taken + known * share * self._bench.background.absorbed(name)
+                taken = taken + known * share * self._bench.background.absorbed(name)[which]
         return total, taken / np.maximum(total, 1e-300)
 
     def _healthy(self, name: Healthy) -> list[Matrix]:
@@ -180,6 +183,22 @@ class Scoring:
     def seen(self, change: Matrix) -> float:
         """Tell the information on one change of all readings (N, n) [nats]."""
         return float(np.sum(self._bench.floor.whiten(change, self._starts) ** 2))
+
+
+def _own(drivers: Matrix) -> Indices:
+    return np.arange(drivers.shape[1])
+
+
+def _quadrupoles_of(kind: EffectKind, layout: Layout) -> Indices | None:
+    """Quadrupole whose gradient error acts most like an effect at each place; None: none does."""
+    if kind.target not in ("quadrupole", "sextupole"):
+        return None
+    ring = layout.known_ring
+    quadrupoles = ring.places("QUAD")
+    if kind.target == "quadrupole":
+        return np.arange(len(quadrupoles))
+    apart = np.abs(np.subtract.outer(ring.table.s[ring.places("SEXT")], ring.table.s[quadrupoles]))
+    return np.argmin(apart, axis=1)
 
 
 def _products(

@@ -128,7 +128,9 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
     if kind.target == "corrector":
         patterns, drivers = record.layout.response, bench.currents
     else:
-        patterns, drivers = np.eye(bench.orbit.shape[1]), bench.orbit
+        # What is not small has taken the predicted orbit with it: take the model's own.
+        orbit = bench.orbit if kind.parameters else bench.currents @ record.layout.response.T
+        patterns, drivers = np.eye(orbit.shape[1]), orbit
     scores = (bench.slope @ patterns).T @ drivers
     shapes, courses = scoring.ladder.shapes(patterns), scoring.courses(drivers)
     overlap = [(s.T @ s, c.T @ c) for s, c in zip(shapes, courses, strict=True)]

@@ -148,6 +148,8 @@ def search(
                 record = without_strikes(bench, winner.kind, winner.cause)
                 nominal = Bench(record, given, floor, nominal.floor.modes)
             left = [kind for kind in left if not isinstance(kind, LatentKind | NoiseKind)]
+            if isinstance(winner.kind, NoiseKind):
+                break  # the floor does not have it, so that what is left is its own doing first
         bench = Bench(record, (*given, *_moving(causes)), floor, nominal.floor.modes)
     joint, moving = _together(nominal, bench, _moving(causes))
     final = bench

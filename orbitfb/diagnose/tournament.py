@@ -23,8 +23,12 @@ from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 FINALISTS = 10
-"""Most candidates that are fitted exactly."""
+"""Candidates that are fitted exactly, beside those without a size."""
+_KINDS = 7
+"""Kinds of which at least the best one is."""
 _LEAST_FINALISTS = 3
+_SURE_NOISE = 10.0
+"""Weight of a noise that is there for sure [nats]."""
 _HOPELESS = 0.25
 """Share of the best weight so far that a candidate has to promise to be fitted."""
 REFITTED = 6
@@ -34,8 +38,8 @@ _ABSURD = 1.2
 _ONSET_WORTH = 4.0
 """Rows before an onset must speak against the effect by this much [nats]."""
 
-_THROWN_OFF = 300.0
-"""Share of a cause's gain that lies in the floor alone, beyond which more is wrong than that."""
+_THROWN_OFF = 1000.0
+"""Weight of a cause beyond which orbit and healthy errors are wrong without it [nats]."""
 _SAME = 0.02
 """Two fits leave the same when what they leave differs by less than this share of the gain."""
 
@@ -86,21 +90,36 @@ def tournament(
     """
     tell = progress or (lambda what, share: None)
     proposals = propose(bench, kinds, lambda what, share: tell(what, 0.5 * share))
-    if np.sum(bench.sizes**2) > _ABSURD**2 * len(bench.sizes):
+    swallowed = kinds
+    if np.sum(bench.sizes**2) <= _ABSURD**2 * len(bench.sizes):
+        # What has no size is never small: healthy errors hide it even if they stay healthy.
+        swallowed = [] if bench.causes else [kind for kind in kinds if not kind.parameters]
+    if swallowed:
         told = bench.floor if bench.told_floor else None
-        # Healthy errors cannot be that large: they have swallowed the cause. Look without them.
         bare = Bench(bench.record, bench.causes, told, bench.floor.modes, 0.0)
-        proposals = _distinct([*propose(bare, kinds), *proposals])
+        proposals = _distinct([*propose(bare, swallowed), *proposals])
     entries: list[Entry] = []
     for index, candidate in enumerate(proposals):
         tell("fitting", 0.5 + 0.3 * index / len(proposals))
-        if _net(candidate) > _HOPELESS * max((entry.weight for entry in entries), default=0.0):
+        best = max((entry.weight for entry in entries), default=0.0)
+        # What has no size is fitted at no cost, and scanned badly: it is never small.
+        if _net(candidate) > _HOPELESS * best or not candidate.cause.kind.parameters:
             entries.append(_enter(bench, candidate))
     entries.sort(key=lambda entry: entry.weight, reverse=True)
-    again = [_profiled(bench, entry) for entry in entries[:REFITTED]]
+    again = [_profiled(bench, entry, entries[0].weight) for entry in entries[:REFITTED]]
     tell("fitting", 1.0)
     again = _alike_alike(again)
-    return sorted((*again, *entries[REFITTED:]), key=lambda entry: entry.weight, reverse=True)
+    return sorted((*again, *entries[REFITTED:]), key=_rank, reverse=True)
+
+
+def _rank(entry: Entry) -> float:
+    """Weight among the others: noise that healthy devices would not have comes before causes.
+
+    How sure a noise is depends on how much healthy devices scatter; how well it explains the
+    record does not, and what it leaves in the innovations looks like many other causes.
+    """
+    spare = 0.0 if entry.candidate.alone is None else entry.candidate.alone - entry.candidate.gain
+    return entry.weight + (spare if entry.weight > _SURE_NOISE else 0.0)
 
 
 def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -129,8 +148,19 @@ def propose(
         if progress is not None:
             progress(kind.id, (index + 1) / len(kinds))
     found.sort(key=_net, reverse=True)
-    worth = [candidate for candidate in found if _net(candidate) > 0.0]
-    return found[: min(max(len(worth), _LEAST_FINALISTS), FINALISTS)]
+    worth = sum(_net(candidate) > 0.0 for candidate in found)
+    return _chosen(found[: max(worth, _LEAST_FINALISTS)])
+
+
+def _chosen(found: Sequence[Candidate]) -> list[Candidate]:
+    """Take the best of the best kinds, every one without a size, and the best of the rest."""
+    firsts: dict[str, Candidate] = {}
+    for candidate in found:
+        firsts.setdefault(candidate.cause.kind.id, candidate)
+    kept = [*firsts.values()][:_KINDS]
+    kept += [one for one in firsts.values() if not one.cause.kind.parameters and one not in kept]
+    kept += [one for one in found if one not in kept][: max(FINALISTS - len(kept), 0)]
+    return sorted(kept, key=_net, reverse=True)
 
 
 def _net(candidate: Candidate) -> float:
@@ -189,13 +219,15 @@ def _alike_alike(entries: Sequence[Entry]) -> list[Entry]:
     return judged
 
 
-def _profiled(bench: Bench, entry: Entry) -> Entry:
-    """Judge an entry under the floor that it leaves itself: it had inflated the floor."""
+def _profiled(bench: Bench, entry: Entry, best: float) -> Entry:
+    """Judge an entry under the floor that it leaves itself: it had inflated the floor.
+
+    Where the best entry is worth much more has been thrown off than the floor.
+    """
     if entry.fit is None or entry.weight < 0.0:
         return entry
     floor = bench.floor_without(entry.fit.causes)
-    shrunk = 0.5 * np.sum(np.log(bench.floor.innovation_variance / floor.innovation_variance))
-    if len(bench.record) * shrunk > _THROWN_OFF:
+    if best > _THROWN_OFF and entry.weight > _HOPELESS * best:
         own = bench.cleared_of(entry.fit.causes)
     else:
         own = bench.with_floor(floor)

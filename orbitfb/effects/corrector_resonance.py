@@ -65,7 +65,7 @@ class CorrectorResonance(ActuatorKind):
         return filtered(setpoints, numerator, denominator, record)
 
     def grid(self, record: Record) -> tuple[Values, ...]:
-        """10 frequencies from a hundredth to nearly half the rate of the record, with 2 dampings."""
+        """10 frequencies from a hundredth to nearly half the rate, with 2 dampings."""
         rate = 1.0 / record.layout.period
         return tuple(
             {"frequency": float(frequency), "damping": damping}

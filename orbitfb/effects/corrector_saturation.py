@@ -13,6 +13,9 @@ from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
 _NONE = 1e3  # [A]; no corrector reaches it
+_HINTED = 3
+"""Correctors whose own ranges are looked at."""
+_SHARES = np.array([0.1, 0.2, 0.3, 0.4, 0.55, 0.75])
 
 
 class CorrectorSaturation(ActuatorKind):
@@ -57,6 +60,16 @@ class CorrectorSaturation(ActuatorKind):
         sizes = np.quantile(np.abs(record.setpoints), np.linspace(0.1, 0.999, 7))
         limits = np.concatenate([near, sizes, reach * np.geomspace(0.05, 0.98, 6)])
         return ladder("limit", {}, np.unique(limits[(limits > 0) & (limits < reach)]))
+
+    def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:
+        """Limits within the ranges of the correctors that are pulled most to a smaller current."""
+        size = np.abs(setpoints)
+        top, reach = size.max(axis=0), np.ptp(size, axis=0)
+        limits = top - reach * _SHARES[:, None]
+        cuts = np.sign(setpoints) * np.minimum(limits[:, None, :] - size, 0.0)
+        pulled = np.einsum("km,skm->sm", pull, cuts).max(axis=0)
+        columns = np.argsort(pulled)[::-1][:_HINTED]
+        return ladder("limit", {}, np.sort(limits[:, columns][limits[:, columns] > 0.0]))
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -3,6 +3,7 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
+from orbitfb.effects.kicks import interpolation
 from orbitfb.effects.layout import ChannelPlane, Layout
 from orbitfb.effects.orbit_kinds import Courses
 from orbitfb.physics.effect import Effect
@@ -14,21 +15,25 @@ SIGN = {"x": -1.0, "y": 1.0}
 """An orbit z in a gradient that is Δk too strong is kicked by SIGN · Δk · z."""
 
 
-def gradient_kicks(layout: Layout, gradients: Matrix, currents: Matrix) -> Courses:
+def gradient_kicks(
+    layout: Layout, gradients: Matrix, currents: Matrix, orbit: Matrix | None = None
+) -> Courses:
     """Kicks of every quadrupole with a gradient error, each alone in the ring, both planes.
 
     Exact for one thin quadrupole: ∓Δk z / (1 ± Δk G_qq) with z the orbit that the correctors make
-    there. The orbit that disturbances make there is left out on purpose: what stands still is
-    part of the orbit at the start, and what walks on by some nanometres a tick is changed by a few
-    per cent of that, unseen beside the walk itself. (Simulated with disturbances that do feel the
-    gradient, the log-likelihood is the same within 0.5 nats at Δk = 0.003, and 8 to 50 nats of
-    some thousands higher at 0.02, than with the orbit interpolated from the BPMs, which brings in
-    the noise of the prediction.)
+    there. The orbit that disturbances make there is left out unless the orbit is given: what
+    stands still is part of the orbit at the start, and what walks on by some nanometres a tick is
+    changed by a few per cent of that, unseen beside the walk itself. (Simulated with disturbances
+    that do feel the gradient, the log-likelihood is the same within 0.5 nats at Δk = 0.003, and 8
+    to 50 nats of some thousands higher at 0.02, than with the orbit interpolated from the BPMs,
+    which brings in the noise of the prediction.)
 
     Args:
         layout: Devices and ring.
         gradients: Δk1L, shape (N, q) or (1, q) [1/m].
         currents: That act on the beam, shape (N, m) [A].
+        orbit: At the BPMs, shape (N, n) [m]: to be given where gradients change, because then what
+            stands still counts; what the correctors do not make of it is interpolated.
 
     Returns:
         Shape (2, N, q) [rad].
@@ -42,7 +47,11 @@ def gradient_kicks(layout: Layout, gradients: Matrix, currents: Matrix) -> Cours
         strength = SIGN[plane] * gradients
         columns = layout.correctors.in_plane(plane)
         at = layout.orbit_at("QUAD", plane)[:, columns]
-        kicks[row] = (currents[:, columns] @ at.T) * (strength / (1.0 - strength * own))
+        there = currents[:, columns] @ at.T
+        if orbit is not None:
+            besides = orbit - currents @ layout.response.T
+            there += besides @ interpolation(layout, "QUAD", plane).T
+        kicks[row] = there * (strength / (1.0 - strength * own))
     return kicks
 
 

@@ -64,7 +64,7 @@ class OpticsDrift(SourceKind):
         return two_planes(layout, "QUAD")
 
     def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
-        """Kicks by the orbit of the correctors in gradients that grow."""
+        """Kicks by the orbit in gradients that grow."""
         strength = np.nan_to_num(record.layout.known_ring.strength("QUAD"))
         gradients = np.outer(values["rate"] * record.time, strength)
-        return gradient_kicks(record.layout, gradients, currents)
+        return gradient_kicks(record.layout, gradients, currents, orbit)

@@ -66,12 +66,20 @@ def _sha256(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def generate(suite: Suite, seed: int, out: Path, truth: Path, jobs: int, only: str = "") -> str:
-    """Write a suite; give the hash of its truth."""
+def generate(
+    suite: Suite,
+    seed: int,
+    out: Path,
+    truth: Path,
+    jobs: int,
+    only: str = "",
+    first: int | None = None,
+) -> str:
+    """Write a suite, or the first cases of its random order; give the hash of its truth."""
     for folder in (out / "records", out / "later", truth):
         folder.mkdir(parents=True, exist_ok=True)
     specs = [s for s in plan(suite, seed) if not only or only in s.effects]
-    order = np.random.default_rng([seed, 9]).permutation(len(specs))
+    order = np.random.default_rng([seed, 9]).permutation(len(specs))[:first]
     tasks = [(specs[i], opaque(seed, int(i)), out, truth, seed) for i in order]
     with ProcessPoolExecutor(jobs) as pool:
         for count, _ in enumerate(pool.map(write_case, *zip(*tasks, strict=True)), 1):
@@ -88,12 +96,19 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="for records/ and later/")
     parser.add_argument("--truth", type=Path, required=True, help="not within --out")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--first", type=int, help="only so many, drawn at random")
     parser.add_argument("--only", default="", help="cases of one effect only")
     options = parser.parse_args()
     if options.truth.resolve().is_relative_to(options.out.resolve() / "records"):
         parser.error("--truth lies among the records")
     digest = generate(
-        options.suite, options.seed, options.out, options.truth, options.jobs, options.only
+        options.suite,
+        options.seed,
+        options.out,
+        options.truth,
+        options.jobs,
+        options.only,
+        options.first,
     )
     print(f"sha256 of the truth: {digest}")
 
