@@ -10,7 +10,7 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.loop.guard import Decision, Guard
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
-from orbitfb.safety.limits import Limited, limit
+from orbitfb.safety.limits import Limited, limit, near_limit
 from orbitfb.safety.verdict import name_some
 
 _ROUNDS = 3
@@ -79,7 +79,9 @@ def choose(
             break
         out, full = more, full | tight
     reasons = [alarm, limited.verdict.reason]
-    if full.any():
+    if not full.any():
+        reasons.append(near_limit(limited.setpoints, rules.limits, names))
+    else:
         reasons.append(
             f"{int(full.sum())} correctors at their limit of ±{rules.limits.setpoint:g} A "
             f"({name_some(full, names)}) are left out"

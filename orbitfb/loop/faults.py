@@ -110,10 +110,13 @@ FAULTS = (
     ),
     Fault(
         "a corrector would go beyond its limit",
-        "it leaves the solution of this tick and the others take over; named",
+        "it leaves the solution of this tick and the others take over; named, and warned of before",
         (_CLOSED,),
-        ("limits.setpoint",),
-        ("test_a_corrector_at_its_limit_leaves_the_solution_and_the_rest_take_over",),
+        ("limits.setpoint", "limits.warning"),
+        (
+            "test_a_corrector_at_its_limit_leaves_the_solution_and_the_rest_take_over",
+            "test_a_corrector_is_warned_of_before_its_limit",
+        ),
     ),
     Fault(
         "a step larger than allowed",

@@ -22,6 +22,12 @@ class LimitSettings(Settings):
     change_per_tick: float = Field(
         default=2.0, gt=0, description="Largest |change| of a setpoint in one tick [A]."
     )
+    warning: float = Field(
+        default=0.9,
+        gt=0,
+        le=1,
+        description="Part of the largest |setpoint| from which a corrector is warned of.",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +88,21 @@ def limit(
     high = np.maximum(settings.setpoint, setpoints)
     target = np.clip(setpoints + shortened, low, high)
     return Limited(shortened, target, scale, tight, _warning(tight, scale, settings, names))
+
+
+def near_limit(setpoints: Vector, settings: LimitSettings, names: Sequence[str] = ()) -> str:
+    """Say which correctors are close to their limit; empty when none is.
+
+    Args:
+        setpoints: Shape (m,) [A].
+        settings: The limits.
+        names: The correctors.
+    """
+    near = np.abs(setpoints) > settings.warning * settings.setpoint
+    if not near.any():
+        return ""
+    beyond = f"beyond {settings.warning:.0%} of ±{settings.setpoint:g} A"
+    return f"{int(near.sum())} correctors {beyond}: {name_some(near, names)}"
 
 
 def _refusal(change: Vector, setpoints: Vector, names: Sequence[str]) -> Verdict:

@@ -132,6 +132,17 @@ def test_a_corrector_at_its_limit_leaves_the_solution_and_the_rest_take_over():
     assert bench.machine.true_orbit_rms < 0.2 * pinned.machine.true_orbit_rms
 
 
+def test_a_corrector_is_warned_of_before_its_limit():
+    policy = SvdPolicy(RESPONSE, SvdSettings())
+    free = Bench(policy)
+    free.steps(60)
+    setpoints = np.abs(free.records[-1].setpoints)
+    worst = free.machine.channels.correctors[int(setpoints.argmax())]
+    bench = Bench(policy, limits=LimitSettings(setpoint=float(setpoints.max()) * 1.05))
+    assert bench.steps(60).reason.endswith(f" A: {worst}")
+    assert "1 correctors beyond 90% of" in bench.records[-1].reason
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("wrong", ["sign", "bpms", "correctors"])
 def test_a_wrong_response_trips_a_few_ticks_after_closing(wrong, seed):
