@@ -13,7 +13,9 @@ from orbitfb.loop.tick import Checked
 from orbitfb.safety.limits import Limited, limit, near_limit
 from orbitfb.safety.verdict import name_some
 
-_ROUNDS = 3
+_ROUNDS = 12
+_SHARE = 0.3
+"""Part of a period after which the solution is not tried again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,7 @@ def choose(
     names = rules.channels.correctors
     out, state, alarm = memory.lost, memory.policy_state, ""
     full: Mask = np.zeros_like(out)
-    rounds = 0
+    rounds, began = 0, done("limit")
     while True:
         asked = guard.policy
         decision: Decision = guard.decide(checked, state, out)
@@ -71,11 +73,11 @@ def choose(
         requested = gain * decision.change + shaken
         done("decide")
         limited = limit(requested, memory.setpoints, rules.limits, names)
-        done("limit")
+        spent = done("limit") - began > _SHARE * rules.loop.period
         tight = limited.at_limit
         more = out | tight
         rounds += 1
-        if rounds > _ROUNDS or not tight.any() or not guard.can_leave_out or more.all():
+        if rounds > _ROUNDS or spent or not tight.any() or not guard.can_leave_out or more.all():
             break
         out, full = more, full | tight
     reasons = [alarm, limited.verdict.reason]

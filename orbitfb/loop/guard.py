@@ -16,7 +16,7 @@ Without = Callable[[Policy, Mask], Policy]
 
 STRIKES = 3
 """Decisions in a row that came too late before the baseline takes over for good."""
-_KEPT = 8
+_KEPT = 16
 
 
 @dataclass(frozen=True, slots=True)
