@@ -65,11 +65,12 @@ def _gap(gap: Gap | None, state: State) -> str:
     if gap is None:
         return ""
     if state == "no_gap" or not gap.resolved or gap.nats_per_tick is None:
-        return f"No gap is resolved over the floor of {_plain(gap.floor_um)} µm."
+        but = "No" if state in ("no_gap", "unknown") else "Apart from what is named no"
+        return f"{but} gap is resolved over the floor of {_plain(gap.floor_um)} µm."
     size = _plain(gap.nats_per_tick)
     interval = (
         f" [{_plain(gap.low)}, {_plain(gap.high)}]"
-        if gap.low is not None and gap.high is not None
+        if gap.low is not None and gap.high is not None and gap.high > gap.low
         else ""
     )
     return (

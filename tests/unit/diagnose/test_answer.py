@@ -106,3 +106,5 @@ def test_no_probability_is_rounded_up_to_certainty():
 def test_an_unresolved_gap_is_said_to_be_unresolved():
     gap = Gap(nats_per_tick=0.01, low=-0.1, high=0.1, um=0.0, floor_um=0.3, resolved=False)
     assert "No gap is resolved" in headline("no_gap", gap=gap)
+    said = headline("named", gap=gap, causes=(examples.lag_cause(),))
+    assert said.startswith("Apart from what is named no gap is resolved")
