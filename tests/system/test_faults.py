@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ioc_clients import KICK, RMS, run_client
-from service_process import CHANNELS, Service, setpoints, transitions, wait_for
+from ioc_clients import KICK, RMS, RawClient
+from service_process import CHANNELS, Service, transitions, wait_for
 
 from orbitfb.control import ask
 
@@ -46,7 +46,8 @@ class Session:
         (directory / "c.toml").write_text(CONFIG)
         where = f"127.0.0.1:{port}"
         options = ("--config", directory / "c.toml", "--start", "closed")
-        self.port = port
+        self.client = RawClient(port)
+        self.client.create(RMS, KICK, *CHANNELS.setpoint_pvs)
         self.service = Service(directory / "data", where, *options)
 
     def fault(self, **faults: Any) -> None:
@@ -86,21 +87,14 @@ class Session:
 
     def true_rms(self) -> float:
         """Where the beam truly is [m]."""
-        script = f"""
-            from caproto.sync.client import read
-            print(float(read({RMS!r}, repeater=False).data[0]))
-            """
-        return run_client(self.port, script) * 1e-3
+        return self.client.get(RMS).value * 1e-3
 
     def kick(self, millimetres: float) -> None:
-        run_client(
-            self.port,
-            f"""
-            from caproto.sync.client import write
-            write({KICK!r}, [{millimetres}], notify=True, repeater=False)
-            print(1)
-            """,
-        )
+        self.client.put_waiting(KICK, millimetres)
+
+    def setpoints(self) -> np.ndarray:
+        """What is in force at the IOC [A]."""
+        return np.array([self.client.get(name).value for name in CHANNELS.setpoint_pvs])
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +109,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
         try:
             assert ioc.stdout is not None
             session = Session(directory, ioc, int(ioc.stdout.readline()))
-            with session.service:
+            with session.service, session.client:
                 session.well()
                 yield session
         finally:
@@ -170,7 +164,7 @@ def test_an_orbit_of_zeros_holds(session: Session):
 
 
 def strongest(session: Session, count: int) -> list[int]:
-    return np.argsort(-np.abs(setpoints(session.port)))[:count].tolist()
+    return np.argsort(-np.abs(session.setpoints()))[:count].tolist()
 
 
 @pytest.mark.parametrize("kind", ["off", "away", 0.5])
@@ -186,11 +180,11 @@ def test_a_corrector_that_does_not_follow_is_left_out(session: Session, kind: ob
 def test_a_dead_corrector_does_not_let_setpoints_and_hardware_part_ways(session: Session):
     bad = strongest(session, 1)[0]
     session.fault(correctors={str(bad): "stuck"})
-    was = setpoints(session.port)[bad]
+    was = session.setpoints()[bad]
     for _ in range(2):  # each asks for much more of it than the tolerance of a readback
         session.kick(0.3)
         time.sleep(0.5)
-    assert abs(setpoints(session.port)[bad] - was) < 0.6
+    assert abs(session.setpoints()[bad] - was) < 0.6
     session.again()
 
 
@@ -213,9 +207,9 @@ def test_the_stored_current_trips(session: Session, fault: dict[str, Any], words
     trips = len(session.service.events("postmortem_written"))
     session.fault(**fault)
     session.wait("TRIPPED", words)
-    left = setpoints(session.port)
+    left = session.setpoints()
     wait_for("post-mortem", lambda: len(session.service.events("postmortem_written")) > trips)
-    np.testing.assert_array_equal(setpoints(session.port), left)
+    np.testing.assert_array_equal(session.setpoints(), left)
     session.fault(current=400.0)
     time.sleep(3 / RATE)
     session.again()
@@ -243,7 +237,7 @@ def test_a_wrong_response_is_found_before_the_orbit_is_lost(
 def test_a_frozen_orbit_is_not_integrated(session: Session):
     session.fault(bpms={str(index): "frozen" for index in range(180)})
     session.wait("HELD", "all 180 readings are those of the orbit before")
-    left = setpoints(session.port)
+    left = session.setpoints()
     time.sleep(0.3)
-    np.testing.assert_array_equal(setpoints(session.port), left)
+    np.testing.assert_array_equal(session.setpoints(), left)
     session.well()

@@ -292,7 +292,7 @@ def test_the_log_says_what_happened(run: Service):
     lines = read_log(run.data)
     assert all({"timestamp", "level", "event"} <= line.keys() for line in lines)
     events = [line["event"] for line in lines]
-    assert events[0] == "service_started" and events[-1] == "service_stopped"
+    assert events[:2] == ["lease_taken", "service_started"] and events[-1] == "service_stopped"
     states = [line["state"] for line in lines if line["event"] == "loop_state_changed"]
     assert states == ["HELD", "CLOSED"]
     assert "refit_judged" in events
