@@ -23,6 +23,7 @@ from orbitfb.loop.dither import Dither
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.panel.settings import PanelSettings
+from orbitfb.requested import number, reference_of, switches
 
 _log = structlog.stdlib.get_logger("orbitfb.control")
 
@@ -125,7 +126,7 @@ class Adjuster:
         self._gain.update(saved.gain)
         self._reference_name = saved.reference_name
         self._correctors = _without(correctors, saved.disabled_correctors)
-        reference = self._checked_reference(saved.reference)
+        reference = self._checked(saved.reference)
         enabled = _without(bpms, saved.disabled_bpms)
         self._check_left(enabled, self._correctors)
         self._apply(reference=reference, enabled=enabled)
@@ -151,7 +152,7 @@ class Adjuster:
         return handle
 
     def _set_gain(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
-        plane, value = request.get("plane"), _number(request, "value", 0.0, LARGEST_GAIN)
+        plane, value = request.get("plane"), number(request, "value", 0.0, LARGEST_GAIN)
         if plane not in self._gain:
             raise ControlError(f"no plane {plane!r}; the loop has {', '.join(self._gain)}")
         self._gain[str(plane)] = value
@@ -160,7 +161,7 @@ class Adjuster:
 
     def _set_reference(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         values = request.get("values")
-        reference = self._checked_reference(values if isinstance(values, list) else ())
+        reference = self._checked(values if isinstance(values, list) else ())
         self._reference_name = ""
         self._apply(reference=reference)
         return {"reference_rms_um": float(np.sqrt(np.mean(reference**2)) * 1e6)}
@@ -181,26 +182,26 @@ class Adjuster:
         loaded = read_whole(path, Reference, "save another one under this name")
         if loaded.bpms != labels(channels.bpms, channels.planes):
             raise ControlError(f"{path} is of other BPMs than the loop's")
-        self._apply(reference=self._checked_reference(loaded.position))
+        self._apply(reference=self._checked(loaded.position))
         self._reference_name = path.stem
         return {"loaded": str(path)}
 
     def _enable_bpms(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
-        enabled = _switches(request, len(self._base.channels.bpms))
+        enabled = switches(request, len(self._base.channels.bpms))
         self._check_left(enabled, self._correctors)
         self._solve(enabled)
         self._apply(enabled=enabled)
         return {"bpms": int(np.count_nonzero(enabled & self._base.counting))}
 
     def _enable_correctors(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
-        enabled = _switches(request, len(self._base.channels.correctors))
+        enabled = switches(request, len(self._base.channels.correctors))
         self._check_left(self._runner.adjustments.enabled, enabled)
         self._correctors = enabled
         self._redress()
         return {"correctors": int(np.count_nonzero(self.movable))}
 
     def _set_dither(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
-        cost = _number(request, "orbit_cost", 0.0, self._base.limits.dither_limit)
+        cost = number(request, "orbit_cost", 0.0, self._base.limits.dither_limit)
         self._dither_cost = cost
         self._dither.retune(cost)
         return {"orbit_cost": cost}
@@ -233,19 +234,9 @@ class Adjuster:
         if not left[0].any() or not left[1].any():
             raise ControlError("at least one BPM and one corrector must stay enabled")
 
-    def _checked_reference(self, values: Sequence[Any]) -> Vector:
+    def _checked(self, values: Sequence[Any]) -> Vector:
         size, limit = len(self._base.channels.bpms), self._base.limits.reference_limit
-        if len(values) != size or not all(_is_number(value) for value in values):
-            raise ControlError(f"a reference is {size} numbers [m], one per BPM and plane")
-        reference = np.array(values, dtype=np.float64)
-        if not (np.abs(reference) <= limit).all():
-            worst = float(np.nanmax(np.abs(reference)))
-            raise ControlError(
-                f"the reference goes up to {worst * 1e3:.4g} mm, or is not finite; the limit is "
-                f"{limit * 1e3:g} mm (panel.reference_limit)"
-            )
-        reference.setflags(write=False)
-        return reference
+        return reference_of(values, size, limit)
 
     def _reference_file(self, request: Mapping[str, Any]) -> Path:
         name = request.get("name")
@@ -274,28 +265,6 @@ class Adjuster:
 def _moving(policy: Policy, movable: Mask) -> Policy:
     inside: Any = unmasked(policy)
     return masked(inside, movable)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _number(request: Mapping[str, Any], key: str, low: float, high: float) -> float:
-    value = request.get(key)
-    if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
-        raise ControlError(f"{key} must be a number from {low:g} to {high:g}, not {value!r}")
-    return float(value)
-
-
-def _switches(request: Mapping[str, Any], size: int) -> Mask:
-    values = request.get("enabled")
-    if (
-        not isinstance(values, list)
-        or len(values) != size
-        or not all(isinstance(value, bool) for value in values)
-    ):
-        raise ControlError(f"enabled must be {size} truth values, one per device and plane")
-    return np.array(values, dtype=np.bool_)
 
 
 def _without(names: tuple[str, ...], off: tuple[str, ...]) -> Mask:
