@@ -121,6 +121,14 @@ def _without_repeats(record: Record) -> Record:
     return replace(record, readings=readings, filled=record.filled | same[:, None])
 
 
+def beside(other: Record, record: Record) -> Record:
+    """Cut another record of the same machine down to the BPMs that a record has left."""
+    mine, its = record.layout.bpms, other.layout.bpms
+    left = {mine.label(i) for i in range(len(mine))}
+    keep = np.array([i for i in range(len(its)) if its.label(i) in left], dtype=np.intp)
+    return other if len(keep) == len(its) else with_bpms(other, keep)
+
+
 def with_bpms(record: Record, keep: Indices) -> Record:
     """The record of some of its BPMs."""
     layout = record.layout

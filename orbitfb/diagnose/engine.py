@@ -9,7 +9,7 @@ import numpy as np
 from orbitfb.diagnose.answer import Diagnosis
 from orbitfb.diagnose.answer_parts import NotTested, Provenance
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.certain import certain_causes
+from orbitfb.diagnose.certain import beside, certain_causes
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.judgement import judge
 from orbitfb.diagnose.parts import Parts
@@ -49,10 +49,9 @@ def diagnose(
     began = time.monotonic()
     certain = certain_causes(record, findings, without)
     kinds, not_tested = _able(certain.record, without)
-    floor = None if reference is None else Bench(reference).floor
     whole = certain.record
-    first, later = (whole, holdout) if holdout is not None else put_aside(whole)
-
+    floor = None if reference is None else Bench(beside(reference, whole)).floor
+    first, later = put_aside(whole) if holdout is None else (whole, beside(holdout, whole))
     given = certain.given
 
     def look(part: Record, begin: float, end: float) -> Outcome:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import (
     FIRST_ONSET,
@@ -22,6 +23,8 @@ from orbitfb.physics.optics import Matrix
 
 _ONSETS_TRIED = 4
 """Onsets at which the information on an effect of the whole ring is computed."""
+_PAIRS_TRIED = 12
+"""Pairs whose beginning is looked for."""
 _FINER = 4
 """Lines of the spectrum per line that the length of the record resolves."""
 
@@ -150,6 +153,8 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
                             * course[pairs[:, b], pairs[:, d]]
                         )
         strength, gain = best_strength(kind, score, info)
+        if kind.sudden and not kind.parameters:
+            yield from _pair_onsets(bench, kind, (patterns, drivers, change), score)
         for place in np.argsort(gain)[::-1][:KEPT]:
             if gain[place] > 0:
                 yield Candidate(
@@ -157,3 +162,31 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
                     float(gain[place]),
                     float(len(pairs)),
                 )
+
+
+def _pair_onsets(
+    bench: Bench, kind: PairKind, parts: tuple[Matrix, Matrix, Matrix], score: Vector
+) -> Iterator[Candidate]:
+    """Try every row as the beginning, of the pairs with the largest scores.
+
+    Args:
+        bench: The record under the causes so far.
+        kind: The effect.
+        parts: Patterns (n, c) and drivers (N, c) of the columns, changes (P, 2, 2) of the pairs.
+        score: Of the pairs over the whole record, shape (P,).
+    """
+    patterns, drivers, change = parts
+    pairs = kind.pairs(bench.record.layout)
+    for place in np.argsort(score)[::-1][:_PAIRS_TRIED]:
+        pair = pairs[place]
+        moved = (drivers[:, pair] @ change[place].T) @ patterns[:, pair].T
+        white = bench.floor.whiten(moved, bench.record.starts)
+        by_row = np.sum(bench.slope * moved, axis=1) - 0.5 * np.sum(white**2, axis=1)
+        gain = np.cumsum(by_row[::-1])[::-1]
+        gain[:FIRST_ONSET] = 0.0
+        gain[len(gain) - LAST_ONSET :] = 0.0
+        row = int(np.argmax(gain))
+        if gain[row] > 0:
+            values = {p.name: p.typical for p in kind.parameters}
+            choices = float(len(pairs) * len(gain))
+            yield Candidate(Cause(kind, (int(place),), values, row), float(gain[row]), choices)

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.bench import Bench, log_likelihood
+from orbitfb.diagnose.candidate import FIRST_ONSET, LAST_ONSET, Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.progress import Progress
@@ -40,6 +40,8 @@ _ONSET_WORTH = 4.0
 
 _THROWN_OFF = 1000.0
 """Weight of a cause beyond which orbit and healthy errors are wrong without it [nats]."""
+_STRIDES = (16, 8, 4, 2, 1, 1)
+"""Rows by which a beginning is moved, one after the other."""
 _SAME = 0.02
 """Two fits leave the same when what they leave differs by less than this share of the gain."""
 
@@ -171,13 +173,32 @@ def _enter(bench: Bench, candidate: Candidate) -> Entry:
     kind = candidate.cause.kind
     if isinstance(kind, NoiseKind | LatentKind):
         return Entry(candidate, None, _net(candidate) - len(kind.parameters))
-    entry = _fitted(bench, candidate)
+    entry = _begun(bench, _fitted(bench, candidate))
     return max((entry, *_later(bench, entry)), key=lambda one: one.weight)
 
 
 def _fitted(bench: Bench, candidate: Candidate) -> Entry:
     found = fit(bench, (candidate.cause,))
     return Entry(candidate, found, found.evidence - float(np.log(candidate.choices)))
+
+
+def _begun(bench: Bench, entry: Entry) -> Entry:
+    """Look for the row of the beginning that explains the record best, near the one proposed."""
+    cause = entry.cause
+    if not cause.onset or entry.weight < 0.0:
+        return entry
+    row, rows = cause.onset, len(bench.record)
+    best = log_likelihood(*bench.residual((cause,)))
+    for step in _STRIDES:
+        for there in (row - step, row + step):
+            if FIRST_ONSET <= there < rows - LAST_ONSET:
+                height = log_likelihood(*bench.residual((replace(cause, onset=there),)))
+                if height > best:
+                    best, row = height, there
+    if row == cause.onset:
+        return entry
+    moved = replace(entry.candidate, cause=replace(cause, onset=row))
+    return max((entry, _fitted(bench, moved)), key=lambda one: one.weight)
 
 
 def _later(bench: Bench, entry: Entry) -> list[Entry]:
