@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose import fit_scores as scores
 from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit_search import (
@@ -27,10 +28,6 @@ from orbitfb.diagnose.problem import Left, Problem, from_fitted, to_fitted
 from orbitfb.effects.kinds import Parameter
 from orbitfb.physics.optics import Matrix
 
-_TIDY_BLOCKS = 8.0
-"""Weight of the prior that scores scatter as the noise model says [blocks]."""
-BLOCK = 25
-"""Ticks of a block of the split, and of the variance of the scores."""
 _STEPS = 12
 _ENOUGH = 0.01
 """Gain of a step below which the search ends [nats]."""
@@ -203,15 +200,15 @@ def _normal_equations(now: Left, slopes: list[Left]) -> tuple[Vector, Matrix]:
 def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, precise: bool) -> Fit:
     bench = problem.bench
     white, _, jacobian = now
-    by_row = _by_row(white, jacobian) - _by_row(bench.white, bench.jacobian)
+    gains = scores.by_row(white, jacobian) - scores.by_row(bench.white, bench.jacobian)
     gain = log_likelihood(*now) - bench.log_likelihood
-    by_row += (gain - by_row.sum()) / len(by_row)  # the background's share belongs to no row
+    gains += (gain - gains.sum()) / len(gains)  # the background's share belongs to no row
     count, smooth = len(best), problem.smooth
     if len(slopes) < len(smooth):  # none that is finite: nothing is known of them
         nothing = np.zeros_like(now[0]), np.zeros_like(now[1]), np.zeros_like(now[2])
         slopes = [nothing for _ in smooth]
     covariance = np.zeros((count, count))
-    held, unstable = by_row, np.zeros(count, dtype=np.bool_)
+    held, unstable = gains, np.zeros(count, dtype=np.bool_)
     volume, inflation = 0.0, 1.0
     if smooth:
         scale = problem.scale[smooth]
@@ -219,9 +216,9 @@ def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, pr
         curvature = _normal_equations(now, slopes)[1]
         known = curvature + np.diag(1e-6 / scale**2)
         inverse = np.asarray(np.linalg.pinv(known), dtype=np.float64)
-        inflation = _inflation(rows, inverse, _known_by_row(slopes, inverse))
+        inflation = scores.inflation(rows, inverse, scores.known_by_row(slopes, inverse))
         covariance[np.ix_(smooth, smooth)] = inverse * inflation
-        held, unstable[smooth] = _held_out(scale, now, slopes, rows, by_row)
+        held, unstable[smooth] = scores.held_out(scale, now, slopes, rows, gains)
         bent = np.eye(len(smooth)) + curvature * np.outer(scale, scale)
         volume += 0.5 * float(np.linalg.slogdet(bent)[1])
     ranges: list[tuple[float, float] | None] = [None] * count
@@ -241,72 +238,6 @@ def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, pr
     far[problem.lines] = 0.0
     surprise = float(np.sum(np.log1p((far / problem.scale) ** 2)))
     return Fit(
-        problem.at(best), gain, white, by_row, problem.parameters, covariance, tuple(ranges),
+        problem.at(best), gain, white, gains, problem.parameters, covariance, tuple(ranges),
         inflation, float(held.sum()), held, volume + surprise, tuple(unstable.tolist()),
     )  # fmt: skip
-
-
-def _by_row(white: Matrix, jacobian: Vector) -> Vector:
-    return -0.5 * np.sum(white**2, axis=1) + jacobian
-
-
-def _known_by_row(slopes: list[Left], inverse: Matrix) -> Vector:
-    """Share that every row has in what is known of the values, shape (N,)."""
-    shares = [
-        inverse[i, j] * np.sum(a[0] * b[0], axis=1)
-        for i, a in enumerate(slopes)
-        for j, b in enumerate(slopes)
-    ]
-    return np.sum(shares, axis=0)
-
-
-def _inflation(rows: Matrix, inverse: Matrix, known: Vector) -> float:
-    """Compare the scatter of the scores of blocks with what the curvature says.
-
-    A few blocks that know everything say little about the scatter: as much as so many blocks of
-    like weight would, against a prior of some blocks that scatter as they should.
-    """
-    blocks = len(rows) // BLOCK
-    if blocks < 8:
-        return 1.0
-    sums = rows[: blocks * BLOCK].reshape(blocks, BLOCK, -1).sum(axis=1)
-    sums -= sums.mean(axis=0)
-    scatter = float(np.trace(inverse @ (sums.T @ sums))) / len(inverse)
-    weight = np.maximum(known[: blocks * BLOCK].reshape(blocks, BLOCK).sum(axis=1), 0.0)
-    alike = float(np.sum(weight) ** 2 / max(float(np.sum(weight**2)), 1e-300))
-    return max(1.0, (_TIDY_BLOCKS + alike * scatter) / (_TIDY_BLOCKS + alike))
-
-
-def _held_out(
-    scale: Vector, now: Left, slopes: list[Left], rows: Matrix, by_row: Vector
-) -> tuple[Vector, Mask]:
-    """Gain of every row when the values come from the other half of the blocks."""
-    even = (np.arange(len(rows)) // BLOCK) % 2 == 0
-    moves: list[Vector] = []
-    inverses: list[Matrix] = []
-    for half in (even, ~even):
-        curvature = np.array(
-            [[np.sum(a[0][half] * b[0][half]) for b in slopes] for a in slopes]
-        ) + 0.5 * np.array([[np.sum(a[1] * b[1]) for b in slopes] for a in slopes])
-        curvature += 1e-6 * np.diag(1.0 / scale**2)
-        inverses.append(np.asarray(np.linalg.pinv(curvature), dtype=np.float64))
-        moves.append(inverses[-1] @ rows[half].sum(axis=0))
-    held = by_row.copy()
-    _judge(held, ~even, now[0], slopes, moves[0])
-    _judge(held, even, now[0], slopes, moves[1])
-    spread = np.sqrt(np.maximum(np.diagonal(inverses[0] + inverses[1]), 1e-300))
-    return held, np.abs(moves[0] - moves[1]) > 4.0 * spread
-
-
-def _judge(
-    held: Vector,
-    half: Mask,
-    white: Matrix,
-    slopes: list[Left],
-    move: Vector,
-) -> None:
-    change = np.zeros_like(white[half])
-    for (slope, _, jacobian), length in zip(slopes, move, strict=True):
-        change += slope[half] * length
-        held[half] += jacobian[half] * length
-    held[half] -= np.sum(change * (white[half] + 0.5 * change), axis=1)

@@ -72,10 +72,9 @@ def rough_search(problem: Problem, best: Vector, index: int, *, near: bool = Fal
     reach = _REACH if parameter.log else _REACH * (abs(centre) or float(problem.scale[index]))
     reach *= _ZOOM**2 if near else 1.0
     follows = problem.causes[problem.parameters[index][0]].kind.linear is not None
-    offsets = _FEW_TRIALS if follows else _TRIALS
     for zoom in range(_ZOOMS):
-        if not (near or follows):
-            offsets = _TRIALS if zoom else _FIRST_TRIALS
+        first = zoom == 0 and not near
+        offsets = _FEW_TRIALS if follows else _FIRST_TRIALS if first else _TRIALS
         trials = np.clip(centre + reach * offsets, problem.low[index], problem.high[index])
         heights = [problem.likelihood(best, index, float(number)) for number in trials]
         top = int(np.argmax(heights))
