@@ -15,6 +15,7 @@ from orbitfb.cli.options import (
     DriftTicks,
     EffectsFile,
     EffectSpecs,
+    Ioc,
     Planes,
     Port,
     Rate,
@@ -26,14 +27,7 @@ from orbitfb.cli.options import (
 
 
 def measure_response_command(
-    ioc: Annotated[
-        str,
-        typer.Option(
-            help="sim: a simulated ring as a child process; HOST[:PORT]: an IOC that runs there "
-            "[port 15064]; env: what the EPICS_CA_… environment says; config: what [epics] of the "
-            "configuration says."
-        ),
-    ],
+    ioc: Ioc,
     out: Annotated[
         Path | None,
         typer.Option(

@@ -12,6 +12,15 @@ if TYPE_CHECKING:
 
 S = TypeVar("S", bound="Settings")
 
+Ioc = Annotated[
+    str,
+    typer.Option(
+        "--ioc",
+        help="sim: a simulated ring as a child process; HOST[:PORT]: an IOC that runs there "
+        "[port 15064]; env: what the EPICS_CA_… environment says; config: what [epics] of the "
+        "configuration says.",
+    ),
+]
 ConfigFile = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).")]
 DataDirectory = Annotated[
     Path | None, typer.Option("--data", help="Data directory [orbitfb-data].")

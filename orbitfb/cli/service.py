@@ -14,6 +14,7 @@ from orbitfb.cli.options import (
     DriftTicks,
     EffectsFile,
     EffectSpecs,
+    Ioc,
     Planes,
     PolicyKind,
     Port,
@@ -27,14 +28,7 @@ from orbitfb.cli.options import (
 
 
 def run(
-    ioc: Annotated[
-        str,
-        typer.Option(
-            help="sim: a simulated ring as a child process; HOST[:PORT]: an IOC that runs there "
-            "[port 15064]; env: what the EPICS_CA_… environment says; config: what [epics] of the "
-            "configuration says."
-        ),
-    ],
+    ioc: Ioc,
     config_file: ConfigFile = None,
     data: DataDirectory = None,
     planes: Planes = None,
