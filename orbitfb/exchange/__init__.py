@@ -1,0 +1,1 @@
+"""Data in and out: what others measured, and what this program recorded and learned."""
