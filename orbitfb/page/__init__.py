@@ -1,0 +1,1 @@
+"""The operator page: what the loop does, in a browser, read-only."""
