@@ -18,6 +18,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from orbitfb.core.bounded import LARGEST_TEXT, parse_toml, read_text
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.settings import Settings
 from orbitfb.diagnose.settings import DiagnoseSettings
@@ -190,8 +191,8 @@ def load_config(
     tree: dict[str, Any] = {}
     origins: dict[str, str] = {}
     if path is not None:
-        text = _read(path)
-        tree = _parse(path, text)
+        text = read_text(path, LARGEST_TEXT, ConfigError, "name a TOML file with --config")
+        tree = parse_toml(text, path, ConfigError)
         lines = dict(_key_lines(text))
         origins = {key: f"{path}, line {line}" for key, line in lines.items()}
     for variable, value in sorted((os.environ if environment is None else environment).items()):
@@ -212,24 +213,6 @@ def load_config(
             f"the configuration is refused:\n{problems}\n"
             "`orbitfb config show` prints every key with its value and meaning."
         ) from None
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(
-            f"{path}: cannot be read ({error.strerror}); name a TOML file with --config"
-        ) from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})") from None
-
-
-def _parse(path: Path, text: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: is not TOML: {error}") from None
 
 
 _HEADER = re.compile(r"^\s*\[\[?\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
@@ -256,7 +239,7 @@ def _environment_value(value: str) -> Any:
     """Read a value as TOML would; text that is no TOML value stays text."""
     try:
         return tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return value
 
 

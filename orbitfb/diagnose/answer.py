@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
+from orbitfb.core.bounded import LARGEST_TEXT, read_bytes
 from orbitfb.core.errors import RecordError
 from orbitfb.diagnose.answer_blocks import (
     AmbiguousSet,
@@ -88,9 +89,8 @@ def read_diagnosis(path: Path) -> Diagnosis:
         RecordError: It cannot be read, or is no diagnosis of this version.
     """
     try:
-        return Diagnosis.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise RecordError(f"{path}: it cannot be read ({error.strerror})") from error
+        content = read_bytes(path, LARGEST_TEXT, RecordError, "name a diagnosis.json")
+        return Diagnosis.model_validate_json(content)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(step) for step in first["loc"]) or "the top"

@@ -5,10 +5,10 @@ so does `--config FILE`, because its key is the configuration's.
 """
 
 import json
-import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from orbitfb.core.bounded import parse_toml, read_text
 from orbitfb.core.errors import ConfigError
 from orbitfb.effects.settings import EffectSettings, describe, read_effect
 
@@ -22,20 +22,8 @@ def read_effects(path: Path) -> tuple[EffectSettings, ...]:
     Raises:
         ConfigError: It cannot be read, has something else in it, or an effect is wrong.
     """
-    try:
-        with path.open("rb") as file:
-            raw = file.read(_LARGEST + 1)
-        if len(raw) > _LARGEST:
-            raise ConfigError(f"{path}: is larger than {_LARGEST} bytes; no file of effects is")
-        tree = tomllib.loads(raw.decode("utf-8"))
-    except OSError as error:
-        raise ConfigError(
-            f"{path}: cannot be read ({error.strerror}); name a file of effects (TOML)"
-        ) from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: is not TOML: {error}") from None
+    text = read_text(path, _LARGEST, ConfigError, "name a file of effects (TOML)")
+    tree = parse_toml(text, path, ConfigError)
     others = sorted(set(tree) - {KEY})
     if others:
         raise ConfigError(

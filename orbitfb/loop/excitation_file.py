@@ -18,14 +18,15 @@ TOML, parts one after the other::
 `start_s` () if it is not to be the default.
 """
 
-import tomllib
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from orbitfb.core.bounded import LARGEST_TEXT, parse_toml, read_text
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.signals import Channels
 from orbitfb.loop.excitation import Waveform
@@ -39,6 +40,11 @@ from orbitfb.loop.excitation_design import (
 
 Matrix = NDArray[np.float64]
 _LARGEST = 1 << 30
+_DAMAGED = (
+    ValueError, EOFError, KeyError, TypeError, SyntaxError, RecursionError, OverflowError,
+    NotImplementedError, RuntimeError, zlib.error, zipfile.BadZipFile,
+)  # fmt: skip
+"""All that zipfile and numpy raise over a damaged file."""
 
 
 def read_excitation(path: Path, channels: Channels, response: Matrix, period: float) -> Waveform:
@@ -56,12 +62,10 @@ def read_excitation(path: Path, channels: Channels, response: Matrix, period: fl
     try:
         if path.suffix == ".npz":
             return _from_arrays(path, channels, period)
-        with path.open("rb") as file:
-            tree = tomllib.load(file)
     except OSError as error:
         raise ConfigError(f"--excite {path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"--excite {path}: is not TOML: {error}") from None
+    text = read_text(path, LARGEST_TEXT, ConfigError, "name a TOML or .npz file with --excite")
+    tree = parse_toml(text, f"--excite {path}", ConfigError)
     try:
         settings = ExcitationSettings.model_validate(tree)
     except ValidationError as error:
@@ -81,7 +85,7 @@ def _from_arrays(path: Path, channels: Channels, period: float) -> Waveform:
                 raise ConfigError(f"{where}: unpacks to more than {_LARGEST >> 20} MiB")
         with np.load(path, allow_pickle=False) as arrays:
             given = {name: np.asarray(arrays[name]) for name in arrays.files}
-    except (zipfile.BadZipFile, ValueError, EOFError, KeyError) as error:
+    except (*_DAMAGED, MemoryError) as error:
         raise ConfigError(f"{where}: is no file of arrays that can be read: {error}") from None
     missing = {"waveform", "corr_names"} - set(given)
     if missing:
@@ -94,7 +98,7 @@ def _from_arrays(path: Path, channels: Channels, period: float) -> Waveform:
         )
     if rows.dtype.kind not in "fiu" or not np.isfinite(rows).all():
         raise ConfigError(f"{where}: waveform must be finite numbers [A]")
-    planes = [str(plane) for plane in given.get("planes", np.array([channels.planes] * len(names)))]
+    planes = [str(p) for p in np.atleast_1d(given.get("planes", [channels.planes] * len(names)))]
     if len(planes) != len(names):
         raise ConfigError(f"{where}: planes must have one element for each of corr_names")
     excursion = np.zeros((len(rows), len(channels.correctors)))
@@ -105,7 +109,7 @@ def _from_arrays(path: Path, channels: Channels, period: float) -> Waveform:
             raise ConfigError(f"{where}: {name} is not unique; say in `planes` which is x, which y")
         used.add(hits[0])
         excursion[:, hits[0]] = rows[:, column]
-    start = float(given["start_s"]) if "start_s" in given else DEFAULT_START
-    if not 0 <= start < 1e6:
-        raise ConfigError(f"{where}: start_s is {start:g}; give seconds from 0 on")
-    return Waveform(excursion, round(start / period))
+    begin = np.asarray(given.get("start_s", DEFAULT_START))
+    if begin.size != 1 or begin.dtype.kind not in "fiu" or not 0 <= begin.item() < 1e6:
+        raise ConfigError(f"{where}: start_s is {begin!s:.40}; give one number of seconds")
+    return Waveform(excursion, round(begin.item() / period))

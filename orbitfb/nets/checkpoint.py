@@ -26,6 +26,7 @@ Modules = Mapping[str, torch.nn.Module]
 
 _SCHEMA_VERSION = 1
 _LARGEST_CARD = 2**20
+_LARGEST_TENSORS = 2**33
 _GENERATOR, _CURVE = "generator", "curve"
 
 
@@ -145,7 +146,8 @@ class Checkpoint:
             if card["schema_version"] != _SCHEMA_VERSION:
                 raise ValueError(f"schema_version {card['schema_version']!r} is another version")
             name, purpose = card["tensors"], card["purpose"]
-            if Path(name).name != name or not isinstance(card["step"], int):
+            sane = isinstance(card["bytes"], int) and 0 < card["bytes"] <= _LARGEST_TENSORS
+            if Path(name).name != name or not isinstance(card["step"], int) or not sane:
                 raise ValueError("its entries make no sense")
         except OSError as error:
             raise StoreError(
@@ -170,7 +172,7 @@ class Checkpoint:
         path = self.directory / card["tensors"]
         try:
             with path.open("rb") as file:
-                content = file.read(int(card["bytes"]) + 1)
+                content = file.read(card["bytes"] + 1)
             if hashlib.sha256(content).hexdigest() != card["sha256"]:
                 raise ValueError("it is not the file that its card names")
             return load_tensors(content)

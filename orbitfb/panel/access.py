@@ -15,13 +15,13 @@ people from mistakes and nobody else out.
 
 import ipaddress
 import socket
-import tomllib
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from pydantic import Field, ValidationError
 
+from orbitfb.core.bounded import parse_toml, read_text
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.settings import Settings
 
@@ -113,17 +113,9 @@ def read_access(file: Path | None, interface: str, names: tuple[str, ...]) -> Ac
     """
     if file is None:
         return default_access(interface)
+    content = read_text(file, LARGEST_FILE, ConfigError, "see panel.rules")
     try:
-        with file.open("rb") as stream:
-            data = stream.read(LARGEST_FILE + 1)
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be read ({error.strerror}); see panel.rules") from None
-    if len(data) > LARGEST_FILE:
-        raise ConfigError(f"{file}: is longer than {LARGEST_FILE} bytes; no rules are")
-    try:
-        text = _RulesText.model_validate(tomllib.loads(data.decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: is not TOML: {error}") from None
+        text = _RulesText.model_validate(parse_toml(content, file, ConfigError))
     except ValidationError as error:
         problems = "; ".join(
             f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}" for problem in error.errors()

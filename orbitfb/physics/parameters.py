@@ -1,11 +1,11 @@
 """Global parameters of a ring: the JSON file beside the table of places."""
 
-import json
 from collections.abc import Mapping
 from typing import Literal
 
 from pydantic import Field, ValidationError
 
+from orbitfb.core.bounded import parse_json
 from orbitfb.core.errors import RingError
 from orbitfb.core.settings import Settings
 
@@ -51,12 +51,7 @@ def parse_parameters(text: str, source: str) -> RingParameters:
     Raises:
         RingError: It is no JSON, a key is missing, unknown or out of range, or a tune is resonant.
     """
-    try:
-        document = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise RingError(
-            f"{source}, line {error.lineno}: not JSON ({error.msg}); correct the file"
-        ) from error
+    document = parse_json(text, source, RingError)
     try:
         parameters = RingParameters.model_validate(document)
     except ValidationError as error:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from orbitfb.core.bounded import LARGEST_TEXT, read_text
 from orbitfb.core.errors import RingError
 from orbitfb.core.signals import Channels, Vector
 from orbitfb.physics.parameters import RingParameters, parse_parameters
@@ -121,13 +122,5 @@ def _text(path: Path | None, default: str) -> tuple[str, str]:
     if path is None:
         packaged = resources.files("orbitfb") / "data" / default
         return f"orbitfb/data/{default}", packaged.read_text(encoding="utf-8")
-    try:
-        return str(path), path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise RingError(
-            f"{path}: cannot be read ({error.strerror}); correct the path in the configuration"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise RingError(
-            f"{path}: not UTF-8 text at byte {error.start}; save it as UTF-8"
-        ) from error
+    advice = "correct the path in the configuration"
+    return str(path), read_text(path, LARGEST_TEXT, RingError, advice)

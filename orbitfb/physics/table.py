@@ -99,7 +99,10 @@ def parse_places(text: str, source: str, circumference: float) -> PlacesTable:
     Raises:
         RingError: Naming file, line, column and value of the first fault.
     """
-    rows = _rows(text, source)
+    try:
+        rows = _rows(text, source)
+    except csv.Error as error:  # a cell longer than csv reads
+        raise RingError(f"{source}: {error}; give a table of places") from error
     for row in rows:
         _check_cells(row, circumference)
     _check_order(rows)

@@ -159,7 +159,7 @@ def test_file_that_is_not_utf8(tmp_path: Path):
     file.write_bytes("# Grün\nseed = 1\n".encode("latin-1"))
     with pytest.raises(ConfigError) as caught:
         load_config(file, environment={})
-    assert str(caught.value) == f"{file}: is not UTF-8 text (byte 4)"
+    assert str(caught.value) == f"{file}: not UTF-8 text at byte 4; save it as UTF-8"
 
 
 BAD_ENVIRONMENT = {

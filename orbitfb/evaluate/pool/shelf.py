@@ -4,7 +4,12 @@ import json
 import os
 from pathlib import Path
 
+from orbitfb.core.bounded import parse_json, read_bytes
+from orbitfb.core.errors import RecordError
 from orbitfb.evaluate.pool.task import Outcome, Task, source
+
+_LARGEST = 2**30
+_ADVICE = "remove it to run the task again"
 
 
 class Shelf:
@@ -25,9 +30,13 @@ class Shelf:
         """Give a result that was published before; None if there is none that can be read."""
         path = self._directory / f"{task.key}.json"
         try:
-            document = json.loads(path.read_text(encoding="utf-8"))
-            arrays = path.with_suffix(".npz").read_bytes() if document["arrays"] else b""
-        except (FileNotFoundError, ValueError, KeyError):
+            text = read_bytes(path, _LARGEST, RecordError, _ADVICE)
+            document = parse_json(text, path, RecordError)
+            packed = path.with_suffix(".npz")
+            arrays = (
+                read_bytes(packed, _LARGEST, RecordError, _ADVICE) if document["arrays"] else b""
+            )
+        except (RecordError, KeyError, TypeError):
             return None  # not there, or damaged from outside: then it is run again
         return Outcome(text=json.dumps(document["result"]), arrays=arrays)
 
