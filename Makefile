@@ -3,7 +3,8 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: run test test-system venv lint types layers format bench clean blind
+# make docs: the pages as a site in site/.
+.PHONY: run test test-system docs newcomer venv lint types layers format bench clean blind
 
 run: venv
 	$(BIN)/orbitfb run --ioc sim
@@ -31,6 +32,13 @@ layers: venv
 format: venv
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+docs: venv
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "site/index.html; with search: $(BIN)/python -m http.server --bind 127.0.0.1 --directory site"
+
+newcomer: venv
+	$(BIN)/python -m benchmarks.newcomer --out benchmarks/newcomer.json
 
 bench: venv
 	$(BIN)/python -m benchmarks.loop --out benchmarks/loop.json
