@@ -72,6 +72,8 @@ class ChannelGroup:
         self.handles = (ctypes.c_void_p * size)()
         self.generation = 0
         """Grows when handles have changed."""
+        self.losses = 0
+        """How often a channel went away."""
         self.lock = threading.Lock()
         self._context = context
         self._library = context.library
@@ -181,6 +183,7 @@ class ChannelGroup:
         self.writable[index] = bool(arguments.rights & WRITE_ACCESS)
 
     def _set_connected(self, index: int, up: bool) -> None:
+        self.losses += bool(self.connected[index]) and not up
         self.connected[index] = up
         if self._changed is not None:
             self._changed(index, up)
