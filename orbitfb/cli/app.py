@@ -14,6 +14,7 @@ from orbitfb.cli.diagnose_blind import diagnose_blind
 from orbitfb.cli.diagnose_plan import diagnose_plan
 from orbitfb.cli.effects import effects
 from orbitfb.cli.evaluate import evaluate
+from orbitfb.cli.health import health
 from orbitfb.cli.kick import evaluate_kick_command
 from orbitfb.cli.measure import measure_response_command
 from orbitfb.cli.policies import policies
@@ -29,7 +30,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _function in (run, ioc, train, refit, command, postmortem):
+for _function in (run, ioc, train, refit, command, health, postmortem):
     app.command()(_function)
 app.command("measure-response")(measure_response_command)
 evaluate.command("kick")(evaluate_kick_command)
