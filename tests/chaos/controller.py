@@ -1,0 +1,51 @@
+"""`orbitfb` with a first policy that misbehaves when told to; everything else is as it ships.
+
+    python -m tests.chaos.controller MODE_FILE run --ioc …
+
+The first byte of the file says how: `.` well, `n` NaN, `r` raises, `l` late, `h` far too much, `s`
+another shape. The law is the one in the slot; the baseline behind it is not touched.
+"""
+
+import os
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+import orbitfb.composition as composition
+from orbitfb.cli.app import main
+
+LATE = 0.1
+"""How long a late policy thinks [s]."""
+
+
+def misbehaving(policy: Any, file: int) -> Any:
+    """Make a policy do what a file says."""
+    honest = type(policy).act
+
+    def act(self: Any, error: Any, valid: Any, state: Any) -> Any:
+        mode = os.pread(file, 1, 0)
+        change, after = honest(self, error, valid, state)
+        if mode == b"n":
+            return np.full_like(change, np.nan), after
+        if mode == b"r":
+            raise ArithmeticError("told to")
+        if mode == b"l":
+            time.sleep(LATE)
+        if mode == b"h":
+            return 1e6 * change, after
+        if mode == b"s":
+            return change[:-1], after
+        return change, after
+
+    policy.__class__ = type("Misbehaving", (type(policy),), {"act": act})
+    return policy
+
+
+if __name__ == "__main__":
+    told = os.open(sys.argv[1], os.O_RDONLY | os.O_CLOEXEC)
+    first = composition.Keeper.first
+    composition.Keeper.first = lambda *a, **k: misbehaving(first(*a, **k), told)
+    sys.argv = ["orbitfb", *sys.argv[2:]]
+    main()

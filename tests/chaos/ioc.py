@@ -1,0 +1,277 @@
+"""The soft IOC of `orbitfb ioc` with faults told on its standard input, which notes every put.
+
+    python -m tests.chaos.ioc JOB.json JOURNAL LIFE LIMIT STEP
+
+Each line of the standard input is a JSON object: `faults` replaces all of them, `restore` brings
+the last good setpoints back, `move` and `by` are somebody's hand at a setpoint. Each is answered
+by a line: tick, rms and peak of the true orbit [m]. Everything else, the server and its PVs, is
+the program's own; faults and notes are hung on from outside. The first line is the port.
+"""
+
+import json
+import struct
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfb.core.names import CURRENT_PV
+from orbitfb.sim.board import INVALID, UNDEFINED, Board
+from orbitfb.sim.channels import BoardSetpoint
+from orbitfb.sim.circuit import FastCircuit, FastContext
+from orbitfb.sim.job import SimJob
+from orbitfb.sim.process import run_job
+from orbitfb.sim.server import RingServer
+from orbitfb.sim.stamp import Stamp
+from tests.chaos.devices import FaultyRing
+from tests.chaos.journal import Journal
+
+DISCONNECTED = 27
+"""Message of a server that lets go of a channel."""
+FORGIVEN = 5
+"""Ticks for which a put may still assume the setpoint before somebody's hand."""
+WELL = 10e-6
+"""Rms of an orbit whose setpoints are worth keeping [m]."""
+
+
+class Notes:
+    """Sees every put, and writes down what came between two ticks.
+
+    Args:
+        journal: Where.
+        life: Which start of the IOC this is.
+        limit: Largest |setpoint| that the loop may put [A].
+        step: Longest step of one put [A].
+        size: Of the setpoints.
+    """
+
+    def __init__(self, journal: Journal, life: int, limit: float, step: float, size: int) -> None:
+        self._journal, self._life, self._limit, self._step = journal, life, limit, step
+        self._since_good = np.zeros(size, dtype=int)
+        self._moved = np.full(size, -FORGIVEN)
+        self._good = self._tick = 0
+        self._faults = 0
+        self._shape = (0.0, 0.0)
+        self._clear()
+
+    def _clear(self) -> None:
+        self._sums = {"puts": 0, "nonfinite": 0, "beyond": 0, "steps": 0, "refused": 0}
+        self._repeats, self._largest, self._longest = 0, 0.0, 0.0
+
+    def moved(self, index: int) -> None:
+        """Forgive the next puts to a setpoint that a hand has moved."""
+        self._moved[index] = self._tick
+
+    def put(self, which: np.ndarray, values: np.ndarray, before: np.ndarray, drive: float) -> None:
+        """Note puts as they came.
+
+        Args:
+            which: Setpoints.
+            values: Asked for [A].
+            before: In force [A].
+            drive: Limit of this IOC [A].
+        """
+        finite = np.isfinite(values)
+        size = np.abs(values[finite])
+        step = np.abs(values - before)[finite]
+        strange = self._tick - self._moved[which[finite]] >= FORGIVEN
+        self._sums["puts"] += len(values)
+        self._sums["nonfinite"] += int((~finite).sum())
+        self._sums["beyond"] += int((size > self._limit + 1e-9).sum())
+        self._sums["steps"] += int((strange & (step > self._step + 1e-9)).sum())
+        self._sums["refused"] += int((size > drive + 1e-9).sum())
+        self._largest = max(self._largest, float(size.max(initial=0.0)))
+        self._longest = max(self._longest, float(step[strange].max(initial=0.0)))
+        np.add.at(self._since_good, which, 1)
+        self._repeats = max(self._repeats, int(self._since_good[which].max(initial=0)))
+
+    def tick(self, tick: int, good: bool, orbit: np.ndarray, faults: int) -> None:
+        """Write down what came since the last orbit; begin the next one."""
+        self._journal.write(
+            wall=time.time(),
+            tick=self._tick,
+            life=self._life,
+            good=self._good,
+            repeats=self._repeats,
+            largest=self._largest,
+            step=self._longest,
+            rms=self._shape[0],
+            peak=self._shape[1],
+            faults=self._faults,
+            **self._sums,
+        )
+        self._clear()
+        self._tick, self._faults = tick, faults
+        self._shape = float(np.sqrt(np.mean(orbit**2))), float(np.abs(orbit).max())
+        if good:
+            self._good = tick
+            self._since_good[:] = 0
+
+
+class Desk:
+    """Hangs faults and notes on the server."""
+
+    def __init__(self, faulty: FaultyRing, notes: Notes, drive: float) -> None:
+        self.faulty, self.notes, self.drive = faulty, notes, drive
+        self.context: FastContext | None = None
+        self.hands: list[dict[str, Any]] = []
+        self._first = len(faulty.channels.readback_pvs)
+        self._kept = np.zeros(len(faulty.channels.correctors))
+        self._away: set[int] = set()
+        self._silent = False
+
+    def told(self, what: dict[str, Any]) -> dict[str, Any]:
+        """Do what a line says."""
+        if "faults" in what:
+            self.faulty.faults = what["faults"]
+        if "move" in what or "restore" in what:
+            self.hands.append(what)
+        orbit = self.faulty.last.true_orbit
+        return {
+            "tick": int(self.faulty.tick),
+            "rms": float(np.sqrt(np.mean(orbit**2))),
+            "peak": float(np.abs(orbit).max()),
+        }
+
+    def before_tick(self, server: RingServer) -> None:
+        """Do by hand what was asked for; set the current."""
+        front = server.front
+        for what in [self.hands.pop() for _ in range(len(self.hands))]:
+            if "move" in what:
+                index = what["move"]
+                value = float(np.clip(front.setpoints[index] + what["by"], -self.drive, self.drive))
+                self.notes.moved(index)
+                self._quietly(front, np.array([index]), np.array([value]))
+            else:
+                self._quietly(front, np.arange(len(self._kept)), self._kept)
+        currents = [f["current"] for f in self.faulty.current_faults() if "current" in f]
+        known = currents[0] if currents else 400.0
+        server._stored = float("nan") if known is None else known
+
+    def after_tick(self, server: RingServer) -> None:
+        """Note the orbit; keep the setpoints of a good one."""
+        ring = self.faulty
+        rms = float(np.sqrt(np.mean(ring.last.true_orbit**2)))
+        if not ring.faults and rms < WELL:
+            self._kept = server.front.setpoints
+        self.notes.tick(int(ring.tick), ring.good, ring.last.true_orbit, len(ring.faults))
+        if ring.gone - self._away:
+            self._let_go(ring.gone - self._away)
+        self._away = set(ring.gone)
+
+    def _quietly(self, front: Any, which: np.ndarray, values: np.ndarray) -> None:
+        self._silent = True
+        front.take(which, values)
+        front.puts_taken()
+        self._silent = False
+
+    def is_away(self, name: str) -> bool:
+        """Whether a channel is not to be found."""
+        pvs = self.faulty.channels.orbit_pvs
+        return any(pvs[index] == name for index in self._away)
+
+    def _let_go(self, which: set[int]) -> None:
+        """Tell every client that channels are gone."""
+        names = {self.faulty.channels.orbit_pvs[index] for index in which}
+        for circuit in list(self.context.circuits) if self.context else []:
+            for sid, channel in list(circuit.circuit.channels_sid.items()):
+                if channel.name in names:
+                    message = struct.pack(">HHHHII", DISCONNECTED, 0, 0, 0, channel.cid, 0)
+                    circuit.client.writer.transport.write(message)
+                    circuit.feed.remove_channel(sid)
+
+    def note_fast(self, board: Board, which: np.ndarray, values: np.ndarray) -> None:
+        if not self._silent:
+            self.notes.put(which, values, board.setpoints[which].copy(), self.drive)
+
+    def note_slow(self, channel: BoardSetpoint, value: Any) -> None:
+        board = channel._board
+        which = np.array([channel.index - board.readings])
+        values = np.array(value, dtype=float).reshape(-1)[:1]
+        self.notes.put(which, values, board.setpoints[which].copy(), self.drive)
+
+    def show(self, board: Board, values: np.ndarray, stamp: Stamp, show: Any) -> None:
+        """Show a tick on the board, with what is wrong with it."""
+        orbit = self.faulty.orbit_fault() or {}
+        by = {"old": -1.0, "ahead": 1.0}.get(orbit.get("orbit", ""), 0.0) * orbit.get("by", 0.0)
+        faults = dict(self.faulty.board_faults)
+        late = [self._first + index for index, told in faults.items() if told == "stamp"]
+        if any("current_old" in fault for fault in self.faulty.current_faults()):
+            late.append(board.names.index(CURRENT_PV))
+        old = [(index, board.get(index)) for index in late]
+        nanoseconds = int(round(by * 1e9)) + stamp.seconds * 10**9 + stamp.nanoseconds
+        show(board, values, Stamp(*divmod(nanoseconds, 10**9)))
+        for index, entry in old:
+            board.set(index, entry)
+        for index, told in faults.items():
+            if told == "invalid":
+                entry = board.get(self._first + index)
+                bad = entry._replace(status=UNDEFINED, severity=INVALID)
+                board.set(self._first + index, bad)
+
+
+def hang_on(desk: Desk) -> None:
+    """Put the desk between the server and the world."""
+    show, tick, write = Board.show, RingServer.tick, Board.write
+    slow, find, begin = BoardSetpoint.write, FastContext.__getitem__, FastContext.__init__
+
+    def ticked(server: RingServer) -> None:
+        desk.before_tick(server)
+        orbit = desk.faulty.orbit_fault()
+        if orbit and orbit["orbit"] == "silent":
+            desk.faulty.step(server.front.setpoints)  # time goes by, nobody is told
+        else:
+            tick(server)
+        desk.after_tick(server)
+
+    def written(board: Board, which: Any, values: Any, stamp: Stamp) -> None:
+        desk.note_fast(board, which, values)
+        write(board, which, values, stamp)
+
+    async def written_slowly(channel: BoardSetpoint, value: Any, **options: Any) -> None:
+        desk.note_slow(channel, value)
+        await slow(channel, value, **options)
+
+    def found(context: FastContext, name: str) -> Any:
+        if desk.is_away(name):
+            raise KeyError(name)
+        return find(context, name)
+
+    def begun(context: FastContext, *arguments: Any) -> None:
+        begin(context, *arguments)
+        desk.context = context
+
+    Board.show = lambda board, values, stamp: desk.show(board, values, stamp, show)
+    RingServer.tick, Board.write = ticked, written
+    BoardSetpoint.write, FastContext.__getitem__ = written_slowly, found
+    FastContext.__init__ = begun
+
+
+def main() -> None:
+    """Serve the job named on the command line."""
+    job = SimJob.model_validate_json(Path(sys.argv[1]).read_text())
+    ring, settings = job.build()
+    faulty = FaultyRing(ring)
+    limit, step = float(sys.argv[4]), float(sys.argv[5])
+    size = len(ring.channels.correctors)
+    notes = Notes(Journal(Path(sys.argv[2])), int(sys.argv[3]), limit, step, size)
+    desk = Desk(faulty, notes, settings.corrector_limit)
+    hang_on(desk)
+    SimJob.build = lambda self: (faulty, settings)
+
+    def listen() -> None:
+        for line in sys.stdin:
+            print(json.dumps(desk.told(json.loads(line))), flush=True)
+
+    def announce(port: int, _pvs: int) -> None:
+        print(port, flush=True)
+        threading.Thread(target=listen, daemon=True).start()
+
+    run_job(job, announce)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""Whether the rules held, from what the soft IOC wrote down and from what was seen."""
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+REPEATS = 2
+"""Puts to one setpoint after an orbit that may be acted on: those of that one and of the one
+before, which were under way."""
+LATE_TICKS = 10
+"""Age of that orbit in orbits; 10 are the second after which a loop at 10 Hz calls it stale."""
+DUMP = 3e-3
+"""|orbit| at which a machine dumps its beam [m]."""
+FAR = 1e-3
+"""Rms [m] that the loop itself calls a distortion."""
+WELL = 20e-6
+"""Rms [m] that users would not notice."""
+
+
+def put_figures(rows: np.ndarray, rate: float) -> dict[str, Any]:
+    """Count what was put, and what the beam did.
+
+    Args:
+        rows: Records of a journal.
+        rate: Of the orbits [Hz].
+    """
+    puts = rows[rows["puts"] > 0]
+    age = puts["tick"] - puts["good"]
+    stale = (puts["repeats"] > REPEATS) | (age > LATE_TICKS)
+    edges = np.diff((rows["peak"] > DUMP).astype(int), prepend=0)
+    return {
+        "ticks": len(rows),
+        "ring hours at 10 Hz": round(len(rows) / 36000, 3),
+        "orbits written on": len(puts),
+        "setpoints put": int(puts["puts"].sum()),
+        "puts not finite": int(puts["nonfinite"].sum()),
+        "puts over the limit": int(puts["beyond"].sum()),
+        "puts over the drive limit": int(puts["refused"].sum()),
+        "steps over the limit": int(puts["steps"].sum()),
+        "writes on an orbit not to act on": int(stale.sum()),
+        "largest setpoint put [A]": round(float(puts["largest"].max(initial=0)), 4),
+        "longest step [A]": round(float(puts["step"].max(initial=0)), 4),
+        "oldest orbit written on [ticks]": int(age.max(initial=0)),
+        "beam beyond 3 mm [times]": int((edges == 1).sum()),
+        "worst rms [um]": round(float(rows["rms"].max(initial=0)) * 1e6, 1),
+        "time beyond 1 mm rms [s]": round(float((rows["rms"] > FAR).sum()) / rate, 1),
+        "time beyond 20 um rms [s]": round(float((rows["rms"] > WELL).sum()) / rate, 1),
+    }
+
+
+MUST_BE_ZERO = (
+    "puts not finite",
+    "puts over the limit",
+    "puts over the drive limit",
+    "steps over the limit",
+    "writes on an orbit not to act on",
+)
+
+
+def broken_rules(figures: dict[str, Any]) -> list[str]:
+    """Name the rules about puts that were broken."""
+    return [f"{name}: {figures[name]}" for name in MUST_BE_ZERO if figures[name]]
+
+
+def trips(log: list[dict[str, Any]], postmortems: list[dict[str, Any]], failed: int) -> list[str]:
+    """Say which trips are not explained.
+
+    Args:
+        log: State changes.
+        postmortems: Lines about post-mortems that were written.
+        failed: Post-mortems that the disk refused, which was said.
+    """
+    tripped = [line for line in log if line.get("state") == "TRIPPED"]
+    problems = [f"no reason for the trip at tick {t.get('tick')}" for t in tripped if not t["reason"]]
+    missing = len(tripped) - len(postmortems) - failed
+    if missing > 0:
+        problems.append(f"{missing} of {len(tripped)} trips without a post-mortem")
+    return problems
+
+
+def reasons(log: list[dict[str, Any]]) -> dict[str, int]:
+    """Count the trips by the beginning of their reason."""
+    words = Counter(
+        " ".join(w for w in line["reason"].split()[:8] if not any(c.isdigit() for c in w))
+        for line in log
+        if line.get("state") == "TRIPPED"
+    )
+    return dict(words.most_common())

@@ -1,0 +1,82 @@
+"""One campaign from its seed to its figures."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.chaos import judge, journal
+from tests.chaos.campaign import Campaign
+from tests.chaos.growth import grown
+from tests.chaos.schedule import schedule
+
+
+def run_once(
+    directory: Path,
+    seed: int,
+    faults: int,
+    rate: float,
+    beside: bool = True,
+    say: Callable[[str], None] = lambda _: None,
+    settled: float = 60.0,
+) -> dict[str, Any]:
+    """Run a campaign and judge it.
+
+    Args:
+        directory: For data and journals.
+        seed: Of schedule and rings.
+        faults: How many.
+        rate: Of the orbits [Hz].
+        beside: Whether the plain loop runs beside it.
+        say: Gets a line now and then.
+        settled: Time after a start from which growth is looked at [s].
+    """
+    began = time.monotonic()
+    episodes = list(schedule(seed, faults))
+    campaign = Campaign(directory, seed, rate, say, beside)
+    try:
+        campaign.run(episodes)
+    finally:
+        campaign.close()
+    ours = campaign.ours
+    problem = ours.read_archive(last=None)
+    changes = ours.events("loop_state_changed")
+    written, refused = ours.events("postmortem_written"), ours.events("postmortem_failed")
+    rings = [journal.read(ring.journal) for ring in campaign.rings]
+    figures = judge.put_figures(rings[0], rate)
+    longest = max(campaign.lives, key=lambda life: life.seconds)
+    growth = longest.figures(settled)
+    unexplained = judge.trips(changes, written, len(refused))
+    broken = [
+        *judge.broken_rules(figures),
+        *(f"episode {t['episode']}: {t['what']}" for t in campaign.trouble),
+        *unexplained,
+        *([f"archive: {problem}"] if problem else []),
+        *grown(growth),
+    ]
+    result: dict[str, Any] = {
+        "seed": seed,
+        "faults": sum(len(episode.faults) for episode in episodes),
+        "episodes": len(episodes),
+        "rate_hz": rate,
+        "seconds": round(time.monotonic() - began, 1),
+        "broken": broken,
+        "ours": figures,
+        "tripped": sum(line.get("state") == "TRIPPED" for line in changes),
+        "held": sum(line.get("state") == "HELD" for line in changes),
+        "trips_by_reason": judge.reasons(changes),
+        "postmortems": len(written),
+        "unexplained": len(unexplained),
+        "recovery_p50_s": round(float(np.median(campaign.recoveries)), 2),
+        "recovery_longest_s": round(max(campaign.recoveries), 2),
+        "growth": growth,
+        "counts": dict(sorted(campaign.counts.items())),
+        "trouble": campaign.trouble,
+    }
+    if campaign.naive is not None:
+        result["naive"] = judge.put_figures(rings[1], rate)
+        result["naive_again"] = campaign.naive.again
+        result["naive_died"] = campaign.naive.died
+    return result
