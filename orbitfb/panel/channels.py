@@ -218,10 +218,17 @@ async def show(channel: Any, value: Any) -> None:
     if channel.pv.kind is Kind.TEXT:
         value = printable(value)
     unknown = channel.severity is AlarmSeverity.INVALID_ALARM
-    if not unknown and _same(channel.value, value):
+    if channel.pv.alarms:
+        worse = channel.pv.severity(value)
+        if _same(channel.value, value) and int(channel.severity) == worse:
+            return
+        status = AlarmStatus.STATE if worse else AlarmStatus.NO_ALARM
+        await channel.write(value, status=status, severity=AlarmSeverity(worse))
         return
     if unknown:
         channel.status, channel.severity = AlarmStatus.NO_ALARM, AlarmSeverity.NO_ALARM
+    elif _same(channel.value, value):
+        return
     await channel.write(value)
 
 

@@ -1,8 +1,9 @@
 """One PV of the panel, as a value."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from typing import Any
 
 Range = tuple[float, float]
@@ -11,6 +12,14 @@ NO_RANGE: Range = (0.0, 0.0)
 
 LONGEST_TEXT = 4000
 """Longest text that a PV shows or takes [characters]."""
+
+
+class Severity(IntEnum):
+    """How bad a value is, as Channel Access counts it."""
+
+    NONE = 0
+    MINOR = 1
+    MAJOR = 2
 
 
 class Kind(StrEnum):
@@ -57,6 +66,9 @@ class PanelPv:
         states: Words of a choice.
         length: Elements of a vector.
         order: What a write does; None: it cannot be written.
+        minor: Words of a choice that are a MINOR alarm.
+        major: Words of a choice that are a MAJOR alarm.
+        high: A number from which on it is a MINOR alarm.
     """
 
     name: str
@@ -68,6 +80,26 @@ class PanelPv:
     states: tuple[str, ...] = ()
     length: int = 1
     order: Order | None = None
+    minor: tuple[str, ...] = ()
+    major: tuple[str, ...] = ()
+    high: float = math.inf
+
+    @property
+    def alarms(self) -> bool:
+        """Whether a value that is known can be an alarm."""
+        return bool(self.minor or self.major or self.high < math.inf)
+
+    def severity(self, value: Any) -> Severity:
+        """Say how bad a value is: a word of a choice, or a number."""
+        if self.kind is Kind.CHOICE:
+            return (
+                Severity.MAJOR
+                if value in self.major
+                else Severity.MINOR
+                if value in self.minor
+                else Severity.NONE
+            )
+        return Severity.MINOR if self.high < math.inf and value >= self.high else Severity.NONE
 
     @property
     def writable(self) -> bool:

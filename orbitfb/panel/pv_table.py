@@ -67,7 +67,14 @@ def _choice(name: str, meaning: str, states: tuple[str, ...], *requests: object)
 def _loop() -> tuple[PanelPv, ...]:
     orders = [{"command": name} for name in COMMANDS[1:]]
     return (
-        PanelPv("State-I", Kind.CHOICE, "State of the loop.", states=STATES),
+        PanelPv(
+            "State-I",
+            Kind.CHOICE,
+            "State of the loop; HELD is a MINOR alarm, TRIPPED and FAULT are MAJOR.",
+            states=STATES,
+            minor=(LoopState.HELD.value,),
+            major=(LoopState.TRIPPED.value, LoopState.FAULT.value),
+        ),
         _choice("Command-Cmd", "Commands the loop.", COMMANDS, *orders),
         _choice(
             "Reset-Cmd",
@@ -102,7 +109,12 @@ def _figures(extent: Extent) -> tuple[PanelPv, ...]:
     )
     return (
         *rms,
-        _count("BpmsInvalid-I", "BPMs of the last orbit that do not count though they should."),
+        PanelPv(
+            "BpmsInvalid-I",
+            Kind.INTEGER,
+            "BPMs of the last orbit that do not count though they should; any is a MINOR alarm.",
+            high=1,
+        ),
         _count("Ticks-I", "Ticks since the start."),
         _count("Missed-I", "Orbits that should have come and did not."),
         *phases,
