@@ -4,6 +4,7 @@ import gc
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,7 @@ from orbitfb.policies.masking import mask_of
 from orbitfb.policies.stability import growth_of, warning_of
 from orbitfb.remote import Remote
 from orbitfb.reports import Reports, postmortems, say_excitation
+from orbitfb.safety.limits import too_narrow
 from orbitfb.startup import (
     SIMULATED,
     announcement,
@@ -112,6 +114,7 @@ class Service:
         self.machine = EpicsMachine(self.channels, epics, clock)
         stack.callback(self.machine.close)
         check_limits(config, self.machine.drive_limits, self.channels)
+        self._limits = config.limits
 
         counting, movable = mask_of(self.channels, config.masks)
         machine: Machine = self.machine
@@ -154,7 +157,7 @@ class Service:
             start=start,
             subscribers=(self.history, archive, self.statistics, self.events, latest, *recorders),
             counting=counting,
-            safeguards=safeguards(nominal, config, movable),
+            safeguards=replace(safeguards(nominal, config, movable), obstacle=self._obstacle),
         )
         self.watch = self._gap_watch(config, ring, stack)
         self.learner: LearnerThread | None = None
@@ -270,6 +273,12 @@ class Service:
             if self.runner.failure is not None:
                 _log.error("loop_failed", exc_info=self.runner.failure)
             _log.info("service_stopped", state=self.runner.state, reason=self.runner.reason)
+
+    def _obstacle(self) -> str:
+        """Say why the machine must not be written to now; empty when it may."""
+        if self.lease is not None and (reason := self.lease.refusal()):
+            return reason
+        return too_narrow(self._limits, self.machine.drive_limits, self.channels.setpoint_pvs)
 
     def _lease_lost(self, owner: str) -> None:
         """Open the loop: another controller writes to the machine."""

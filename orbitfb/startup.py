@@ -24,6 +24,7 @@ from orbitfb.loop.excitation_file import read_excitation
 from orbitfb.measure.response_file import nominal_response
 from orbitfb.physics.places import Ring
 from orbitfb.policies.masking import mask_of
+from orbitfb.safety.limits import too_narrow
 
 SIMULATED = "sim"
 ENVIRONMENT = "env"
@@ -232,17 +233,8 @@ def check_limits(config: AppConfig, drive_limits: NDArray[np.float64], channels:
     Raises:
         ConfigError: It does; a write that the machine refuses would trip the loop later.
     """
-    limit = config.limits.setpoint
-    beyond = np.flatnonzero((drive_limits[:, 0] > -limit) | (drive_limits[:, 1] < limit))
-    if not beyond.size:
-        return
-    first = int(beyond[0])
-    room = np.minimum(-drive_limits[:, 0], drive_limits[:, 1])
-    raise ConfigError(
-        f"limits.setpoint is {limit:g} A, but {beyond.size} correctors have narrower drive "
-        f"limits, {channels.setpoint_pvs[first]} for one: {drive_limits[first, 0]:g} to "
-        f"{drive_limits[first, 1]:g} A; set limits.setpoint to {np.nanmin(room):g} A or less"
-    )
+    if narrow := too_narrow(config.limits, drive_limits, channels.setpoint_pvs):
+        raise ConfigError(narrow)
 
 
 def dither_settings(config: AppConfig) -> DitherSettings:
@@ -282,7 +274,8 @@ def announcement(where: Mapping[str, object], simulated: bool) -> Iterator[str]:
     """Say in a few lines what was started where.
 
     Args:
-        where: `addresses` and `port` of the ring, address of the `metrics`, `data` directory.
+        where: `addresses` and `port` of the ring, address of the `metrics` and of the
+            `page`, `data` directory.
         simulated: Whether the ring is a simulated one of our own.
     """
     addresses, port = where["addresses"], where["port"]
@@ -296,4 +289,8 @@ def announcement(where: Mapping[str, object], simulated: bool) -> Iterator[str]:
         yield f"metrics and health on {where['metrics']}"
     if "panel" in where:
         yield f"panel of the PVs {where['prefix']}… on {where['panel']}"
+    if where.get("page"):
+        yield f"operator page on {where['page']}"
+    elif where.get("page_problem"):
+        yield f"no operator page: {where['page_problem']}"
     yield f"archive, policies and log in {where['data']}"

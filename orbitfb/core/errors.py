@@ -6,6 +6,7 @@
     ├── MachineError         the machine, seen over its port
     │   ├── ConnectError     PVs that cannot be reached, all of them at once
     │   ├── NoOrbitError     no fresh and coherent orbit within the time allowed
+    │   ├── AwayError        setpoints of which some cannot be asked; has the others
     │   └── WriteError       setpoints that were not, or not all, sent
     ├── OwnershipError       somebody else holds the port, the ring or the directory
     ├── ArchiveError         a segment of the archive cannot be read or written
@@ -13,6 +14,7 @@
     ├── MeasurementError     a response matrix that could not be measured
     │   └── StoppedError     somebody stopped it
     ├── RecordError          a record of operation has an array that is wrong
+    ├── ExchangeError        a file from elsewhere that cannot be taken, or one that cannot be made
     ├── EstimationError      data from which no response can be identified
     ├── TrainingError        a training whose loss is no longer a number
     ├── CampaignError        tasks of a campaign failed; the results of the others are kept
@@ -24,6 +26,9 @@ traceback and exits with 2.
 
 from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 
 class OrbitFeedbackError(Exception):
@@ -57,6 +62,20 @@ class ConnectError(MachineError):
 
 class NoOrbitError(MachineError):
     """No fresh and coherent orbit arrived within the time allowed."""
+
+
+class AwayError(MachineError):
+    """Setpoints of which some cannot be asked, as they are away.
+
+    Args:
+        message: How many, and which.
+        last: In force, or last known where away, shape (m,) [A].
+        away: Which are away, shape (m,).
+    """
+
+    def __init__(self, message: str, last: NDArray[np.float64], away: NDArray[np.bool_]) -> None:
+        self.last, self.away = last, away
+        super().__init__(message)
 
 
 class WriteError(MachineError):
@@ -111,6 +130,10 @@ class ControlError(OrbitFeedbackError):
 
 class RecordError(OrbitFeedbackError):
     """A record of operation that cannot be diagnosed: which array, which row, what is wrong."""
+
+
+class ExchangeError(OrbitFeedbackError):
+    """A file from elsewhere that cannot be taken, or one for elsewhere that cannot be made."""
 
 
 class MeasurementError(OrbitFeedbackError):

@@ -29,11 +29,14 @@ class Machine(Protocol):
 
         Raises:
             MachineError: A setpoint cannot be read; the message says how many, and which.
+            AwayError: The same, where the others could be.
         """
         ...
 
     def write(self, setpoints: Vector) -> Applied:
         """Send absolute setpoints, shape (m,) [A]: all of them or none.
+
+        A corrector that is away and whose last known setpoint is wanted is passed over.
 
         Raises:
             WriteError: A channel is away or refuses, or a value is not finite.

@@ -59,12 +59,14 @@ class Reading:
         auxiliary: Slow channels by name, SI: `current` [A], `rf_frequency` [Hz], others as
             configured; NaN where none is known.
         received: When the orbit was complete, on the monotonic clock [s].
+        away: Correctors whose setpoint cannot be written now, shape (m,); None: all can.
     """
 
     orbit: Orbit
     readback: Vector
     auxiliary: Mapping[str, float]
     received: float
+    away: Mask | None = None
 
 
 @dataclass(frozen=True, slots=True)

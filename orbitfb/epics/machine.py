@@ -1,6 +1,7 @@
 """The storage ring behind Channel Access."""
 
 import atexit
+import threading
 from collections.abc import Mapping
 from types import TracebackType
 from typing import Self
@@ -9,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.clock import SystemClock
-from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
+from orbitfb.core.errors import AwayError, MachineError, NoOrbitError, WriteError
+from orbitfb.core.link import ChannelCounts
 from orbitfb.core.ports import Clock
-from orbitfb.core.signals import Applied, Channels, Orbit, Reading, Vector
+from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
 from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.channels import ChannelGroup, Monitor
@@ -25,6 +27,8 @@ from orbitfb.epics.settings import EpicsSettings
 from orbitfb.safety.verdict import name_some
 
 MILLIMETRE = 1e-3
+KINDS = ("bpm", "setpoint", "readback", "auxiliary")
+"""Kinds of channels, in the order in which they are opened."""
 
 
 class EpicsMachine:
@@ -56,8 +60,12 @@ class EpicsMachine:
         self._clock: Clock = clock or SystemClock()
         self._closed = False
         self._limits_due = True
+        self._limits_lock = threading.Lock()
         size = len(channels.setpoint_pvs)
         self._drive_limits = np.full((size, 2), np.nan)
+        self._last = np.full(size, np.nan)
+        self._comings = np.zeros(size, dtype=np.int64)
+        self._unread: Mask = np.ones(size, dtype=np.bool_)
         self._orbit_assembler = Assembler(
             len(channels.orbit_pvs), settings.stamp_window, settings.stuck_bpms
         )
@@ -78,7 +86,7 @@ class EpicsMachine:
         self._keeper.start()
         try:
             wait_for_channels(self._groups, self._setpoints, settings, self._clock)
-            self._refresh_limits()
+            self.setpoints()
         except MachineError:
             self.close()
             raise
@@ -101,6 +109,13 @@ class EpicsMachine:
         """PVs that are away now."""
         return tuple(name for group in self._groups for name in group.disconnected)
 
+    def channel_counts(self) -> tuple[ChannelCounts, ...]:
+        """Count the channels of each kind, those that are connected, and those that were lost."""
+        return tuple(
+            ChannelCounts(kind, len(group), int(np.count_nonzero(group.connected)), group.losses)
+            for kind, group in zip(KINDS, self._groups, strict=True)
+        )
+
     def auxiliary_ages(self) -> Mapping[str, float]:
         """Return how old each slow channel is by its stamp [s]; NaN where nothing is known."""
         return self._auxiliary.ages(self._clock.wall())
@@ -120,23 +135,42 @@ class EpicsMachine:
         snapshot = frame.arrival.snapshot
         orbit = Orbit(snapshot.values * MILLIMETRE, snapshot.valid, snapshot.time)
         auxiliary = self._auxiliary.values(self._clock.wall())
-        return Reading(orbit, frame.readback, auxiliary, frame.arrival.received)
+        away = ~self._setpoints.connected
+        received = frame.arrival.received
+        return Reading(orbit, frame.readback, auxiliary, received, away if away.any() else None)
 
     def setpoints(self) -> Vector:
         """Ask the machine for the absolute setpoints in force, shape (m,) [A].
 
+        The drive limits are asked for as well, if a setpoint was away since they were.
+
         Raises:
             MachineError: A setpoint does not answer with a finite value; the first are named.
+            AwayError: The same, where those that do not are disconnected and others are not.
         """
         self._refuse_if_closed(MachineError)
-        return self._getter.values()
+        self._refresh_limits()
+        comings, connected = self._comings.copy(), self._setpoints.connected.copy()
+        values = self._getter.values()
+        known = np.isfinite(values)
+        self._last[known] = values[known]
+        self._unread[known & (comings == self._comings)] = False
+        if known.all():
+            return values
+        told = self._getter.describe(~known)
+        if (connected & ~known).any() or not known.any():
+            raise MachineError(told)
+        raise AwayError(told, self._last.copy(), ~known)
 
     def write(self, setpoints: Vector) -> Applied:
         """Send absolute setpoints, shape (m,) [A]: all of them or none.
 
+        One that is away is passed over if what is wanted is what it was last known to be.
+
         Raises:
-            WriteError: A channel is away or read-only, a value is not finite, or no orbit has
-                come for `silent_after` (an IOC that hangs still looks connected).
+            WriteError: A channel is away or read-only, or was away and has not been asked for its
+                setpoint since; a value is not finite; or no orbit has come for `silent_after`
+                (an IOC that hangs still looks connected).
         """
         self._refuse_if_closed(WriteError)
         values = np.array(setpoints, dtype=np.float64)
@@ -146,7 +180,15 @@ class EpicsMachine:
                 f"no orbit for {silence:.1f} s: {self._describe()}; nothing was sent to a machine "
                 "that may hang"
             )
-        self._putter.put(values)
+        connected = self._setpoints.connected
+        but = ~connected & (values == self._last)
+        if (unread := connected & self._unread).any():
+            raise WriteError(
+                f"{np.count_nonzero(unread)} of {len(values)} setpoints were away and have not "
+                f"been read since: {name_some(unread, self._setpoints.names)}; nothing was sent"
+            )
+        self._putter.put(values, but)
+        self._last = values
         return Applied(values, self._clock.wall(), self._clock.monotonic())
 
     def close(self) -> None:
@@ -210,7 +252,9 @@ class EpicsMachine:
             self.close()
             raise
 
-    def _setpoint_changed(self, _index: int, up: bool) -> None:
+    def _setpoint_changed(self, index: int, up: bool) -> None:
+        self._comings[index] += 1
+        self._unread[index] = True
         self._limits_due |= up
 
     def _after_look(self) -> None:
@@ -219,9 +263,13 @@ class EpicsMachine:
         self._refresh_limits()
 
     def _refresh_limits(self) -> None:
-        if self._limits_due and self._setpoints.all_connected:
+        with self._limits_lock:  # nobody goes on with old ones while another thread asks
+            if not self._limits_due or not self._setpoints.connected.any():
+                return
             self._limits_due = False
-            self._drive_limits = self._getter.limits()
+            here = self._setpoints.connected.copy()
+            limits = self._getter.limits()
+            self._drive_limits = np.where(here[:, None], limits, self._drive_limits)
 
     def _check_values(self, values: Vector) -> None:
         expected = len(self._setpoints)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.errors import MachineError, WriteError
-from orbitfb.core.signals import Vector
+from orbitfb.core.errors import WriteError
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.libca import DBR_CTRL_DOUBLE, DBR_DOUBLE, ECA_NORMAL, ECA_TIMEOUT, Context
 from orbitfb.safety.verdict import name_some
@@ -40,21 +40,17 @@ class Getter:
         self._abandoned: list[NDArray[Any]] = []
 
     def values(self) -> Vector:
-        """Return the values of the group, shape (m,), in the unit of the PVs.
+        """Return the values of the group, shape (m,), in the unit of the PVs; NaN: no answer."""
+        values = self._fetch(DBR_DOUBLE, np.full(len(self._group), np.nan))
+        return np.where(np.isfinite(values), values, np.nan)
 
-        Raises:
-            MachineError: Some did not answer with a finite value; the first are named.
-        """
-        values = np.full(len(self._group), np.nan)
-        values = self._fetch(DBR_DOUBLE, values)
-        silent = np.flatnonzero(~np.isfinite(values))
-        if silent.size:
-            names = name_some(~np.isfinite(values), self._group.names)
-            raise MachineError(
-                f"{silent.size} of {len(self._group)} PVs did not answer with a finite value "
-                f"within {self._timeout:.1f} s: {names}; see whether their IOC runs"
-            )
-        return values
+    def describe(self, silent: Mask) -> str:
+        """Say that some did not answer, shape (m,)."""
+        return (
+            f"{np.count_nonzero(silent)} of {len(self._group)} PVs did not answer with a finite "
+            f"value within {self._timeout:.1f} s: {name_some(silent, self._group.names)}; see "
+            "whether their IOC runs"
+        )
 
     def limits(self) -> NDArray[np.float64]:
         """Return the drive limits of the group.
@@ -107,8 +103,12 @@ class Putter:
         # A function object of its own, without prototype: its arguments are converted beforehand.
         self._put: Callable[..., int] = context.library["ca_array_put"]
 
-    def put(self, values: Vector) -> None:
+    def put(self, values: Vector, but: Mask | None = None) -> None:
         """Send values, shape (m,), in the unit of the PVs: all of them or none.
+
+        Args:
+            values: To send.
+            but: Channels to pass over, shape (m,); None: none.
 
         Raises:
             WriteError: A channel is away, read-only or refuses; then nothing was sent, unless
@@ -116,14 +116,17 @@ class Putter:
         """
         group = self._group
         with group.lock:
-            if not (group.connected & group.writable).all():
+            ready = group.connected & group.writable
+            if not (ready if but is None else ready | but).all():
                 raise WriteError(self._refusal())
             if self._generation != group.generation:
                 self._prepare()
             self._values[:] = values
             self._context.attach()
-            put = self._put
-            for call in self._calls:
+            put, calls = self._put, self._calls
+            if but is not None and but.any():
+                calls = [call for call, left in zip(calls, but, strict=True) if not left]
+            for call in calls:
                 if (status := put(*call)) != ECA_NORMAL:
                     self._refused(call, status)
             self._context.flush()

@@ -11,9 +11,10 @@ import numpy as np
 
 from orbitfb.core.errors import MachineError
 from orbitfb.core.ports import Clock, Machine, Policy
-from orbitfb.core.signals import LoopState, Reading, Vector
+from orbitfb.core.signals import LoopState, Mask, Reading, Vector
 from orbitfb.loop import memory as remember
 from orbitfb.loop.adjustments import Adjustments, approach
+from orbitfb.loop.asking import ask_setpoints
 from orbitfb.loop.choice import choose
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.guard import NONE, Guard, Safeguards
@@ -26,7 +27,7 @@ from orbitfb.loop.tick import Checked, check, ramp_gain, screened, supervise, to
 from orbitfb.loop.work import Work
 from orbitfb.safety.limits import Limited
 from orbitfb.safety.prediction import Answers, predict
-from orbitfb.safety.verdict import Action, Verdict, name_some
+from orbitfb.safety.verdict import Action, Verdict
 from orbitfb.safety.watch import Growth
 
 
@@ -165,10 +166,12 @@ class Engine:
         unknown = bool(np.isnan(self.memory.setpoints).any())
         doubt = closing or unknown or self.memory.state is LoopState.HELD
         if doubt:
-            trouble, _ = self._ask_setpoints()
+            trouble, _ = self._ask_setpoints(reading.away)
+        before, away = self.memory.away, reading.away
+        back = before is not None and (away is None or bool((before & ~away).any()))
         checked = self._ask_interlocks(reading)
-        if checked.off.any() and not doubt:
-            trouble, names = self._ask_setpoints()
+        if (checked.off.any() or back) and not doubt:
+            trouble, names = self._ask_setpoints(reading.away)
             if trouble or names:
                 checked = self._ask_interlocks(reading)
             if closed and names:
@@ -184,19 +187,11 @@ class Engine:
         leaves_out = guard.can_leave_out
         return check(reading, self.memory, self._rules, self._flaws, movable, leaves_out)
 
-    def _ask_setpoints(self) -> tuple[str, str]:
-        """Have the machine state its setpoints; say what failed, or which are not as believed."""
-        try:
-            actual = np.array(self._machine.setpoints(), dtype=np.float64)
-        except MachineError as error:
-            self.memory = remember.forget_setpoints(self.memory)
-            return f"the setpoints in force are not known: {error}", ""
-        tolerance = self._rules.interlocks.readback_tolerance or 0.0
-        mask = remember.moved(self.memory, actual, tolerance)
-        self.memory = remember.confirm_setpoints(self.memory, actual, tolerance)
-        if not np.isfinite(actual).all():
-            return "the machine states setpoints that are not finite", ""
-        return "", name_some(mask, self._rules.channels.correctors)
+    def _ask_setpoints(self, away: Mask | None) -> tuple[str, str]:
+        """Ask what is in force; say what keeps from writing, or which were moved."""
+        answer = ask_setpoints(self._machine, self.memory, self._rules, away)
+        self.memory = answer.memory
+        return answer.trouble or self._guard.obstacle(), answer.moved
 
     def supervise(self, reading: Reading, verdict: Verdict) -> None:
         """Let a verdict have its effect on the state."""

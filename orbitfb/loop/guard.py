@@ -27,10 +27,13 @@ class Safeguards:
         fallback: The baseline, that decides when the policy in force does not; None: there is
             none, and a policy that fails stops the loop.
         without: See `Without`; None: no corrector can be left out.
+        obstacle: Says why the machine must not be written to, such as drive limits that are
+            narrower now; asked before the loop closes; empty when it may.
     """
 
     fallback: Policy | None = None
     without: Without | None = None
+    obstacle: Callable[[], str] = str
 
 
 NONE = Safeguards()
@@ -71,6 +74,7 @@ class Guard:
     ) -> None:
         self._slot, self._clock, self._deadline = slot, clock, deadline
         self._fallback, self._without = safeguards.fallback, safeguards.without
+        self.obstacle = safeguards.obstacle
         self._taken = slot.acting
         self._swaps: int = slot.swaps
         self._late = 0

@@ -57,6 +57,7 @@ class LoopMemory:
         lost: Correctors that are left out as they do not follow, shape (m,).
         answers: What the last changes should have done, and did.
         current: Stored current at the last orbit [A]; NaN: not known.
+        away: Correctors that could not be written at the last orbit, shape (m,); None: none.
         fresh: When the last orbit fit to act on was complete, monotonic [s].
         good: Good orbits in a row while HELD.
         recloses: Whether HELD ends by itself.
@@ -76,6 +77,7 @@ class LoopMemory:
     fresh: float
     answers: Answers = field(default_factory=Answers)
     current: float = float("nan")
+    away: Mask | None = None
     good: int = 0
     recloses: bool = True
 

@@ -106,6 +106,9 @@ def check(
     if not closed:
         answers = idle(reading.orbit.position, valid, answers)
     off = interlocks.not_following(reading.readback, memory.recent, settings)
+    away = reading.away
+    if away is not None:
+        off = off | away
     following = follow(
         off if movable is None else off & movable,
         reading.readback,
@@ -116,6 +119,7 @@ def check(
         acting=closed or (leaves_out and memory.state is LoopState.HELD),
         held=memory.state is LoopState.HELD,
         leaves_out=leaves_out,
+        away=away if away is None or movable is None else away & movable,
     )
     verdicts.append(following.verdict)
     after = replace(
@@ -126,6 +130,7 @@ def check(
         off=following.counts,
         lost=following.lost,
         current=reading.auxiliary.get(settings.current_channel, float("nan")),
+        away=away,
     )
     return Checked(error, valid, rms, off, worst(*verdicts), after)
 

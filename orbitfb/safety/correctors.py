@@ -37,6 +37,7 @@ def follow(
     acting: bool = True,
     held: bool = False,
     leaves_out: bool = True,
+    away: Mask | None = None,
 ) -> Following:
     """Leave out what does not follow its setpoint for some ticks in a row.
 
@@ -50,21 +51,24 @@ def follow(
         acting: Whether the loop writes, or waits to; else any that is off keeps it from closing.
         held: Whether the loop waits for a fault to go: it does not return meanwhile.
         leaves_out: Whether any can be left out; else those that are off hold the loop.
+        away: Those whose setpoint cannot be written, shape (m,): left out at once; None: none.
     """
+    gone = np.zeros_like(off) if away is None else away & ~lost
+    off = off | gone
     ticks = settings.readback_ticks if acting else 1
     verdict, counts = not_yet(off & ~lost, counts, ticks, names)
     if not acting or not leaves_out:
         return Following(verdict, counts, lost)
-    new = counts >= ticks
+    new = (counts >= ticks) | gone
     out = lost | new
     count = int(np.count_nonzero(out))
     if count > settings.max_lost_correctors and new.any():
-        away = bool((new & ~np.isfinite(readback)).any())
+        absent = bool((new & (gone | ~np.isfinite(readback))).any())
         reason = (
             f"{count} correctors do not follow their setpoint: {name_some(out, names)}; "
             f"allowed: {settings.max_lost_correctors}"
         )
-        action = Action.HOLD if away else Action.TRIP  # an IOC that is away may come back
+        action = Action.HOLD if absent else Action.TRIP  # an IOC that is away may come back
         return Following(Verdict(action, "readback", reason), counts, lost)
     if held and (off & ~out).any():
         return Following(Verdict(Action.HOLD, "readback", verdict.reason), counts, out)

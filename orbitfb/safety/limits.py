@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from orbitfb.core.settings import Settings
@@ -103,6 +104,27 @@ def near_limit(setpoints: Vector, settings: LimitSettings, names: Sequence[str] 
         return ""
     beyond = f"beyond {settings.warning:.0%} of ±{settings.setpoint:g} A"
     return f"{int(near.sum())} correctors {beyond}: {name_some(near, names)}"
+
+
+def too_narrow(settings: LimitSettings, drive: NDArray[np.float64], names: Sequence[str]) -> str:
+    """Say that our limit lies beyond the drive limits of the machine; empty if it does not.
+
+    Args:
+        settings: Has the limit.
+        drive: Drive limits, shape (m, 2), low and high [A]; NaN: none.
+        names: The m PVs.
+    """
+    limit = settings.setpoint
+    beyond = np.flatnonzero((drive[:, 0] > -limit) | (drive[:, 1] < limit))
+    if not beyond.size:
+        return ""
+    first = int(beyond[0])
+    room = np.minimum(-drive[:, 0], drive[:, 1])
+    return (
+        f"limits.setpoint is {limit:g} A, but {beyond.size} correctors have narrower drive "
+        f"limits, {names[first]} for one: {drive[first, 0]:g} to {drive[first, 1]:g} A; set "
+        f"limits.setpoint to {np.nanmin(room):g} A or less"
+    )
 
 
 def _refusal(change: Vector, setpoints: Vector, names: Sequence[str]) -> Verdict:

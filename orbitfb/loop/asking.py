@@ -1,0 +1,59 @@
+"""What the machine says its setpoints are, and what of it the loop may believe."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.errors import AwayError, MachineError
+from orbitfb.core.ports import Machine
+from orbitfb.core.signals import Mask
+from orbitfb.loop import memory as remember
+from orbitfb.loop.memory import LoopMemory, Rules
+from orbitfb.safety.verdict import name_some
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What became of the question.
+
+    Args:
+        memory: With the setpoints that are in force, or none where they are not known.
+        trouble: What failed; empty when nothing did.
+        moved: The first correctors whose setpoint is not as believed; empty when all are.
+    """
+
+    memory: LoopMemory
+    trouble: str = ""
+    moved: str = ""
+
+
+def ask_setpoints(machine: Machine, memory: LoopMemory, rules: Rules, away: Mask | None) -> Answer:
+    """Have the machine state its setpoints.
+
+    Those that are known to be away are left out of the loop: what they were will do.
+
+    Args:
+        machine: To ask.
+        memory: So far.
+        rules: Tolerance and names.
+        away: Correctors that cannot be written now, shape (m,); None: none.
+    """
+    try:
+        actual = np.array(machine.setpoints(), dtype=np.float64)
+    except AwayError as error:
+        actual = error.last
+        if away is None or (error.away & ~away).any():
+            return _unknown(memory, error)
+    except MachineError as error:
+        return _unknown(memory, error)
+    tolerance = rules.interlocks.readback_tolerance or 0.0
+    mask = remember.moved(memory, actual, tolerance)
+    memory = remember.confirm_setpoints(memory, actual, tolerance)
+    if not np.isfinite(actual).all():
+        return Answer(memory, "the machine states setpoints that are not finite")
+    return Answer(memory, moved=name_some(mask, rules.channels.correctors))
+
+
+def _unknown(memory: LoopMemory, error: MachineError) -> Answer:
+    trouble = f"the setpoints in force are not known: {error}"
+    return Answer(remember.forget_setpoints(memory), trouble)
