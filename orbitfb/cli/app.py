@@ -15,6 +15,7 @@ from orbitfb.cli.diagnose_plan import diagnose_plan
 from orbitfb.cli.effects import effects
 from orbitfb.cli.evaluate import evaluate
 from orbitfb.cli.health import health
+from orbitfb.cli.importing import importing
 from orbitfb.cli.kick import evaluate_kick_command
 from orbitfb.cli.measure import measure_response_command
 from orbitfb.cli.policies import policies
@@ -40,6 +41,7 @@ diagnose.command("blind")(diagnose_blind)
 diagnose.command("plan")(diagnose_plan)
 app.add_typer(diagnose, name="diagnose")
 app.add_typer(effects, name="effects")
+app.add_typer(importing, name="import")
 app.add_typer(config, name="config")
 
 

@@ -1,0 +1,92 @@
+"""Commands that take what was measured or recorded elsewhere."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orbitfb.cli.options import (
+    AsJson,
+    ConfigFile,
+    PlacesTable,
+    Planes,
+    RingParameters,
+    configure,
+    show,
+)
+
+importing = typer.Typer(
+    help="Take response matrices and orbit histories from HDF5, CSV, MATLAB or an archiver.",
+    no_args_is_help=True,
+)
+
+BpmNames = Annotated[
+    str | None,
+    typer.Option(
+        help="Where the names of the BPMs are: a path within the file, or @FILE, a text file with "
+        "one per line [above or before the table, in CSV]."
+    ),
+]
+CorrectorNames = Annotated[str | None, typer.Option(help="The same of the correctors.")]
+Order = Annotated[
+    str,
+    typer.Option(
+        help="names: devices are found by their names; table: they stand in the order of the "
+        "places table, x and then y, and have no names."
+    ),
+]
+Anyway = Annotated[
+    bool, typer.Option("--anyway", help="Take it although its size or shape is not plausible.")
+]
+
+
+@importing.command("response")
+def import_response_command(
+    file: Annotated[Path, typer.Argument(help="HDF5, CSV or MATLAB file (.mat, any version).")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", help="File for `ring.response` (safetensors)."),
+    ] = Path("response.safetensors"),
+    matrix: Annotated[
+        str | None,
+        typer.Option(
+            help="Path of the matrix within the file: RM.data, /measured/R, Rmat(1,1).Data [CSV: "
+            "the table]."
+        ),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            help="Of the matrix: m/A, mm/A, um/A, mm/mA, m/rad, mm/mrad, … [as the file says]."
+        ),
+    ] = None,
+    bpm_names: BpmNames = None,
+    corrector_names: CorrectorNames = None,
+    order: Order = "names",
+    sigma: Annotated[
+        str | None, typer.Option(help="Path of its standard deviations, in the same unit.")
+    ] = None,
+    transpose: Annotated[
+        bool, typer.Option("--transpose", help="Its rows are correctors, its columns BPMs.")
+    ] = False,
+    anyway: Anyway = False,
+    config_file: ConfigFile = None,
+    planes: Planes = None,
+    places: PlacesTable = None,
+    ring: RingParameters = None,
+    as_json: AsJson = False,
+) -> None:
+    """Take a response matrix that was measured elsewhere; exit code 1: something in it is bad."""
+    from orbitfb.exchange.response_in import import_response
+    from orbitfb.exchange.response_parts import ResponseRequest
+
+    settings = configure(
+        config_file, ring__planes=planes, ring__places=places, ring__parameters=ring
+    )
+    request = ResponseRequest(
+        file, out, matrix, bpm_names, corrector_names, order, unit, sigma, transpose, anyway
+    )
+    answer = import_response(request, settings.ring.load(), settings.ring.planes, settings.measure)
+    show(answer, as_json)
+    if answer["bad_correctors"] or answer["bad_bpms"]:
+        raise typer.Exit(1)

@@ -1,0 +1,87 @@
+"""Which device of the ring is meant by a name of a file; nothing is guessed from the order."""
+
+import difflib
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from orbitfb.core.errors import ExchangeError
+from orbitfb.core.signals import Channels
+from orbitfb.physics.places import Indices
+
+_MOST_TOLD = 5
+
+
+def bpm_labels(channels: Channels) -> dict[str, int]:
+    """Map every way to name a reading to its place in an orbit."""
+    return _labels(channels.bpms, channels.planes, (channels.orbit_pvs,))
+
+
+def corrector_labels(channels: Channels) -> dict[str, int]:
+    """Map every way to name a setpoint to its place."""
+    return _labels(
+        channels.correctors, channels.planes, (channels.setpoint_pvs, channels.readback_pvs)
+    )
+
+
+def plain_labels(names: Sequence[str], planes: str) -> tuple[str, ...]:
+    """Name every element NAME:x or NAME:y, whatever the planes."""
+    own = len(names) // len(planes)
+    return tuple(f"{name}:{planes[index // own]}" for index, name in enumerate(names))
+
+
+def places_of(names: Sequence[str], labels: dict[str, int], what: str, file: object) -> Indices:
+    """Find the places of devices by their names.
+
+    Args:
+        names: As the file has them.
+        labels: From `bpm_labels` or `corrector_labels`.
+        what: `BPMs` or `correctors`, for messages.
+        file: For messages.
+
+    Returns:
+        A place for every name, shape (k,).
+
+    Raises:
+        ExchangeError: A name is not of the ring, is ambiguous, or two mean the same.
+    """
+    unknown = [name for name in names if name not in labels]
+    if unknown:
+        shown = ", ".join(f"{name!r}{_near(name, labels)}" for name in unknown[:_MOST_TOLD])
+        more = f" and {len(unknown) - _MOST_TOLD} more" if len(unknown) > _MOST_TOLD else ""
+        raise ExchangeError(
+            f"{file}: {len(unknown)} of {len(names)} {what} are not of the configured ring: "
+            f"{shown}{more}; use the names of its places table (NAME:x and NAME:y where there are "
+            "both planes) or its PVs, or name its table with --places and its planes with --planes"
+        )
+    ambiguous = [name for name in names if labels[name] < 0]
+    if ambiguous:
+        raise ExchangeError(
+            f"{file}: {what} {ambiguous[0]!r} may be of either plane; name them NAME:x and NAME:y, "
+            "or say --order table where they stand in the order of the places table, x and then y"
+        )
+    places = [labels[name] for name in names]
+    twice = [place for place, many in Counter(places).items() if many > 1]
+    if twice:
+        same = [name for name, place in zip(names, places, strict=True) if place == twice[0]]
+        raise ExchangeError(
+            f"{file}: {what} {' and '.join(map(repr, same[:_MOST_TOLD]))} are one device; leave "
+            "one out"
+        )
+    return np.array(places, dtype=np.intp)
+
+
+def _labels(names: Sequence[str], planes: str, pvs: Sequence[Sequence[str]]) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for place, (name, label) in enumerate(zip(names, plain_labels(names, planes), strict=True)):
+        found[label] = place
+        found[name] = -1 if name in found else place
+    for kind in pvs:
+        found |= {pv: place for place, pv in enumerate(kind) if pv}
+    return found
+
+
+def _near(name: str, labels: dict[str, int]) -> str:
+    close = difflib.get_close_matches(name, labels, n=1)
+    return f" (did you mean {close[0]}?)" if close else ""
