@@ -1,0 +1,104 @@
+"""What a control room keeps about the panel beside its screens: alarm tree and list to archive."""
+
+import json
+from collections.abc import Sequence
+from xml.etree import ElementTree as Xml
+
+from orbitfb.panel.pv import Kind, PanelPv
+from orbitfb.panel.screens import EXPERT, OVERVIEW, expert, overview
+
+_UNARCHIVED = ("PVs-I",)
+_SLOW = ("Heartbeat-I", "Version-I")
+
+_GUIDANCE = {
+    "State-I": (
+        "Orbit feedback is HELD, TRIPPED or in FAULT",
+        "Read Reason and LastTrip on the overview. HELD closes again by itself. TRIPPED: the "
+        "setpoints stay; find the cause (orbitfb postmortem), press reset, then close. FAULT: "
+        "read the log, start the service again.",
+        10,
+    ),
+    "Heartbeat-I": (
+        "Orbit feedback does not tick",
+        "INVALID: the panel runs and the loop does not; disconnected: neither does. The setpoints "
+        "stay. Look at the service (orbitfb health, systemctl status orbitfb).",
+        10,
+    ),
+    "BpmsInvalid-I": (
+        "Orbit feedback leaves out BPMs",
+        "They are disconnected, invalid, frozen or beyond belief; the rest is corrected without "
+        "them. The log names them (bpm_mask_changed). Repair them before there are too many.",
+        60,
+    ),
+}
+"""Alarm: title, what to do, delay [s]."""
+
+
+def site_files(prefix: str, pvs: Sequence[PanelPv]) -> dict[str, str]:
+    """Write every file by its name.
+
+    Args:
+        prefix: Of the panel's PVs.
+        pvs: All PVs of the panel.
+    """
+    return {
+        OVERVIEW: overview(prefix, pvs),
+        EXPERT: expert(prefix, pvs),
+        "alarms.xml": alarm_tree(prefix, pvs),
+        "archiver.json": archiver_list(prefix, pvs),
+    }
+
+
+def alarm_tree(prefix: str, pvs: Sequence[PanelPv]) -> str:
+    """Write the alarm tree, to be imported by the alarm server of Phoebus.
+
+    Args:
+        prefix: Of the panel's PVs.
+        pvs: All PVs of the panel.
+    """
+    root = Xml.Element("config", name="Accelerator")
+    tree = Xml.SubElement(root, "component", name="Orbit feedback")
+    display = Xml.SubElement(tree, "display")
+    Xml.SubElement(display, "title").text = "Overview"
+    Xml.SubElement(display, "details").text = OVERVIEW
+    for pv in pvs:
+        if pv.name not in _GUIDANCE:
+            continue
+        title, details, delay = _GUIDANCE[pv.name]
+        entry = Xml.SubElement(tree, "pv", name=prefix + pv.name)
+        latching = pv.name != "BpmsInvalid-I"
+        for name, text in (
+            ("description", title),
+            ("enabled", "true"),
+            ("latching", str(latching).lower()),
+            ("annunciating", str(latching).lower()),
+            ("delay", str(delay)),
+        ):
+            Xml.SubElement(entry, name).text = text
+        guidance = Xml.SubElement(entry, "guidance")
+        Xml.SubElement(guidance, "title").text = "What to do"
+        Xml.SubElement(guidance, "details").text = details
+    Xml.indent(root)
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n'
+    return head + Xml.tostring(root, encoding="unicode") + "\n"
+
+
+def archiver_list(prefix: str, pvs: Sequence[PanelPv]) -> str:
+    """Write the list for the Archiver Appliance (`mgmt/bpl/archivePV`), one PV a line.
+
+    Args:
+        prefix: Of the panel's PVs.
+        pvs: All PVs of the panel.
+    """
+    lines = [
+        json.dumps(
+            {
+                "pv": prefix + pv.name,
+                "samplingmethod": "SCAN" if pv.name in _SLOW else "MONITOR",
+                "samplingperiod": "60.0" if pv.name in _SLOW else "1.0",
+            }
+        )
+        for pv in pvs
+        if pv.name not in _UNARCHIVED and not (pv.writable and pv.kind is Kind.CHOICE)
+    ]
+    return "[\n " + ",\n ".join(lines) + "\n]\n"
