@@ -12,6 +12,7 @@ import numpy as np
 from orbitfb.core.errors import MachineError
 from orbitfb.core.ports import Clock, Machine, Policy
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
+from orbitfb.loop import comeback
 from orbitfb.loop import memory as remember
 from orbitfb.loop.adjustments import Adjustments, approach
 from orbitfb.loop.asking import ask_setpoints
@@ -19,7 +20,7 @@ from orbitfb.loop.choice import choose
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.guard import NONE, Guard, Safeguards
 from orbitfb.loop.intake import Intake, await_orbit
-from orbitfb.loop.memory import Rules
+from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.pacing import Pace, miss, take
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.states import Event
@@ -104,6 +105,7 @@ class Engine:
             closed = self.memory.state is LoopState.CLOSED
             step = rules.loop.reference_speed * rules.loop.period if closed else np.inf
             rules = replace(rules, reference=approach(rules.reference, wanted.reference, step))
+            self.memory = replace(self.memory, well=None)
             # The error may grow while the loop follows; it is no sign of a wrong response then.
             self.memory = replace(self.memory, growth=Growth())
         self._rules = rules
@@ -139,6 +141,7 @@ class Engine:
         missed, pace = miss(now, intake.pace, loop.period)
         self.memory = replace(self.memory, pace=pace)
         self.move(Event.ORBIT_MISSING, intake.absence)
+        self.memory = comeback.stop(self.memory, intake.absence)
         if self.memory.state is LoopState.HELD:
             happening = too_long(self.memory, intake.absence, now, loop)
             if happening.event:
@@ -172,13 +175,15 @@ class Engine:
         checked = self._ask_interlocks(reading)
         if (checked.off.any() or back) and not doubt:
             trouble, names = self._ask_setpoints(reading.away)
+            if names:
+                self.memory = comeback.stop(self.memory, f"setpoints were moved: {names}")
             if trouble or names:
                 checked = self._ask_interlocks(reading)
             if closed and names:
                 trouble = f"setpoints were moved by somebody else: {names}"
         if trouble and checked.verdict.action < Action.HOLD:
             checked = replace(checked, verdict=Verdict(Action.HOLD, "setpoints", trouble))
-        self.memory = checked.memory
+        self.memory = comeback.remember_good(checked.memory, checked, self._rules)
         return checked, missed
 
     def _ask_interlocks(self, reading: Reading) -> Checked:
@@ -196,9 +201,11 @@ class Engine:
     def supervise(self, reading: Reading, verdict: Verdict) -> None:
         """Let a verdict have its effect on the state."""
         now = self._clock.monotonic()
+        before = self.memory.state
         happening = supervise(self.memory, verdict, now, self._rules.loop)
         if happening.event:
             self.move(happening.event, happening.reason)
+            self.memory = comeback.set_out(self.memory, before, verdict, self._rules)
         else:
             self.memory = remember.note(self.memory, happening.reason, verdict.may_act)
         if verdict.may_act:
@@ -239,6 +246,30 @@ class Engine:
             self._expect(work.applied)
             if ramp == 1.0 and choice.settled and policy_state is not self.memory.policy_state:
                 self.memory = replace(self.memory, policy_state=policy_state)
+
+    def go_back(self, work: Work, reading: Reading, checked: Checked) -> None:
+        """Go a step back to the last good setpoints, if a trip asks for it.
+
+        Args:
+            work: The tick in hand.
+            reading: Its orbit.
+            checked: The same.
+        """
+        if self.memory.way is None:
+            return
+
+        def ask() -> tuple[LoopMemory, str]:
+            trouble, moved = self._ask_setpoints(reading.away)
+            return self.memory, trouble or (moved and f"setpoints were moved: {moved}")
+
+        movable = self._guard.movable(len(self.memory.lost))
+        step = comeback.next_step(self.memory, checked, self._rules, movable, ask)
+        self.memory = step.memory
+        if step.limited is None:
+            return
+        work.requested = step.limited.change
+        if not self._write(work, reading, step.limited):
+            self.memory = comeback.stop(self.memory, "a write failed")
 
     def _expect(self, applied: Vector) -> None:
         """Remember what the change just written should do to the orbit."""

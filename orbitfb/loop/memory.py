@@ -14,7 +14,7 @@ from orbitfb.safety.bpms import BpmMemory
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.safety.prediction import Answers
-from orbitfb.safety.watch import Growth, LastOrbit
+from orbitfb.safety.watch import Growth, LastOrbit, Rise
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +39,25 @@ class Rules:
 
 
 @dataclass(frozen=True, slots=True)
+class Way:
+    """The way back to good setpoints.
+
+    Args:
+        cause: Why the loop tripped.
+        good: Where it leads, shape (m,) [A].
+        steps: Steps that were sent.
+        seen: Orbits since it began.
+        rms: Least orbit error since [m].
+    """
+
+    cause: str
+    good: Vector
+    steps: int = 0
+    seen: int = 0
+    rms: float = float("inf")
+
+
+@dataclass(frozen=True, slots=True)
 class LoopMemory:
     """What the loop knows between two ticks.
 
@@ -59,6 +78,9 @@ class LoopMemory:
         current: Stored current at the last orbit [A]; NaN: not known.
         away: Correctors that could not be written at the last orbit, shape (m,); None: none.
         fresh: When the last orbit fit to act on was complete, monotonic [s].
+        rise: Memory of the rate of the distortion.
+        well: Setpoints of the last good orbit, shape (m,) [A]; None: not known, or not wanted.
+        way: The way back to them after a trip; None: there is none.
         good: Good orbits in a row while HELD.
         recloses: Whether HELD ends by itself.
     """
@@ -78,6 +100,9 @@ class LoopMemory:
     answers: Answers = field(default_factory=Answers)
     current: float = float("nan")
     away: Mask | None = None
+    rise: Rise = field(default_factory=Rise)
+    well: Vector | None = None
+    way: "Way | None" = None
     good: int = 0
     recloses: bool = True
 
@@ -128,7 +153,7 @@ def confirm_setpoints(memory: LoopMemory, actual: Vector, tolerance: float) -> L
         tolerance: Largest difference that is none [A].
     """
     if moved(memory, actual, tolerance).any():
-        return replace(memory, recent=(actual,), off=np.zeros_like(memory.off))
+        return replace(memory, recent=(actual,), off=np.zeros_like(memory.off), well=None)
     return replace(memory, recent=(actual, *memory.recent[1:]))
 
 
@@ -140,7 +165,7 @@ def moved(memory: LoopMemory, actual: Vector, tolerance: float) -> Mask:
 def forget_setpoints(memory: LoopMemory) -> LoopMemory:
     """Assume nothing of the setpoints until the machine states them."""
     unknown = np.full_like(memory.setpoints, np.nan)
-    return replace(memory, recent=(unknown,), off=np.zeros_like(memory.off))
+    return replace(memory, recent=(unknown,), off=np.zeros_like(memory.off), well=None)
 
 
 def move(memory: LoopMemory, event: Event, reason: str, now: float, recloses: bool) -> LoopMemory:
@@ -162,9 +187,9 @@ def move(memory: LoopMemory, event: Event, reason: str, now: float, recloses: bo
         return memory if latched else replace(memory, reason=reason, good=0)
     memory = replace(memory, state=after, reason=reason, since=now, good=0)
     if after in (LoopState.OPEN, LoopState.SHADOW):
-        memory = replace(memory, lost=np.zeros_like(memory.lost))
+        memory = replace(memory, lost=np.zeros_like(memory.lost), well=None, way=None)
     if after is LoopState.CLOSED:
-        return replace(memory, growth=Growth())
+        return replace(memory, growth=Growth(), rise=Rise())
     if after is LoopState.HELD:
         return replace(memory, recloses=recloses)
     return memory

@@ -211,6 +211,8 @@ class Runner:
         self._close(checked.verdict)
         engine.supervise(reading, checked.verdict)
         work.done("check")
+        if self.state is LoopState.TRIPPED:
+            engine.go_back(work, reading, checked)
         if not checked.verdict.may_act:
             return False
         if self.state in (LoopState.SHADOW, LoopState.CLOSED):

@@ -31,7 +31,21 @@ class LoopSettings(Settings):
     reclose: bool = Field(
         default=True, description="Whether a held loop closes by itself, or waits for the command."
     )
-
+    return_after_trip: bool = Field(
+        default=False,
+        description="Whether to go back to the last good setpoints after a trip for the orbit, "
+        "in limited steps that stop at once if anything is wrong.",
+    )
+    return_step: float = Field(
+        default=0.5,
+        gt=0,
+        description="Largest change of a setpoint in one step of that return [A].",
+    )
+    return_good: float = Field(
+        default=20e-6,
+        gt=0,
+        description="Rms orbit error up to which setpoints count as good [m].",
+    )
     reference_speed: float = Field(
         default=100e-6,
         gt=0,

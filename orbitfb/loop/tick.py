@@ -26,6 +26,7 @@ class Checked:
         rms: Of the error over the valid BPMs [m]; NaN when there are none.
         off: Correctors whose readback is not at their setpoint now, shape (m,).
         verdict: The gravest that the interlocks say.
+        sound: The gravest of those that do not look at the size of the error.
         memory: What they remember of this tick.
     """
 
@@ -34,6 +35,7 @@ class Checked:
     rms: float
     off: Mask
     verdict: Verdict
+    sound: Verdict
     memory: LoopMemory
 
 
@@ -95,11 +97,13 @@ def check(
     unknown = Action.TRIP if closed else Action.HOLD
     before = memory.current if closed else float("nan")
     current = interlocks.stored_current(reading.auxiliary, settings, unknown, before)
-    verdicts = [fresh, quota, current]
-    growth, answers = memory.growth, memory.answers
+    verdicts: list[Verdict] = []
+    growth, answers, rise = memory.growth, memory.answers, memory.rise
     if fresh.may_act and quota.may_act:
         verdicts.append(interlocks.orbit_distortion(rms, largest, settings))
+        fast, rise = watch.rising(rms, reading.received, rise, settings)
         if closed:
+            verdicts.append(fast)
             diverging, growth = watch.divergence(rms, growth, settings)
             answering, answers = answered(reading.orbit.position, valid, rms, answers, settings)
             verdicts += [answering, diverging]
@@ -121,18 +125,19 @@ def check(
         leaves_out=leaves_out,
         away=away if away is None or movable is None else away & movable,
     )
-    verdicts.append(following.verdict)
+    sound = worst(fresh, quota, current, following.verdict)
     after = replace(
         memory,
         last=last,
         growth=growth,
         answers=answers,
+        rise=rise,
         off=following.counts,
         lost=following.lost,
         current=reading.auxiliary.get(settings.current_channel, float("nan")),
         away=away,
     )
-    return Checked(error, valid, rms, off, worst(*verdicts), after)
+    return Checked(error, valid, rms, off, worst(sound, *verdicts), sound, after)
 
 
 def _size(error: Vector, count: int) -> tuple[float, float]:

@@ -32,6 +32,12 @@ class InterlockSettings(Settings):
     distortion_max: float = Field(
         default=3e-3, gt=0, description="Largest |orbit error| at a BPM [m]."
     )
+    distortion_rate: float | None = Field(
+        default=5e-4,
+        gt=0,
+        description="Fastest growth of the rms orbit error while the loop is closed, over about a "
+        "second [m/s]; none = do not look at it.",
+    )
     max_invalid_bpms: int = Field(
         default=9,
         ge=0,

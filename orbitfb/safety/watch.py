@@ -1,5 +1,6 @@
 """Interlocks that look at several ticks: memory in, verdict and new memory out."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,9 @@ from numpy.typing import NDArray
 from orbitfb.core.signals import Mask, Orbit, Vector
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.verdict import FINE, Action, Verdict, name_some
+
+RISING = 1.0
+"""Time over which a growth of the rms is looked at [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,47 @@ def divergence(rms: float, memory: Growth, settings: InterlockSettings) -> tuple
         f"from {grown.start * 1e6:.3g} to {rms * 1e6:.3g} µm rms"
     )
     return Verdict(Action.TRIP, "divergence", reason), grown
+
+
+@dataclass(frozen=True, slots=True)
+class Rise:
+    """How the rms has been.
+
+    Args:
+        base: What it was about a second ago, or less since [m]; NaN: not known.
+        time: Of the last orbit, monotonic [s].
+    """
+
+    base: float = float("nan")
+    time: float = float("nan")
+
+
+def rising(
+    rms: float, time: float, memory: Rise, settings: InterlockSettings
+) -> tuple[Verdict, Rise]:
+    """Trip when the rms grows too fast.
+
+    The base follows the rms with a time constant of a second, downwards at once: behind a steady
+    growth it stays by what the rms grows in a second, a sudden step counts as a whole.
+
+    Args:
+        rms: Of the orbit error [m].
+        time: When the orbit was complete, monotonic [s].
+        memory: What the last call returned.
+        settings: Thresholds.
+    """
+    base = memory.base
+    if not rms > base:  # also the first
+        return FINE, Rise(rms, time)
+    base += (rms - base) * -math.expm1(-max(time - memory.time, 0.0) / RISING)
+    most, rate = settings.distortion_rate, (rms - base) / RISING
+    if most is None or rate <= most:
+        return FINE, Rise(base, time)
+    reason = (
+        f"the rms orbit error grows by {rate * 1e6:.4g} µm/s to {rms * 1e6:.4g} µm; "
+        f"allowed: {most * 1e6:.4g} µm/s"
+    )
+    return Verdict(Action.TRIP, "distortion_rate", reason), Rise(base, time)
 
 
 @dataclass(frozen=True, slots=True)
