@@ -17,7 +17,7 @@ _log = structlog.stdlib.get_logger("orbitfb.control")
 
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
-SILENT = frozenset({"status", "panel"})
+SILENT = frozenset({"status", "panel", "page"})
 """Commands that change nothing and are not logged."""
 _LONGEST_WORD = 300
 _MANY = 8
@@ -66,16 +66,14 @@ class Commands:
             self._refused(name, who, told, str(error))
             raise
         _log.info("command_given", command=name, **told, **who)
-        self._statistics.happened("command", f"{name} by {who['user']}@{who['host']}")
+        self._statistics.commanded(name, who["user"], who["host"])
         return answer
 
     def _refused(
         self, name: str, who: Mapping[str, Any], told: Mapping[str, Any], reason: str
     ) -> None:
         _log.warning("command_refused", command=name, reason=reason, **told, **who)
-        self._statistics.happened(
-            "command", f"{name} by {who['user']}@{who['host']} refused: {reason}"
-        )
+        self._statistics.commanded(name, who["user"], who["host"], reason)
 
     def _panel(self) -> Mapping[str, Any]:
         snapshot = self._statistics.snapshot()

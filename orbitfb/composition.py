@@ -46,7 +46,7 @@ from orbitfb.physics.places import Ring
 from orbitfb.policies.masking import mask_of
 from orbitfb.policies.stability import growth_of, warning_of
 from orbitfb.remote import Remote
-from orbitfb.reports import Reports, postmortems, say_excitation
+from orbitfb.reports import Reports, beside, postmortems, say_excitation
 from orbitfb.safety.limits import too_narrow
 from orbitfb.startup import (
     SIMULATED,
@@ -177,7 +177,10 @@ class Service:
             self.learner.start()
             stack.callback(self.learner.stop)
         registry = metrics_registry(
-            self.statistics.snapshot, archive.status, *(its.status for its in recorders)
+            self.statistics.snapshot,
+            archive.status,
+            recorders[0].status if recorders else None,
+            beside(config, self.machine, below),
         )
         http = ObserveServer(config.observe, registry, self.statistics.snapshot)
         http.start()

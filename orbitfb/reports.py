@@ -12,8 +12,12 @@ from orbitfb.core.errors import ArchiveError, EstimationError
 from orbitfb.core.gap import GapSight
 from orbitfb.core.refit import Alarm, RefitReport
 from orbitfb.core.signals import Channels, Mask
+from orbitfb.epics.machine import EpicsMachine
+from orbitfb.loop.dither import Dither
 from orbitfb.loop.excitation import Excitation, Progress
+from orbitfb.observe.beside import Beside
 from orbitfb.observe.event_log import EventLog
+from orbitfb.observe.last_diagnosis import LastDiagnosis
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.postmortem.frozen import Frozen
 from orbitfb.postmortem.log_tap import LogTap
@@ -89,6 +93,24 @@ def say_excitation(excitation: Excitation) -> None:
     progress = excitation.progress
     say = _log.info if progress is Progress.DONE else _log.warning
     say("excitation", progress=progress, ticks=excitation.rows)
+
+
+def beside(config: AppConfig, machine: EpicsMachine, dither: Dither) -> Beside:
+    """Say where a scrape finds what is not the loop's own.
+
+    Args:
+        config: The configuration.
+        machine: Counts its channels.
+        dither: The dither.
+    """
+    return Beside(
+        channels=machine.channel_counts,
+        dither_cost=lambda: dither.orbit_cost,
+        diagnosis=LastDiagnosis(config.data_directory),
+        period=config.loop.period,
+        noise=config.learn.identify.reading_noise,
+        most_invalid=config.interlocks.max_invalid_bpms,
+    )
 
 
 def postmortems(

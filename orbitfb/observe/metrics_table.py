@@ -1,6 +1,9 @@
 """The page of the docs that lists all metrics."""
 
-from orbitfb.observe.metrics_list import BEAM, DIAGNOSIS, LEARNING, LOOP, SERVICE
+from orbitfb.observe.metrics_beam import BEAM
+from orbitfb.observe.metrics_learning import LEARNING
+from orbitfb.observe.metrics_loop import LOOP
+from orbitfb.observe.metrics_service import DIAGNOSIS, SERVICE
 
 _HEAD = """# Metrics
 

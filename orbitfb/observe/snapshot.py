@@ -1,11 +1,13 @@
 """The figures of a running loop at one moment, as values."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from orbitfb.core.gap import GapSight
 from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.core.signals import LoopState, Phases
+from orbitfb.observe.averages import Ranked
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +38,7 @@ class OrbitFigures:
         invalid: BPMs of the last orbit that are invalid besides.
         bpms: All BPMs.
         time: Stamp of the last orbit [s since the epoch].
+        worst_bpms: The BPMs with the largest rms error of late, largest first [m].
     """
 
     first: float
@@ -48,6 +51,7 @@ class OrbitFigures:
     invalid: int
     bpms: int
     time: float
+    worst_bpms: tuple[Ranked, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +63,18 @@ class CorrectorFigures:
         setpoint: Its absolute setpoint [A]; NaN when unknown.
         limit: Its limit [A].
         limited: Ticks whose change was shortened.
+        nearest: The correctors nearest their limits, |setpoint| as part of it, nearest first [1].
+        change: Rms change of a setpoint that was written of late [A]; NaN when unknown.
+        dither: The dither's part of it [A].
     """
 
     name: str
     setpoint: float
     limit: float
     limited: int
+    nearest: tuple[Ranked, ...] = ()
+    change: float = math.nan
+    dither: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +126,8 @@ class Happening:
     Args:
         number: Count since the start, from 1.
         time: Wall clock [s since the epoch].
-        kind: `state`, `policy`, `refit`, `alarm`, `archive`, `gap`, `postmortem` or
-            `ring`.
+        kind: `state`, `policy`, `refit`, `alarm`, `archive`, `gap`, `postmortem`, `command`,
+            `lease` or `ring`.
         text: What happened, in a few words.
     """
 
@@ -125,6 +135,21 @@ class Happening:
     time: float
     kind: str
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """Who closed the loop.
+
+    Args:
+        user: Their name; `start` when the service began so.
+        host: From where.
+        time: Wall clock [s since the epoch].
+    """
+
+    user: str
+    host: str
+    time: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +175,10 @@ class LoopSnapshot:
         last_alarm: The last one, if there was one.
         happenings: The last few, oldest first.
         gap: The last look at the gap between model and machine, if there was one.
+        entry_reason: Why the loop entered its state; empty when there is nothing to say.
+        closing: Who closed the loop last, if somebody did.
+        commands: Commands of operators that were `given` and `refused`.
+        refit_reasons: Refits by decision, stage and reason, figures taken out.
     """
 
     state: LoopState | None
@@ -170,6 +199,10 @@ class LoopSnapshot:
     last_alarm: Alarm | None
     happenings: tuple[Happening, ...] = field(default=())
     gap: GapSight | None = None
+    entry_reason: str = ""
+    closing: Closing | None = None
+    commands: Mapping[str, int] = field(default_factory=dict)
+    refit_reasons: Mapping[tuple[str, str, str], int] = field(default_factory=dict)
 
     @property
     def judged(self) -> int:

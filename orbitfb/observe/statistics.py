@@ -2,7 +2,8 @@
 
 import math
 import threading
-from collections import Counter, deque
+from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,15 +11,16 @@ from orbitfb.core.gap import GapSight
 from orbitfb.core.ports import Clock
 from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.core.signals import Channels, LoopState, Mask, Orbit, Phases, TickRecord, Vector
+from orbitfb.observe.averages import Averages, worst
+from orbitfb.observe.devices import largest_error, nearest_limit
 from orbitfb.observe.snapshot import (
-    CorrectorFigures,
-    Happening,
     LatencyFigures,
     LoopSnapshot,
     OrbitFigures,
     Rms,
     TickFigures,
 )
+from orbitfb.observe.tallies import Tallies
 from orbitfb.observe.windows import (
     Histogram,
     Window,
@@ -35,8 +37,6 @@ LATENCY_WINDOW = 60.0
 
 TRUE_RMS = "true_orbit_rms"
 """Auxiliary channel in which a simulated ring tells its orbit RMS without BPM noise [m]."""
-
-KEPT_HAPPENINGS = 64
 
 
 class LoopStatistics:
@@ -94,13 +94,9 @@ class LoopStatistics:
         self._latencies = Window(LATENCY_WINDOW)
         self._histogram = Histogram()
 
-        self._refits: Counter[Decision] = Counter()
-        self._last_refit: RefitReport | None = None
-        self._alarms: Counter[AlarmCause] = Counter()
-        self._last_alarm: Alarm | None = None
-        self._gap: GapSight | None = None
-        self._happenings: deque[Happening] = deque(maxlen=KEPT_HAPPENINGS)
-        self._happened = 0
+        self._averages = Averages(channels, ORBIT_WINDOW)
+        self._entry_reason = ""
+        self._tallies = Tallies(clock)
 
     def __call__(self, record: TickRecord) -> None:
         """Take a record; called in the loop's thread."""
@@ -112,6 +108,7 @@ class LoopStatistics:
             self._note_changes(record)
             self._histogram.add(record.latency)
             self._take_reading(record)
+            self._averages.add(record)
             self._last = record
             self._last_monotonic = self._clock.monotonic()
             self._last_wall = self._clock.wall()
@@ -119,24 +116,29 @@ class LoopStatistics:
     def refitted(self, report: RefitReport) -> None:
         """Take the report of a refit; called in the learner's thread."""
         with self._lock:
-            self._refits[report.decision] += 1
-            self._last_refit = report
-            word = report.decision.value.replace("_", " ")
-            self._note("refit", f"{report.policy_id} {word}: {report.reason}")
+            self._tallies.refitted(report)
 
     def alarmed(self, alarm: Alarm) -> None:
         """Take an alarm of the learner; called in the learner's thread."""
         with self._lock:
-            self._alarms[alarm.cause] += 1
-            self._last_alarm = alarm
-            self._note("alarm", f"{alarm.cause}: {alarm.statistic:.3g} above {alarm.threshold:.3g}")
+            self._tallies.alarmed(alarm)
 
     def gap_seen(self, sight: GapSight) -> None:
         """Take a look at the gap; called in the watch's thread."""
         with self._lock:
-            before, self._gap = self._gap, sight
-            if sight.resolved and not (before is not None and before.resolved):
-                self._note("gap", f"{sight.nats:.3g} nats/tick, {sight.effect} suspected")
+            self._tallies.gap_seen(sight)
+
+    def commanded(self, name: str, user: str, host: str, refusal: str = "") -> None:
+        """Take a command of an operator; called from any thread.
+
+        Args:
+            name: Of the command.
+            user: Who gave it.
+            host: From where.
+            refusal: Why it was refused; empty when it was carried out.
+        """
+        with self._lock:
+            self._tallies.commanded(name, user, host, refusal)
 
     def happened(self, kind: str, text: str) -> None:
         """Note something that people want to know; called from any thread.
@@ -146,17 +148,14 @@ class LoopStatistics:
             text: What happened.
         """
         with self._lock:
-            self._note(kind, text)
-
-    def _note(self, kind: str, text: str) -> None:
-        self._happened += 1
-        self._happenings.append(Happening(self._happened, self._clock.wall(), kind, text))
+            self._tallies.note(kind, text)
 
     def snapshot(self) -> LoopSnapshot:
         """Return the figures of this moment; called from any thread."""
         with self._lock:
             last, orbit = self._last, self._last_orbit
-            entries, refits = dict(self._entries), dict(self._refits)
+            entries, tallies = dict(self._entries), self._tallies
+            refits, reasons = dict(tallies.refits), dict(tallies.reasons)
             observed, true = self._observed.copy(), self._true.copy()
             planes = {
                 plane: (self._now_by_plane[plane], window.copy())
@@ -171,13 +170,20 @@ class LoopStatistics:
             monotonic = self._clock.monotonic()
             age, in_state = monotonic - self._last_monotonic, monotonic - self._state_since
             wall, stamp = self._last_wall, self._stamp
-            last_refit, happenings = self._last_refit, tuple(self._happenings)
-            gap = self._gap
-            alarms = {cause: self._alarms[cause] for cause in AlarmCause}
-            last_alarm = self._last_alarm
+            last_refit, happenings = tallies.last_refit, tuple(tallies.happenings)
+            gap, closing, commands = tallies.gap, tallies.closing, dict(tallies.commands)
+            alarms = {cause: tallies.alarms[cause] for cause in AlarmCause}
+            last_alarm, entry_reason = tallies.last_alarm, self._entry_reason
+            errors, change, dither = self._averages.copy()
         period, jitter = mean_and_deviation(intervals)
         p50, p99 = percentiles(latencies, 50.0, 99.0)
-        worst, worst_bpm = self._worst(last)
+        error, worst_bpm = largest_error(last, self._channels)
+        correctors = replace(
+            nearest_limit(last, self._channels, self._limit),
+            limited=limited,
+            change=change,
+            dither=dither,
+        )
         reading = None if last is None else last.reading
         return LoopSnapshot(
             state=None if last is None else last.state,
@@ -190,7 +196,7 @@ class LoopStatistics:
                 observed=Rms(now, root_mean(observed)),
                 true=Rms(true_now, root_mean(true)),
                 planes={plane: Rms(rms, root_mean(old)) for plane, (rms, old) in planes.items()},
-                worst=worst,
+                worst=error,
                 worst_bpm=worst_bpm,
                 masked=int(np.count_nonzero(~self._counting)),
                 invalid=0
@@ -198,8 +204,9 @@ class LoopStatistics:
                 else int(np.count_nonzero(self._counting & ~orbit.valid)),
                 bpms=len(self._channels.bpms),
                 time=stamp,
+                worst_bpms=worst(errors, self._channels.bpms, self._channels.planes),
             ),
-            correctors=self._nearest(last, limited),
+            correctors=correctors,
             ticks=TickFigures(ticks, missed, age, wall, period, jitter, phases),
             latency=LatencyFigures(p50, p99, largest, buckets, total),
             auxiliary={} if reading is None else dict(reading.auxiliary),
@@ -211,6 +218,10 @@ class LoopStatistics:
             last_alarm=last_alarm,
             happenings=happenings,
             gap=gap,
+            entry_reason=entry_reason,
+            closing=closing,
+            commands=commands,
+            refit_reasons=reasons,
         )
 
     def _count_phases(self, phases: Phases) -> None:
@@ -227,10 +238,13 @@ class LoopStatistics:
             self._entries[record.state] += 1
             self._state_since = self._clock.monotonic()
             because = f": {record.reason}" if record.reason else ""
-            self._note("state", f"{record.state.value}{because}")
+            self._entry_reason = record.reason
+            if last is None and record.state is LoopState.CLOSED:
+                self._tallies.closed_by("start", "localhost")
+            self._tallies.note("state", f"{record.state.value}{because}")
         if last is not None and last.policy_id != record.policy_id:
             self._swaps += 1
-            self._note("policy", f"{record.policy_id} instead of {last.policy_id}")
+            self._tallies.note("policy", f"{record.policy_id} instead of {last.policy_id}")
 
     def _take_reading(self, record: TickRecord) -> None:
         reading = record.reading
@@ -267,26 +281,3 @@ class LoopStatistics:
             total += squares
             count += valid.size
         return total / count if count else math.nan
-
-    def _worst(self, last: TickRecord | None) -> tuple[float, str]:
-        """Return the largest |error| of the last tick [m] and its BPM."""
-        if last is None or last.reading is None or not last.reading.orbit.valid.any():
-            return math.nan, ""
-        orbit = last.reading.orbit
-        error = np.where(orbit.valid, np.abs(orbit.position - last.reference), -1.0)
-        where = int(np.argmax(error))
-        return float(error[where]), self._channels.bpms[where]
-
-    def _nearest(self, last: TickRecord | None, limited: int) -> CorrectorFigures:
-        """Find the corrector nearest its limit, once the last change is in."""
-        if last is None or not self._channels.correctors:
-            limit = float(self._limit.min()) if self._limit.size else math.nan
-            return CorrectorFigures("", math.nan, limit, limited)
-        setpoints = last.setpoints + last.applied
-        where = int(np.argmax(np.abs(setpoints) / self._limit))
-        return CorrectorFigures(
-            self._channels.correctors[where],
-            float(setpoints[where]),
-            float(self._limit[where]),
-            limited,
-        )

@@ -17,8 +17,10 @@ class Statistics:
     def __init__(self) -> None:
         self.lines: list[str] = []
 
-    def happened(self, kind: str, text: str) -> None:
-        self.lines.append(f"{kind}: {text}")
+    def commanded(self, name: str, user: str, host: str, refusal: str = "") -> None:
+        self.lines.append(
+            f"command: {name} by {user}@{host}" + (refusal and f" refused: {refusal}")
+        )
 
 
 def loop(request: Any) -> dict[str, Any]:

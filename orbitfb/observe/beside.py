@@ -1,0 +1,29 @@
+"""What a scrape tells beside the loop's own figures."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from orbitfb.core.link import ChannelCounts
+from orbitfb.observe.last_diagnosis import DiagnosisFigures
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Where the rest comes from; each function is called once per scrape.
+
+    Args:
+        channels: Counts the channels to the machine.
+        dither_cost: Orbit motion that the dither may cause, rms [m].
+        diagnosis: Figures of the last diagnosis, if there is one.
+        period: Time between two ticks as configured [s]; NaN: not known.
+        noise: Noise of one BPM reading to believe before a refit has found it, rms [m].
+        most_invalid: Invalid BPMs above which the loop is HELD.
+    """
+
+    channels: Callable[[], tuple[ChannelCounts, ...]] = tuple
+    dither_cost: Callable[[], float] = lambda: math.nan
+    diagnosis: Callable[[], DiagnosisFigures | None] = lambda: None
+    period: float = math.nan
+    noise: float = math.nan
+    most_invalid: float = math.nan
