@@ -28,7 +28,7 @@ _HEAD = """# Effects
 Physical causes that the nominal simulator leaves out, and that `orbitfb diagnose` looks for. They
 are switched on in the simulated ring one by one, each on some devices and from some time on:
 
-```
+```sh
 orbitfb run --ioc sim --effect corrector-lag:tau=0.1s,cells=3-5,from=30s
 ```
 
@@ -38,6 +38,7 @@ where it is: `cells=3-5+C07` or `names=PL1A_C01+PL2A_C01`, `planes=x`; without, 
 writes it, goes to `--effects FILE`, or to `--config FILE`, where each is an `[[effect]]` table:
 
 ```toml
+# effects.toml
 [[effect]]
 id = "corrector-lag"
 cells = ["3-5"]
@@ -83,13 +84,13 @@ def effect_page(name: str, note: str) -> str:
 def _page(kind: EffectKind, note: str) -> Iterator[str]:
     yield f"# {kind.id}\n\n{_capital(kind.title)}. {kind.sentence}\n\n{note}"
     yield f"Stage: {kind.stage} ([all effects](index.md)). On: {_TARGETS[kind.target]}.\n"
-    yield f"```\n{kind.equation}\n```\n"
+    yield f"```text\n{kind.equation}\n```\n"
     if kind.parameters:
         yield "| parameter | unit | bounds | none at | typical | meaning |"
         yield "|---|---|---|---|---|---|"
         yield from map(_row, kind.parameters)
         yield ""
-    yield f"```\norbitfb run --ioc sim --effect {_example(kind)}\n```"
+    yield f"```sh\norbitfb run --ioc sim --effect {_example(kind)}\n```"
     if kind.confused_with:
         known = all_effects()
         links = [f"[{its}]({its}.md)" if its in known else its for its in kind.confused_with]
@@ -106,7 +107,9 @@ def _row(p: Parameter) -> str:
 
 
 def _example(kind: EffectKind) -> str:
-    words = [f"{p.name}={p.typical:g}{'' if p.unit == '1' else p.unit}" for p in kind.parameters]
+    # A unit that begins with a digit, as 1/m, would run into the number.
+    units = {p.name: "" if p.unit[:1].isdigit() else p.unit for p in kind.parameters}
+    words = [f"{p.name}={p.typical:g}{units[p.name]}" for p in kind.parameters]
     return f"{kind.id}:{','.join(words)}" if words else kind.id
 
 
