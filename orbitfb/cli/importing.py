@@ -90,3 +90,76 @@ def import_response_command(
     show(answer, as_json)
     if answer["bad_correctors"] or answer["bad_bpms"]:
         raise typer.Exit(1)
+
+
+@importing.command("history")
+def import_history_command(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="HDF5, CSV or MATLAB file, or the JSON of an EPICS Archiver Appliance (several)."
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="The record for `orbitfb diagnose` (HDF5).")
+    ] = Path("history.h5"),
+    time: Annotated[
+        str | None, typer.Option(help="Path of the time within the file [CSV: column time].")
+    ] = None,
+    orbit: Annotated[str | None, typer.Option(help="Path of the orbits, one row per tick.")] = None,
+    setpoints: Annotated[
+        str | None, typer.Option(help="Path of the setpoints in force when the orbit was read.")
+    ] = None,
+    bpm_names: BpmNames = None,
+    corrector_names: CorrectorNames = None,
+    order: Order = "names",
+    time_unit: Annotated[
+        str | None, typer.Option(help="s, ms, us, ns, or datenum of MATLAB [as the file says].")
+    ] = None,
+    orbit_unit: Annotated[
+        str | None, typer.Option(help="m, mm, um or nm [as the file or EGU says].")
+    ] = None,
+    setpoint_unit: Annotated[
+        str | None, typer.Option(help="A or mA [as the file or EGU says].")
+    ] = None,
+    tolerance: Annotated[
+        float,
+        typer.Option(help="How far apart the stamps of one tick may lie, of an archiver [s]."),
+    ] = 0.01,
+    hold: Annotated[
+        float | None,
+        typer.Option(
+            help="Longest time for which an archived setpoint stands without another sample [s] "
+            "[until its connection was lost]."
+        ),
+    ] = None,
+    period: Annotated[
+        float | None, typer.Option(help="From one tick to the next [s] [the median].")
+    ] = None,
+    anyway: Anyway = False,
+    config_file: ConfigFile = None,
+    planes: Planes = None,
+    places: PlacesTable = None,
+    ring: RingParameters = None,
+    as_json: AsJson = False,
+) -> None:
+    """Take an orbit history from elsewhere, as a record for `orbitfb diagnose`."""
+    from orbitfb.core.errors import ConfigError
+    from orbitfb.exchange.history import write_history
+    from orbitfb.exchange.history_in import HistoryRequest, read_history
+
+    for option, value in (("tolerance", tolerance), ("hold", hold), ("period", period)):
+        if value is not None and not 0 < value < 1e9:
+            raise ConfigError(f"--{option} {value:g}: give seconds above 0")
+    settings = configure(
+        config_file, ring__planes=planes, ring__places=places, ring__parameters=ring
+    )
+    loaded = settings.ring.load()
+    channels = loaded.channels(settings.ring.planes)
+    request = HistoryRequest(
+        tuple(files), time, orbit, setpoints, bpm_names, corrector_names, order, time_unit,
+        orbit_unit, setpoint_unit, tolerance, hold,
+    )  # fmt: skip
+    slow = {name: (each.pv, each.scale) for name, each in settings.epics.auxiliary.items()}
+    history, noticed = read_history(request, channels, slow)
+    show(noticed | write_history(history, loaded, channels, out, period, anyway), as_json)

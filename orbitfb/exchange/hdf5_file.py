@@ -166,7 +166,12 @@ class Hdf5Source:
     def _units(self, file: h5py.File, dataset: h5py.Dataset, where: str) -> str:
         units = dataset.attrs.get("units", "")
         beside = dataset.parent
-        if not units and beside.name != "/" and "units" in beside:
+        if (
+            not units
+            and isinstance(beside, h5py.Group)
+            and beside.name != "/"
+            and "units" in beside
+        ):
             there = beside["units"]
             if isinstance(there, h5py.Dataset) and there is not dataset:
                 texts = self._content(file, self._checked(there, where), where)[1]

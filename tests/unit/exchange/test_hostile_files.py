@@ -1,6 +1,6 @@
 """Damaged and hostile files: one sentence, nothing unpacked, nothing written."""
 
-import zlib
+import contextlib
 
 import h5py
 import numpy as np
@@ -47,22 +47,19 @@ def test_a_mat_file_with_flipped_bytes_raises_nothing_else(tmp_path):
     scipy.io.savemat(tmp_path / "a.mat", {"S": {"R": np.ones((5, 5)), "n": ["a", "b"]}})
     content = bytearray((tmp_path / "a.mat").read_bytes())
     rng, bad = np.random.default_rng(5), tmp_path / "b.mat"
-    for _ in range(150):
+    for _ in range(60):
         spoilt = content.copy()
         spoilt[rng.integers(124, len(content))] = rng.integers(256)
         bad.write_bytes(spoilt)
-        try:
+        with contextlib.suppress(ExchangeError):
             matrix_of(open_source(bad).get("S.R"), bad)
-        except ExchangeError:
-            pass
 
 
 def test_a_bomb_is_counted_and_not_unpacked(tmp_path):
-    scipy.io.savemat(tmp_path / "a.mat", {"R": np.zeros((3000, 3000))}, do_compression=True)
+    scipy.io.savemat(tmp_path / "a.mat", {"R": np.zeros((1200, 1200))}, do_compression=True)
     assert (tmp_path / "a.mat").stat().st_size < 200_000
     with pytest.raises(ExchangeError, match="unpacks to more than the 1000000 bytes"):
         Mat5Source(tmp_path / "a.mat", largest=1_000_000)
-    assert len(zlib.compress(bytes(100))) < 100
 
 
 def test_an_array_of_hdf5_that_only_claims_its_size(tmp_path):
