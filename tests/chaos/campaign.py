@@ -11,11 +11,13 @@ from typing import Any
 from tests.chaos.growth import Life
 from tests.chaos.naive_side import Naive
 from tests.chaos.ours import Ours
-from tests.chaos.rings import DRIVE, Lost, Ring, wait
+from tests.chaos.rings import DRIVE, LostError, Ring, wait
 from tests.chaos.schedule import Episode, Fault
 
 PATIENCE = 12.0
 """Time that the loop has to come back once everything is whole [s]."""
+STARTING = 60.0
+"""The same after a new start, in which the program is loaded and an old lease waited for [s]."""
 SHORT = 0.6
 """Time without a word of its own after which an operator opens and closes [s]."""
 
@@ -44,6 +46,7 @@ class Campaign:
         self.trouble: list[dict[str, Any]] = []
         self.recoveries: list[float] = []
         self.lives: list[Life] = []
+        self.unlogged: list[tuple[float, float]] = []
         self._limits_until_restart = self._stopped = False
         self._later: list[dict[str, Any]] = []
         self._looked = 0.0
@@ -58,7 +61,7 @@ class Campaign:
                 self.naive = Naive(directory / "naive", self.rings[1], rate)
                 undo.callback(self.naive.side.kill)
             if not self.ours.come_up():
-                raise Lost(f"the service does not come up: {self.ours.side.errors()[-500:]}")
+                raise LostError(f"the service does not come up: {self.ours.side.errors()[-500:]}")
             self._stack = undo.pop_all()
         self._new_life()
 
@@ -115,7 +118,7 @@ class Campaign:
                 break
 
     def _process(self, fault: Fault, begins: bool) -> None:
-        do = fault.what.get("do")
+        do = fault.what.get("do", "")
         if fault.where == "policy":
             self.ours.mode(fault.what["mode"] if begins else "")
         elif fault.where == "ioc":
@@ -129,8 +132,16 @@ class Campaign:
                 self.naive.side.signal(number)
         elif do == "full":
             self.ours.fill_disk(begins)
+            self._unlogged(begins)
         elif do == "gone":
             self.ours.hide_archive(begins)
+
+    def _unlogged(self, begins: bool) -> None:
+        """Remember when the log cannot say what happened."""
+        if begins:
+            self.unlogged.append((time.time() - 0.5, float("inf")))
+        else:
+            self.unlogged[-1] = self.unlogged[-1][0], time.time() + 0.5
 
     def _ioc(self, do: str, begins: bool, drive: float) -> None:
         if do == "stop":
@@ -156,22 +167,22 @@ class Campaign:
 
     def _kill_controller(self, begins: bool) -> None:
         if begins:
+            self.unlogged.append((time.time() - 2.0, time.time() + 0.5))
             self.ours.side.kill()
             if self.naive is not None:
                 self.naive.side.kill()
             return
-        time.sleep(1.1)  # a lease is stale after its time
         self.ours.side.start()
         if self.naive is not None:
             self.naive.side.start()
-        if not self.ours.come_up():
-            self._note("does not come up after a kill", None)
         self._new_life()
 
     def _recover(self, episode: Episode) -> None:
         began = time.monotonic()
         states: set[str] = set()
         quiet = began
+        killed = any(fault.what.get("do") == "kill" for fault in episode.faults)
+        patience = STARTING if killed else PATIENCE
         while True:
             self._look()
             status = self.ours.status()
@@ -181,17 +192,20 @@ class Campaign:
                     self.ours.side.start()
                     self.ours.come_up()
                     self._new_life()
-                elif time.monotonic() - began > PATIENCE:
+                elif time.monotonic() - began > patience:
                     self._note("the service does not answer", episode)
                     return
+                time.sleep(0.1)
                 continue
             state, reason = status["state"], status["reason"]
             states.add(state)
-            if state == "CLOSED" and not reason:
-                if not self._limits_until_restart:
-                    break
-                self._whole_limits()
-            if time.monotonic() - began > PATIENCE:
+            if self._limits_until_restart and state in ("CLOSED", "HELD"):
+                if time.monotonic() - quiet > SHORT:
+                    self.counts[f"other limits: {state}"] += 1
+                    self._whole_limits()
+            elif state == "CLOSED" and not reason:
+                break
+            if time.monotonic() - began > patience:
                 self._note(f"unrecovered {state}: {reason}", episode)
                 self._rescue()
                 break
@@ -245,7 +259,9 @@ class Campaign:
     def _note(self, what: str, episode: Episode | None) -> None:
         faults = [(f.kind, f.what) for f in episode.faults] if episode else []
         number = episode.number if episode else -1
-        self.trouble.append({"what": what, "episode": number, "wall": time.time(), "faults": faults})
+        self.trouble.append(
+            {"what": what, "episode": number, "wall": time.time(), "faults": faults}
+        )
         self._say(f"TROUBLE in episode {number}: {what}; {[kind for kind, _ in faults]}")
 
     def _look_at_archive(self, number: int) -> None:

@@ -12,7 +12,6 @@ import json
 import struct
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -21,94 +20,19 @@ import numpy as np
 from orbitfb.core.names import CURRENT_PV
 from orbitfb.sim.board import INVALID, UNDEFINED, Board
 from orbitfb.sim.channels import BoardSetpoint
-from orbitfb.sim.circuit import FastCircuit, FastContext
+from orbitfb.sim.circuit import FastContext
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.process import run_job
 from orbitfb.sim.server import RingServer
 from orbitfb.sim.stamp import Stamp
 from tests.chaos.devices import FaultyRing
 from tests.chaos.journal import Journal
+from tests.chaos.notes import Notes
 
 DISCONNECTED = 27
 """Message of a server that lets go of a channel."""
-FORGIVEN = 5
-"""Ticks for which a put may still assume the setpoint before somebody's hand."""
 WELL = 10e-6
 """Rms of an orbit whose setpoints are worth keeping [m]."""
-
-
-class Notes:
-    """Sees every put, and writes down what came between two ticks.
-
-    Args:
-        journal: Where.
-        life: Which start of the IOC this is.
-        limit: Largest |setpoint| that the loop may put [A].
-        step: Longest step of one put [A].
-        size: Of the setpoints.
-    """
-
-    def __init__(self, journal: Journal, life: int, limit: float, step: float, size: int) -> None:
-        self._journal, self._life, self._limit, self._step = journal, life, limit, step
-        self._since_good = np.zeros(size, dtype=int)
-        self._moved = np.full(size, -FORGIVEN)
-        self._good = self._tick = 0
-        self._faults = 0
-        self._shape = (0.0, 0.0)
-        self._clear()
-
-    def _clear(self) -> None:
-        self._sums = {"puts": 0, "nonfinite": 0, "beyond": 0, "steps": 0, "refused": 0}
-        self._repeats, self._largest, self._longest = 0, 0.0, 0.0
-
-    def moved(self, index: int) -> None:
-        """Forgive the next puts to a setpoint that a hand has moved."""
-        self._moved[index] = self._tick
-
-    def put(self, which: np.ndarray, values: np.ndarray, before: np.ndarray, drive: float) -> None:
-        """Note puts as they came.
-
-        Args:
-            which: Setpoints.
-            values: Asked for [A].
-            before: In force [A].
-            drive: Limit of this IOC [A].
-        """
-        finite = np.isfinite(values)
-        size = np.abs(values[finite])
-        step = np.abs(values - before)[finite]
-        strange = self._tick - self._moved[which[finite]] >= FORGIVEN
-        self._sums["puts"] += len(values)
-        self._sums["nonfinite"] += int((~finite).sum())
-        self._sums["beyond"] += int((size > self._limit + 1e-9).sum())
-        self._sums["steps"] += int((strange & (step > self._step + 1e-9)).sum())
-        self._sums["refused"] += int((size > drive + 1e-9).sum())
-        self._largest = max(self._largest, float(size.max(initial=0.0)))
-        self._longest = max(self._longest, float(step[strange].max(initial=0.0)))
-        np.add.at(self._since_good, which, 1)
-        self._repeats = max(self._repeats, int(self._since_good[which].max(initial=0)))
-
-    def tick(self, tick: int, good: bool, orbit: np.ndarray, faults: int) -> None:
-        """Write down what came since the last orbit; begin the next one."""
-        self._journal.write(
-            wall=time.time(),
-            tick=self._tick,
-            life=self._life,
-            good=self._good,
-            repeats=self._repeats,
-            largest=self._largest,
-            step=self._longest,
-            rms=self._shape[0],
-            peak=self._shape[1],
-            faults=self._faults,
-            **self._sums,
-        )
-        self._clear()
-        self._tick, self._faults = tick, faults
-        self._shape = float(np.sqrt(np.mean(orbit**2))), float(np.abs(orbit).max())
-        if good:
-            self._good = tick
-            self._since_good[:] = 0
 
 
 class Desk:
@@ -202,7 +126,7 @@ class Desk:
         if any("current_old" in fault for fault in self.faulty.current_faults()):
             late.append(board.names.index(CURRENT_PV))
         old = [(index, board.get(index)) for index in late]
-        nanoseconds = int(round(by * 1e9)) + stamp.seconds * 10**9 + stamp.nanoseconds
+        nanoseconds = round(by * 1e9) + stamp.seconds * 10**9 + stamp.nanoseconds
         show(board, values, Stamp(*divmod(nanoseconds, 10**9)))
         for index, entry in old:
             board.set(index, entry)
@@ -244,10 +168,19 @@ def hang_on(desk: Desk) -> None:
         begin(context, *arguments)
         desk.context = context
 
-    Board.show = lambda board, values, stamp: desk.show(board, values, stamp, show)
-    RingServer.tick, Board.write = ticked, written
-    BoardSetpoint.write, FastContext.__getitem__ = written_slowly, found
-    FastContext.__init__ = begun
+    def shown(board: Board, values: Any, stamp: Stamp) -> None:
+        desk.show(board, values, stamp, show)
+
+    replace(Board, show=shown, write=written)
+    replace(RingServer, tick=ticked)
+    replace(BoardSetpoint, write=written_slowly)
+    replace(FastContext, __getitem__=found, __init__=begun)
+
+
+def replace(kind: type, **methods: Any) -> None:
+    """Put other methods into a class."""
+    for name, method in methods.items():
+        setattr(kind, name, method)
 
 
 def main() -> None:
@@ -260,7 +193,7 @@ def main() -> None:
     notes = Notes(Journal(Path(sys.argv[2])), int(sys.argv[3]), limit, step, size)
     desk = Desk(faulty, notes, settings.corrector_limit)
     hang_on(desk)
-    SimJob.build = lambda self: (faulty, settings)
+    replace(SimJob, build=lambda self: (faulty, settings))
 
     def listen() -> None:
         for line in sys.stdin:

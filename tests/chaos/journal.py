@@ -12,7 +12,7 @@ RECORD = np.dtype(
         ("life", "i4"),  # which start of the IOC
         ("good", "i8"),  # tick of the last orbit that may be acted on
         ("puts", "i4"),  # setpoints put since the record before
-        ("repeats", "i4"),  # most puts to one setpoint since that orbit
+        ("excess", "i4"),  # puts to one setpoint beyond orbits to act on, while there was none
         ("nonfinite", "i4"),  # puts that are not finite
         ("beyond", "i4"),  # puts beyond the limit of a setpoint
         ("steps", "i4"),  # puts further from the setpoint in force than a step may be

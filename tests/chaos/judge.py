@@ -1,13 +1,14 @@
 """Whether the rules held, from what the soft IOC wrote down and from what was seen."""
 
 from collections import Counter
+from datetime import datetime
 from typing import Any
 
 import numpy as np
 
-REPEATS = 2
-"""Puts to one setpoint after an orbit that may be acted on: those of that one and of the one
-before, which were under way."""
+EXCESS = 1
+"""Puts to one setpoint beyond the orbits to act on, of the last five: one may be under way when
+such an orbit is followed by one that may not be acted on."""
 LATE_TICKS = 10
 """Age of that orbit in orbits; 10 are the second after which a loop at 10 Hz calls it stale."""
 DUMP = 3e-3
@@ -27,7 +28,7 @@ def put_figures(rows: np.ndarray, rate: float) -> dict[str, Any]:
     """
     puts = rows[rows["puts"] > 0]
     age = puts["tick"] - puts["good"]
-    stale = (puts["repeats"] > REPEATS) | (age > LATE_TICKS)
+    stale = (puts["excess"] > EXCESS) | (age > LATE_TICKS)
     edges = np.diff((rows["peak"] > DUMP).astype(int), prepend=0)
     return {
         "ticks": len(rows),
@@ -49,6 +50,9 @@ def put_figures(rows: np.ndarray, rate: float) -> dict[str, Any]:
     }
 
 
+OVERLAP = 1.0
+"""Time by which the post-mortem of a trip may come after the next trip [s]."""
+
 MUST_BE_ZERO = (
     "puts not finite",
     "puts over the limit",
@@ -63,20 +67,34 @@ def broken_rules(figures: dict[str, Any]) -> list[str]:
     return [f"{name}: {figures[name]}" for name in MUST_BE_ZERO if figures[name]]
 
 
-def trips(log: list[dict[str, Any]], postmortems: list[dict[str, Any]], failed: int) -> list[str]:
+def trips(
+    log: list[dict[str, Any]],
+    postmortems: list[dict[str, Any]],
+    unlogged: list[tuple[float, float]],
+) -> list[str]:
     """Say which trips are not explained.
 
     Args:
         log: State changes.
         postmortems: Lines about post-mortems that were written.
-        failed: Post-mortems that the disk refused, which was said.
+        unlogged: When the log could not say so: the disk was full, or the process was killed.
     """
     tripped = [line for line in log if line.get("state") == "TRIPPED"]
-    problems = [f"no reason for the trip at tick {t.get('tick')}" for t in tripped if not t["reason"]]
-    missing = len(tripped) - len(postmortems) - failed
-    if missing > 0:
-        problems.append(f"{missing} of {len(tripped)} trips without a post-mortem")
+    written = sorted(_moment(line) for line in postmortems)
+    problems = []
+    for number, line in enumerate(tripped):
+        if not line["reason"]:
+            problems.append(f"no reason for the trip at {line['timestamp']}")
+        moment = _moment(line)
+        following = _moment(tripped[number + 1]) if number + 1 < len(tripped) else float("inf")
+        known = any(moment <= at <= following + OVERLAP for at in written)
+        if not known and not any(begin <= moment <= end for begin, end in unlogged):
+            problems.append(f"no post-mortem of the trip at {line['timestamp']}")
     return problems
+
+
+def _moment(line: dict[str, Any]) -> float:
+    return datetime.fromisoformat(line["timestamp"]).timestamp()
 
 
 def reasons(log: list[dict[str, Any]]) -> dict[str, int]:

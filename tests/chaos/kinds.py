@@ -70,7 +70,10 @@ def _orbit(kind: str, least: float = 0.0, most: float = 0.0) -> Draw:
 
 
 def _torn(rng: np.random.Generator) -> dict[str, Any]:
-    return {"orbit": "torn", "which": sorted(map(int, rng.permutation(BPMS)[: rng.integers(30, 100)]))}
+    return {
+        "orbit": "torn",
+        "which": sorted(map(int, rng.permutation(BPMS)[: rng.integers(30, 100)])),
+    }
 
 
 def _correctors(value: Any, least: int = 1, most: int = 2, strong: bool = True) -> Draw:
@@ -97,7 +100,10 @@ def _kick(least: float, most: float) -> Draw:
 
 
 def _moved(rng: np.random.Generator) -> dict[str, Any]:
-    return {"move": int(rng.integers(CORRECTORS)), "by": float(rng.uniform(0.06, 0.3) * rng.choice([-1, 1]))}
+    return {
+        "move": int(rng.integers(CORRECTORS)),
+        "by": float(rng.uniform(0.06, 0.3) * rng.choice([-1, 1])),
+    }
 
 
 def _limits(rng: np.random.Generator) -> dict[str, Any]:

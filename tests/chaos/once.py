@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from tests.chaos import judge, journal
+from tests.chaos import journal, judge
 from tests.chaos.campaign import Campaign
 from tests.chaos.growth import grown
+from tests.chaos.rings import LostError
 from tests.chaos.schedule import schedule
 
 
@@ -38,17 +39,19 @@ def run_once(
     campaign = Campaign(directory, seed, rate, say, beside)
     try:
         campaign.run(episodes)
+    except LostError as error:
+        campaign.trouble.append({"what": str(error), "episode": -1})
     finally:
         campaign.close()
     ours = campaign.ours
     problem = ours.read_archive(last=None)
     changes = ours.events("loop_state_changed")
-    written, refused = ours.events("postmortem_written"), ours.events("postmortem_failed")
+    written = ours.events("postmortem_written")
     rings = [journal.read(ring.journal) for ring in campaign.rings]
     figures = judge.put_figures(rings[0], rate)
     longest = max(campaign.lives, key=lambda life: life.seconds)
     growth = longest.figures(settled)
-    unexplained = judge.trips(changes, written, len(refused))
+    unexplained = judge.trips(changes, written, campaign.unlogged)
     broken = [
         *judge.broken_rules(figures),
         *(f"episode {t['episode']}: {t['what']}" for t in campaign.trouble),

@@ -9,15 +9,16 @@ def markdown(result: dict[str, Any]) -> str:
     """Write the counts of both loops side by side."""
     naive = result.get("naive")
     hours = result["ours"]["ring hours at 10 Hz"]
+    ours, beside = result["ours"], " |" if naive else ""
     lines = [
-        f"{result['faults']} faults in {result['episodes']} episodes, seed {result['seed']}, orbits "
-        f"at {result['rate_hz']:g} Hz: {result['ours']['ticks']} orbits in {result['seconds']:.0f} s, "
-        f"as many as {hours:.2f} h of a ring at 10 Hz.",
+        f"{result['faults']} faults in {result['episodes']} episodes, seed {result['seed']}: "
+        f"{ours['ticks']} orbits at {result['rate_hz']:g} Hz in {result['seconds']:.0f} s, as many "
+        f"as a ring at 10 Hz shows in {hours:.2f} h.",
         "",
         "| | orbitfb | plain loop |" if naive else "| | orbitfb |",
         "|---|---:|---:|" if naive else "|---|---:|",
     ]
-    for name, value in result["ours"].items():
+    for name, value in ours.items():
         if name not in ("ticks", "ring hours at 10 Hz"):
             lines.append(f"| {name} | {value} |" + (f" {naive[name]} |" if naive else ""))
     if naive:
@@ -25,12 +26,12 @@ def markdown(result: dict[str, Any]) -> str:
         by_hand += result["counts"].get("closed by hand", 0) + result["counts"].get("tripped", 0)
         lines.append(f"| closed or started again by hand | {by_hand} | {result['naive_again']} |")
     lines += [
-        f"| HELD | {result['held']} |" + (" |" if naive else ""),
-        f"| TRIPPED, each with its reason and post-mortem | {result['tripped']} |" + (" |" if naive else ""),
-        f"| trips not explained | {result['unexplained']} |" + (" |" if naive else ""),
+        f"| HELD | {result['held']} |" + beside,
+        f"| TRIPPED, each with its reason and post-mortem | {result['tripped']} |" + beside,
+        f"| trips not explained | {result['unexplained']} |" + beside,
         "",
-        f"Back to CLOSED after {result['recovery_p50_s']} s (median), {result['recovery_longest_s']} "
-        "s (longest), the steps of an operator included.",
+        f"Back to CLOSED after {result['recovery_p50_s']} s (median), "
+        f"{result['recovery_longest_s']} s (longest), the steps of an operator included.",
     ]
     if growth := result["growth"]:
         lines.append(

@@ -18,7 +18,7 @@ LIMIT, STEP, DRIVE = 1.0, 0.2, 1.2
 """Limits [A] of the loop's setpoints and steps, and of the IOC: near what this ring needs."""
 
 
-class Lost(Exception):
+class LostError(Exception):
     """A process of the harness did not do what it must."""
 
 
@@ -70,9 +70,9 @@ class Ring:
         try:
             line = self._lines.get(timeout=timeout)
         except queue.Empty:
-            raise Lost(f"the IOC in {self._directory} does not answer") from None
+            raise LostError(f"the IOC in {self._directory} does not answer") from None
         if not line:
-            raise Lost(f"the IOC in {self._directory} ended: see ioc.{self.life - 1}.err")
+            raise LostError(f"the IOC in {self._directory} ended: see ioc.{self.life - 1}.err")
         return line
 
     def tell(self, **what: Any) -> dict[str, Any]:
@@ -82,7 +82,7 @@ class Ring:
             self._popen.stdin.write(json.dumps(what) + "\n")
             self._popen.stdin.flush()
         except BrokenPipeError:
-            raise Lost(f"the IOC in {self._directory} ended") from None
+            raise LostError(f"the IOC in {self._directory} ended") from None
         return json.loads(self._answer())
 
     def kill(self) -> None:

@@ -57,7 +57,10 @@ def schedule(seed: int, faults: int) -> Iterator[Episode]:
 def _episode(rng: np.random.Generator, number: int, kinds: list[Kind], left: int) -> Episode:
     pattern = str(rng.choice(PATTERNS, p=SHARES))
     if pattern == "overlapping":
-        first = [_fault(rng, _kind(rng, kinds), float(rng.uniform(0, 0.6))) for _ in range(int(rng.integers(2, 4)))]
+        first = [
+            _fault(rng, _kind(rng, kinds), float(rng.uniform(0, 0.6)))
+            for _ in range(int(rng.integers(2, 4)))
+        ]
         return Episode(number, pattern, tuple(_apart(first)[:left]))
     fault = _fault(rng, _kind(rng, kinds), 0.0)
     if pattern == "single" or fault.where in ("ioc", "controller") or left < 2:
@@ -76,7 +79,9 @@ def _kind(rng: np.random.Generator, kinds: list[Kind]) -> Kind:
 
 
 def _fault(rng: np.random.Generator, kind: Kind, begin: float) -> Fault:
-    return Fault(kind.name, kind.where, kind.draw(rng), begin, begin + float(rng.uniform(*kind.seconds)))
+    return Fault(
+        kind.name, kind.where, kind.draw(rng), begin, begin + float(rng.uniform(*kind.seconds))
+    )
 
 
 def _apart(faults: list[Fault]) -> list[Fault]:
