@@ -32,6 +32,7 @@ from orbitfb.loop.settings import LoopSettings
 from orbitfb.measure.settings import MeasureSettings
 from orbitfb.models.forward_settings import ForwardSettings
 from orbitfb.observe.settings import ObserveSettings
+from orbitfb.page.settings import WebSettings
 from orbitfb.panel.settings import PanelSettings
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import PlantSettings
@@ -156,6 +157,7 @@ class AppConfig(Settings):
     observe: ObserveSettings = Field(
         default=ObserveSettings(), description="Metrics, health and logs."
     )
+    web: WebSettings = Field(default=WebSettings(), description="The operator page.")
     panel: PanelSettings = Field(default=PanelSettings(), description="The loop's own PVs.")
     lease: LeaseSettings = Field(
         default=LeaseSettings(), description="Who of several controllers writes to the machine."

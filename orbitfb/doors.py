@@ -1,4 +1,4 @@
-"""The two doors of a service: the control socket, and the panel if that is wanted."""
+"""The doors of a service: the control socket, the panel if that is wanted, the operator page."""
 
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -12,6 +12,7 @@ from orbitfb.autosave import FILE
 from orbitfb.commands import Commands, Handler
 from orbitfb.config import AppConfig
 from orbitfb.control import ControlServer
+from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import Channels, Mask
 from orbitfb.epics.lease import Lease
@@ -19,9 +20,11 @@ from orbitfb.loop.dither import Dither
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.own_page import OwnPage
 from orbitfb.own_panel import OwnPanel
+from orbitfb.page.view import PageView, Sources
 from orbitfb.panel.access import read_access
-from orbitfb.panel.figures import Figures
+from orbitfb.panel.figures import Figures, gap_text
 from orbitfb.panel.pv_table import Extent, panel_pvs, writable_names
 from orbitfb.policies.store import PolicyStore
 from orbitfb.trying import Latest, Trial
@@ -88,7 +91,8 @@ def open_doors(
         stack: Closes what is opened here.
 
     Returns:
-        Where the panel is: `panel` and `prefix`; nothing if there is none.
+        Where the panel is: `panel` and `prefix`; nothing if there is none. Where the operator
+        page is: `page`, empty if it is not served, then `page_problem` says why.
 
     Raises:
         ConfigError: What was saved is damaged or of another ring; a rule is wrong.
@@ -116,14 +120,27 @@ def open_doors(
             raise ControlError(f"close refused: {reason}")
         return remote(request)
 
+    view = PageView(
+        Sources(
+            statistics.snapshot,
+            lambda: parts.latest.record,
+            lambda: parts.runner.adjustments.enabled & parts.counting,
+            lambda: adjuster.movable,
+            gap_text,
+        ),
+        SystemClock(),
+        config.observe.stale_after,
+    )
     commands = Commands(
-        {"": remote, "close": close, **adjuster.handlers, **trial.handlers},
+        {"": remote, "page": view, "close": close, **adjuster.handlers, **trial.handlers},
         statistics,
         Figures(config.observe.stale_after),
         lambda: {**adjuster.shown(), **trial.shown(), **parts.lease_shown},
     )
     stack.callback(ControlServer(directory, commands).close)
+    page = OwnPage(config, channels, statistics, stack)
+    where = {"page": page.where, "page_problem": page.problem}
     if not config.panel.enabled:
-        return {}
+        return where
     panel = OwnPanel(config, channels, statistics, stack)
-    return {"panel": panel.where, "prefix": panel.prefix}
+    return {**where, "panel": panel.where, "prefix": panel.prefix}

@@ -58,7 +58,7 @@ class Figures:
             "Latency99-I": _number(latency.p99, MILLI),
             "LatencyMax-I": _number(latency.largest, MILLI),
             "Gap-I": None if gap is None else _number(gap.nats, 1.0),
-            "GapText-I": _gap_text(snapshot),
+            "GapText-I": gap_text(snapshot),
             "Policy-I": snapshot.policy_id,
             "LastRefit-I": f"{last.policy_id} {last.decision}: {last.reason}" if last else "",
             **self._mean_phases(snapshot),
@@ -105,7 +105,8 @@ def _line(happening: Happening) -> str:
     return f"{_clock(happening.time)} {happening.kind}: {happening.text}"
 
 
-def _gap_text(snapshot: LoopSnapshot) -> str:
+def gap_text(snapshot: LoopSnapshot) -> str:
+    """Say the gap between model and machine in a sentence."""
     gap = snapshot.gap
     if gap is None:
         return "not looked at yet"

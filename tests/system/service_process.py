@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -76,13 +76,24 @@ class Process:
         arguments: What follows `orbitfb`.
         directory: Where what it prints is kept.
         name: Of the files there.
+        variables: Of the environment, besides.
     """
 
-    def __init__(self, arguments: Sequence[object], directory: Path, name: str) -> None:
+    def __init__(
+        self,
+        arguments: Sequence[object],
+        directory: Path,
+        name: str,
+        variables: Mapping[str, str] | None = None,
+    ) -> None:
         self._out, self._err = directory / f"{name}.out", directory / f"{name}.err"
         with self._out.open("w") as out, self._err.open("w") as err:
             self.popen = subprocess.Popen(
-                [*PROGRAM, *map(str, arguments)], stdout=out, stderr=err, start_new_session=True
+                [*PROGRAM, *map(str, arguments)],
+                stdout=out,
+                stderr=err,
+                start_new_session=True,
+                env={**os.environ, **(variables or {})},
             )
 
     @property
@@ -142,14 +153,18 @@ class Service(Process):
         data: Data directory.
         ioc: Value of `--ioc`.
         options: More options.
+        page: Port of the operator page; 0: any; None: there is no page.
     """
 
-    def __init__(self, data: Path, ioc: str, *options: object) -> None:
+    def __init__(self, data: Path, ioc: str, *options: object, page: int | None = None) -> None:
         self.data = data
         before = len(self.events("service_started"))
         arguments = ["run", "--ioc", ioc, "--data", data, "--metrics-port", 0]
         ring = ["--port", 0] if ioc == "sim" else []
-        super().__init__([*arguments, *ring, *options], data.parent, data.name)
+        # few tests look at the operator page, and its process takes a second to start
+        name, value = ("ENABLED", "false") if page is None else ("PORT", str(page))
+        variables = {f"ORBITFB_WEB__{name}": value}
+        super().__init__([*arguments, *ring, *options], data.parent, data.name, variables)
         self.began = time.monotonic()
         self.where = wait_for("start", lambda: self.check_alive() or self._started(before))
 
