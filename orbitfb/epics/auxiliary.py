@@ -4,17 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.epics.channels import ChannelGroup, Monitor
 from orbitfb.epics.libca import Context
-from orbitfb.epics.records import (
-    EPICS_EPOCH,
-    NANOSECONDS,
-    blank_records,
-    stamps_of,
-    usable,
-    wall_time,
-)
+from orbitfb.epics.records import blank_records, stamps_of, usable, wall_time
 from orbitfb.epics.settings import AuxiliarySettings
+from orbitfb.epics.timekeeper import Timekeeper
 
 
 class AuxiliaryChannels:
@@ -32,28 +27,38 @@ class AuxiliaryChannels:
         )
         self._scales = np.array([channel.scale for channel in settings.values()])
         self._records = blank_records(len(settings))
+        self._stamps = np.zeros(len(settings), dtype=np.int64)
+        self._born = np.full(len(settings), np.nan)
         pvs = [channel.pv for channel in settings.values()]
         self.group = ChannelGroup(context, pvs, Monitor(self._records))
 
-    def values(self, now: float) -> dict[str, float]:
+    def values(self, clock: Timekeeper) -> dict[str, float]:
         """Return the values by name, SI; NaN where disconnected, INVALID, stale or never seen.
 
         Args:
-            now: Wall clock [s since the epoch].
+            clock: That of the stamps.
         """
-        ages = now - EPICS_EPOCH - stamps_of(self._records) / NANOSECONDS
+        ages = self._ages_by(clock)
         known = self.group.connected & usable(self._records) & (ages <= self._limits)
         values = np.where(known, self._records["value"], np.nan) * self._scales
         return dict(zip(self._names, values.tolist(), strict=True))
 
-    def ages(self, now: float) -> dict[str, float]:
-        """Return the age of each stamp by name [s]; NaN where never seen.
+    def ages(self, clock: Timekeeper) -> dict[str, float]:
+        """Return the age of each value by name [s]; NaN where never seen.
 
         Args:
-            now: Wall clock [s since the epoch].
+            clock: That of the stamps.
         """
-        stamps = stamps_of(self._records).tolist()
-        return {
-            name: now - wall_time(stamp) if stamp else float("nan")
-            for name, stamp in zip(self._names, stamps, strict=True)
-        }
+        return dict(zip(self._names, self._ages_by(clock).tolist(), strict=True))
+
+    def _ages_by(self, clock: Timekeeper) -> Vector:
+        """Tell the age of a stamp when it is first seen, and let it grow by the monotonic clock.
+
+        So a clock that is set does not make old what has not come anew since.
+        """
+        stamps, now = stamps_of(self._records), clock.monotonic()
+        for index in np.flatnonzero(stamps != self._stamps):
+            stamp = int(stamps[index])
+            self._stamps[index] = stamp
+            self._born[index] = now - clock.age(wall_time(stamp)) if stamp else np.nan
+        return now - self._born

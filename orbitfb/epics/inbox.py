@@ -19,6 +19,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.epics.assembler import Assembler, Snapshot
 from orbitfb.epics.records import usable
 from orbitfb.epics.settings import EpicsSettings
+from orbitfb.epics.timekeeper import Timekeeper
 
 MISSES_UNTIL_NOT_WAITED_FOR = 5
 
@@ -69,6 +70,8 @@ class Inbox:
         self._readback_assembler = readbacks
         self._clock = clock
         self._settings = settings
+        self.time = Timekeeper(clock, settings.stale_after)
+        """The clock of the stamps."""
         self._describe = describe
         self._wake = threading.Event()
         self._newest: Arrival | None = None
@@ -128,20 +131,29 @@ class Inbox:
         while True:
             self._wake.clear()
             newest = self._newest
-            if newest is not None and newest.snapshot.stamp > self._taken:
+            if newest is not None and newest.snapshot.stamp != self._taken:
                 self._taken = newest.snapshot.stamp
                 stale = self._stale(newest.snapshot)
                 if not stale:
+                    self.time.follow(newest.snapshot.time)
                     return Frame(newest, self._readbacks_of(newest))
             remaining = deadline - self._clock.monotonic()
             if remaining <= 0 or self._closed:
+                self._accept_clock()
                 raise NoOrbitError(
                     stale or f"no orbit for {self.silence:.2f} s: {self._describe()}"
                 )
             self._wake.wait(remaining)
 
+    def _accept_clock(self) -> None:
+        """Begin anew with stamps that went back, if they are fresh: the clock was set."""
+        for assembler in (self._bpms, self._readback_assembler):
+            back = assembler.went_back
+            if back is not None and abs(self.time.age(back)) <= self._settings.stale_after:
+                assembler.begin_anew()
+
     def _stale(self, orbit: Snapshot) -> str:
-        age = self._clock.wall() - orbit.time
+        age = self.time.age(orbit.time)
         limit = self._settings.stale_after
         if age > limit:
             return f"orbit is {age:.1f} s old (limit {limit:g} s): overload, or clocks that differ"

@@ -118,7 +118,7 @@ class EpicsMachine:
 
     def auxiliary_ages(self) -> Mapping[str, float]:
         """Return how old each slow channel is by its stamp [s]; NaN where nothing is known."""
-        return self._auxiliary.ages(self._clock.wall())
+        return self._auxiliary.ages(self._inbox.time)
 
     def read(self, timeout: float) -> Reading:
         """Wait for the newest coherent orbit, never one that was returned before.
@@ -134,7 +134,7 @@ class EpicsMachine:
         frame = self._inbox.take(timeout)
         snapshot = frame.arrival.snapshot
         orbit = Orbit(snapshot.values * MILLIMETRE, snapshot.valid, snapshot.time)
-        auxiliary = self._auxiliary.values(self._clock.wall())
+        auxiliary = self._auxiliary.values(self._inbox.time)
         away = ~self._setpoints.connected
         received = frame.arrival.received
         return Reading(orbit, frame.readback, auxiliary, received, away if away.any() else None)
@@ -189,7 +189,7 @@ class EpicsMachine:
             )
         self._putter.put(values, but)
         self._last = values
-        return Applied(values, self._clock.wall(), self._clock.monotonic())
+        return Applied(values, self._inbox.time.now(), self._clock.monotonic())
 
     def close(self) -> None:
         """Let go of the machine; setpoints stay where they are. May be called twice."""
