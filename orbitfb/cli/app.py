@@ -15,6 +15,7 @@ from orbitfb.cli.diagnose_plan import diagnose_plan
 from orbitfb.cli.effects import effects
 from orbitfb.cli.evaluate import evaluate
 from orbitfb.cli.health import health
+from orbitfb.cli.exporting import exporting
 from orbitfb.cli.importing import importing
 from orbitfb.cli.kick import evaluate_kick_command
 from orbitfb.cli.measure import measure_response_command
@@ -42,6 +43,7 @@ diagnose.command("plan")(diagnose_plan)
 app.add_typer(diagnose, name="diagnose")
 app.add_typer(effects, name="effects")
 app.add_typer(importing, name="import")
+app.add_typer(exporting, name="export")
 app.add_typer(config, name="config")
 
 
