@@ -109,7 +109,13 @@ class Desk:
 
     def note_fast(self, board: Board, which: np.ndarray, values: np.ndarray) -> None:
         if not self._silent:
-            self.notes.put(which, values, board.setpoints[which].copy(), self.drive)
+            before = board.setpoints[which].copy()
+            if len(which) > len(before_last := dict.fromkeys(which.tolist())):  # several came late
+                for row, (index, value) in enumerate(zip(which.tolist(), values, strict=True)):
+                    if before_last[index] is not None:
+                        before[row] = before_last[index]
+                    before_last[index] = value
+            self.notes.put(which, values, before, self.drive)
 
     def note_slow(self, channel: BoardSetpoint, value: Any) -> None:
         board = channel._board

@@ -44,7 +44,7 @@ def run_once(
     finally:
         campaign.close()
     ours = campaign.ours
-    problem = ours.read_archive(last=None)
+    unreadable = ours.read_all()
     changes = ours.events("loop_state_changed")
     written = ours.events("postmortem_written")
     rings = [journal.read(ring.journal) for ring in campaign.rings]
@@ -56,7 +56,7 @@ def run_once(
         *judge.broken_rules(figures),
         *(f"episode {t['episode']}: {t['what']}" for t in campaign.trouble),
         *unexplained,
-        *([f"archive: {problem}"] if problem else []),
+        *(f"archive: {problem}" for problem in unreadable),
         *grown(growth),
     ]
     result: dict[str, Any] = {
@@ -71,6 +71,7 @@ def run_once(
         "held": sum(line.get("state") == "HELD" for line in changes),
         "trips_by_reason": judge.reasons(changes),
         "postmortems": len(written),
+        "segments": len(segment_paths(ours.data / "archive")),
         "unexplained": len(unexplained),
         "recovery_p50_s": round(float(np.median(campaign.recoveries)), 2),
         "recovery_longest_s": round(max(campaign.recoveries), 2),

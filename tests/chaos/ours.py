@@ -12,6 +12,7 @@ import psutil
 from orbitfb.control import ask
 from orbitfb.core.errors import ArchiveError, ControlError
 from orbitfb.history.archive import read_archive
+from orbitfb.history.reader import segment_paths
 from tests.chaos.rings import LIMIT, STEP, Ring, Side, wait
 
 CONFIG = """
@@ -125,13 +126,25 @@ class Ours:
                 if not (here / file.name).exists():
                     os.rename(file, here / file.name)
 
-    def read_archive(self, last: int | None = 50) -> str:
-        """Read the archive while it is written; says what cannot be read."""
+    def read_archive(self) -> str:
+        """Read the end of the archive while it is written; says what cannot be read."""
+        return self._read(self.data / "archive", 50)
+
+    def read_all(self) -> list[str]:
+        """Read every segment of the archive; says what cannot be read."""
+        return [
+            f"{path.name}: {problem}"
+            for path in segment_paths(self.data / "archive")
+            if (problem := self._read(path, None)) and "no readable row" not in problem
+        ]
+
+    @staticmethod
+    def _read(path: Path, last: int | None) -> str:
         try:
-            rows = read_archive(self.data / "archive", last=last)
+            read_archive(path, last=last)
         except (ArchiveError, OSError) as error:
             return f"{type(error).__name__}: {error}"
-        return "" if len(rows) else "no rows"
+        return ""
 
     def close(self, timeout: float = 10.0) -> None:
         """Stop it as its user does."""
