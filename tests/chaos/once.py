@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfb.history.reader import segment_paths
 from tests.chaos import journal, judge
 from tests.chaos.campaign import Campaign
 from tests.chaos.growth import grown
