@@ -18,6 +18,8 @@ from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.observe.summary import summary
+from orbitfb.physics.parameters import RingParameters
+from orbitfb.physics.table import _NUMBERS, _TEXTS, COLUMNS, KINDS
 from orbitfb.policies.store import PolicyStore
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
@@ -178,3 +180,15 @@ def test_refit_report_and_its_figures(tables):
     assert set(tables["Refit report"]["key"]) == set(asdict(made))
     assert set(tables["Refit report"]["key"]) == {field.name for field in fields(RefitReport)}
     assert set(tables["Judged figures"]["figure"]) == set(made.figures)
+
+
+def test_table_of_places(tables):
+    columns = tables["Table of places"]["column"]
+    assert tuple(columns) == COLUMNS
+    for column, (needed, _) in columns.items():
+        kinds = [kind for kind in KINDS if column in _NUMBERS[kind] + _TEXTS[kind]]
+        assert needed == (", ".join(kinds) or "all"), column
+
+
+def test_ring_parameters(tables):
+    assert set(tables["Ring parameters"]["parameter"]) == set(RingParameters.model_fields)
