@@ -33,6 +33,7 @@ from orbitfb.loop.masked import MaskedMachine
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.maintenance import baseline, open_store, safeguards, sim_job, trainer
+from orbitfb.observe.clock_watch import ClockWatch
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
 from orbitfb.observe.logs import configure_logs
@@ -144,7 +145,8 @@ class Service:
         below = Dither(dither_settings(config), nominal.response, loop_gain(nominal), movable)
         self._dither = Excitation(waveform, below) if waveform else below
         recorders = postmortems(config, ioc, self.channels, counting, self._reports, stack)
-        latest = Latest()
+        latest, clocks = Latest(), ClockWatch(clock, self._reports.clock_set)
+        told = (self.events, latest, clocks, *recorders)
         self.runner = Runner(
             machine,
             self.slot,
@@ -155,7 +157,7 @@ class Service:
             clock,
             dither=self._dither,
             start=start,
-            subscribers=(self.history, archive, self.statistics, self.events, latest, *recorders),
+            subscribers=(self.history, archive, self.statistics, *told),
             counting=counting,
             safeguards=replace(safeguards(nominal, config, movable), obstacle=self._obstacle),
         )
@@ -180,7 +182,7 @@ class Service:
             self.statistics.snapshot,
             archive.status,
             recorders[0].status if recorders else None,
-            beside(config, self.machine, below),
+            beside(config, self.machine, below, clocks),
         )
         http = ObserveServer(config.observe, registry, self.statistics.snapshot)
         http.start()

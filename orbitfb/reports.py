@@ -16,6 +16,7 @@ from orbitfb.epics.machine import EpicsMachine
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.excitation import Excitation, Progress
 from orbitfb.observe.beside import Beside
+from orbitfb.observe.clock_watch import ClockWatch
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.last_diagnosis import LastDiagnosis
 from orbitfb.observe.statistics import LoopStatistics
@@ -61,6 +62,11 @@ class Reports:
         _log.error("archive_failed", problem=str(error))
         self._statistics.happened("archive", str(error))
 
+    def clock_set(self, text: str) -> None:
+        """Take that somebody set a clock."""
+        _log.warning("clock_set", problem=text)
+        self._statistics.happened("clock", text)
+
     def postmortem_written(self, path: Path, frozen: Frozen) -> None:
         """Take that the last seconds are on disk."""
         cause = frozen.cause
@@ -95,13 +101,14 @@ def say_excitation(excitation: Excitation) -> None:
     say("excitation", progress=progress, ticks=excitation.rows)
 
 
-def beside(config: AppConfig, machine: EpicsMachine, dither: Dither) -> Beside:
+def beside(config: AppConfig, machine: EpicsMachine, dither: Dither, clocks: ClockWatch) -> Beside:
     """Say where a scrape finds what is not the loop's own.
 
     Args:
         config: The configuration.
         machine: Counts its channels.
         dither: The dither.
+        clocks: Counts how often a clock was set.
     """
     return Beside(
         channels=machine.channel_counts,
@@ -110,6 +117,7 @@ def beside(config: AppConfig, machine: EpicsMachine, dither: Dither) -> Beside:
         period=config.loop.period,
         noise=config.learn.identify.reading_noise,
         most_invalid=config.interlocks.max_invalid_bpms,
+        clock_steps=lambda: clocks.steps,
     )
 
 

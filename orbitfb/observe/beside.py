@@ -19,6 +19,7 @@ class Beside:
         period: Time between two ticks as configured [s]; NaN: not known.
         noise: Noise of one BPM reading to believe before a refit has found it, rms [m].
         most_invalid: Invalid BPMs above which the loop is HELD.
+        clock_steps: Counts how often a clock was set.
     """
 
     channels: Callable[[], tuple[ChannelCounts, ...]] = tuple
@@ -27,3 +28,4 @@ class Beside:
     period: float = math.nan
     noise: float = math.nan
     most_invalid: float = math.nan
+    clock_steps: Callable[[], int] = int

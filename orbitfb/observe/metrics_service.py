@@ -129,6 +129,13 @@ SERVICE = (
         "1 while the disk takes nothing, else 0.",
     ),
     Metric(
+        "orbitfb_clock_steps_total",
+        "counter",
+        "",
+        (),
+        "How often a clock was set, that of this computer or that of the machine's stamps.",
+    ),
+    Metric(
         "orbitfb_channel_access_channels",
         "gauge",
         "",
