@@ -1,6 +1,7 @@
 """What every BPM and every corrector did of late: the worst of them, and how much was moved."""
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,10 @@ from orbitfb.core.signals import Channels, Mask, TickRecord, Vector
 
 SHOWN = 5
 """How many BPMs and correctors are told by name."""
+
+
+_BLOCKS = 10
+"""Parts in which a window moves on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,39 +31,46 @@ class Ranked:
     value: float
 
 
+@dataclass(slots=True)
+class _Block:
+    begin: float
+    squares: Vector
+    counts: Vector
+    ticks: int = 0
+    change: float = 0.0
+    dither: float = 0.0
+
+
 class Averages:
-    """Exponential averages over the ticks: a few vector operations for each.
+    """Means over the last ticks: a few vector operations for each.
 
     Args:
         channels: Names behind the vectors.
-        span: Time after which a tick counts 1/e [s].
+        span: How far back [s].
     """
 
     def __init__(self, channels: Channels, span: float) -> None:
-        self._channels, self._span = channels, span
-        self._squares = np.zeros(len(channels.bpms))
-        self._weights = np.zeros(len(channels.bpms))
-        self._valid: Mask = np.zeros(len(channels.bpms), dtype=np.bool_)
-        self._stamp = math.nan
-        self._changes = self._dithers = self._ticks = 0.0
+        self._size, self._span = len(channels.bpms), span
+        self._blocks: deque[_Block] = deque()
+        self._valid: Mask = np.zeros(self._size, dtype=np.bool_)
 
     def add(self, record: TickRecord) -> None:
         """Take a record; called in the loop's thread."""
         if record.reading is None:
             return
-        orbit = record.reading.orbit
-        passed = orbit.time - self._stamp
-        kept = math.exp(-max(passed, 0.0) / self._span) if math.isfinite(passed) else 0.0
-        error = orbit.position - record.reference
-        self._squares *= kept
-        self._weights *= kept
-        self._squares += np.where(orbit.valid, error, 0.0) ** 2
-        self._weights += orbit.valid
-        self._valid, self._stamp = orbit.valid, orbit.time
-        dither = record.dither * record.scale if np.any(record.applied) else 0.0 * record.dither
-        self._changes = kept * self._changes + _mean_square(record.applied)
-        self._dithers = kept * self._dithers + _mean_square(dither)
-        self._ticks = kept * self._ticks + 1.0
+        orbit, blocks = record.reading.orbit, self._blocks
+        while blocks and not 0.0 <= orbit.time - blocks[0].begin < self._span:
+            blocks.popleft()
+        if not blocks or orbit.time - blocks[-1].begin >= self._span / _BLOCKS:
+            blocks.append(_Block(orbit.time, np.zeros(self._size), np.zeros(self._size)))
+        self._valid = orbit.valid
+        block = blocks[-1]
+        block.squares += np.where(orbit.valid, orbit.position - record.reference, 0.0) ** 2
+        block.counts += orbit.valid
+        block.ticks += 1
+        if record.applied.any():
+            block.change += _mean_square(record.applied)
+            block.dither += _mean_square(record.dither * record.scale)
 
     def copy(self) -> tuple[Vector, float, float]:
         """Copy what is known of late.
@@ -67,18 +79,17 @@ class Averages:
             Rms error of every BPM, shape (n,) [m], −1 where it is not known; rms change of a
             setpoint that was written, and the dither's part of it [A].
         """
-        known = self._valid & (self._weights > 0.0)
-        squares = np.divide(
-            self._squares, self._weights, out=np.ones_like(self._squares), where=known
-        )
-        errors = np.where(known, np.sqrt(squares), -1.0)
-        if not self._ticks:
+        errors = np.full(self._size, -1.0)
+        if not self._blocks:
             return errors, math.nan, math.nan
-        return (
-            errors,
-            math.sqrt(self._changes / self._ticks),
-            math.sqrt(self._dithers / self._ticks),
-        )
+        squares = np.sum([block.squares for block in self._blocks], axis=0)
+        counts = np.sum([block.counts for block in self._blocks], axis=0)
+        known = self._valid & (counts > 0)
+        errors[known] = np.sqrt(squares[known] / counts[known])
+        ticks = sum(block.ticks for block in self._blocks)
+        change = sum(block.change for block in self._blocks) / ticks
+        dither = sum(block.dither for block in self._blocks) / ticks
+        return errors, math.sqrt(change), math.sqrt(dither)
 
 
 def worst(values: Vector, names: tuple[str, ...], planes: str) -> tuple[Ranked, ...]:

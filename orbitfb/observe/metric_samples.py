@@ -55,9 +55,7 @@ def _loop(snapshot: LoopSnapshot, beside: Beside) -> Samples:
             ((one.value,), count) for one, count in snapshot.entries.items()
         ],
         "orbitfb_loop_state_duration_seconds": _one(snapshot.in_state),
-        "orbitfb_loop_state_reason_info": [((state.value, reason), 1.0)]
-        if state is not None and reason
-        else (),
+        "orbitfb_loop_state_reason_info": [((state.value, reason), 1.0)] if state else (),
         "orbitfb_loop_closed_by_info": [((closing.user, closing.host), 1.0)] if closing else (),
         "orbitfb_loop_closed_timestamp_seconds": _one(closing.time) if closing else (),
         "orbitfb_commands_total": [

@@ -85,7 +85,7 @@ BEAM = (
         "gauge",
         "meters",
         ("bpm", "plane"),
-        "RMS of orbit − reference over the last 10 s (exponential) of the five worst BPMs; the "
+        "RMS of orbit − reference over the last 10 s of the five worst BPMs; the "
         "others are left out.",
     ),
     Metric(

@@ -86,7 +86,7 @@ LEARNING = (
         "amperes",
         (),
         "Change of a setpoint per tick that was written, RMS over the correctors and the last 10 "
-        "s (exponential): what the learner learns from.",
+        "s: what the learner learns from.",
     ),
     Metric(
         "orbitfb_dither_change_rms_amperes",

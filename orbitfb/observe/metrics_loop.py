@@ -83,7 +83,7 @@ LOOP = (
         "info",
         "",
         ("state", "reason"),
-        "The state, and why the loop entered it; absent when there is nothing to say.",
+        "The state, and why the loop entered it; no reason when there is nothing to say.",
     ),
     Metric(
         "orbitfb_loop_closed_by_info",

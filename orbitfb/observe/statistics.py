@@ -239,7 +239,7 @@ class LoopStatistics:
             self._state_since = self._clock.monotonic()
             because = f": {record.reason}" if record.reason else ""
             self._entry_reason = record.reason
-            if last is None and record.state is LoopState.CLOSED:
+            if last is None and record.state in (LoopState.CLOSED, LoopState.HELD):
                 self._tallies.closed_by("start", "localhost")
             self._tallies.note("state", f"{record.state.value}{because}")
         if last is not None and last.policy_id != record.policy_id:
