@@ -1,6 +1,6 @@
 """What happens when: drawn from a seed, before anything runs."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,54 +43,63 @@ class Episode:
 
 
 def schedule(seed: int, faults: int) -> Iterator[Episode]:
-    """Draw episodes until there are so many faults; a flap counts each time."""
+    """Draw episodes until there are so many faults; a flap counts each time.
+
+    Every kind comes once, in any order, before they come by their weights.
+    """
     rng = np.random.default_rng([seed, 20])
+    deck = _Deck(rng)
     drawn = number = 0
     while drawn < faults:
-        kinds = [kind for kind in KINDS if not (kind.early and drawn > 0.5 * faults)]
-        episode = _episode(rng, number, kinds, faults - drawn)
+        deck.late = drawn > 0.5 * faults
+        episode = _episode(rng, number, deck, faults - drawn)
         drawn += len(episode.faults)
         number += 1
         yield episode
 
 
-def _episode(rng: np.random.Generator, number: int, kinds: list[Kind], left: int) -> Episode:
+class _Deck:
+    """Kinds to draw from."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._new = [KINDS[index] for index in rng.permutation(len(KINDS))]
+        self.late = False
+
+    def draw(self, busy: Collection[str] = ()) -> Kind:
+        """Draw a kind that does not do to a process what is being done to it."""
+
+        def fits(kind: Kind) -> bool:
+            return kind.where not in busy and not (kind.early and self.late)
+
+        for kind in self._new:
+            if fits(kind):
+                self._new.remove(kind)
+                return kind
+        kinds = [kind for kind in KINDS if fits(kind)]
+        weights = np.array([kind.weight for kind in kinds])
+        return kinds[int(self._rng.choice(len(kinds), p=weights / weights.sum()))]
+
+
+def _episode(rng: np.random.Generator, number: int, deck: _Deck, left: int) -> Episode:
     pattern = str(rng.choice(PATTERNS, p=SHARES))
-    if pattern == "overlapping":
-        first = [
-            _fault(rng, _kind(rng, kinds), float(rng.uniform(0, 0.6)))
-            for _ in range(int(rng.integers(2, 4)))
-        ]
-        return Episode(number, pattern, tuple(_apart(first)[:left]))
-    fault = _fault(rng, _kind(rng, kinds), 0.0)
-    if pattern == "single" or fault.where in ("ioc", "controller") or left < 2:
+    if pattern == "overlapping" and left > 1:
+        drawn: list[Fault] = []
+        for _ in range(min(left, int(rng.integers(2, 4)))):
+            kind = deck.draw({fault.where for fault in drawn} - {"ring"})
+            drawn.append(_fault(rng, kind, float(rng.uniform(0, 0.6))))
+        return Episode(number, pattern, tuple(drawn))
+    fault = _fault(rng, deck.draw(), 0.0)
+    if pattern != "flapping" or fault.where in ("ioc", "controller") or left < 2:
         return Episode(number, "single", (fault,))
     flaps, at = [], 0.0
-    for _ in range(int(rng.integers(3, 7))):
+    for _ in range(min(left, int(rng.integers(3, 7)))):
         on, off = rng.uniform(0.04, 0.25, 2)
         flaps.append(Fault(fault.kind, fault.where, fault.what, at, at + float(on)))
         at += float(on + off)
-    return Episode(number, pattern, tuple(flaps[:left]))
-
-
-def _kind(rng: np.random.Generator, kinds: list[Kind]) -> Kind:
-    weights = np.array([kind.weight for kind in kinds])
-    return kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
+    return Episode(number, pattern, tuple(flaps))
 
 
 def _fault(rng: np.random.Generator, kind: Kind, begin: float) -> Fault:
-    return Fault(
-        kind.name, kind.where, kind.draw(rng), begin, begin + float(rng.uniform(*kind.seconds))
-    )
-
-
-def _apart(faults: list[Fault]) -> list[Fault]:
-    """Let each process suffer one thing at a time."""
-    seen: set[str] = set()
-    kept = []
-    for fault in faults:
-        if fault.where != "ring" and fault.where in seen:
-            continue
-        seen.add(fault.where)
-        kept.append(fault)
-    return kept
+    end = begin + float(rng.uniform(*kind.seconds))
+    return Fault(kind.name, kind.where, kind.draw(rng), begin, end)
