@@ -4,7 +4,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 # make docs: the pages as a site in site/.
-.PHONY: run test test-system docs newcomer venv lint types layers format bench clean blind
+.PHONY: run test test-system docs newcomer venv lint types layers format bench clean blind chaos soak
 
 run: venv
 	$(BIN)/orbitfb run --ioc sim
@@ -45,6 +45,12 @@ bench: venv
 
 blind: venv
 	$(BIN)/orbitfb diagnose blind --suite $(or $(SUITE),fast) --out $(or $(OUT),orbitfb-data/blind)
+
+chaos: venv
+	$(BIN)/python -m tests.chaos --seed $(or $(SEED),1) --faults $(or $(FAULTS),500) $(if $(OUT),--out $(OUT))
+
+soak: venv
+	$(BIN)/python -m tests.soak --hours $(or $(HOURS),12) --minutes $(or $(MINUTES),30) $(if $(OUT),--out $(OUT)/soak.json)
 
 test-system:
 	@echo "skipped: no test needs a Debian package yet"

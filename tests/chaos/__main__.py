@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -23,6 +24,7 @@ def main() -> int:
     if arguments.faults < 1 or not 1 <= arguments.rate <= 200:
         parser.error("--faults must be at least 1, --rate between 1 and 200 Hz")
     prepare()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that no process is left behind
     from tests.chaos.once import run_once
 
     with tempfile.TemporaryDirectory(prefix="orbitfb-chaos-") as temporary:
