@@ -12,6 +12,7 @@ from orbitfb.cli.config import config
 from orbitfb.cli.diagnose import diagnose
 from orbitfb.cli.diagnose_blind import diagnose_blind
 from orbitfb.cli.diagnose_plan import diagnose_plan
+from orbitfb.cli.doctor import doctor
 from orbitfb.cli.effects import effects
 from orbitfb.cli.evaluate import evaluate
 from orbitfb.cli.health import health
@@ -34,6 +35,7 @@ app = typer.Typer(
 )
 for _function in (run, ioc, train, refit, command, health, postmortem):
     app.command()(_function)
+app.command()(doctor)
 app.command("measure-response")(measure_response_command)
 evaluate.command("kick")(evaluate_kick_command)
 app.add_typer(policies, name="policies")

@@ -1,0 +1,48 @@
+"""The command for the first call to support."""
+
+from typing import Annotated
+
+import typer
+
+from orbitfb.cli.options import AsJson, ConfigFile, DataDirectory, Planes
+
+
+def doctor(
+    ioc: Annotated[
+        str | None,
+        typer.Option(
+            "--ioc",
+            help="Ring whose PVs are searched for: HOST[:PORT] [port 15064]; env: what the "
+            "EPICS_CA_… environment says; config: what [epics] of the configuration says [none].",
+        ),
+    ] = None,
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live", help="Ask a machine: without it port 5064 and other hosts are refused."
+        ),
+    ] = False,
+    deadline: Annotated[
+        float, typer.Option(help="How long all PVs together are waited for [s].")
+    ] = 5.0,
+    config_file: ConfigFile = None,
+    data: DataDirectory = None,
+    planes: Planes = None,
+    as_json: AsJson = False,
+) -> None:
+    """Look at program, configuration, files, clock, ports and ring; exit code 1: something failed.
+
+    Nothing is written to any PV.
+    """
+    from orbitfb import tabulate
+    from orbitfb.core.errors import ConfigError
+    from orbitfb.doctor.examine import examine
+    from orbitfb.doctor.finding import as_answer, as_text, healthy
+
+    if not 0 < deadline <= 3600:
+        raise ConfigError(f"--deadline {deadline:g}: give seconds above 0, at most 3600")
+    options = {"data_directory": data, "ring.planes": planes}
+    found = examine(config_file, options, ioc, live, deadline)
+    print(tabulate.as_json(as_answer(found)) if as_json else as_text(found))
+    if not healthy(found):
+        raise typer.Exit(1)

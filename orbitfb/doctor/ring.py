@@ -1,0 +1,173 @@
+"""The PVs of the ring: does each answer, how fresh, may the setpoints be written. Only read."""
+
+import time
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from orbitfb.config import AppConfig
+from orbitfb.core.errors import ConfigError
+from orbitfb.core.signals import Channels
+from orbitfb.doctor.finding import Finding, Verdict
+from orbitfb.epics.channels import ChannelGroup, Monitor
+from orbitfb.epics.libca import Context
+from orbitfb.epics.network import environment_lock, use_network
+from orbitfb.epics.records import blank_records, stamps_of, usable, wall_time
+from orbitfb.epics.settings import EpicsSettings
+from orbitfb.live import check_live
+from orbitfb.physics.places import Ring
+from orbitfb.startup import SIMULATED, find_ring, servers_of
+
+_PART = "ring"
+_LOOK_EVERY = 0.02
+_SETTLE = 0.5
+"""How long values are waited for once every PV is connected [s]."""
+
+_MOST_NAMED = 5
+
+
+def look_at_ring(
+    config: AppConfig, ring: Ring, ioc: str | None, live: bool, deadline: float
+) -> Iterator[Finding]:
+    """Search for every PV of the ring, within a time; nothing is ever written.
+
+    Args:
+        config: Names the planes and the slow channels.
+        ring: The ring.
+        ioc: As on the command line; None: no ring is looked at.
+        live: Whether a machine may be asked: without it nothing beyond this computer is.
+        deadline: How long to wait for all PVs together [s].
+
+    Raises:
+        ConfigError: The ring is not to be asked without `--live`, or is no address.
+    """
+    if ioc is None or ioc == SIMULATED:
+        own = "a simulated ring of its own is made by `orbitfb run`" if ioc else "no --ioc given"
+        yield Finding(_PART, "PVs", Verdict.SKIPPED, f"{own}; --ioc HOST:PORT looks at one")
+        return
+    settings = find_ring(config, ioc)
+    if settings.auto_address_list:
+        settings = settings.model_copy(update={"auto_address_list": False})
+        yield Finding(
+            _PART,
+            "automatic address list",
+            Verdict.WARNING,
+            "is on; here the named addresses alone are searched",
+            "name the addresses of the IOCs, and set epics.auto_address_list = false "
+            "(EPICS_CA_AUTO_ADDR_LIST=NO)",
+        )
+    if not settings.address_list.split():
+        yield Finding(_PART, "PVs", Verdict.SKIPPED, "no address is named to search",
+                      "set epics.address_list or EPICS_CA_ADDR_LIST")  # fmt: skip
+        return
+    servers = servers_of(settings)
+    check_live(settings, ioc, None, live)
+    beyond = [server for server in servers if not server.startswith("127.")]
+    if beyond and not live:
+        raise ConfigError(
+            f"--ioc {ioc}: {', '.join(beyond)} is beyond this computer; give --live if you mean to "
+            "ask a machine (nothing is written)"
+        )
+    yield from _search(settings, ring.channels(config.ring.planes), config, deadline, servers)
+
+
+def _search(
+    settings: EpicsSettings,
+    channels: Channels,
+    config: AppConfig,
+    deadline: float,
+    servers: Sequence[str],
+) -> Iterator[Finding]:
+    slow = [each.pv for each in config.epics.auxiliary.values()]
+    kinds = {
+        "BPMs": channels.orbit_pvs,
+        "setpoints": channels.setpoint_pvs,
+        "readbacks": channels.readback_pvs,
+        "slow channels": slow,
+    }
+    records = blank_records(len(channels.orbit_pvs))
+    with environment_lock:
+        use_network(settings)
+        context = Context()
+        groups = {
+            kind: ChannelGroup(context, names, Monitor(records) if kind == "BPMs" else None)
+            for kind, names in kinds.items()
+        }
+        for group in groups.values():
+            group.open()
+    try:
+        began = time.monotonic()
+        while time.monotonic() - began < deadline:
+            if all(group.all_connected for group in groups.values()):
+                break
+            time.sleep(_LOOK_EVERY)
+        waited = time.monotonic() - began
+        settled = time.monotonic() + min(_SETTLE, deadline)
+        bpms = groups["BPMs"]
+        while time.monotonic() < settled and not records["seconds"][bpms.connected].all():
+            time.sleep(_LOOK_EVERY)
+        where = f"{', '.join(servers)}, {waited:.1f} s"
+        found = [_reached(kind, group, where) for kind, group in groups.items()]
+        if bpms.connected.any():
+            found.append(_fresh(records[bpms.connected].copy(), settings))
+        found.append(_writable(groups["setpoints"]))
+    finally:
+        for group in groups.values():
+            group.forget()
+        context.destroy()
+    yield from found
+
+
+def _reached(kind: str, group: ChannelGroup, where: str) -> Finding:
+    away, total = group.disconnected, len(group)
+    names = ", ".join(away[:_MOST_NAMED]) + (" …" if len(away) > _MOST_NAMED else "")
+    told = f"{total - len(away)} of {total} answer ({where})" + (f"; not {names}" if away else "")
+    slow = kind == "slow channels"
+    return Finding(
+        _PART,
+        kind,
+        Verdict.OK if not away else Verdict.WARNING if slow else Verdict.FAILED,
+        told,
+        ""
+        if not away
+        else "is the IOC running there, are the names those of the places table? "
+        "A longer --deadline helps where gateways are slow",
+        {"total": total, "away": list(away)},
+    )
+
+
+def _fresh(records: np.ndarray, settings: EpicsSettings) -> Finding:
+    """Judge the stamps of the BPMs against the clock of this computer."""
+    good = records[usable(records)]
+    if not len(good):
+        return Finding(_PART, "readings", Verdict.FAILED, "none is valid",
+                       "is there beam, are the BPMs' IOCs up?")  # fmt: skip
+    age = time.time() - wall_time(int(stamps_of(good).max()))
+    spread = float(np.ptp(stamps_of(good))) / 1e9
+    told = f"{len(good)} of {len(records)} valid, newest {age:.2f} s old, {spread:.3g} s apart"
+    figures = {"valid": len(good), "age_s": age, "spread_s": spread}
+    if -settings.stale_after < age <= settings.stale_after:
+        return Finding(_PART, "readings", Verdict.OK, told, figures=figures)
+    return Finding(
+        _PART,
+        "readings",
+        Verdict.FAILED,
+        told,
+        f"orbits older than epics.stale_after = {settings.stale_after:g} s are refused: see the "
+        "clocks of both computers, and whether the BPMs update",
+        figures,
+    )
+
+
+def _writable(group: ChannelGroup) -> Finding:
+    """Tell what Channel Access says of the rights; nothing is tried."""
+    read_only = group.read_only
+    told = f"{int(group.writable.sum())} of {len(group)} setpoints may be written by this user"
+    return Finding(
+        _PART,
+        "write access",
+        Verdict.WARNING if read_only else Verdict.OK if group.connected.any() else Verdict.SKIPPED,
+        told,
+        "ask for write access for this host and user" if read_only else "",
+        {"read_only": list(read_only)},
+    )
