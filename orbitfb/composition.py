@@ -140,6 +140,7 @@ class Service:
             self.channels,
             config.history.archive,
             self._reports.archive_failed,
+            on_resumed=self._reports.archive_resumed,
         )
         stack.callback(archive.close)
         below = Dither(dither_settings(config), nominal.response, loop_gain(nominal), movable)

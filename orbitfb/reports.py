@@ -62,6 +62,11 @@ class Reports:
         _log.error("archive_failed", problem=str(error))
         self._statistics.happened("archive", str(error))
 
+    def archive_resumed(self, lost: int) -> None:
+        """Take that the archive writes again, and how many ticks it lost since the start."""
+        _log.info("archive_resumed", lost=lost)
+        self._statistics.happened("archive", f"written again; {lost} ticks lost since the start")
+
     def clock_set(self, text: str) -> None:
         """Take that somebody set a clock."""
         _log.warning("clock_set", problem=text)

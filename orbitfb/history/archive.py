@@ -51,6 +51,7 @@ class ArchiveWriter:
         settings: Sizes and times.
         on_error: Told once of each trouble, from the archive's thread.
         clock: Gives the names of the segments and their age; by default the system's.
+        on_resumed: Told how many ticks were lost when a trouble is over, from the same thread.
 
     Raises:
         ArchiveError: The directory cannot be used.
@@ -64,7 +65,9 @@ class ArchiveWriter:
         settings: ArchiveSettings,
         on_error: Callable[[ArchiveError], None] | None = None,
         clock: Clock | None = None,
+        on_resumed: Callable[[int], None] | None = None,
     ) -> None:
+        self._on_resumed = on_resumed
         self._directory = Path(directory)
         self._settings = settings
         self._on_error = on_error
@@ -130,7 +133,10 @@ class ArchiveWriter:
             self._queue.clear()
             self._report(f"ticks cannot be archived in {self._directory} ({error!r})")
             return False
-        self._problem = ""
+        if self._problem:
+            self._problem = ""
+            if self._on_resumed is not None:
+                self._on_resumed(self._refused + self._lost)
         return True
 
     def _tidy(self) -> bool:

@@ -3,7 +3,7 @@
 import logging
 import sys
 from collections.abc import MutableMapping
-from logging.handlers import QueueHandler, QueueListener, RotatingFileHandler
+from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import structlog
 
 from orbitfb.core.errors import OwnershipError
+from orbitfb.observe.log_file import LogFile
 from orbitfb.observe.plain import dumps
 from orbitfb.observe.settings import LogSettings
 
@@ -110,12 +111,10 @@ def configure_logs(settings: LogSettings, directory: Path) -> Logs:
     return logs
 
 
-def _file(settings: LogSettings, path: Path) -> RotatingFileHandler:
+def _file(settings: LogSettings, path: Path) -> LogFile:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        return RotatingFileHandler(
-            path, maxBytes=settings.largest, backupCount=settings.kept, encoding="utf-8"
-        )
+        return LogFile(path, settings.largest, settings.kept)
     except OSError as error:
         raise OwnershipError(
             f"the log cannot be written to {path}: {error.strerror}; "
