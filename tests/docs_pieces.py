@@ -22,6 +22,7 @@ and by themselves, for what a reader has done before he reads the page:
 
     <!-- test: run COMMAND -->              run it
     <!-- test: start COMMAND -->            run it in another terminal
+    <!-- test: until COMMAND -->            run it again and again until it succeeds
     <!-- test: stop -->                     press Ctrl-C in the last of the other terminals
 """
 
@@ -33,7 +34,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 COMMANDS = ("console", "sh")
 KINDS = (*COMMANDS, "python", "toml", "json", "yaml", "ini", "promql", "text")
-ALONE = ("run", "start", "stop")
+ALONE = ("run", "start", "until", "stop")
 WITH_BLOCK = ("skip", "background", "wait", "replace", "output", "other")
 PAGES = [
     ROOT / "README.md",

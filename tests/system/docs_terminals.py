@@ -15,8 +15,10 @@ from docs_pieces import COMMANDS, commands, file_name
 
 NUMBER = r"[-+]?\d[\d.:]*(?:e[-+]?\d+)?"
 VARIABLE = re.compile(rf"(?:svd|modal)-[0-9a-f]{{12}}|\d{{4}}-\d\d-\d\dT\S+|{NUMBER}")
+PATIENCE = 60.0
+"""How long `until` tries [s]."""
 END = "__end_of_command__"
-PORTS = {"15064": "SIM", "9180": "OBSERVE", "15074": "PANEL"}
+PORTS = {"15064": "SIM", "9180": "OBSERVE", "15074": "PANEL", "9181": "WEB"}
 """Ports that pages name -> the section that has it as `port`."""
 
 
@@ -156,6 +158,11 @@ class Session:
         code = terminal.wait(10)
         assert code == 0, output.read_text()
 
+    def write(self, piece):
+        """Write the file that a block is."""
+        text = self.here(piece.body, piece)
+        (self.directory / file_name(piece.body)).write_text(text, encoding="utf-8")
+
     def do(self, piece):
         """Do what a piece of the page says and compare."""
         if piece.order("skip") is not None:
@@ -164,8 +171,7 @@ class Session:
         if piece.kind == "alone":
             self._alone(piece)
         elif piece.kind == "toml":
-            text = self.here(piece.body, piece)
-            (self.directory / file_name(piece.body)).write_text(text, encoding="utf-8")
+            self.write(piece)
         elif piece.kind == "text" and piece.order("output") is not None:
             self._compare(piece.body.splitlines(), self.printed, "python")
         elif piece.kind == "python":
@@ -184,6 +190,11 @@ class Session:
             self.start(self.here(command, piece))
         elif (command := piece.order("run")) is not None:
             self._command(self.here(command, piece), None)
+        elif (command := piece.order("until")) is not None:
+            deadline = time.monotonic() + PATIENCE
+            while self.shell.run(self.here(command, piece))[0] != 0:
+                assert time.monotonic() < deadline, f"not yet: {command}\n{self._elsewhere()}"
+                time.sleep(0.2)
 
     def _program(self, text):
         done = subprocess.run(
