@@ -52,8 +52,9 @@ chaos: venv
 soak: venv
 	$(BIN)/python -m tests.soak --hours $(or $(HOURS),12) --minutes $(or $(MINUTES),30) $(if $(OUT),--out $(OUT)/soak.json)
 
-test-system:
-	@echo "skipped: no test needs a Debian package yet"
+test-system: venv
+	@tests/debian/install
+	$(BIN)/python -m pytest tests/debian
 
 clean:
 	rm -rf .venv build dist
