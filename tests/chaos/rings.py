@@ -45,14 +45,15 @@ class Ring:
         job = self._directory / "job.json"
         job.write_text(json.dumps({"seed": self._seed, "sim": sim}))
         arguments = [str(job), str(self.journal), str(self.life), str(LIMIT), str(STEP)]
-        self._popen = subprocess.Popen(
-            [sys.executable, "-m", "tests.chaos.ioc", *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=(self._directory / f"ioc.{self.life}.err").open("w"),
-            text=True,
-            start_new_session=True,
-        )
+        with (self._directory / f"ioc.{self.life}.err").open("w") as err:
+            self._popen = subprocess.Popen(
+                [sys.executable, "-m", "tests.chaos.ioc", *arguments],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=err,
+                text=True,
+                start_new_session=True,
+            )
         self.life += 1
         self._lines: queue.Queue[str] = queue.Queue()
         threading.Thread(target=self._listen, args=(self._popen,), daemon=True).start()

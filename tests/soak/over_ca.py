@@ -22,8 +22,10 @@ CONFIG = """
 [loop]
 rate_hz = {rate}
 [history]
-capacity = 2000
+capacity = {capacity}
 """
+FILLED = 0.1
+"""Part of the time in which the history in memory is full, at most 2000 ticks."""
 SETTLED = 0.2
 """Part of the time that is not looked at: buffers fill, modules are loaded, the learner starts."""
 
@@ -66,7 +68,8 @@ def over_ca(
     Raises:
         RuntimeError: The service or the ring does not start, or the loop is not CLOSED at the end.
     """
-    (directory / "c.toml").write_text(CONFIG.format(rate=rate))
+    capacity = round(min(2000, max(300, FILLED * minutes * 60 * rate)))
+    (directory / "c.toml").write_text(CONFIG.format(rate=rate, capacity=capacity))
     data = directory / "data"
     began = time.monotonic()
     ring_words = ["ioc", "--port", "0", "--rate", str(rate)]
