@@ -21,8 +21,8 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, help="directory for data and journals, kept")
     parser.add_argument("--alone", action="store_true", help="leave the plain loop out")
     arguments = parser.parse_args()
-    if arguments.faults < 1 or not 1 <= arguments.rate <= 200:
-        parser.error("--faults must be at least 1, --rate between 1 and 200 Hz")
+    if arguments.faults < 1 or arguments.seed < 0 or not 10 <= arguments.rate <= 200:
+        parser.error("--faults must be at least 1, --seed 0, --rate between 10 and 200 Hz")
     prepare()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that no process is left behind
     from tests.chaos.once import run_once

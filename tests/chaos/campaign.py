@@ -199,10 +199,11 @@ class Campaign:
                 continue
             state, reason = status["state"], status["reason"]
             states.add(state)
-            if self._limits_until_restart and state in ("CLOSED", "HELD"):
+            if self._limits_until_restart and state != "TRIPPED":
                 if time.monotonic() - quiet > SHORT:
                     self.counts[f"other limits: {state}"] += 1
                     self._whole_limits()
+                    quiet = time.monotonic()
             elif state == "CLOSED" and not reason:
                 break
             if time.monotonic() - began > patience:

@@ -21,8 +21,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, help="file for the figures (JSON)")
     arguments = parser.parse_args()
-    if arguments.hours < 0 or arguments.minutes < 0 or not 1 <= arguments.rate <= 200:
-        parser.error("--hours and --minutes must not be negative, --rate between 1 and 200 Hz")
+    if min(arguments.hours, arguments.minutes, arguments.seed) < 0:
+        parser.error("--hours, --minutes and --seed must not be negative")
+    if not 1 <= arguments.rate <= 200:
+        parser.error("--rate must be between 1 and 200 Hz")
     from tests.chaos.__main__ import prepare
 
     prepare()
