@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from orbitfb import __version__
+from orbitfb.cli.agent import evaluate_agent_command
 from orbitfb.cli.config import config
 from orbitfb.cli.diagnose import diagnose
 from orbitfb.cli.diagnose_blind import diagnose_blind
@@ -38,6 +39,7 @@ for _function in (run, ioc, train, refit, command, health, postmortem):
 app.command()(doctor)
 app.command("measure-response")(measure_response_command)
 evaluate.command("kick")(evaluate_kick_command)
+evaluate.command("agent")(evaluate_agent_command)
 app.add_typer(policies, name="policies")
 app.add_typer(evaluate, name="evaluate")
 diagnose.command("blind")(diagnose_blind)
