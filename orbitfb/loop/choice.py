@@ -69,8 +69,10 @@ def choose(
         alarm = alarm or decision.alarm or guard.alarm
         if guard.policy is not asked:
             state = guard.policy.initial_state()
-        shaken = np.where(out, 0.0, dither) if out.any() else dither
-        requested = gain * decision.change + shaken
+        change, shaken = decision.change, dither
+        if out.any():  # also of a policy that cannot be solved for the others
+            change, shaken = np.where(out, 0.0, change), np.where(out, 0.0, dither)
+        requested = gain * change + shaken
         done("decide")
         limited = limit(requested, memory.setpoints, rules.limits, names)
         spent = done("limit") - began > _SHARE * rules.loop.period

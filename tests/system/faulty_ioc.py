@@ -6,7 +6,8 @@ Each line on the standard input is a JSON object that replaces all faults: `bpms
 `zero`, `nan`, `frozen`, `stamp` or an offset [m]; `correctors` maps indices to `stuck`, `off`,
 `away` (the readback is not known) or an error of the readback [A]; `sign` is that of the response;
 `shift` says by how many places the BPMs are exchanged; `current` is the stored current [mA], null:
-not known; `current_old` keeps its stamp. Everything else, the server and its PVs, is the
+not known; `current_old` keeps its stamp; `clock` is by how much its clock was set [s].
+Everything else, the server and its PVs, is the
 program's own. Prints the port.
 """
 
@@ -20,10 +21,12 @@ from typing import Any
 import numpy as np
 
 from orbitfb.core.names import CURRENT_PV
+from orbitfb.sim import server
 from orbitfb.sim.board import Board
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.process import run_job
 from orbitfb.sim.server import RingServer
+from orbitfb.sim.stamp import Stamp, now
 
 
 @dataclass
@@ -104,11 +107,16 @@ def main() -> None:
             server._stored = float("nan") if known is None else known
         tick(server)
 
+    def wrong_now() -> Stamp:
+        stamp = now()
+        return Stamp(stamp.seconds + int(faulty.faults.get("clock", 0)), stamp.nanoseconds)
+
     def listen() -> None:
         for line in sys.stdin:
             faulty.faults = json.loads(line)
 
     Board.show, RingServer.tick = stamped, ticked
+    server.now = wrong_now
     SimJob.build = lambda self: (faulty, settings)
     threading.Thread(target=listen, daemon=True).start()
     run_job(job, lambda port, _pvs: print(port, flush=True))

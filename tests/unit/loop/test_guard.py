@@ -1,6 +1,7 @@
 """Policies that fail, correctors that are lost or full, a response that is wrong."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -179,3 +180,16 @@ def test_leaving_a_corrector_out_costs_little_time():
     assert time.perf_counter() - begin < 1.0  # about 20 ms; once for every corrector that is lost
     change, _ = policy.act(np.ones(180) * 1e-5, np.ones(180, dtype=bool), policy.initial_state())
     assert change[7] == 0.0 and change.any()
+
+
+def test_a_policy_that_cannot_be_solved_anew_moves_no_corrector_that_is_left_out():
+    bench = Bench(limits=LimitSettings(setpoint=100.0))
+    assert not hasattr(bench.bad, "response")
+    bench.steps(30)
+    lost = np.arange(180) == 7
+    memory = bench.runner._engine.memory
+    bench.runner._engine.memory = replace(memory, lost=lost)
+    bench.machine.plant.kick(50e-6)
+    before = memory.setpoints[7]
+    assert bench.steps(10).setpoints[7] == pytest.approx(before, abs=1e-12)
+    assert bench.records[-1].applied.any()

@@ -1,0 +1,118 @@
+"""A closed loop of the program on a soft IOC whose devices fail on request."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ioc_clients import KICK, RMS, RawClient
+from service_process import CHANNELS, Service
+
+from orbitfb.control import ask
+
+RATE = 40.0
+HERE = Path(__file__).parent
+CONFIG = """
+[loop]
+rate_hz = 40.0
+ramp = 0.3
+[learn]
+enabled = false
+[diagnose.live]
+enabled = false
+[postmortem]
+before = 1.0
+after = 0.2
+[epics.auxiliary.current]
+pv = "SR:C03-BI{DCCT:1}I:Real-I"
+scale = 1e-3
+stale_after = 0.5
+"""
+
+
+class Session:
+    """A closed loop on an IOC whose faults can be switched."""
+
+    def __init__(self, directory: Path, ioc: "subprocess.Popen[str]", port: int) -> None:
+        self._ioc, self.port = ioc, port
+        (directory / "c.toml").write_text(CONFIG)
+        where = f"127.0.0.1:{port}"
+        options = ("--config", directory / "c.toml", "--start", "closed")
+        self.client = RawClient(port)
+        self.client.create(RMS, KICK, *CHANNELS.setpoint_pvs)
+        self.service = Service(directory / "data", where, *options)
+
+    def fault(self, **faults: Any) -> None:
+        assert self._ioc.stdin is not None
+        self._ioc.stdin.write(json.dumps(faults) + "\n")
+        self._ioc.stdin.flush()
+
+    def wait(self, state: str, words: str, timeout: float = 5.0) -> dict[str, Any]:
+        return self.service.wait_status(
+            f"{state} with {words!r}: {self.service.status()['reason']}",
+            lambda status: status["state"] == state and words in status["reason"],
+            timeout,
+        )
+
+    def well(self, micrometres: float = 1.0) -> None:
+        self.fault()
+        self.service.wait_status(
+            "recovery",
+            lambda status: status["state"] == "CLOSED" and not status["reason"],
+            8.0,
+        )
+        self.service.wait_below(micrometres)
+
+    def again(self) -> None:
+        """Close anew after a trip or with what was left out."""
+        self.fault()
+        if self.service.status()["state"] == "TRIPPED":
+            self.command("reset")
+        else:
+            self.command("open")
+        time.sleep(6 / RATE)
+        self.command("close")
+        self.well()
+
+    def command(self, name: str) -> None:
+        ask(self.service.data, {"command": name})
+
+    def true_rms(self) -> float:
+        """Where the beam truly is [m]."""
+        return self.client.get(RMS).value * 1e-3
+
+    def kick(self, millimetres: float) -> None:
+        self.client.put_waiting(KICK, millimetres)
+
+    def setpoints(self) -> np.ndarray:
+        """What is in force at the IOC [A]."""
+        return np.array([self.client.get(name).value for name in CHANNELS.setpoint_pvs])
+
+
+@contextmanager
+def fault_session(directory: Path) -> Iterator[Session]:
+    """Start IOC and loop; wait until the orbit is good.
+
+    Args:
+        directory: For their files.
+    """
+    job = directory / "job.json"
+    job.write_text(json.dumps({"seed": 5, "sim": {"port": 0, "rate_hz": RATE}}))
+    command = [sys.executable, str(HERE / "faulty_ioc.py"), str(job)]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=os.environ
+    ) as ioc:
+        try:
+            assert ioc.stdout is not None
+            session = Session(directory, ioc, int(ioc.stdout.readline()))
+            with session.service, session.client:
+                session.well()
+                yield session
+        finally:
+            ioc.terminate()

@@ -1,0 +1,103 @@
+"""Faults of current, response, orbit and clock of a real IOC under one closed loop."""
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from fault_session import RATE, Session, fault_session
+from service_process import transitions, wait_for
+
+from orbitfb.core.errors import ControlError
+
+pytestmark = pytest.mark.system
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    with fault_session(tmp_path_factory.mktemp("loop-faults")) as session:
+        yield session
+
+
+def rms_where(closed: np.ndarray, orbit: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    counted = np.where(valid, orbit, 0.0)[closed]
+    return np.sqrt(np.mean(counted**2, axis=1))
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ({"current": None}, "is not known"),
+        ({"current_old": True}, "is not known"),
+        ({"current": 300.0}, "dropped"),
+        ({"current": 5.0}, "below the 10 mA"),
+    ],
+)
+def test_the_stored_current_trips(session: Session, fault: dict[str, Any], words: str):
+    trips = len(session.service.events("postmortem_written"))
+    session.fault(**fault)
+    session.wait("TRIPPED", words)
+    left = session.setpoints()
+    wait_for("post-mortem", lambda: len(session.service.events("postmortem_written")) > trips)
+    np.testing.assert_array_equal(session.setpoints(), left)
+    session.fault(current=400.0)
+    time.sleep(3 / RATE)
+    session.again()
+
+
+@pytest.mark.parametrize("fault", [{"sign": -1.0}, {"shift": 7}])
+def test_a_wrong_response_is_found_before_the_orbit_is_lost(
+    session: Session, fault: dict[str, Any]
+):
+    session.command("open")
+    session.fault(**fault)
+    time.sleep(4 / RATE)
+    first = session.service.status()["ticks"]
+    session.command("close")
+    status = session.wait("TRIPPED", "")
+    told = ("does not answer as the response matrix says", "grew for")  # from a tiny orbit
+    assert any(words in status["reason"] for words in told)
+    tripped = session.service.events("loop_state_changed")[-1]
+    assert tripped["tick"] - first < (15 if "answer" in status["reason"] else 30)
+    archived = transitions(session.service.data)
+    assert rms_where(archived.closed, archived.orbit, archived.valid)[-10:].max() < 1e-3
+    session.again()
+
+
+def test_a_frozen_orbit_is_not_integrated(session: Session):
+    session.fault(bpms={str(index): "frozen" for index in range(180)})
+    session.wait("HELD", "all 180 readings are those of the orbit before")
+    left = session.setpoints()
+    time.sleep(0.3)
+    np.testing.assert_array_equal(session.setpoints(), left)
+    session.well()
+
+
+def test_the_clock_of_the_ioc_is_set_and_the_loop_goes_on_once_it_is_right(session: Session):
+    """An orbit of an hour ago may be one: nobody can tell, so nothing is written on it."""
+    session.fault(clock=-3600)
+    session.wait("HELD", "the IOC's clock was set")
+    left = session.setpoints()
+    session.fault(clock=3600)
+    session.wait("HELD", "in the future: set the clocks")
+    np.testing.assert_array_equal(session.setpoints(), left)
+    session.well()
+
+
+def test_an_orbit_that_leaves_too_fast_trips_and_the_setpoints_stay(session: Session):
+    session.kick(0.7)
+    session.wait("TRIPPED", "allowed: 500 µm/s")
+    left = session.setpoints()
+    time.sleep(5 / RATE)
+    np.testing.assert_array_equal(session.setpoints(), left)
+    session.again()
+
+
+def test_an_orbit_that_is_too_far_away_trips_and_close_is_refused(session: Session):
+    session.kick(2.5)
+    session.wait("TRIPPED", "exceeds 1000 µm")
+    session.command("reset")
+    with pytest.raises(ControlError, match="exceeds 1000 µm"):
+        session.command("close")
+    assert session.service.status()["state"] == "OPEN"
