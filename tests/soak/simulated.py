@@ -101,8 +101,9 @@ def simulate(
             spent[tick] = time.perf_counter() - start
             if runner.state is LoopState.TRIPPED:
                 trips += 1
-                for command in ("reset", "close"):
-                    runner.command(command)
+                runner.command("reset")
+            elif runner.state is LoopState.OPEN:
+                runner.command("close")
             if tick % EVERY == 0:
                 samples.append(_sample(process))
                 statistics.snapshot()
