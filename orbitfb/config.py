@@ -217,6 +217,7 @@ def load_config(
         ) from None
 
 
+_LONGEST_SHOWN = 200
 _HEADER = re.compile(r"^\s*\[\[?\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(r"""^\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*[A-Za-z0-9_"'-]+)*)\s*=""")
 
@@ -266,7 +267,12 @@ def _explain(problem: ErrorDetails, origins: Mapping[str, str]) -> str:
     origin = next((origins[key] for key in chain(above, below) if key in origins), "default")
     if problem["type"] == "extra_forbidden":
         return f"{dotted}: no such key ({origin}){_did_you_mean(location)}"
-    return f"{dotted}: {problem['msg']}, got {problem['input']!r} ({origin})"
+    return f"{dotted}: {problem['msg']}, got {_short(problem['input'])} ({origin})"
+
+
+def _short(value: object) -> str:
+    shown = repr(value)
+    return shown if len(shown) <= _LONGEST_SHOWN else f"{shown[:_LONGEST_SHOWN]}…"
 
 
 def _did_you_mean(location: list[str]) -> str:

@@ -4,6 +4,7 @@ Nothing in it is ever unpickled, and no array that is not known by name is read.
 """
 
 import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -23,7 +24,7 @@ _LONGEST_HEADER = 10_000
 _DAMAGED = (
     OSError, EOFError, ValueError, TypeError, KeyError, SyntaxError, RecursionError,
     OverflowError, NotImplementedError, RuntimeError, struct.error, zlib.error,
-    zipfile.BadZipFile,
+    zipfile.BadZipFile, tokenize.TokenError,
 )  # fmt: skip
 """All that zipfile and numpy raise over a damaged file."""
 

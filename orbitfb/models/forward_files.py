@@ -20,6 +20,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
+from orbitfb.core.bounded import take
 from orbitfb.core.errors import StoreError
 from orbitfb.core.settings import Settings
 from orbitfb.models.forward_net import Coordinates, ForwardNet
@@ -97,7 +98,7 @@ def load_forward(directory: Path) -> ForwardNet:
         if Path(card.tensors).name != card.tensors:
             raise StoreError(f"{path} names tensors outside its directory; {advice}")
         with (directory / card.tensors).open("rb") as file:
-            content = file.read(card.bytes + 1)
+            content = take(file, card.bytes + 1)
         if hashlib.sha256(content).hexdigest() != card.sha256:
             raise StoreError(f"{directory / card.tensors} is damaged or exchanged; {advice}")
         tensors = load_tensors(content)

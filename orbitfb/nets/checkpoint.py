@@ -19,6 +19,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 
+from orbitfb.core.bounded import take
 from orbitfb.core.errors import StoreError
 
 Modules = Mapping[str, torch.nn.Module]
@@ -172,7 +173,7 @@ class Checkpoint:
         path = self.directory / card["tensors"]
         try:
             with path.open("rb") as file:
-                content = file.read(card["bytes"] + 1)
+                content = take(file, card["bytes"] + 1)
             if hashlib.sha256(content).hexdigest() != card["sha256"]:
                 raise ValueError("it is not the file that its card names")
             return load_tensors(content)

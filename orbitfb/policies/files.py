@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from orbitfb.core.bounded import take
 from orbitfb.core.errors import StoreError
 
 SCHEMA_VERSION = 2
@@ -36,7 +37,7 @@ def read_bounded(path: Path, largest: int, advice: str) -> bytes:
     """
     try:
         with path.open("rb") as file:
-            content = file.read(largest + 1)
+            content = take(file, largest + 1)
     except OSError as error:
         raise StoreError(f"{path} cannot be read ({error.strerror}); {advice}") from error
     if len(content) > largest:
