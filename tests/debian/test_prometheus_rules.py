@@ -1,0 +1,94 @@
+"""Every rule and every alert under promtool: firing, and not firing when it comes near."""
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from alert_cases import ALSO_FIRES, CASES, OWN, Series
+
+DEPLOY = Path(__file__).parents[2] / "deploy/prometheus"
+RULES = [str(DEPLOY / name) for name in ("orbitfb-rules.yml", "orbitfb-alerts.yml")]
+
+
+def owned(selector: str) -> str:
+    """Give a series the labels that Prometheus gives what it scrapes."""
+    name, _, labels = selector.removesuffix("}").partition("{")
+    return f"{name}{{{labels + ', ' if labels else ''}{OWN}}}"
+
+
+def group(alert: str, series: Series, at: str, firing: int) -> dict[str, Any]:
+    return {
+        "interval": "10s",
+        "external_labels": {"docs": "http://docs"},
+        "input_series": [
+            {"series": owned(name), "values": values} for name, values in series.items()
+        ],
+        "promql_expr_test": [
+            {
+                "expr": f'count(ALERTS{{alertname="{alert}", alertstate="firing"}}) or vector(0)',
+                "eval_time": at,
+                "exp_samples": [{"labels": "{}", "value": firing}],
+            }
+        ],
+    }
+
+
+def groups() -> Iterator[tuple[str, dict[str, Any]]]:
+    for alert, case in CASES.items():
+        yield f"{alert} fires", group(alert, case.fires, case.at, 1)
+        for number, series in enumerate(case.quiet):
+            yield f"{alert} is quiet {number}", group(alert, series, case.at, 0)
+    for number, (alert, series) in enumerate(ALSO_FIRES):
+        yield f"{alert} also fires {number}", group(alert, series, CASES[alert].at, 1)
+
+
+def promtool(promtool_program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [promtool_program, *arguments], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def run_groups(program: str, directory: Path, tests: list[dict[str, Any]]) -> str:
+    """Run promtool on tests; return what it has to object, nothing if all is well."""
+    file = directory / "tests.yml"
+    content = {"rule_files": RULES, "evaluation_interval": "10s", "tests": tests}
+    file.write_text(yaml.safe_dump(content, allow_unicode=True))
+    done = promtool(program, "test", "rules", str(file))
+    return "" if done.returncode == 0 else done.stdout + done.stderr
+
+
+def test_config_and_rules_are_valid(promtool_program: str):
+    done = promtool(promtool_program, "check", "config", str(DEPLOY / "prometheus.yml"))
+    assert done.returncode == 0, done.stderr
+    assert "SUCCESS: 2 rule files found" in done.stdout
+    done = promtool(promtool_program, "check", "rules", *RULES)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_alert_has_cases():
+    alerts = yaml.safe_load(Path(RULES[1]).read_text())["groups"][0]["rules"]
+    assert {alert["alert"] for alert in alerts} == set(CASES)
+
+
+@pytest.mark.parametrize("test", [pytest.param(test, id=what) for what, test in groups()])
+def test_alert(promtool_program: str, tmp_path: Path, test: dict[str, Any]):
+    assert run_groups(promtool_program, tmp_path, [test]) == ""
+
+
+@pytest.mark.parametrize("alert", [name for name, case in CASES.items() if case.says])
+def test_an_alert_says_what_it_knows(promtool_program: str, tmp_path: Path, alert: str):
+    case = CASES[alert]
+    test = group(alert, case.fires, case.at, 1)
+    test["alert_rule_test"] = [{"alertname": alert, "eval_time": case.at, "exp_alerts": []}]
+    told = " ".join(run_groups(promtool_program, tmp_path, [test]).split())
+    assert case.says in told
+    assert "error" not in told and "http://docs/runbooks/" in told
+
+
+def test_a_wrong_expectation_is_seen(promtool_program: str, tmp_path: Path):
+    case = CASES["OrbitTripped"]
+    wrong = group("OrbitTripped", case.fires, case.at, 0)
+    assert "FAILED" in run_groups(promtool_program, tmp_path, [wrong])
