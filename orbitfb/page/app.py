@@ -1,6 +1,7 @@
 """The page as an ASGI application: a few files, the newest picture, the reports. Read-only."""
 
 import asyncio
+import contextlib
 import hashlib
 from functools import partial
 from importlib import resources
@@ -66,19 +67,27 @@ def page_app(job: PageJob, feed: Feed) -> Starlette:
         if not feed.join():
             await viewer.close(TOO_MANY, "too many viewers")
             return
+        showing = asyncio.create_task(_show(viewer, feed, assets))
+        ending = asyncio.create_task(viewer.receive())  # it leaves, or it speaks and has to leave
         try:
-            await _say(viewer, feed.hello(assets))
-            number = 0
-            while True:
-                number, picture = await feed.after(number)
-                await _say(viewer, picture)
-        except (WebSocketDisconnect, TimeoutError):
-            return  # it has gone, or takes nothing: the connection ends with this
+            await asyncio.wait((showing, ending), return_when=asyncio.FIRST_COMPLETED)
         finally:
             feed.leave()
+            showing.cancel()
+            ending.cancel()
 
     routes += [Route("/reports/{name}", report), WebSocketRoute("/live", live)]
     return Starlette(routes=routes, middleware=[Middleware(Guard, settings=job.web)])
+
+
+async def _show(viewer: WebSocket, feed: Feed, assets: str) -> None:
+    """Send one picture after the other, until it has gone or takes nothing any more."""
+    number = 0
+    with contextlib.suppress(WebSocketDisconnect, TimeoutError):
+        await _say(viewer, feed.hello(assets))
+        while True:
+            number, picture = await feed.after(number)
+            await _say(viewer, picture)
 
 
 async def _say(viewer: WebSocket, text: str) -> None:
