@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import psutil
 import pytest
 from ioc_clients import run_client
 from service_process import CHANNELS, Service, fetch, wait_for
@@ -187,16 +188,6 @@ def test_nonsense_is_survived(service: Service):
     assert "<title>" in fetch(service.where["page"])
 
 
-def test_its_process_comes_again_when_it_dies(service: Service):
-    before = service.child("orbitfb.page")
-    before.kill()
-    log = wait_for("page_died", lambda: service.events("page_died"), 5.0)
-    wait_for("page_started", lambda: len(service.events("page_started")) == 2, 15.0)
-    assert "it said nothing" in log[0]["problem"]
-    where = service.events("page_started")[-1]["where"]
-    assert where == service.where["page"] and "<title>" in fetch(where)
-
-
 def test_a_service_that_is_killed_takes_its_page_along_and_the_next_one_takes_over(
     service: Service,
 ):
@@ -218,9 +209,8 @@ def test_a_service_that_is_killed_takes_its_page_along_and_the_next_one_takes_ov
         page.wait(5.0)
 
 
-def test_a_page_whose_port_another_has_says_so_and_comes_when_it_is_free(tmp_path: Path):
-    clock = SystemClock()
-    statistics = LoopStatistics(CHANNELS, 18.0, clock)
+def test_a_page_comes_when_its_port_is_free_and_again_when_its_process_dies(tmp_path: Path):
+    statistics = LoopStatistics(CHANNELS, 18.0, SystemClock())
     with socket.socket() as other, ExitStack() as stack:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -232,3 +222,10 @@ def test_a_page_whose_port_another_has_says_so_and_comes_when_it_is_free(tmp_pat
         other.close()
         wait_for("page", lambda: page.where, 15.0)
         assert "<title>" in fetch(page.where) and page.problem == ""
+        [child] = [its for its in psutil.Process().children() if "orbitfb.page" in its.cmdline()]
+        child.kill()
+        wait_for("its end", lambda: not page.where, 5.0)
+        wait_for("another", lambda: page.where, 15.0)
+        assert "<title>" in fetch(page.where)
+    last = statistics.snapshot().happenings[-1]
+    assert (last.kind, last.text) == ("page", "died: it said nothing")

@@ -71,7 +71,9 @@ export class RingChart extends Chart {
     Object.assign(this, options, { readout, values: [], flags: "", floor: null, half: 0, since: 0 });
     canvas.addEventListener("pointermove", (event) => this.point(event));
     canvas.addEventListener("pointerdown", (event) => this.point(event));
-    canvas.addEventListener("pointerleave", () => { this.at = null; this.say(); this.draw(); });
+    canvas.addEventListener("pointerleave", (event) => {
+      if (event.pointerType !== "touch") this.choose(null); // a finger leaves at once: it stays
+    });
     this.at = null;
   }
 
@@ -100,7 +102,12 @@ export class RingChart extends Chart {
     const s = ((event.offsetX - LEFT) / (this.width - LEFT - RIGHT)) * this.ring;
     let best = 0;
     this.s.forEach((place, index) => { if (Math.abs(place - s) < Math.abs(this.s[best] - s)) best = index; });
-    this.at = best;
+    const again = event.type === "pointerdown" && event.pointerType === "touch" && best === this.at;
+    this.choose(again ? null : best);
+  }
+
+  choose(at) {
+    this.at = at;
     this.say();
     this.draw();
   }
