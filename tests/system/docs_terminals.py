@@ -205,7 +205,9 @@ class Session:
         self.printed = done.stdout
 
     def _command(self, command, shown):
+        begin = time.monotonic()
         code, output = self.shell.run(command)
+        print(f"{time.monotonic() - begin:6.1f} s  {command}")  # pytest shows it on failure
         if shown is None:
             assert code == 0, f"$ {command}\nended with {code}\n{output}{self._elsewhere()}"
         else:
