@@ -177,8 +177,7 @@ class Engine:
             trouble, names = self._ask_setpoints(reading.away)
             if names:
                 self.memory = comeback.stop(self.memory, f"setpoints were moved: {names}")
-            if trouble or names:
-                checked = self._ask_interlocks(reading)
+            checked = self._ask_interlocks(reading)
             if closed and names:
                 trouble = f"setpoints were moved by somebody else: {names}"
         if trouble and checked.verdict.action < Action.HOLD:

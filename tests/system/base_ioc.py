@@ -96,6 +96,8 @@ def run(job: dict) -> None:
     slow = [(Field(pv), value) for pv, value in job["auxiliary"].items()]
     stamp, faults = Field(STAMP), [Field(pv) for pv in FAULTS]
     plant = None if job["plant_seed"] is None else Plant(Ring.load(), seed=job["plant_seed"])
+    ring = Ring.load().channels("x").setpoint_pvs
+    here = [ring.index(pv) for pv in job["setpoint_pvs"]] if plant else []
     period, tick = 1.0 / job["rate_hz"], 0
     due = time.monotonic()
     while True:
@@ -107,7 +109,9 @@ def run(job: dict) -> None:
         if plant is None:
             orbit = (tick % 1000) * 1e-3 + np.arange(len(bpms)) * 1e-6
         else:
-            orbit = plant.step(np.array(setpoints)).reading * 1e3
+            kicks = np.zeros(len(ring))  # those that another IOC has stay as they were
+            kicks[here] = setpoints
+            orbit = plant.step(kicks).reading * 1e3
         for field, value in slow if tick % 20 == 0 else ():
             field.put(value)
         stamp.put(tick)
