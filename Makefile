@@ -4,7 +4,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 # make docs: the pages as a site in site/.
-.PHONY: run test test-system docs newcomer venv lint types layers format bench clean blind chaos soak
+.PHONY: run test test-system docs newcomer venv lint types layers audit format bench clean blind chaos soak
 
 run: venv
 	$(BIN)/orbitfb run --ioc sim
@@ -28,6 +28,10 @@ types: venv
 
 layers: venv
 	$(BIN)/lint-imports
+
+# Versions as pinned, packages reviewed, known vulnerabilities where they can be asked for.
+audit: venv
+	$(BIN)/python .ci/audit.py
 
 format: venv
 	$(BIN)/ruff check --fix .
