@@ -70,7 +70,8 @@ def pieces(text: str) -> Iterator[Piece]:
     """Blocks and orders of a page as they stand."""
     for found in _PIECE.finditer(text):
         line = text.count("\n", 0, found.start()) + 1
-        orders = tuple(o.strip() for o in (found["orders"] or found["alone"] or "").split(";"))
+        given = found["orders"] or ""  # a reason to skip may have a semicolon of its own
+        orders = (given,) if given.startswith("skip") else [o.strip() for o in given.split(";")]
         if found["alone"]:
             yield Piece(line, "alone", "", (found["alone"],))
         else:
