@@ -136,13 +136,16 @@ class FaultyRing:
 
     def _may_act(self, faults: list[dict[str, Any]], now: float) -> bool:
         bad = np.zeros(self._size, dtype=bool)
+        hidden = any("current_old" in fault for fault in faults)  # nobody can see what it is
         for fault in faults:
             if "orbit" in fault:
                 return False
-            if "current" in fault and fault["current"] != 400.0:
-                return False
             if "current_old" in fault and now - self._began[fault["id"]] > CURRENT_AGE:
                 return False
+            if "current" in fault and not hidden:
+                known = fault["current"]
+                if known is None or known < CURRENT_LEAST:
+                    return False
             for key, told in fault.get("bpms", {}).items():
                 bad[int(key)] |= told in ABSENT
         return int(bad.sum()) <= QUOTA and not _too_many_in_a_row(bad)

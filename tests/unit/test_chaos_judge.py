@@ -137,14 +137,27 @@ def test_a_seed_is_a_schedule():
     ],
 )
 def test_the_quota_is_counted_here_too(told, good):
+    assert faulty_ring()._may_act([{"id": "0", "bpms": told}], 0.0) is good
+
+
+def faulty_ring():
     class Channels:
         bpms = range(180)
 
     class Plain:
         channels = Channels
 
-    ring = FaultyRing(Plain())
-    assert ring._may_act([{"id": "0", "bpms": told}], 0.0) is good
+    return FaultyRing(Plain())
+
+
+def test_the_current_is_judged_as_anybody_can_see_it():
+    ring = faulty_ring()
+    old, gone, less = ({"id": "0", "current_old": True}, {"id": "1", "current": None}, 250.0)
+    ring._began["0"] = 0.0
+    assert not ring._may_act([gone], 0.1)
+    assert ring._may_act([{"id": "1", "current": less}], 0.1)
+    assert ring._may_act([old, gone], 0.1)
+    assert not ring._may_act([old, gone], 1.0)
 
 
 def test_a_torn_record_is_left_out(tmp_path):
