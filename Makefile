@@ -4,7 +4,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 # make docs: the pages as a site in site/.
-.PHONY: run test test-system docs newcomer venv lint types layers audit format bench clean blind chaos soak
+.PHONY: run test test-system test-docs docs newcomer venv lint types layers audit format bench clean blind chaos soak
 
 run: venv
 	$(BIN)/orbitfb run --ioc sim
@@ -41,6 +41,10 @@ docs: venv
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "site/index.html; with search: $(BIN)/python -m http.server --bind 127.0.0.1 --directory site"
 
+# Do what every page says: some minutes.
+test-docs: venv
+	$(BIN)/python -m pytest -m slow tests/system/test_docs_snippets.py
+
 newcomer: venv
 	$(BIN)/python -m benchmarks.newcomer --out benchmarks/newcomer.json
 
@@ -56,7 +60,7 @@ chaos: venv
 soak: venv
 	$(BIN)/python -m tests.soak --hours $(or $(HOURS),12) --minutes $(or $(MINUTES),30) $(if $(OUT),--out $(OUT)/soak.json)
 
-test-system: venv
+test-system: venv test-docs
 	@tests/debian/install
 	$(BIN)/python -m pytest tests/debian
 
