@@ -159,7 +159,7 @@ def test_service_and_health_run_as_nobody(installed: Path):
     text = text.replace("/etc/orbitfb/access.toml", str(ROOT / "deploy/epics/access.toml"))
     config.write_text(f"{text}port = 0\n")  # of the panel, the last table
     config.chmod(0o644)
-    ports = {"ORBITFB_OBSERVE__PORT": "0", "ORBITFB_SIM__PORT": "0"}
+    ports = {f"ORBITFB_{part}__PORT": "0" for part in ("OBSERVE", "SIM", "WEB")}
     service = as_nobody(installed, "run", "--ioc", "sim", "--config", config, **ports)
     try:
         log = installed.parent / "home/data/orbitfb.log.jsonl"

@@ -151,7 +151,7 @@ def test_the_installed_configuration_is_loopback_and_quiet():
 
 def test_services_are_bound_to_loopback_and_confined():
     services = compose()
-    assert set(services) == {"orbitfb", "prometheus", "grafana"}
+    assert set(services) == {"orbitfb", "prometheus", "alertmanager", "grafana"}
     for service in services.values():
         assert service["network_mode"] == "host" and "ports" not in service
         assert service["cap_drop"] == ["ALL"] and not service.get("privileged")
@@ -162,6 +162,22 @@ def test_services_are_bound_to_loopback_and_confined():
     assert settings["GF_SERVER_HTTP_ADDR"] == "127.0.0.1"
     assert settings["GF_AUTH_ANONYMOUS_ORG_ROLE"] == "Viewer"
     assert loaded("compose.yaml")[0]["secrets"]["grafana"] == {"environment": "GRAFANA_PASSWORD"}
+
+
+def test_who_asks_whom_agrees():
+    config, services = load_config(DEPLOY / "orbitfb.toml", environment={}), compose()
+    [prometheus] = loaded("prometheus/prometheus.yml")
+    [jobs] = prometheus["scrape_configs"]
+    assert jobs["static_configs"] == [{"targets": [f"127.0.0.1:{config.observe.port}"]}]
+    [alerts] = prometheus["alerting"]["alertmanagers"]
+    [target] = alerts["static_configs"][0]["targets"]
+    assert f"--web.listen-address={target}" in services["alertmanager"]["command"]
+    [source] = loaded("grafana/provisioning/datasources/prometheus.yaml")[0]["datasources"]
+    address = source["url"].removeprefix("http://")
+    assert f"--web.listen-address={address}" in services["prometheus"]["command"]
+    [provider] = loaded("grafana/provisioning/dashboards/orbitfb.yaml")[0]["providers"]
+    mounted = [volume.split(":")[1] for volume in services["grafana"]["volumes"]]
+    assert provider["options"]["path"] in mounted
 
 
 def test_what_is_mounted_is_there():
