@@ -12,7 +12,7 @@ from tests.chaos.once import run_once
 
 pytestmark = pytest.mark.system
 
-SEED, FAULTS, RATE = 16, 9, 40.0
+SEED, FAULTS, RATE = 16, 6, 40.0
 
 
 def test_a_short_campaign_breaks_no_rule(tmp_path: Path):
