@@ -203,7 +203,7 @@ class Campaign:
                 if time.monotonic() - quiet > SHORT:
                     self.counts[f"other limits: {state}"] += 1
                     self._whole_limits()
-                    quiet = time.monotonic()
+                    began = quiet = time.monotonic()  # now everything is whole
             elif state == "CLOSED" and not reason:
                 break
             if time.monotonic() - began > patience:
