@@ -33,7 +33,7 @@ USER 10001:10001
 WORKDIR /var/lib/orbitfb
 VOLUME /var/lib/orbitfb
 # alive, not ready: a loop that tripped waits for its operator and must not be restarted
-HEALTHCHECK --interval=30s --timeout=10s --start-period=60s --retries=3 \
+HEALTHCHECK --interval=30s --timeout=30s --start-period=60s --retries=3 \
     CMD ["orbitfb", "health", "--config", "/etc/orbitfb/orbitfb.toml"]
 STOPSIGNAL SIGTERM
 ENTRYPOINT ["orbitfb"]

@@ -56,8 +56,8 @@ def pod() -> dict[str, Any]:
     return loaded("kubernetes/statefulset.yaml")[0]["spec"]["template"]["spec"]
 
 
-def probe(name: str) -> list[str]:
-    return pod()["containers"][0][name]["exec"]["command"]
+def probe(name: str) -> dict[str, Any]:
+    return pod()["containers"][0][name]
 
 
 def commands() -> dict[str, list[str]]:
@@ -71,7 +71,7 @@ def commands() -> dict[str, list[str]]:
         "compose, live": [*entry, *compose("compose.live.yaml")["orbitfb"]["command"]],
         "systemd": shlex.split(unit()["Service"]["ExecStart"]),
         "kubernetes": [*entry, *pod()["containers"][0]["args"]],
-        **{name: probe(name) for name in ("startupProbe", "livenessProbe", "readinessProbe")},
+        "kubernetes, startup": probe("startupProbe")["exec"]["command"],
     }
 
 
@@ -218,7 +218,9 @@ def test_the_pod_is_one_and_confined():
     mounts = {mount["name"] for mount in container["volumeMounts"]}
     claims = {claim["metadata"]["name"] for claim in resource["spec"]["volumeClaimTemplates"]}
     assert mounts == {volume["name"] for volume in spec["volumes"]} | claims
-    assert "--ready" in probe("readinessProbe") and "--ready" not in probe("livenessProbe")
+    here = {"host": "127.0.0.1", "port": 9180}
+    assert probe("livenessProbe")["httpGet"] == {**here, "path": "/healthz"}
+    assert probe("readinessProbe")["httpGet"] == {**here, "path": "/readyz"}
     assert "cpu" not in container["resources"]["limits"]
 
 
@@ -234,7 +236,8 @@ def test_the_manifests_belong_together(tmp_path: Path):
     for name, text in files["data"].items():
         (tmp_path / name).write_text(text)
     config = load_config(tmp_path / "orbitfb.toml", environment={})
-    assert str(config.observe.port) in probe("livenessProbe")
+    assert config.observe.port == probe("livenessProbe")["httpGet"]["port"]
+    assert str(config.observe.port) in probe("startupProbe")["exec"]["command"]
     assert read_access(tmp_path / "access.toml", "127.0.0.1", WRITABLE).rules
     lines = (DEPLOY / "epics/service.env").read_text().splitlines()
     words = [word for line in lines for word in shlex.split(line, comments=True)]
