@@ -30,6 +30,10 @@ def evaluate_agent_command(
     coordinates: Annotated[
         str, typer.Option(help="What it sees and moves: modes of the known R, or devices.")
     ] = "modes",
+    modes: Annotated[
+        int,
+        typer.Option(help="The strongest modes that it sees and moves; 0: all of them."),
+    ] = 8,
     train_seed: Annotated[
         int, typer.Option(help="Seed of its weights, its exploration and its rings.")
     ] = 0,
@@ -90,6 +94,7 @@ def evaluate_agent_command(
             "algorithm": algorithm,
             "steps": steps,
             "coordinates": coordinates,
+            "modes": modes if modes and coordinates == "modes" else None,
             "seed": train_seed,
         }
         how = validated(AgentSettings, chosen, seed="train-seed")
@@ -99,6 +104,7 @@ def evaluate_agent_command(
             config.plant,
             config.effect,
             how.coordinates,
+            how.modes,
             period=config.loop.period,
             places=config.ring.places,
             parameters=config.ring.parameters,

@@ -107,6 +107,7 @@ def write_agent(
         "activation": agent.activation,
         "output": agent.output,
         "coordinates": agent.scaling.coordinates,
+        "modes": agent.scaling.modes,
         "orbit_scale": agent.scaling.scale,
         "planes": channels.planes,
         "bpms": channels.bpms,
@@ -131,7 +132,7 @@ def read_agent(path: Path, channels: Channels) -> tuple[AgentPolicy, dict[str, A
     names = {"response"} | {f"{w}_{i}" for w in ("weight", "bias") for i in range(1, count + 1)}
     shape = (len(channels.bpms), len(channels.correctors))
     words = (card.get("activation"), card.get("output"), card.get("coordinates"))
-    scale = card.get("orbit_scale")
+    scale, modes = card.get("orbit_scale"), card.get("modes")
     if (
         not 1 <= count <= _MOST_LAYERS
         or set(tensors) != names
@@ -140,10 +141,11 @@ def read_agent(path: Path, channels: Channels) -> tuple[AgentPolicy, dict[str, A
         or words[0] not in ("tanh", "relu")
         or words[1] not in ("clip", "tanh")
         or not isinstance(scale, int | float)
+        or not isinstance(modes, int | None)
     ):
         raise ConfigError(f"{path} does not hold an agent of this ring; {_ADVICE}")
     coordinates: Any = words[2]
-    scaling = Scaling.of(tensors["response"], coordinates, float(scale))
+    scaling = Scaling.of(tensors["response"], coordinates, float(scale), modes)
     layers = [(tensors[f"weight_{i}"], tensors[f"bias_{i}"]) for i in range(1, count + 1)]
     training = card.get("training")
     agent = AgentPolicy(layers, words[0], words[1], scaling, str(card.get("id", "agent"))[:64])

@@ -46,6 +46,7 @@ class OrbitFeedbackEnv(gymnasium.Env[Numbers, Numbers]):
         plant: What the ring suffers from; settings, or a mapping of some of them.
         effects: Effects that it has besides, settings or texts as for `--effect`.
         coordinates: `modes` or `devices`.
+        modes: The strongest modes that are seen and moved; None: all of them.
         orbit_scale: Orbit that counts as 1, rms [m]; None: the first orbit of the plant.
         period: By which effects count time [s].
         places: Table of places (CSV); None: the default ring.
@@ -64,6 +65,7 @@ class OrbitFeedbackEnv(gymnasium.Env[Numbers, Numbers]):
         plant: PlantSettings | Mapping[str, Any] | None = None,
         effects: Sequence[EffectSettings | str] = (),
         coordinates: Coordinates = "modes",
+        modes: int | None = None,
         orbit_scale: float | None = None,
         period: float = 0.1,
         places: Path | str | None = None,
@@ -84,7 +86,7 @@ class OrbitFeedbackEnv(gymnasium.Env[Numbers, Numbers]):
         nominal = response(self._ring, planes)
         scale = orbit_scale or self._settings.initial_orbit_rms or 1e-6
         self.render_mode = render_mode
-        self.scaling = Scaling.of(nominal, coordinates, scale)
+        self.scaling = Scaling.of(nominal, coordinates, scale, modes)
         seen, moved = len(self.scaling.view), self.scaling.move.shape[1]
         self.observation_space = gymnasium.spaces.Box(-CLIP, CLIP, (seen,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (moved,), np.float32)

@@ -6,7 +6,7 @@
 import gymnasium
 
 ID = "orbitfb/OrbitFeedback-v0"
-EPISODE = 50
+EPISODE = 20
 """Length of an episode [ticks]."""
 
 if ID not in gymnasium.registry:

@@ -34,6 +34,7 @@ class Scaling:
         response: The known R, shape (n, m) [m/A].
         coordinates: `modes` or `devices`.
         scale: Orbit that counts as 1, rms [m].
+        modes: The strongest modes that are seen and moved; None: all of them.
         view: What an orbit [m] is multiplied with, shape (k, n) [1/m].
         move: What an action is multiplied with, shape (m, j) [A].
     """
@@ -41,32 +42,42 @@ class Scaling:
     response: Vector
     coordinates: Coordinates
     scale: float
+    modes: int | None
     view: Vector
     move: Vector
 
     @classmethod
-    def of(cls, response: Vector, coordinates: Coordinates, scale: float) -> "Scaling":
+    def of(
+        cls, response: Vector, coordinates: Coordinates, scale: float, modes: int | None = None
+    ) -> "Scaling":
         """Make it for a response.
 
         Args:
             response: The known R, shape (n, m) [m/A].
             coordinates: `modes` or `devices`.
             scale: Orbit that counts as 1, rms [m].
+            modes: The strongest modes that are seen and moved; None: all of them.
 
         Raises:
-            ConfigError: There are no such coordinates, or the scale is not above 0.
+            ConfigError: There are no such coordinates or modes, or the scale is not above 0.
         """
         if not (np.isfinite(scale) and scale > 0):
             raise ConfigError(f"orbit_scale is {scale}; give an orbit above 0 m")
         n, m = response.shape
         if coordinates == "devices":
             seen = float(np.sqrt(np.mean(response**2)))
-            return cls(response, coordinates, scale, np.eye(n) / scale, np.eye(m) * scale / seen)
+            if modes is not None:
+                raise ConfigError("modes are chosen, but coordinates are devices; leave modes out")
+            move = np.eye(m) * scale / seen
+            return cls(response, coordinates, scale, None, np.eye(n) / scale, move)
         if coordinates != "modes":
             raise ConfigError(f"coordinates {coordinates!r}: choose modes or devices")
+        if modes is not None and not 1 <= modes <= min(n, m):
+            raise ConfigError(f"modes is {modes}; give 1 to {min(n, m)}, or leave it out for all")
         u, sigma, vt = np.linalg.svd(response, full_matrices=False)
         reachable = np.maximum(sigma, _SMALLEST * sigma[0])
-        return cls(response, coordinates, scale, u.T / scale, vt.T * (REACH * scale / reachable))
+        view, move = u.T / scale, vt.T * (REACH * scale / reachable)
+        return cls(response, coordinates, scale, modes, view[:modes], move[:, :modes])
 
     def see(self, orbit: Vector) -> Numbers:
         """Turn an orbit error (n,) [m] into an observation (k,) [1]."""

@@ -39,11 +39,16 @@ class AgentSettings(Settings):
         default="modes",
         description="What it sees and moves: the modes of the known R, or devices.",
     )
+    modes: int | None = Field(
+        default=8,
+        ge=1,
+        description="The strongest modes that it sees and moves; none: all of them, or devices.",
+    )
     discount: float = Field(
         default=0.9, gt=0.0, lt=1.0, description="What a reward one tick later is worth [1]."
     )
     learning_rate: float = Field(default=3e-4, gt=0.0, description="Step of the optimiser [1].")
-    width: int = Field(default=256, ge=1, le=8192, description="Units of its hidden layer.")
+    width: int = Field(default=64, ge=1, le=8192, description="Units of its hidden layer.")
     seed: int = Field(default=0, ge=0, description="Of weights, exploration and rings.")
     device: Literal["auto", "cpu", "cuda"] = Field(
         default="cpu", description="Where it learns; networks of this size are no faster on a GPU."

@@ -35,13 +35,13 @@ def test_both_checkers_are_content(coordinates):
     sb3_check_env(environment)
 
 
-def test_it_is_made_by_its_name_and_ends_after_50_ticks():
+def test_it_is_made_by_its_name_and_ends_after_20_ticks():
     environment = gymnasium.make(NAME)
     assert isinstance(environment.unwrapped, OrbitFeedbackEnv)
     environment.reset(seed=1)
     still = np.zeros(180, dtype=np.float32)
-    ends = [environment.step(still)[2:4] for _ in range(50)]
-    assert ends[:-1] == [(False, False)] * 49 and ends[-1] == (False, True)
+    ends = [environment.step(still)[2:4] for _ in range(20)]
+    assert ends[:-1] == [(False, False)] * 19 and ends[-1] == (False, True)
 
 
 def test_a_seed_gives_the_same_episodes_and_another_one_others(environment):
@@ -84,6 +84,16 @@ def test_the_obvious_law_corrects_and_a_wrong_one_loses_the_beam(environment):
     assert lost and figures["true_rms"] > LOST and reward == -20.0 - PENALTY
 
 
+def test_few_modes_are_the_strongest(environment):
+    few = OrbitFeedbackEnv(modes=8)
+    assert few.observation_space.shape == few.action_space.shape == (8,)
+    whole, _ = environment.reset(seed=5)
+    assert np.array_equal(few.reset(seed=5)[0], whole[:8])
+    action = np.linspace(-0.1, 0.1, 8, dtype=np.float32)
+    padded = np.concatenate([action, np.zeros(172, dtype=np.float32)])
+    assert np.array_equal(few.step(action)[0], environment.step(padded)[0][:8])
+
+
 def test_settings_reach_the_ring():
     quiet = OrbitFeedbackEnv(
         plant={"initial_orbit_rms": 0.0, "bpm_noise_rms": 0.0, "ground_motion_rms": 0.0},
@@ -103,6 +113,8 @@ def test_settings_reach_the_ring():
         {"coordinates": "polar"},
         {"plant": {"bpm_noise": 1.0}},
         {"orbit_scale": -1.0},
+        {"modes": 0},
+        {"modes": 8, "coordinates": "devices"},
         {"render_mode": "human"},
         {"effects": ["no-such-effect"]},
     ],
