@@ -88,6 +88,8 @@ class Learner:
             self._since = Since(incumbent.policy_id)
             self.watch_afresh()
         rows = select_rows(transitions, self.settings.tolerance)
+        # Whether a bump or another reference spoils the last row, only the next one tells.
+        rows = rows.take(0, int(np.searchsorted(rows.tick, transitions.tick[-1:].sum())))
         if self.last_tick is not None:
             known = int(np.searchsorted(rows.tick, self.last_tick, side="right"))
             rows = replace(rows.take(known), left_out=rows.left_out)

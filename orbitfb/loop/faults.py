@@ -3,9 +3,8 @@
 The page on safety is written from it, and a test looks every setting and every test up.
 """
 
-from dataclasses import dataclass
-
 from orbitfb.core.signals import LoopState
+from orbitfb.loop.fault import Fault
 
 _OPEN, _CLOSED, _HELD, _TRIPPED = (
     LoopState.OPEN,
@@ -13,25 +12,6 @@ _OPEN, _CLOSED, _HELD, _TRIPPED = (
     LoopState.HELD,
     LoopState.TRIPPED,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """A row of the table.
-
-    Args:
-        event: What happens to a loop that is CLOSED.
-        answer: What the loop does.
-        states: States in which it may find itself, in their order.
-        settings: Keys of the configuration that set it.
-        tests: Tests that bring it about, by name.
-    """
-
-    event: str
-    answer: str
-    states: tuple[LoopState, ...]
-    settings: tuple[str, ...] = ()
-    tests: tuple[str, ...] = ()
 
 
 FAULTS = (
@@ -86,9 +66,10 @@ FAULTS = (
         ),
     ),
     Fault(
-        "a corrector is off, stuck, or its readback is away or beyond the tolerance",
-        "left out after some ticks and named, its setpoint stays, the law solved for the others, "
-        "its rows teach nobody; counts again when the loop is opened and closed",
+        "a corrector is off, stuck, disconnected, or its readback is away or beyond the tolerance",
+        "left out after some ticks (at once if its setpoint cannot be written) and named, its "
+        "setpoint stays, the law solved for the others, its rows teach nobody; read anew when it "
+        "is back; counts again when the loop is opened and closed",
         (_CLOSED,),
         (
             "interlocks.readback_tolerance",
@@ -99,6 +80,8 @@ FAULTS = (
             "test_a_corrector_that_does_not_follow_is_left_out",
             "test_a_dead_corrector_does_not_let_setpoints_and_hardware_part_ways",
             "test_rows_of_a_stuck_corrector_do_not_teach_until_it_is_left_alone",
+            "test_a_corrector_whose_setpoint_is_away_is_left_out_and_read_when_it_is_back",
+            "test_a_policy_that_cannot_be_solved_anew_moves_no_corrector_that_is_left_out",
         ),
     ),
     Fault(
@@ -116,6 +99,7 @@ FAULTS = (
         (
             "test_a_corrector_at_its_limit_leaves_the_solution_and_the_rest_take_over",
             "test_a_corrector_is_warned_of_before_its_limit",
+            "test_the_others_take_over_from_correctors_at_their_limit_over_channel_access",
         ),
     ),
     Fault(
@@ -133,6 +117,7 @@ FAULTS = (
         (),
         (
             "test_the_baseline_decides_in_the_very_tick_in_which_a_policy_fails",
+            "test_a_policy_that_fails_is_replaced_within_the_tick_over_channel_access",
             "test_nothing_non_finite_ever_leaves",
             "test_nan_does_not_pass_a_clamp",
         ),
@@ -156,11 +141,25 @@ FAULTS = (
         ("test_the_stored_current_trips",),
     ),
     Fault(
-        "the orbit error is too large (rms, largest)",
-        "TRIPPED",
+        "the orbit error is too large (rms, largest) or grows too fast",
+        "TRIPPED; setpoints stay, or go back to the last good ones in limited steps if so "
+        "configured: no further once anything is wrong",
         (_TRIPPED,),
-        ("interlocks.distortion_rms", "interlocks.distortion_max"),
-        ("test_distortion_lets_pass_only_what_is_known_to_be_small",),
+        (
+            "interlocks.distortion_rms",
+            "interlocks.distortion_max",
+            "interlocks.distortion_rate",
+            "loop.return_after_trip",
+            "loop.return_step",
+            "loop.return_good",
+        ),
+        (
+            "test_distortion_lets_pass_only_what_is_known_to_be_small",
+            "test_an_orbit_that_leaves_too_fast_trips_and_the_setpoints_stay",
+            "test_an_orbit_that_is_too_far_away_trips_and_close_is_refused",
+            "test_after_a_distortion_the_setpoints_go_back_if_wanted",
+            "test_it_stops_at_once_if_anything_is_wrong",
+        ),
     ),
     Fault(
         "the response is wrong: sign, exchanged BPMs or correctors",
@@ -191,10 +190,57 @@ FAULTS = (
     ),
     Fault(
         "the IOC or the network is gone and comes back",
-        "nothing is written meanwhile, setpoints and drive limits are read again before closing",
+        "nothing is written meanwhile, setpoints and drive limits are read again before closing; "
+        "HELD while the drive limits are narrower than ours",
         (_HELD, _TRIPPED),
-        ("loop.proving", "loop.reclose", "loop.trip_after"),
-        ("test_killed_ioc_holds_the_loop_until_it_is_back",),
+        ("loop.proving", "loop.reclose", "loop.trip_after", "limits.setpoint"),
+        (
+            "test_killed_ioc_holds_the_loop_until_it_is_back",
+            "test_a_server_that_comes_back_with_narrower_limits_is_not_written_to",
+        ),
+    ),
+    Fault(
+        "the disk is full, the directory of archive or log is gone",
+        "the loop goes on and says so; ticks and lines wait, the newest ticks are dropped and "
+        "counted when too many do; written again when there is room",
+        (_CLOSED,),
+        (),
+        (
+            "test_a_full_disk_costs_nothing_but_what_waits_too_long",
+            "test_a_data_directory_that_is_gone_is_made_again",
+            "test_lines_that_a_full_disk_refuses_wait",
+        ),
+    ),
+    Fault(
+        "a clock is set: that of this computer, or that of both it and the IOC",
+        "the loop goes on and says so, after a few lost orbits if the stamps went back; rules "
+        "count by a clock that cannot be set",
+        (_CLOSED,),
+        (),
+        (
+            "test_our_clock_is_set_and_the_loop_goes_on",
+            "test_both_clocks_are_set_and_the_loop_goes_on",
+            "test_a_clock_that_was_set_is_told_and_counted",
+        ),
+    ),
+    Fault(
+        "the clock of the IOC alone is set, by more than an orbit may be old",
+        "nothing is written until it is right: its orbits might be old",
+        (_HELD, _TRIPPED),
+        ("epics.stale_after", "loop.trip_after"),
+        ("test_the_clock_of_the_ioc_is_set_and_the_loop_goes_on_once_it_is_right",),
+    ),
+    Fault(
+        "a refit is poisoned: bad rows, no excitation, an operator's bump, another reference",
+        "such rows are left out and counted by reason; too few are left: refused with the reason; "
+        "a policy that makes the loop worse is taken back by itself",
+        (_CLOSED,),
+        (),
+        (
+            "test_lies_promote_nothing_that_stays",
+            "test_a_refit_over_a_bump_of_an_operator_is_refused_or_unharmed",
+            "test_a_refit_over_a_moving_reference_is_refused_with_the_reason",
+        ),
     ),
     Fault(
         "the controller is killed",

@@ -7,7 +7,8 @@ import pytest
 
 from orbitfb.config import AppConfig
 from orbitfb.core.signals import LoopState
-from orbitfb.loop.faults import FAULTS, Fault, faults_markdown
+from orbitfb.loop.fault import Fault
+from orbitfb.loop.faults import FAULTS, faults_markdown
 
 TESTS = Path(__file__).parents[2]
 

@@ -53,7 +53,7 @@ def test_the_right_law_is_not_replaced_by_a_worse_one(truth, right):
     assert report.decision is Decision.REFUSED
     assert "speak for the incumbent's response" in report.reason
     assert report.figures["response_moved"] < 0.02
-    assert (report.number, report.rows, report.incumbent_id) == (1, 399, right.policy.policy_id)
+    assert (report.number, report.rows, report.incumbent_id) == (1, 398, right.policy.policy_id)
 
 
 def test_a_wrong_law_is_replaced(truth, wrong):
@@ -89,7 +89,7 @@ def test_nothing_written_is_refused_as_no_excitation(truth, right):
 def test_too_few_rows_are_refused(truth, right):
     report, candidate = learner_from(truth).refit(right.transitions(380), right.policy, "periodic")
     assert report.decision is Decision.REFUSED and candidate is None
-    assert "only 19 rows" in report.reason
+    assert "only 18 rows" in report.reason
 
 
 def test_rows_that_cannot_be_used_at_all_are_an_error(truth, right):

@@ -1,11 +1,12 @@
 """Rows that lie: nothing is promoted while they come, or it is rolled back within 20 ticks."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from test_learn_worker import Bench
 
+from orbitfb.core.errors import EstimationError
 from orbitfb.core.refit import Decision
 
 FROM, TO, END = 120, 220, 300
@@ -91,3 +92,71 @@ def test_stuck_bpms_teach_nothing():
     bench.learner.absorb(rows, bench.slot.current)
     with pytest.raises(Exception, match="invalid_bpms"):
         bench.learner.conclude(bench.slot.current, "on-demand")
+
+
+def cut(rows, begin, end):
+    columns = {
+        f.name: getattr(rows, f.name)[begin:end] for f in fields(rows) if f.name != "auxiliary"
+    }
+    return replace(rows, **columns)
+
+
+class Bumped(Bench):
+    """An operator moves correctors beside the loop, which does not know of it."""
+
+    def __init__(self, every, **settings):
+        super().__init__(ticks=END, shadow={"ticks": 0}, minimum_rows=60, **settings)
+        self.every, self.random, self.taught = every, np.random.default_rng(5), set()
+        absorb = self.learner._identifier.absorb
+        self.learner._identifier.absorb = lambda rows, other: absorb(self.watch(rows), other)
+
+    def bump(self):
+        size = self.random.uniform(0.3, 1.0) * self.random.choice([-1.0, 1.0])
+        where = self.random.integers(0, 178)
+        self.loop._setpoints[self.loop.tick, where : where + 3] += size * np.array([1, -1.5, 1])
+
+    def watch(self, rows):
+        """Note which ticks teach."""
+        self.taught |= set(rows.tick.tolist())
+        return rows
+
+    def run(self):
+        for tick in range(END - 2):
+            if FROM <= tick < TO and tick % self.every == 0:
+                self.bump()
+            self.loop.advance(1)
+
+    def learn(self):
+        for end in range(FROM, END - 3, 2):  # as the thread does, a few rows at a time
+            rows = self.snapshot(since_tick=FROM - 1)
+            since = self.learner.last_tick or FROM - 2
+            new = cut(rows, since + 2 - FROM, end + 1 - FROM)
+            self.learner.absorb(new, self.slot.current)
+        return self.learner.conclude(self.slot.current, "on-demand")[0]
+
+
+def test_a_refit_over_a_bump_of_an_operator_is_refused_or_unharmed():
+    bench = Bumped(every=10)
+    bench.run()
+    report = bench.learn()
+    assert report.figures["rows_left_out"] >= (TO - FROM) / 10  # some were looked at twice
+    off = bench.learner.model.response - bench.loop.plant.response
+    assert np.linalg.norm(off) < 0.02 * np.linalg.norm(bench.loop.plant.response)
+    bumped = {int(tick) - 1 for tick in range(FROM, TO, 10)}
+    assert bumped.isdisjoint(bench.taught)
+
+
+def test_a_refit_over_a_moving_reference_is_refused_with_the_reason():
+    bench = Bench(ticks=END, shadow={"ticks": 0}, minimum_rows=60)
+    bench.loop.advance(TO)
+    rows = bench.snapshot(since_tick=FROM)
+    way = np.linspace(0.0, 100e-6, len(rows))[:, None] * np.ones(rows.orbit.shape[1])
+    bench.learner.absorb(replace(rows, reference=way), bench.slot.current)
+    with pytest.raises(EstimationError, match=f"left out: {len(rows) - 1} reference"):
+        bench.learner.conclude(bench.slot.current, "on-demand")
+    assert bench.learner.last_tick is None  # not one row taught
+    half = np.where(np.arange(len(rows))[:, None] < 50, way, way[50])
+    bench.learner.absorb(replace(rows, reference=half), bench.slot.current)
+    report, candidate = bench.learner.conclude(bench.slot.current, "on-demand")
+    assert report.decision is Decision.REFUSED and candidate is None
+    assert report.reason.startswith("only ") and "reference" in report.reason

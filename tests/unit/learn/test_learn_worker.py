@@ -163,7 +163,7 @@ def test_a_failure_is_a_refused_report_and_not_the_end(monkeypatch):
 
 def test_unusable_data_are_told_apart_from_a_fault():
     bench = Bench()
-    bench.loop.advance(2)
+    bench.loop.advance(3)
     future = bench.thread.request()
     bench.thread.step()
     assert "only 1 rows" in future.result(timeout=0).reason
