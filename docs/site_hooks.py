@@ -23,6 +23,7 @@ SECTIONS = {
 TUTORIALS = ("first-run", "your-ring", "find-the-cause")
 """The order in which a newcomer reads them."""
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s#]+)(#[^)\s]*)?\)")
+ELSEWHERE = re.compile(r"<(?:script|link|img|iframe)\b[^>]*(?:src|href)=[\"']?(?:https?:)?//[^>]*>")
 CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
 
 
@@ -74,3 +75,10 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
 
     parts = CODE.split(markdown)
     return "".join(part if at % 2 else LINK.sub(inside, part) for at, part in enumerate(parts))
+
+
+def on_post_build(config: Any) -> None:
+    """Refuse a site that would load something from another computer."""
+    for page in Path(config.site_dir).rglob("*.html"):
+        for tag in ELSEWHERE.findall(page.read_text(encoding="utf-8")):
+            raise PluginError(f"{page.name} loads from another computer: {tag}")
