@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -104,12 +105,14 @@ def journey(directory: Path) -> dict[str, Any]:
             loop.wait(20)
             os.killpg(loop.pid, signal.SIGKILL)
         print(terminal.read_text()[-2000:] if "first diagnosis report" not in watch.reached else "")
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
     freeze = [".venv/bin/python", "-m", "pip", "freeze"]
     packages = subprocess.run(
         freeze, cwd=clone, env=environment, check=True, capture_output=True, text=True
     ).stdout.split()
     return {
         "seconds": watch.reached,
+        "cpu_seconds": round(used.ru_utime + used.ru_stime, 1),  # of all processes together
         "installed": len(packages),
         "torch": next(name for name in packages if re.match("torch(==|@)", name)),
         "wheels_from_this_disk": bool(environment.get("PIP_FIND_LINKS")),
