@@ -73,8 +73,8 @@ def _loop(snapshot: LoopSnapshot, beside: Beside) -> Samples:
 
 def _beam(snapshot: LoopSnapshot, beside: Beside) -> Samples:
     orbit, correctors, slow = snapshot.orbit, snapshot.correctors, snapshot.auxiliary
-    found = _figure(snapshot.last_refit, "reading_noise")
-    noise = ("configuration", beside.noise) if math.isnan(found) else ("refit", found)
+    found = not math.isnan(snapshot.noise)
+    noise = ("refit", snapshot.noise) if found else ("configuration", beside.noise)
     return {
         "orbitfb_orbit_rms_meters": [((plane,), rms.now) for plane, rms in orbit.planes.items()],
         "orbitfb_orbit_rms_window_meters": [

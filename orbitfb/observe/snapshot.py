@@ -178,6 +178,7 @@ class LoopSnapshot:
         entry_reason: Why the loop entered its state; empty when there is nothing to say.
         closing: Who closed the loop last, if somebody did.
         commands: Commands of operators that were `given` and `refused`.
+        noise: Noise of one BPM reading that a refit found last, rms [m]; NaN before that.
         refit_reasons: Refits by decision, stage and reason, figures taken out.
     """
 
@@ -202,6 +203,7 @@ class LoopSnapshot:
     entry_reason: str = ""
     closing: Closing | None = None
     commands: Mapping[str, int] = field(default_factory=dict)
+    noise: float = math.nan
     refit_reasons: Mapping[tuple[str, str, str], int] = field(default_factory=dict)
 
     @property

@@ -175,6 +175,7 @@ class LoopStatistics:
             alarms = {cause: tallies.alarms[cause] for cause in AlarmCause}
             last_alarm, entry_reason = tallies.last_alarm, self._entry_reason
             errors, change, dither = self._averages.copy()
+            noise = tallies.noise
         period, jitter = mean_and_deviation(intervals)
         p50, p99 = percentiles(latencies, 50.0, 99.0)
         error, worst_bpm = largest_error(last, self._channels)
@@ -221,6 +222,7 @@ class LoopStatistics:
             entry_reason=entry_reason,
             closing=closing,
             commands=commands,
+            noise=noise,
             refit_reasons=reasons,
         )
 

@@ -1,5 +1,6 @@
 """What happens beside the ticks, counted: refits, alarms, commands, looks at the gap."""
 
+import math
 import re
 from collections import Counter, deque
 
@@ -28,6 +29,8 @@ class Tallies:
         self.refits: Counter[Decision] = Counter()
         self.reasons: Counter[tuple[str, str, str]] = Counter()
         self.last_refit: RefitReport | None = None
+        self.noise = math.nan
+        """Noise of one BPM reading that a refit found last, rms [m]."""
         self.alarms: Counter[AlarmCause] = Counter()
         self.last_alarm: Alarm | None = None
         self.gap: GapSight | None = None
@@ -44,6 +47,7 @@ class Tallies:
             key = (report.decision.value, report.stage.value, OTHER)
         self.reasons[key] += 1
         self.last_refit = report
+        self.noise = report.figures.get("reading_noise", self.noise)
         word = report.decision.value.replace("_", " ")
         self.note("refit", f"{report.policy_id} {word}: {report.reason}")
 

@@ -207,6 +207,7 @@ def test_the_noise_floor_is_what_the_refit_found_and_before_it_what_is_believed(
     _, values = scrape(statistics, beside=everything_beside())
     assert values[floor, (("source", "configuration"),)] == 1e-7
     statistics.refitted(report(reading_noise=2e-7))
+    statistics.refitted(report())  # one that failed and found nothing
     _, values = scrape(statistics, beside=everything_beside())
     assert {key: value for key, value in values.items() if key[0] == floor} == {
         (floor, (("source", "refit"),)): 2e-7
