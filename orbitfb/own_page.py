@@ -63,7 +63,7 @@ class OwnPage:
         directory = config.data_directory.resolve()
         job = PageJob(data_directory=directory, web=config.web, layout=layout)
         self._statistics, self._host = statistics, config.web.host
-        self._child = ServerChild(job, "orbitfb.page", "the operator page")
+        self._child = ServerChild(job, "orbitfb.page", "its server")
         self._stop = threading.Event()
         self._start()
         self._thread = threading.Thread(target=self._watch, name="page-watch", daemon=True)

@@ -53,9 +53,13 @@ def test_a_service_that_does_not_answer_is_told(tmp_path: Path):
 def test_the_trend_has_a_point_a_second_and_bounds(tmp_path: Path):
     service = Service()
     feed = Feed(page_job(tmp_path), service)
-    for step in range(3 * TREND_POINTS):
-        service.answer = answer(100.0 + step / 2, step)
-        asyncio.run(feed.once())
+
+    async def tell() -> None:
+        for step in range(2 * TREND_POINTS + 100):
+            service.answer = answer(100.0 + step / 2, step)
+            await feed.once()
+
+    asyncio.run(tell())
     trend = json.loads(feed.hello(""))["trend"]
     assert len(trend) == TREND_POINTS
     assert {b[0] - a[0] for a, b in pairwise(trend)} == {1.0}
