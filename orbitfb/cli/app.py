@@ -16,8 +16,8 @@ from orbitfb.cli.diagnose_plan import diagnose_plan
 from orbitfb.cli.doctor import doctor
 from orbitfb.cli.effects import effects
 from orbitfb.cli.evaluate import evaluate
-from orbitfb.cli.health import health
 from orbitfb.cli.exporting import exporting
+from orbitfb.cli.health import health
 from orbitfb.cli.importing import importing
 from orbitfb.cli.kick import evaluate_kick_command
 from orbitfb.cli.measure import measure_response_command
