@@ -93,6 +93,10 @@ def draw(root: str, begin: float, end: float) -> Figure:
         root: URL of Prometheus.
         begin: [s since the epoch].
         end: The same.
+
+    Raises:
+        OSError: Prometheus does not answer.
+        ValueError: It knows nothing of that time.
     """
     panels = {panel.title: panel for _, row in SHIFT.rows for panel in row}
     figure = Figure(figsize=(10, 6.4), layout="constrained")
@@ -101,6 +105,8 @@ def draw(root: str, begin: float, end: float) -> Figure:
     for title, place in zip(DRAWN, places, strict=True):
         panel, axes = panels[title], figure.add_subplot(place)
         series = ask(root, panel, begin, end)
+        if not series:
+            raise ValueError(f"panel {title!r} has no answer in that time")
         {"state-timeline": _states, "timeseries": _lines, "bargauge": _bars}[panel.kind](
             axes, panel, series, begin
         )
@@ -162,7 +168,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=OUT, help=f"PNG to write [{OUT}]")
     chosen = parser.parse_args()
     end = datetime.now(UTC).timestamp()
-    figure = draw(chosen.prometheus.rstrip("/"), end - 60.0 * chosen.minutes, end)
+    try:
+        figure = draw(chosen.prometheus.rstrip("/"), end - 60.0 * chosen.minutes, end)
+    except (OSError, ValueError) as error:
+        parser.error(f"{chosen.prometheus} gives no data for this: {error}")
     figure.savefig(chosen.out, dpi=110)
     print(chosen.out)
 
