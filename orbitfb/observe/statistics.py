@@ -42,9 +42,9 @@ TRUE_RMS = "true_orbit_rms"
 class LoopStatistics:
     """Keep the running figures of the loop.
 
-    Called with every record in the loop's thread it does some tens of microseconds of work; everything
-    that can wait (percentiles, worst BPM, nearest limit) is done by `snapshot`, in the thread of
-    whoever asks.
+    Called with every record in the loop's thread it does some tens of microseconds of work;
+    everything that can wait (percentiles, worst BPM, nearest limit) is done by `snapshot`, in the
+    thread of whoever asks.
 
     Args:
         channels: Names behind the vectors.
