@@ -8,6 +8,7 @@ from typing import Any
 
 from benchmarks.page_text import HEAD, TAIL
 from benchmarks.summary import rate_name
+from benchmarks.viewers_page import viewers
 
 ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "benchmarks/loop.json"
@@ -35,6 +36,7 @@ def page(result: Result) -> str:
     parts += ["\n## Sixty seconds at 100 Hz\n\n", _long(result["long_runs"])]
     parts += ["\n## More PVs\n\n", SCALING, _scaling(result["scaling"], result["scaling_fit"])]
     parts += ["\n## Beside a swap and a refit\n\n", ADDED, _added(result["added_by"])]
+    parts += ["\n## Beside viewers of the operator page\n\n", viewers()]
     return "".join((*parts, TAIL))
 
 

@@ -1,0 +1,75 @@
+"""The section on viewers of the page on performance, from viewers.json."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+FIGURES = Path(__file__).parent / "viewers.json"
+
+WORDS = {
+    "process": "its own process",
+    "thread": "a thread of the loop's",
+}
+
+TEXT = """From the time stamp of an orbit to the moment in which the last setpoint had been sent, of
+every tick at {rate:g} Hz, as the archive has it; [ms]. Company turns every {seconds:g} s within one
+service, and the two services alternate. A stalled viewer opens the page and reads nothing; viewers
+that read have the lowest priority, as they would sit at other computers. *p99 of runs*: how it
+scatters from run to run with the same company. *CPU*: of the loop's process, all threads, a second.
+
+"""
+
+AFTER = """
+Every picture is asked of the service and encoded once, however many look. That costs the loop's
+process CPU time, in ms a second:
+
+- {process};
+- {thread}.
+
+As a thread, the page holds the interpreter's lock while it encodes and sends, and each viewer
+adds to it; so it has a process of its own. There the p99 with any company is at most {added:.1f} ms
+above that without a viewer, and two runs without a viewer differ by {scatter:.1f} ms: a difference
+smaller than that says nothing.
+
+`.venv/bin/{command}` measures it.
+"""
+COSTS = "{}: {} without a viewer, {} with one, {} with ten, {} with one that stalls"
+
+
+def viewers() -> str:
+    """Return the section, without its heading."""
+    result: dict[str, Any] = json.loads(FIGURES.read_text(encoding="utf-8"))
+    about = result["about"]
+    lines = [
+        "| page served from | company | ticks | p50 | p99 | p99 of runs | max | CPU [ms/s] |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for place, words in WORDS.items():
+        for kind, row in result[place].items():
+            runs = " / ".join(f"{value:.1f}" for value in row["p99_ms_of_runs"])
+            lines.append(
+                f"| {words} | {kind} | {row['ticks']} | {row['p50_ms']:.2f} | {row['p99_ms']:.1f} "
+                f"| {runs} | {row['max_ms']:.1f} | {row['cpu_ms_per_s']:.1f} |"
+            )
+    loads = [
+        " / ".join(f"{value:g}" for value in about[key]) for key in ("load_before", "load_after")
+    ]
+    moment = (
+        f"Measured {about['date']} at commit {about['commit']}, {about['cpus']} × {about['cpu']}, "
+        f"load average (1, 5, 15 minutes) before {loads[0]} and after {loads[1]}: other work "
+        "shared the computer, which the absolute figures show.\n\n"
+    )
+    text = TEXT.format(rate=result["rate_hz"], seconds=result["seconds"])
+    costs = {
+        place: COSTS.format(
+            words, *(f"{row['cpu_ms_per_s']:.0f}" for row in result[place].values())
+        )
+        for place, words in WORDS.items()
+    }
+    alone, *others = result["process"].values()
+    added = max(row["p99_ms"] for row in others) - alone["p99_ms"]
+    runs = alone["p99_ms_of_runs"]
+    end = AFTER.format(
+        **costs, added=added, scatter=max(runs) - min(runs), command=about["command"]
+    )
+    return text + moment + "\n".join(lines) + "\n" + end
