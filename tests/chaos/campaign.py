@@ -188,7 +188,7 @@ class Campaign:
             status = self.ours.status()
             if status is None or not self.ours.side.alive:
                 if not self.ours.side.alive:
-                    self._note("the service died", episode)
+                    self._note(f"the service died ({self.ours.side.popen.returncode})", episode)
                     self.ours.side.start()
                     self.ours.come_up()
                     self._new_life()
