@@ -1,5 +1,7 @@
 """The whole loop under random events, against a small model of the rules."""
 
+import os
+
 import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -218,6 +220,6 @@ class LoopUnderFaults(RuleBasedStateMachine):
 
 
 LoopUnderFaults.TestCase.settings = settings(
-    max_examples=100, stateful_step_count=40, deadline=None
+    max_examples=100, stateful_step_count=40, deadline=None, derandomize="CI" in os.environ
 )
 TestLoopUnderFaults = LoopUnderFaults.TestCase

@@ -50,6 +50,16 @@ def test_a_loop_that_does_not_write_is_kept_from_closing_at_once():
     assert after([0], 2, held=True).verdict.action is Action.WARN
 
 
+def test_one_that_cannot_be_written_is_left_out_at_once_and_may_come_back():
+    away = np.isin(np.arange(M), [1])
+    assert after([], 1, away=away).lost.tolist() == [0, 1, 0, 0, 0, 0]
+    assert after([], 1, away=away, acting=False).verdict.action is Action.HOLD
+    assert after([], 1, away=away, held=True).verdict.action is Action.WARN
+    many = np.isin(np.arange(M), [1, 2, 3])
+    assert after([], 1, away=many).verdict.action is Action.HOLD  # not TRIP: it may come back
+    assert after([], 1, lost=[1], away=away).lost.sum() == 1
+
+
 @given(st.lists(st.sets(st.integers(0, M - 1)), min_size=1, max_size=20))
 def test_never_more_are_left_out_than_may_be_and_none_comes_back_by_itself(offs):
     counts, lost = np.zeros(M, dtype=np.int64), np.zeros(M, dtype=bool)

@@ -1,11 +1,12 @@
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from orbitfb.core.signals import Orbit
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.verdict import Action
-from orbitfb.safety.watch import Growth, LastOrbit, divergence, readback, repeated
+from orbitfb.safety.watch import Growth, LastOrbit, Rise, divergence, readback, repeated, rising
 
 S = InterlockSettings(divergence_ticks=4, divergence_factor=2.0, divergence_floor=5e-6)
 NAN = float("nan")
@@ -43,6 +44,30 @@ def test_divergence_agrees_with_looking_back_over_the_whole_list(values):
             begin -= 1
         grown = end - begin >= 4 and values[end] > 5e-6 and values[end] >= 2 * values[begin]
         assert (actions[end] is Action.TRIP) == grown
+
+
+@pytest.mark.parametrize(
+    ("rates", "trips"),
+    [
+        ([0.6e-3] * 5, True),
+        ([0.4e-3] * 5, False),
+        ([0.0, -5.0, 0.0], False),
+        ([0.4e-3, 2e-3], True),
+    ],
+)
+def test_only_a_growth_beyond_the_rate_trips(rates, trips):
+    """In µm per second, over some seconds, at whatever rate the orbits come."""
+    for hertz in (5, 100):
+        rms, time, memory, actions = 1e-3, 0.0, Rise(), set()
+        for rate in rates:
+            for _ in range(hertz):
+                rms, time = max(rms + rate / hertz, 0.0), time + 1.0 / hertz
+                verdict, memory = rising(rms, time, memory, S)
+                actions.add(verdict.action)
+        assert (Action.TRIP in actions) == trips
+    assert rising(1.0, 0.0, Rise(), S)[0].action is Action.OK  # the first is no growth
+    off = InterlockSettings(distortion_rate=None)
+    assert rising(1.0, 1.0, Rise(0.0, 0.0), off)[0].action is Action.OK
 
 
 def orbit(values, time):
