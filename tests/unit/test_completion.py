@@ -30,7 +30,12 @@ done
 def test_bash_completes_commands_and_options():
     if not PROGRAM.exists():
         pytest.skip("the program is not installed beside Python")
-    lines = ["orbitfb doc", "orbitfb import ", "orbitfb export response --o", "orbitfb policies act"]
+    lines = [
+        "orbitfb doc",
+        "orbitfb import ",
+        "orbitfb export response --o",
+        "orbitfb policies act",
+    ]
     done = subprocess.run(
         ["bash", "-c", SHELL.format(directory=PROGRAM.parent)],
         input="\n".join(lines) + "\n",
