@@ -12,7 +12,7 @@ from pathlib import Path
 from playwright.sync_api import Page, sync_playwright
 
 PLACE = Path(__file__).parent / "how-to/diagnose"
-WIDTH = 735
+WIDTH = 960
 MARGIN = 8
 LAG = "#gap figure:has-text('lag ticks ago')"
 WINDOW = "#gap figure:has-text('by time window')"
