@@ -36,6 +36,8 @@ segment_megabytes = 20.0
 [postmortem]
 before = 1.0
 after = 0.2
+[web]
+port = 0
 [lease]
 time = 1.0
 [epics]

@@ -21,6 +21,8 @@ from tests.soak.flat import Soak, first_and_last
 CONFIG = """
 [loop]
 rate_hz = {rate}
+[web]
+port = 0
 [history]
 capacity = {capacity}
 """
