@@ -95,7 +95,7 @@ class CorrectorsComeAndGo(RuleBasedStateMachine):
             self.runner.step()
             assert (order.exception() is not None) == bool(self.machine.gone.any())
 
-    @rule(count=st.integers(1, 8))
+    @rule(count=st.sampled_from((1, 2, 8)))
     def ticks(self, count):
         for _ in range(count):
             before, tried = self.machine.inside.copy(), len(self.machine.writes)
@@ -110,6 +110,9 @@ class CorrectorsComeAndGo(RuleBasedStateMachine):
             for index in self.lost | gone:
                 assert self.machine.inside[index] == before[index]  # never moved
             assert record.state is not LoopState.TRIPPED, record.reason
+        if active and count == 8 and self.lost | gone == self.lost:  # quiet for long enough
+            assert record.state is LoopState.CLOSED, record.reason
+            assert np.isfinite(record.written) or len(self.lost) == M
 
     @invariant()
     def nothing_is_beyond_its_limit(self):
