@@ -99,7 +99,7 @@ def train_agent(
         "policy_kwargs": {"net_arch": [settings.width], "activation_fn": torch.nn.Tanh},
     }
     if settings.algorithm == "ppo":
-        arguments |= {"n_steps": min(1000, settings.steps), "batch_size": 100}
+        arguments |= {"n_steps": min(1000, settings.steps // 100 * 100), "batch_size": 100}
         arguments["policy_kwargs"]["log_std_init"] = -2.0
     model = _ALGORITHMS[settings.algorithm]("MlpPolicy", episodes, **arguments)
     told = _Told(settings.steps, say)
