@@ -3,7 +3,8 @@
 What the blocks and the comments before them mean is said in `tests/docs_pieces.py`. Numbers, ids
 and spaces of an output may differ, `…` stands for anything, an output line that is only `…` for
 any number of lines; lines must come in their order. The pages of the effects are looked at by
-`tests/unit/docs/test_docs_blocks.py`.
+`tests/unit/docs/test_docs_blocks.py`. The pages below `deploy/` install on a system as its root: never
+here; `tests/debian` does their steps elsewhere.
 """
 
 import contextlib
@@ -33,6 +34,7 @@ def journeys():
     """Pages to be done together: those that belong together, and every other one by itself."""
     together = {name for names in SHARED for name in names}
     pages = [str(page.relative_to(ROOT)) for page in PAGES if page.parent.name != "effects"]
+    pages = [name for name in pages if not name.startswith("deploy/")]
     alone = [(name,) for name in pages if name not in together and has_something_to_do(name)]
     for names in (*SHARED, *alone):
         yield pytest.param(names, id=names[-1], marks=() if names == (FIRST,) else SLOW)
