@@ -3,8 +3,8 @@
 What the blocks and the comments before them mean is said in `tests/docs_pieces.py`. Numbers, ids
 and spaces of an output may differ, `…` stands for anything, an output line that is only `…` for
 any number of lines; lines must come in their order. The pages of the effects are looked at by
-`tests/unit/docs/test_docs_blocks.py`. The pages below `deploy/` install on a system as its root: never
-here; `tests/debian` does their steps elsewhere.
+`tests/unit/docs/test_docs_blocks.py`. The pages below `deploy/` install on a system as its root:
+never here; `tests/debian` does their steps elsewhere.
 """
 
 import contextlib
