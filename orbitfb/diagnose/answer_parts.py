@@ -45,6 +45,12 @@ class Cause(Part):
         default=(),
         description="other places that the record cannot exclude",
     )
+    departs: str = Field(
+        default="",
+        description="course of the same devices that the law of the effect lacks, in words; empty: "
+        "none is seen",
+    )
+    departs_nats: Number = Field(default=None, description="what that course would gain [nats]")
     held_out_nats: Number = Field(default=None, description="gain on held-out ticks [nats]")
     drop_one_nats: Number = Field(
         default=None,

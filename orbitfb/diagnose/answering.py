@@ -9,6 +9,7 @@ from orbitfb.diagnose.answer_parts import Cause as NamedCause
 from orbitfb.diagnose.answer_parts import ParameterValue
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import Draws, Interval, interval
+from orbitfb.diagnose.departure import Departure
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit
 from orbitfb.diagnose.naming import devices_and_planes
@@ -24,23 +25,28 @@ from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import NoiseKind
 
 
-def named_causes(outcome: Outcome, worths: Worths) -> tuple[NamedCause, ...]:
+def named_causes(
+    outcome: Outcome, departures: Sequence[Departure], worths: Worths
+) -> tuple[NamedCause, ...]:
     """Write the causes of a search, in the order in which they were found.
 
     Args:
         outcome: Of the search.
+        departures: Of the causes from their laws.
         worths: What each of them is worth.
     """
     return tuple(
-        _named(outcome, one, one.accepted, worths)
-        for one in outcome.winners
+        _named(outcome, one, one.accepted, its, worths)
+        for one, its in zip(outcome.winners, departures, strict=True)
         if one.accepted is not None
     )
 
 
-def _named(outcome: Outcome, one: Round, entry: Entry, worths: Worths) -> NamedCause:
+def _named(
+    outcome: Outcome, one: Round, entry: Entry, departs: Departure, worths: Worths
+) -> NamedCause:
     layout, kind = one.bench.record.layout, entry.kind
-    cause, fitted = _final(outcome, entry)
+    cause, fitted = outcome.final(entry)
     chances = one.probabilities()
     rivals = [rival.kind.id for rival in one.rivals()]
     within = {
@@ -59,28 +65,19 @@ def _named(outcome: Outcome, one: Round, entry: Entry, worths: Worths) -> NamedC
         places=devices,
         planes=layout.planes[0] if len(layout.planes) == 1 else planes,
         parameters=_wherever(_parameters(cause, fitted, one.bench), around),
-        probability=sum(chances.get(name, 0.0) for name in (kind.id, *rivals)),
+        probability=departs.chance * sum(chances.get(name, 0.0) for name in (kind.id, *rivals)),
         onset_s=float(one.bench.record.time[cause.onset]) if cause.onset else None,
         alternatives=tuple(rivals),
         title=kind.title,
         sentence=kind.sentence,
         label=entry.candidate.group,
         places_within=tuple(sorted(within - set(own))),
+        departs=departs.course,
+        departs_nats=departs.nats,
         held_out_nats=entry.held_out,
         drop_one_nats=worths.lost_without(cause, entry),
         shapley=worths.share(cause, entry),
     )
-
-
-def _final(outcome: Outcome, entry: Entry) -> tuple[Cause, Fit | None]:
-    """The cause with its values of the joint fit, if it has a course in time."""
-    if entry.fit is None or outcome.joint is None:
-        return entry.cause, None
-    for cause in outcome.joint.causes:
-        same = cause.kind.id == entry.kind.id and cause.places == entry.cause.places
-        if same and cause.onset == entry.cause.onset:
-            return cause, outcome.joint
-    return entry.cause, entry.fit
 
 
 def _parameters(cause: Cause, fitted: Fit | None, bench: Bench) -> dict[str, ParameterValue]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import Background
-from orbitfb.diagnose.explain import Cause, actuated, explain
+from orbitfb.diagnose.explain import Cause, actuated, explain, restored
 from orbitfb.diagnose.floor import estimate_floor, noise_modes
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.record import Record
@@ -53,13 +53,13 @@ class Bench:
         modes = noise_modes(record.layout) if modes is None else modes
         self._nearby: tuple[Vector, Matrix] = (np.zeros(0), np.zeros((0, 0)))
         self.currents = actuated(record, self.causes)
-        self.orbit = record.readings
+        self.orbit = readings = restored(record, self.causes)[0]
         leftover = explain(record, self.causes, self.orbit)
         healthy = np.zeros_like(record.readings)
         for _ in range(_PASSES):
             self.floor = floor or estimate_floor(leftover.left - healthy, record.starts, modes)
             innovation, _ = self.floor.innovations(leftover.left - healthy, record.starts)
-            self.orbit = record.readings - self.floor.to_bpms(innovation)
+            self.orbit = readings - self.floor.to_bpms(innovation)
             leftover = explain(record, self.causes, self.orbit)
             self.background = Background(
                 record.layout, self.currents, self.orbit, record.starts, background

@@ -1,5 +1,6 @@
 """Which of the five states a search ends in."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from orbitfb.diagnose.answer_parts import Shrink
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.ceiling import Ceiling, ceiling
 from orbitfb.diagnose.certain import Certain
+from orbitfb.diagnose.departure import Departure, departure
 from orbitfb.diagnose.gof import audit, passed
 from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.search import CLOSE, Outcome, Round
@@ -36,6 +38,7 @@ class Judgement:
         explained: Share of that and of the causes' gain that the causes have.
         groups: Effects that the record cannot split, of the first tournament.
         unknown: What is known of a gap without a name; None when it has one.
+        departures: Of the winners from their laws, in their order.
     """
 
     state: State
@@ -44,6 +47,7 @@ class Judgement:
     explained: float
     groups: tuple[Group, ...]
     unknown: Unknown | None
+    departures: tuple[Departure, ...] = ()
 
 
 def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
@@ -61,13 +65,21 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     explained = named / (named + left) if named + left > 0 else 1.0
     random = any(isinstance(cause.kind, NoiseKind | LatentKind) for cause in outcome.causes)
     flagged = (not passed(tests)) and not random
-    remains = (rest.resolved and explained < _EXPLAINED) or flagged
+    departures = tuple(
+        departure(outcome.bench, outcome.final(entry)[0], entry.gain)
+        for entry in (one.accepted for one in outcome.winners)
+        if entry is not None
+    )
+    other_law = any(its.chance < _HALF for its in departures)
+    remains = (rest.resolved and explained < _EXPLAINED) or flagged or other_law
     groups: tuple[Group, ...] = ()
     if outcome.winners:
         groups = classes(outcome.winners[0].entries, outcome.winners[0].bench, CLOSE)
-    state = _state(outcome, certain, remains=remains, explained=explained)
-    unknown = _unknown(outcome, explained) if state in ("unknown", "named_plus_remainder") else None
-    return Judgement(state, tests, rest, explained, groups, unknown)
+    state = _state(outcome, certain, departures, remains=remains, explained=explained)
+    unknown = None
+    if state in ("unknown", "named_plus_remainder"):
+        unknown = _unknown(outcome, departures, explained)
+    return Judgement(state, tests, rest, explained, groups, unknown, departures)
 
 
 def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) -> Judgement:
@@ -87,15 +99,23 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
         state = "named_plus_remainder"
     else:
         return judged
-    return replace(judged, state=state, unknown=_unknown(outcome, judged.explained))
+    unknown = _unknown(outcome, judged.departures, judged.explained)
+    return replace(judged, state=state, unknown=unknown)
 
 
-def _state(outcome: Outcome, certain: Certain, *, remains: bool, explained: float) -> State:
+def _state(
+    outcome: Outcome,
+    certain: Certain,
+    departures: Sequence[Departure],
+    *,
+    remains: bool,
+    explained: float,
+) -> State:
     if not outcome.winners:
         if certain.causes:
             return "named_plus_remainder" if remains else "named"
         return "unknown" if remains else "no_gap"
-    if _stand_in(outcome.winners[0]) or explained < _HALF:
+    if _stand_in(outcome.winners[0]) or departures[0].stand_in or explained < _HALF:
         return "unknown"
     if remains:
         return "named_plus_remainder"
@@ -108,12 +128,13 @@ def _stand_in(one: Round) -> bool:
     return fit is not None and fit.inflation > _STAND_IN
 
 
-def _unknown(outcome: Outcome, explained: float) -> Unknown:
+def _unknown(outcome: Outcome, departures: Sequence[Departure], explained: float) -> Unknown:
     first = outcome.rounds[0]
+    courses = [its.course for its in departures if its.chance < _HALF]
     return Unknown(
         stages=stage_shares(first),
         places=_places(outcome.bench),
-        text="",
+        text=f"What is left goes {courses[0]}." if courses else "",
         nearest=first.entries[0].kind.id if first.entries else "",
         nearest_nats=first.entries[0].held_out if first.entries else None,
         explained=explained,

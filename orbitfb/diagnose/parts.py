@@ -61,7 +61,9 @@ class Parts:
         judged = held_to_account(self.judged, outcome, shrunk)
         bench = outcome.bench
         gains = Gains(bench)
-        found = () if judged.state == "unknown" else named_causes(outcome, Worths(outcome, gains))
+        found = ()
+        if judged.state != "unknown":
+            found = named_causes(outcome, judged.departures, Worths(outcome, gains))
         causes = (*certain.causes, *found)
         sizes, untestable = detectable(outcome.rounds[0].bench, self.kinds)
         known = {one.effect for one in not_tested}

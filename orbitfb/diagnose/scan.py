@@ -23,8 +23,10 @@ from orbitfb.diagnose.candidate import (
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import information
 from orbitfb.diagnose.problem import highest
+from orbitfb.diagnose.scan_colour import of_colour
+from orbitfb.diagnose.scan_pairs import of_pairs
 from orbitfb.diagnose.scan_shapes import Changes, Scoring
-from orbitfb.diagnose.scan_special import of_pairs, of_ring, periodic
+from orbitfb.diagnose.scan_special import of_ring, periodic
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
@@ -57,6 +59,8 @@ class Scanner:
             found = list(of_ring(self._bench, self._scoring, kind))
         elif isinstance(kind, ActuatorKind | SensorKind | SourceKind):
             found = list(self._placed(kind))
+        if isinstance(kind, SensorKind) and kind.colours:
+            found += of_colour(self._bench, kind)
         best: dict[tuple[tuple[int, ...], bool], Candidate] = {}
         for candidate in found:
             key = (candidate.cause.places, candidate.cause.onset > 0)

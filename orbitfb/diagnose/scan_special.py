@@ -1,10 +1,9 @@
-"""Scan what has no grid of places: the whole ring, a line of the spectrum, pairs of devices."""
+"""Scan what has no grid of places: the whole ring, a line of the spectrum."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import (
     FIRST_ONSET,
@@ -16,15 +15,13 @@ from orbitfb.diagnose.candidate import (
 )
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan_shapes import Scoring
-from orbitfb.effects.device_kinds import ActuatorKind, PairKind
+from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.physics.optics import Matrix
 
 _ONSETS_TRIED = 4
 """Onsets at which the information on an effect of the whole ring is computed."""
-_PAIRS_TRIED = 12
-"""Pairs whose beginning is looked for."""
 _FINER = 4
 """Lines of the spectrum per line that the length of the record resolves."""
 
@@ -114,79 +111,3 @@ def periodic(bench: Bench, kind: SourceKind) -> Iterator[Candidate]:
             float(gain[line, place]),
             float(gain.size) / _FINER,
         )
-
-
-def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candidate]:
-    """Try every pair of devices that an effect may tie.
-
-    Args:
-        bench: The record under the causes so far.
-        scoring: On that bench.
-        kind: The effect.
-    """
-    record = bench.record
-    pairs = kind.pairs(record.layout)
-    if not len(pairs):
-        return
-    if kind.target == "corrector":
-        patterns, drivers = record.layout.response, bench.currents
-    else:
-        # What is not small has taken the predicted orbit with it: take the model's own.
-        orbit = bench.orbit if kind.parameters else bench.currents @ record.layout.response.T
-        patterns, drivers = np.eye(orbit.shape[1]), orbit
-    scores = (bench.slope @ patterns).T @ drivers
-    shapes, courses = scoring.ladder.shapes(patterns), scoring.courses(drivers)
-    overlap = [(s.T @ s, c.T @ c) for s, c in zip(shapes, courses, strict=True)]
-    for values in kind.grid(record):
-        change = kind.matrices(record.layout, values) - np.eye(2)
-        score = np.zeros(len(pairs))
-        info = np.zeros(len(pairs))
-        for a, b in np.ndindex(2, 2):
-            score += change[:, a, b] * scores[pairs[:, a], pairs[:, b]]
-            for c, d in np.ndindex(2, 2):
-                factor = change[:, a, b] * change[:, c, d]
-                if np.any(factor):
-                    for shape, course in overlap:
-                        info += (
-                            factor
-                            * shape[pairs[:, a], pairs[:, c]]
-                            * course[pairs[:, b], pairs[:, d]]
-                        )
-        strength, gain = best_strength(kind, score, info)
-        if kind.sudden and not kind.parameters:
-            yield from _pair_onsets(bench, kind, (patterns, drivers, change), score)
-        for place in np.argsort(gain)[::-1][:KEPT]:
-            if gain[place] > 0:
-                yield Candidate(
-                    Cause(kind, (int(place),), sized(kind, values, float(strength[place]))),
-                    float(gain[place]),
-                    float(len(pairs)),
-                )
-
-
-def _pair_onsets(
-    bench: Bench, kind: PairKind, parts: tuple[Matrix, Matrix, Matrix], score: Vector
-) -> Iterator[Candidate]:
-    """Try every row as the beginning, of the pairs with the largest scores.
-
-    Args:
-        bench: The record under the causes so far.
-        kind: The effect.
-        parts: Patterns (n, c) and drivers (N, c) of the columns, changes (P, 2, 2) of the pairs.
-        score: Of the pairs over the whole record, shape (P,).
-    """
-    patterns, drivers, change = parts
-    pairs = kind.pairs(bench.record.layout)
-    for place in np.argsort(score)[::-1][:_PAIRS_TRIED]:
-        pair = pairs[place]
-        moved = (drivers[:, pair] @ change[place].T) @ patterns[:, pair].T
-        white = bench.floor.whiten(moved, bench.record.starts)
-        by_row = np.sum(bench.slope * moved, axis=1) - 0.5 * np.sum(white**2, axis=1)
-        gain = np.cumsum(by_row[::-1])[::-1]
-        gain[:FIRST_ONSET] = 0.0
-        gain[len(gain) - LAST_ONSET :] = 0.0
-        row = int(np.argmax(gain))
-        if gain[row] > 0:
-            values = {p.name: p.typical for p in kind.parameters}
-            choices = float(len(pairs) * len(gain))
-            yield Candidate(Cause(kind, (int(place),), values, row), float(gain[row]), choices)

@@ -19,8 +19,8 @@ from orbitfb.effects.record import Record
 MOST_CAUSES = 3
 SURE = 0.997
 """Probability that there is something of a kind at which it is accepted."""
-CLOSE = 3.0
-"""Kinds whose weights differ by less cannot be told apart [nats] (evidence 20 to 1)."""
+CLOSE = 5.0
+"""Kinds whose weights differ by less cannot be told apart [nats] (evidence 150 to 1)."""
 
 _FURTHER = 0.05
 """Share of the weight of the causes so far that a further one must have."""
@@ -107,6 +107,16 @@ class Outcome:
         """Rounds that accepted a cause."""
         return tuple(one for one in self.rounds if one.accepted is not None)
 
+    def final(self, entry: Entry) -> tuple[Cause, Fit | None]:
+        """Give an accepted cause with its values of the joint fit, if it has a course in time."""
+        if entry.fit is None or self.joint is None:
+            return entry.cause, None
+        for cause in self.joint.causes:
+            same = cause.kind.id == entry.kind.id and cause.places == entry.cause.places
+            if same and cause.onset == entry.cause.onset:
+                return cause, self.joint
+        return entry.cause, entry.fit
+
 
 def search(
     record: Record,
@@ -144,12 +154,11 @@ def search(
         causes = (*causes, winner.cause)
         if winner.fit is None:
             # It has no course in time to take out of the record: its strikes are, and its kin.
-            if isinstance(winner.kind, LatentKind):
-                record = without_strikes(bench, winner.kind, winner.cause)
-                nominal = Bench(record, given, floor, nominal.floor.modes)
-            left = [kind for kind in left if not isinstance(kind, LatentKind | NoiseKind)]
-            if isinstance(winner.kind, NoiseKind):
+            if not isinstance(winner.kind, LatentKind) or winner.kind.strength == "normal":
                 break  # the floor does not have it, so that what is left is its own doing first
+            record = without_strikes(bench, winner.kind, winner.cause)
+            nominal = Bench(record, given, floor, nominal.floor.modes)
+            left = [kind for kind in left if not isinstance(kind, LatentKind | NoiseKind)]
         bench = Bench(record, (*given, *_moving(causes)), floor, nominal.floor.modes)
     joint, moving = _together(nominal, bench, _moving(causes))
     final = bench

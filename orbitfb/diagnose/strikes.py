@@ -27,8 +27,6 @@ def without_strikes(bench: Bench, kind: LatentKind, cause: Cause) -> Record:
         The record without the strikes; as it was when they are too many, or never certain.
     """
     record = bench.record
-    if kind.strength == "normal":
-        return record  # it strikes at every row
     struck = latent_odds(bench, kind, cause.values) > _LIKELY
     if kind.per_bpm:
         struck[:, [i for i in range(struck.shape[1]) if i not in cause.places]] = False

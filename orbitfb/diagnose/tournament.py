@@ -72,6 +72,11 @@ class Entry:
         return self.candidate.cause.kind
 
     @property
+    def gain(self) -> float:
+        """Gain of the log-likelihood with its best values [nats]."""
+        return self.candidate.gain if self.fit is None else self.fit.gain
+
+    @property
     def held_out(self) -> float:
         """Gain on ticks that were not used for its values [nats]."""
         return self.candidate.gain if self.fit is None else self.fit.held_out

@@ -42,6 +42,7 @@ def headline(
         parts.append(_named(causes))
         if state == "named_plus_remainder":
             parts.append("A part of the gap remains that no known effect explains.")
+            parts.append(unknown.text if unknown is not None else "")
     elif state == "ambiguous":
         sets = ", and ".join(" or ".join(one.effects) for one in ambiguous)
         parts.append(f"The record cannot decide: {sets}.")
@@ -132,7 +133,8 @@ def _unknown(unknown: Unknown | None, effects: int) -> str:
     if likely is not None and likely[1]:
         text += f" It is most likely in the stage {likely[0]} (P = {likely[1]:.2g})"
         text += f", at {', '.join(unknown.places[:4])}." if unknown.places else "."
-    return text + (f" Nearest: {unknown.nearest}." if unknown.nearest else "")
+    text += f" Nearest: {unknown.nearest}." if unknown.nearest else ""
+    return f"{text} {unknown.text}" if unknown.text else text
 
 
 def _shrink(shrink: Shrink) -> str:

@@ -21,6 +21,7 @@ class BpmLowpass(SensorKind):
 
     id = "bpm-lowpass"
     stage = "sensor"
+    colours = True
     parameters = (
         Parameter("tau", "s", 0.0, 100.0, 0.0, 0.1, "Time constant of the averaging.", log=True),
     )

@@ -57,7 +57,7 @@ class CorrectorQuantisation(ActuatorKind):
 
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:
         """Find the needles that the grid steps over."""
-        finest = 0.3 * usual_change(record)
+        finest = 0.05 * usual_change(record)
         steps = common_steps(setpoints, pull, finest, 5) + single_steps(setpoints, pull, finest, 5)
         return ladder("step", {}, steps)
 

@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -50,9 +51,14 @@ class ActuatorKind(EffectKind):
 
 
 class SensorKind(EffectKind):
-    """An effect on what BPMs tell of the orbit, each BPM for itself."""
+    """An effect on what BPMs tell of the orbit, each BPM for itself.
+
+    Attributes:
+        colours: Whether it filters the noise of the readings, so that it shows by that alone.
+    """
 
     target = "bpm"
+    colours: ClassVar[bool] = False
 
     @abstractmethod
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:

@@ -124,6 +124,9 @@ def _cause(cause: Cause) -> str:
     facts = [f"stage {cause.stage}", onset]
     if cause.probability is not None:
         facts.append(f"P = {min(cause.probability, 0.999):.3g}")
+    if cause.departs:
+        more = figure_of(cause.departs_nats)
+        facts.append(f"its law lacks what goes {cause.departs}: {more} nats")
     if cause.alternatives:
         facts.append(f"its class: {listed(cause.alternatives)}")
     where = text(cause.label) or listed(cause.places) or "the whole ring"

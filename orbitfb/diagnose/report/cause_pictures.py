@@ -43,11 +43,19 @@ def tournament(its: Tournament) -> str:
 
     def paint(figure: Figure) -> None:
         axes = figure.subplots()
-        gains = values([row.nats for row in rows])
+        told = values([row.nats for row in rows])
+        # What is worse by orders of magnitude would leave the others no room.
+        least = -max(_LINEAR, float(np.nanmax(told, initial=0.0)))
+        gains = np.maximum(told, least)
         places = np.arange(len(rows))
         colours = [RED if row.accepted else BLUE for row in rows]
         axes.barh(places, gains, color=colours, height=0.7)
-        bars = whiskers(gains.tolist(), [r.low for r in rows], [r.high for r in rows])
+        for place in np.flatnonzero(told < least):
+            axes.annotate(f" {told[place]:.2g} nats", (0.0, place), va="center", fontsize=7)
+        shown = [row if row.nats is not None and row.nats >= least else None for row in rows]
+        lows = [None if row is None else row.low for row in shown]
+        highs = [None if row is None else row.high for row in shown]
+        bars = whiskers(gains.tolist(), lows, highs)
         axes.errorbar(gains, places, xerr=bars, fmt="none", ecolor=BLACK, elinewidth=0.8)
         axes.set_yticks(places, [_label(row) for row in rows], fontsize=8)
         axes.set_ylim(len(rows) - 0.4, -0.6)

@@ -1,0 +1,172 @@
+"""Scan pairs of devices: those that are exchanged, and those that one leaks into the other."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import (
+    FIRST_ONSET,
+    KEPT,
+    LAST_ONSET,
+    Candidate,
+    best_strength,
+    sized,
+)
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.scan_shapes import Scoring
+from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.layout import Layout
+from orbitfb.physics.optics import Matrix
+
+_PAIRS_TRIED = 12
+"""Pairs whose beginning is looked for."""
+_JUMPS_TRIED = 6
+"""Jumps of the kick of a corrector at which another may have begun to leak into it."""
+
+
+def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candidate]:
+    """Try every pair of devices that an effect may tie.
+
+    Args:
+        bench: The record under the causes so far.
+        scoring: On that bench.
+        kind: The effect.
+    """
+    record = bench.record
+    pairs = kind.pairs(record.layout)
+    if not len(pairs):
+        return
+    if kind.target == "corrector":
+        patterns, drivers = record.layout.response, bench.currents
+    else:
+        # What is not small has taken the predicted orbit with it: take the model's own.
+        orbit = bench.orbit if kind.parameters else bench.currents @ record.layout.response.T
+        patterns, drivers = np.eye(orbit.shape[1]), orbit
+    choices = _choices(kind, record.layout)
+    scores = (bench.slope @ patterns).T @ drivers
+    shapes, courses = scoring.ladder.shapes(patterns), scoring.courses(drivers)
+    overlap = [(s.T @ s, c.T @ c) for s, c in zip(shapes, courses, strict=True)]
+    for values in kind.grid(record):
+        change = kind.matrices(record.layout, values) - np.eye(2)
+        score = np.zeros(len(pairs))
+        info = np.zeros(len(pairs))
+        for a, b in np.ndindex(2, 2):
+            score += change[:, a, b] * scores[pairs[:, a], pairs[:, b]]
+            for c, d in np.ndindex(2, 2):
+                factor = change[:, a, b] * change[:, c, d]
+                if np.any(factor):
+                    for shape, course in overlap:
+                        info += (
+                            factor
+                            * shape[pairs[:, a], pairs[:, c]]
+                            * course[pairs[:, b], pairs[:, d]]
+                        )
+        strength, gain = best_strength(kind, score, info)
+        if kind.sudden and not kind.parameters:
+            yield from _pair_onsets(bench, kind, (patterns, drivers, change), score, choices)
+        if kind.sudden and kind.linear is not None and kind.target == "corrector":
+            yield from _leak_onsets(bench, scoring, kind, choices)
+        for place in np.argsort(gain)[::-1][:KEPT]:
+            if gain[place] > 0:
+                yield Candidate(
+                    Cause(kind, (int(place),), sized(kind, values, float(strength[place]))),
+                    float(gain[place]),
+                    float(choices[place]),
+                )
+
+
+def _choices(kind: PairKind, layout: Layout) -> Vector:
+    """Among how many pairs each was chosen, shape (P,).
+
+    What stands in one cell shares racks, cables and rails: half of what happens to pairs happens
+    within a cell.
+    """
+    devices = layout.correctors if kind.target == "corrector" else layout.bpms
+    cells = np.array(devices.cells, dtype=object)
+    pairs = kind.pairs(layout)
+    near = (cells[pairs[:, 0]] == cells[pairs[:, 1]]) & (cells[pairs[:, 0]] != "")
+    both = 1.0 if near.all() or not near.any() else 2.0
+    return both * np.where(near, np.sum(near), np.sum(~near))
+
+
+def _pair_onsets(
+    bench: Bench,
+    kind: PairKind,
+    parts: tuple[Matrix, Matrix, Matrix],
+    score: Vector,
+    choices: Vector,
+) -> Iterator[Candidate]:
+    """Try every row as the beginning, of the pairs with the largest scores.
+
+    Args:
+        bench: The record under the causes so far.
+        kind: The effect.
+        parts: Patterns (n, c) and drivers (N, c) of the columns, changes (P, 2, 2) of the pairs.
+        score: Of the pairs over the whole record, shape (P,).
+        choices: Among how many each was chosen, shape (P,).
+    """
+    patterns, drivers, change = parts
+    pairs = kind.pairs(bench.record.layout)
+    for place in np.argsort(score)[::-1][:_PAIRS_TRIED]:
+        pair = pairs[place]
+        moved = (drivers[:, pair] @ change[place].T) @ patterns[:, pair].T
+        white = bench.floor.whiten(moved, bench.record.starts)
+        by_row = np.sum(bench.slope * moved, axis=1) - 0.5 * np.sum(white**2, axis=1)
+        gain = np.cumsum(by_row[::-1])[::-1]
+        gain[:FIRST_ONSET] = 0.0
+        gain[len(gain) - LAST_ONSET :] = 0.0
+        row = int(np.argmax(gain))
+        if gain[row] > 0:
+            values = {p.name: p.typical for p in kind.parameters}
+            cause = Cause(kind, (int(place),), values, row)
+            yield Candidate(cause, float(gain[row]), float(choices[place] * len(gain)))
+
+
+def _leak_onsets(
+    bench: Bench, scoring: Scoring, kind: PairKind, choices: Vector
+) -> Iterator[Candidate]:
+    """Try what begins to leak from one corrector into another in the middle of the record.
+
+    What leaks is a share of the whole current, so that the kick of the second one jumps: the rows
+    and correctors of the largest jumps are tried with every corrector as the first.
+    """
+    record, currents = bench.record, bench.currents
+    matrix = kind.matrix({kind.linear or "": 1.0})
+    if matrix[1, 0] != 1.0 or matrix[0, 1] != 0.0 or matrix[0, 0] != matrix[1, 1]:
+        return  # it mixes both
+    shapes = scoring.correctors()
+    places = {(int(a), int(b)): place for place, (a, b) in enumerate(kind.pairs(record.layout))}
+    jumps = _jumps(scoring, shapes.pull, [np.sum(shape**2, axis=0) for shape in shapes.fine])
+    for row, second in jumps:
+        driven = currents.copy()
+        driven[:row] = 0.0
+        score = shapes.pull[:, second] @ driven
+        info: Vector = np.zeros(len(score))
+        for shape, course in zip(shapes.fine, scoring.courses(driven), strict=True):
+            info += float(np.sum(shape[:, second] ** 2)) * np.sum(course**2, axis=0)
+        strength, gain = best_strength(kind, score, info)
+        for first in np.argsort(gain)[::-1][:KEPT]:
+            place = places.get((int(first), second))
+            if place is not None and gain[first] > 0:
+                values = {kind.linear or "": float(strength[first])}
+                cause = Cause(kind, (place,), sized(kind, values, 1.0), row)
+                among = float(choices[place] * len(currents))
+                yield Candidate(cause, float(gain[first]), among)
+
+
+def _jumps(scoring: Scoring, pull: Matrix, sizes: list[Vector]) -> list[tuple[int, int]]:
+    """Rows at which, and correctors whose, a constant kick that begins explains most."""
+    rows, count = pull.shape
+    row = np.arange(rows, dtype=np.float64)
+    short = 1.0 / np.maximum(row, 1.0) + 1.0 / (rows - row)
+    info = np.zeros((rows, count))
+    for size, feedback in zip(sizes, scoring.ladder.feedback, strict=True):
+        info += size / (1.0 - feedback**2 + short)[:, None]
+    gain = np.cumsum(pull[::-1], axis=0)[::-1] ** 2 / np.maximum(info, 1e-300)
+    gain[:FIRST_ONSET] = 0.0
+    gain[rows - LAST_ONSET :] = 0.0
+    best = np.argmax(gain, axis=0)
+    order = np.argsort(gain[best, np.arange(count)])[::-1][:_JUMPS_TRIED]
+    return [(int(best[column]), int(column)) for column in order]

@@ -1,0 +1,65 @@
+"""What a scan of places must not step over."""
+
+import numpy as np
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.scan import Scanner
+from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.effects.actuating import usual_change
+from orbitfb.effects.build import build, layout_of
+from orbitfb.effects.registry import all_effects
+from orbitfb.effects.settings import parse_effect
+from orbitfb.physics.places import Ring
+
+RING = Ring.load()
+LAYOUT = layout_of(RING, "x", 0.1)
+BPMS, CORRECTORS = LAYOUT.bpms.names, LAYOUT.correctors.names
+
+
+def record_with(effect: str, *, dither: float, ticks: int = 700):
+    effects = build([parse_effect(effect)], LAYOUT, 1)
+    return simulate_record(RING, "x", ticks, 5, effects, dither=dither, period=LAYOUT.period)
+
+
+def best(record, kind: str):
+    return Scanner(Bench(record)).candidates(all_effects()[kind])[0]
+
+
+def test_an_averaging_bpm_shows_in_a_record_that_nobody_shook():
+    record = record_with(f"bpm-lowpass:tau=0.1s,names={BPMS[20]}", dither=0.0)
+    found = best(record, "bpm-lowpass")
+    assert found.cause.places == (20,)
+    assert found.gain > 50.0
+
+
+def test_steps_that_are_small_beside_the_dither_are_found():
+    cells = "cells=C09"
+    record = record_with(f"corrector-quantisation:step=0.4mA,{cells}", dither=3e-3)
+    assert 0.4e-3 < 0.3 * usual_change(record)
+    found = best(record, "corrector-quantisation")
+    assert {CORRECTORS[place] for place in found.cause.places} == {
+        name for name in CORRECTORS if name.endswith("C09")
+    }
+    assert abs(found.cause.values["step"] / 0.4e-3 - 1.0) < 1e-3
+
+
+# The record begins after 20 s, so that 50 s is row 300.
+def test_crosstalk_that_begins_in_the_middle_is_not_a_kick():
+    first, second = 33, 32
+    names = f"names={CORRECTORS[first]}+{CORRECTORS[second]}"
+    record = record_with(f"corrector-crosstalk:share=0.3,{names},from=50s", dither=3e-3)
+    kind = all_effects()["corrector-crosstalk"]
+    found = best(record, "corrector-crosstalk")
+    assert tuple(kind.pairs(record.layout)[found.cause.places[0]]) == (first, second)
+    assert abs(found.cause.onset - 300) < 3
+
+
+def test_the_predicted_orbit_knows_nothing_of_the_noise_of_its_row():
+    """With a wrong gain in the model the innovation is that of the restored reading."""
+    record = record_with(f"bpm-gain:gain=0.5,names={BPMS[20]}", dither=2e-3)
+    cause = Cause(all_effects()["bpm-gain"], (20,), {"gain": 0.5})
+    bench = Bench(record, (cause,))
+    noise = record.readings[:, 20] / 1.5 - bench.orbit[:, 20]
+    course = bench.orbit[:, 20] - bench.orbit[:, 20].mean()
+    assert abs(np.corrcoef(noise[1:], course[1:])[0, 1]) < 0.12
