@@ -9,6 +9,8 @@ is 1, and that is written after everything else is on disk. So a kill at any mom
 file that any HDF5 program opens, with every row that was marked.
 
 A full segment is rewritten once, compressed, under the same name.
+
+HDF5 itself never meets a disk that refuses: see `Sink`.
 """
 
 import os
@@ -24,6 +26,7 @@ from numpy.typing import NDArray
 
 from orbitfb.core.signals import Channels
 from orbitfb.history.columns import AUXILIARY, STATES, UNITS, Columns, Layout
+from orbitfb.history.sink import Sink, write_all
 
 SCHEMA_VERSION = 1
 """Version of the segments; another one is refused."""
@@ -63,12 +66,14 @@ class RawSegment:
         self.used = 0
         unfinished = path.parent / f"{UNFINISHED}{uuid.uuid4().hex}"
         try:
-            self._offsets = _create(unfinished, channels, plan, rows, run)
-            self._descriptor = os.open(unfinished, os.O_WRONLY)
+            sink = Sink(unfinished)
+            self._descriptor = sink.descriptor
             try:
+                self._offsets = _create(sink, channels, plan, rows, run)
+                sink.check()
                 os.fsync(self._descriptor)
                 unfinished.rename(path)
-            except OSError:
+            except BaseException:
                 self.close()
                 raise
         finally:
@@ -100,10 +105,7 @@ class RawSegment:
     def _write(self, name: str, values: NDArray[Any]) -> None:
         row_size = values.nbytes // len(values)
         position = self._offsets[name] + self.used * row_size
-        left = memoryview(values.tobytes())
-        while left:
-            written = os.pwrite(self._descriptor, left, position)
-            left, position = left[written:], position + written
+        write_all(self._descriptor, memoryview(values.tobytes()), position)
 
 
 def compressing(path: Path) -> Generator[None]:
@@ -133,21 +135,24 @@ def compressing(path: Path) -> Generator[None]:
             if rows == 0:
                 path.unlink()
                 return
-            with h5py.File(unfinished, "x", libver=_FORMAT) as target:
-                for name, value in source.attrs.items():
-                    target.attrs[name] = value
-                target.attrs["compressed"] = True
-                target.create_group(AUXILIARY[:-1])
-                for name, dataset in datasets.items():
-                    if name.startswith(CHANNELS):
-                        target[name] = dataset[:]
-                    else:
-                        yield from _compress_dataset(dataset, target, name, rows)
-        descriptor = os.open(unfinished, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+            sink = Sink(unfinished)
+            try:
+                with h5py.File(sink, "w", libver=_FORMAT) as target:
+                    for name, value in source.attrs.items():
+                        target.attrs[name] = value
+                    target.attrs["compressed"] = True
+                    target.create_group(AUXILIARY[:-1])
+                    for name, dataset in datasets.items():
+                        if name.startswith(CHANNELS):
+                            target[name] = dataset[:]
+                            continue
+                        for _ in _compress_dataset(dataset, target, name, rows):
+                            sink.check()
+                            yield
+                sink.check()
+                os.fsync(sink.descriptor)
+            finally:
+                sink.close_descriptor()
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
@@ -164,14 +169,14 @@ def unit_of(name: str) -> str:
     return "SI" if name.startswith(AUXILIARY) else UNITS[name]
 
 
-def _create(path: Path, channels: Channels, plan: Layout, rows: int, run: str) -> dict[str, int]:
+def _create(sink: Sink, channels: Channels, plan: Layout, rows: int, run: str) -> dict[str, int]:
     """Make the empty file and say where the rows of each dataset begin [bytes]."""
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     properties.set_layout(h5py.h5d.CONTIGUOUS)
     properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
     # Never filled, the file is sparse, and what is sparse reads as 0: not marked.
     properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-    with h5py.File(path, "x", libver=_FORMAT) as file:
+    with h5py.File(sink, "w", libver=_FORMAT) as file:
         file.attrs["schema_version"] = SCHEMA_VERSION
         file.attrs["planes"] = channels.planes
         file.attrs["run"] = run
