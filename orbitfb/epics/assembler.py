@@ -19,7 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.epics.records import NANOSECONDS, blank_records, stamps_of, usable, wall_time
+from orbitfb.epics.records import (
+    INVALID,
+    NANOSECONDS,
+    blank_records,
+    stamps_of,
+    usable,
+    wall_time,
+)
 
 NEVER = 0
 """Stamp of a record that nothing has been written to: less than any that comes."""
@@ -98,8 +105,11 @@ class Assembler:
         """Expect a channel from now on, or expect it no more.
 
         Nothing becomes complete by this: were the vector completed by the channels that drop out,
-        a dying server would leave a last one of a single BPM behind.
+        a dying server would leave a last one of a single BPM behind. What a channel said before it
+        went away says nothing of a device that comes back: it is not known until it says it anew.
         """
+        if not up:
+            self.records["severity"][index] = INVALID
         self.connected[index] = up
         self._awaited = 1
         if not up and not self.connected.any():

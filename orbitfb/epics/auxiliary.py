@@ -7,7 +7,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.epics.channels import ChannelGroup, Monitor
 from orbitfb.epics.libca import Context
-from orbitfb.epics.records import blank_records, stamps_of, usable, wall_time
+from orbitfb.epics.records import INVALID, blank_records, stamps_of, usable, wall_time
 from orbitfb.epics.settings import AuxiliarySettings
 from orbitfb.epics.timekeeper import Timekeeper
 
@@ -30,7 +30,17 @@ class AuxiliaryChannels:
         self._stamps = np.zeros(len(settings), dtype=np.int64)
         self._born = np.full(len(settings), np.nan)
         pvs = [channel.pv for channel in settings.values()]
-        self.group = ChannelGroup(context, pvs, Monitor(self._records))
+        self.group = ChannelGroup(context, pvs, Monitor(self._records), self.changed)
+
+    def changed(self, index: int, up: bool) -> None:
+        """Forget what a channel said before it went away.
+
+        Args:
+            index: Of the channel.
+            up: Whether it has come or gone.
+        """
+        if not up:
+            self._records["severity"][index] = INVALID
 
     def values(self, clock: Timekeeper) -> dict[str, float]:
         """Return the values by name, SI; NaN where disconnected, INVALID, stale or never seen.

@@ -75,7 +75,8 @@ class LoopMemory:
         bpms: What is remembered of every BPM.
         lost: Correctors that are left out as they do not follow, shape (m,).
         answers: What the last changes should have done, and did.
-        current: Stored current at the last orbit [A]; NaN: not known.
+        sure: Of these the ticks in which it was there and its readback known, shape (m,).
+        current: Stored current when it was last known [A]; NaN: not known.
         away: Correctors that could not be written at the last orbit, shape (m,); None: none.
         fresh: When the last orbit fit to act on was complete, monotonic [s].
         rise: Memory of the rate of the distortion.
@@ -98,6 +99,7 @@ class LoopMemory:
     since: float
     fresh: float
     answers: Answers = field(default_factory=Answers)
+    sure: NDArray[np.int64] | None = None
     current: float = float("nan")
     away: Mask | None = None
     rise: Rise = field(default_factory=Rise)

@@ -95,7 +95,9 @@ def check(
     fresh, last = watch.repeated(reading.orbit, valid, memory.last, settings)
     quota = bpm_quota(valid, settings, names.bpms, rules.counting, flaws, len(names.planes))
     unknown = Action.TRIP if closed else Action.HOLD
-    before = memory.current if closed else float("nan")
+    active = closed or memory.state is LoopState.HELD
+    before = memory.current if active else float("nan")
+    now = reading.auxiliary.get(settings.current_channel, float("nan"))
     current = interlocks.stored_current(reading.auxiliary, settings, unknown, before)
     verdicts: list[Verdict] = []
     growth, answers, rise = memory.growth, memory.answers, memory.rise
@@ -124,6 +126,7 @@ def check(
         held=memory.state is LoopState.HELD,
         leaves_out=leaves_out,
         away=away if away is None or movable is None else away & movable,
+        sure=memory.sure,
     )
     sound = worst(fresh, quota, current, following.verdict)
     after = replace(
@@ -134,7 +137,9 @@ def check(
         rise=rise,
         off=following.counts,
         lost=following.lost,
-        current=reading.auxiliary.get(settings.current_channel, float("nan")),
+        sure=following.sure,
+        # Not known for a while, as after a restart of the IOC: compared with what it was before.
+        current=before if np.isnan(now) else now,
         away=away,
     )
     return Checked(error, valid, rms, off, worst(sound, *verdicts), sound, after)

@@ -20,11 +20,13 @@ class Following:
         verdict: What to do.
         counts: Ticks in a row that each did not follow, shape (m,).
         lost: Correctors to leave out, shape (m,).
+        sure: Those of the ticks in which it was there and its readback known, shape (m,).
     """
 
     verdict: Verdict
     counts: NDArray[np.int64]
     lost: Mask
+    sure: NDArray[np.int64]
 
 
 def follow(
@@ -38,6 +40,7 @@ def follow(
     held: bool = False,
     leaves_out: bool = True,
     away: Mask | None = None,
+    sure: NDArray[np.int64] | None = None,
 ) -> Following:
     """Leave out what does not follow its setpoint for some ticks in a row.
 
@@ -52,27 +55,31 @@ def follow(
         held: Whether the loop waits for a fault to go: it does not return meanwhile.
         leaves_out: Whether any can be left out; else those that are off hold the loop.
         away: Those whose setpoint cannot be written, shape (m,): left out at once; None: none.
+        sure: Ticks in a row so far in which it did not follow, was there and its readback known,
+            shape (m,); None: none. One that is back has not done anything wrong yet.
     """
     gone = np.zeros_like(off) if away is None else away & ~lost
     off = off | gone
+    known = off & ~gone & np.isfinite(readback)
+    sure = np.where(known, 1 if sure is None else sure + 1, 0)
     ticks = settings.readback_ticks if acting else 1
     verdict, counts = not_yet(off & ~lost, counts, ticks, names)
     if not acting or not leaves_out:
-        return Following(verdict, counts, lost)
+        return Following(verdict, counts, lost, sure)
     new = (counts >= ticks) | gone
     out = lost | new
     count = int(np.count_nonzero(out))
     if count > settings.max_lost_correctors and new.any():
-        absent = bool((new & (gone | ~np.isfinite(readback))).any())
+        absent = bool((new & (sure < ticks)).any())
         reason = (
             f"{count} correctors do not follow their setpoint: {name_some(out, names)}; "
             f"allowed: {settings.max_lost_correctors}"
         )
         action = Action.HOLD if absent else Action.TRIP  # an IOC that is away may come back
-        return Following(Verdict(action, "readback", reason), counts, lost)
+        return Following(Verdict(action, "readback", reason), counts, lost, sure)
     if held and (off & ~out).any():
-        return Following(Verdict(Action.HOLD, "readback", verdict.reason), counts, out)
+        return Following(Verdict(Action.HOLD, "readback", verdict.reason), counts, out, sure)
     if not out.any():
-        return Following(verdict, counts, out)
+        return Following(verdict, counts, out, sure)
     reason = f"{count} correctors do not follow and are left out: {name_some(out, names)}"
-    return Following(Verdict(Action.WARN, "readback", reason), counts, out)
+    return Following(Verdict(Action.WARN, "readback", reason), counts, out, sure)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orbitfb.epics.assembler import Assembler
-from orbitfb.epics.records import INVALID, NANOSECONDS
+from orbitfb.epics.records import INVALID, NANOSECONDS, usable
 
 SIZE = 5
 NAMES = tuple(f"BPM:{index}" for index in range(SIZE))
@@ -293,3 +293,14 @@ def test_who_is_only_late_within_a_tick_is_not_stuck():
     assert send(assembler, 3, stamp_of(1)) is None
     snapshot = send(assembler, 4, stamp_of(1))
     assert snapshot is not None and snapshot.valid.all()
+
+
+def test_what_a_channel_said_before_it_went_away_is_forgotten():
+    assembler = connected()
+    assert all(send(assembler, i, stamp_of(1), 7.0) is None for i in range(SIZE - 1))
+    assert send(assembler, SIZE - 1, stamp_of(1), 7.0).valid.all()
+    assembler.set_connected(2, False)
+    assembler.set_connected(2, True)  # it may have been restarted, and has not said a word yet
+    assert usable(assembler.records).tolist() == [True, True, False, True, True]
+    send(assembler, 2, stamp_of(2), 0.0)
+    assert usable(assembler.records).all()

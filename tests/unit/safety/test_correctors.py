@@ -19,9 +19,10 @@ def after(off, ticks, readback=0.0, lost=(), **how):
     """Let some correctors be off for some ticks; what is said last."""
     mask, value = np.isin(np.arange(M), off), np.full(M, float(readback))
     out, counts = np.isin(np.arange(M), lost), np.zeros(M, dtype=np.int64)
+    sure = None
     for _ in range(ticks):
-        said = follow(mask, value, counts, out, S, NAMES, **how)
-        counts, out = said.counts, said.lost
+        said = follow(mask, value, counts, out, S, NAMES, sure=sure, **how)
+        counts, out, sure = said.counts, said.lost, said.sure
     return said
 
 
@@ -40,6 +41,15 @@ def test_too_many_trip_but_hold_while_their_ioc_may_come_back():
     assert after([0, 1, 2], 2).verdict.action is Action.TRIP
     assert after([0, 1, 2], 2, readback=np.nan).verdict.action is Action.HOLD
     assert after([0], 2, lost=[4, 5]).verdict.action is Action.TRIP
+
+
+def test_many_that_are_back_have_as_many_ticks_to_follow_as_any_other():
+    off, value = np.isin(np.arange(M), [0, 1, 2]), np.where(np.arange(M) < 3, np.nan, 0.0)
+    said = after([], 1)
+    for readback, wanted in ((value, "HOLD"), (np.zeros(M), "HOLD"), (np.zeros(M), "TRIP")):
+        for _ in range(1 if readback is not value else 7):
+            said = follow(off, readback, said.counts, said.lost, S, NAMES, sure=said.sure)
+        assert said.verdict.action is Action[wanted]
 
 
 def test_a_loop_that_does_not_write_is_kept_from_closing_at_once():
