@@ -127,6 +127,7 @@ def open_doors(
             lambda: parts.runner.adjustments.enabled & parts.counting,
             lambda: adjuster.movable,
             gap_text,
+            config.learn.identify.reading_noise,
         ),
         SystemClock(),
         config.observe.stale_after,

@@ -73,8 +73,7 @@ def _loop(snapshot: LoopSnapshot, beside: Beside) -> Samples:
 
 def _beam(snapshot: LoopSnapshot, beside: Beside) -> Samples:
     orbit, correctors, slow = snapshot.orbit, snapshot.correctors, snapshot.auxiliary
-    found = not math.isnan(snapshot.noise)
-    noise = ("refit", snapshot.noise) if found else ("configuration", beside.noise)
+    source, noise = snapshot.noise_floor(beside.noise)
     return {
         "orbitfb_orbit_rms_meters": [((plane,), rms.now) for plane, rms in orbit.planes.items()],
         "orbitfb_orbit_rms_window_meters": [
@@ -83,7 +82,7 @@ def _beam(snapshot: LoopSnapshot, beside: Beside) -> Samples:
         "orbitfb_true_orbit_rms_meters": _one(orbit.true.now),
         "orbitfb_true_orbit_rms_window_meters": _one(orbit.true.window),
         "orbitfb_orbit_error_max_meters": _one(orbit.worst),
-        "orbitfb_bpm_noise_meters": [((noise[0],), noise[1])],
+        "orbitfb_bpm_noise_meters": [((source,), noise)],
         "orbitfb_bpm_error_rms_meters": [
             ((one.name, one.plane), one.value) for one in orbit.worst_bpms
         ],

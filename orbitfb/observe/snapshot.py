@@ -210,3 +210,15 @@ class LoopSnapshot:
     def judged(self) -> int:
         """Refits that came to a verdict: a roll-back is none."""
         return sum(self.refits.values()) - self.refits[Decision.ROLLED_BACK]
+
+    def noise_floor(self, believed: float) -> tuple[str, float]:
+        """Give the noise floor of the orbit RMS, and where it comes from.
+
+        Args:
+            believed: Noise of one BPM reading as configured, rms [m].
+
+        Returns:
+            `refit` and what one found, or `configuration` and what to believe before the first.
+        """
+        found = not math.isnan(self.noise)
+        return ("refit", self.noise) if found else ("configuration", believed)

@@ -18,8 +18,6 @@ MICRO, MILLI = 1e-6, 1e-3
 GOOD, INVALID, LEFT_OUT = "0", "1", "2"
 """What a BPM is: it counts; its reading is not valid; somebody left it out."""
 SHOWN_HAPPENINGS = 12
-READING_NOISE = "reading_noise"
-"""Figure of a refit: noise of one BPM reading as the refit found it, rms [m]."""
 _COMMANDS = {"open": "opened", "shadow": "put in shadow", "close": "closed", "reset": "reset"}
 
 
@@ -33,6 +31,7 @@ class Sources:
         enabled: Gives the BPMs that count as far as operators and configuration say, shape (n,).
         movable: Gives the correctors that may move, shape (m,).
         gap: Says the gap between model and machine in a sentence.
+        noise: Noise of one BPM reading to believe before a refit has found it, rms [m].
     """
 
     snapshot: Callable[[], LoopSnapshot]
@@ -40,6 +39,7 @@ class Sources:
     enabled: Callable[[], Mask]
     movable: Callable[[], Mask]
     gap: Callable[[LoopSnapshot], str]
+    noise: float = math.nan
 
 
 class PageView:
@@ -58,14 +58,14 @@ class PageView:
         self._seen = 0
         self._command: dict[str, Any] | None = None
         self._policy_since = self._started
-        self._floor = math.nan
 
     def __call__(self, _request: object = None) -> dict[str, Any]:
         """Give everything that the page shows of this moment."""
         snapshot = self._sources.snapshot()
         with self._lock:
             self._remember(snapshot)
-            command, policy_since, floor = self._command, self._policy_since, self._floor
+            command, policy_since = self._command, self._policy_since
+        source, floor = snapshot.noise_floor(self._sources.noise)
         ticking = snapshot.state is not None and snapshot.state is not LoopState.FAULT
         return {
             **plain(
@@ -81,6 +81,7 @@ class PageView:
                     "policy": snapshot.policy_id,
                     "policy_since": policy_since,
                     "floor_um": floor / MICRO,
+                    "floor_source": source,
                     **_figures(snapshot),
                     "gap": _gap(snapshot, self._sources.gap(snapshot)),
                     "happenings": [
@@ -99,9 +100,6 @@ class PageView:
                 self._command = _command(happening) or self._command
                 if happening.kind == "policy" and " instead of " in happening.text:
                     self._policy_since = happening.time
-        last = snapshot.last_refit
-        if last is not None:
-            self._floor = last.figures.get(READING_NOISE, self._floor)
 
     def _vectors(self) -> dict[str, Any]:
         record = self._sources.record()

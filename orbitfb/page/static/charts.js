@@ -222,11 +222,11 @@ export class TrendChart extends Chart {
     Object.assign(this, { readout, hues, points: [], now: 0 });
   }
 
-  set(points, now) {
+  set(points, now, believed) {
     Object.assign(this, { points, now });
-    const last = points.at(-1);
-    const floor = last && known(last[1]) ? `noise floor ${quantity(last[1], "µm")}, dashed` : "";
-    this.readout.textContent = floor || "noise floor known after the first refit";
+    const floor = points.at(-1)?.[1];
+    const origin = believed ? " as configured" : "";
+    this.readout.textContent = known(floor) ? `noise floor ${quantity(floor, "µm")}${origin}, dashed` : "";
     this.draw();
   }
 

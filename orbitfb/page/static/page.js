@@ -155,7 +155,7 @@ function along(its) {
       `limit ±${quantity(layout.limit, "A")}`, fixed.length ? `○ do not move: ${some(fixed)}` : "",
     ].filter(Boolean).join("; "));
   });
-  charts.trend.set(trend, its.time);
+  charts.trend.set(trend, its.time, its.floor_source === "configuration");
   if (Math.abs(its.time - told) > TOLD) describe(its.time);
 }
 

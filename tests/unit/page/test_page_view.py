@@ -41,6 +41,7 @@ class Loop:
             lambda: ENABLED,
             lambda: np.array([True, False, True, True]),
             lambda snapshot: f"gap of {snapshot.ticks.ticks} ticks",
+            0.2e-6,
         )
         self.view = PageView(sources, self.clock, 5.0)
 
@@ -61,7 +62,7 @@ def loop():
 
 def test_before_the_first_tick_nothing_is_invented(loop):
     its = loop.shown()
-    assert (its["state"], its["alive"], its["stamp"], its["floor_um"]) == (None, False, None, None)
+    assert (its["state"], its["alive"], its["stamp"]) == (None, False, None)
     assert its["orbit_um"] == its["error_um"] == its["setpoints_A"] == []
 
 
@@ -114,6 +115,8 @@ def test_it_remembers_who_commanded_last_even_when_much_has_happened_since(loop)
 
 def test_noise_floor_and_policy_are_those_of_refit_and_swap(loop):
     loop.tick()
+    its = loop.shown()
+    assert (its["floor_um"], its["floor_source"]) == (pytest.approx(0.2), "configuration")
     loop.clock.advance(2.0)
     figures = {"reading_noise": 0.25e-6}
     loop.statistics.refitted(
@@ -121,7 +124,7 @@ def test_noise_floor_and_policy_are_those_of_refit_and_swap(loop):
     )
     loop.tick(policy="svd-2")
     its = loop.shown()
-    assert its["floor_um"] == pytest.approx(0.25)
+    assert (its["floor_um"], its["floor_source"]) == (pytest.approx(0.25), "refit")
     assert (its["policy"], its["policy_since"]) == ("svd-2", loop.clock.wall())
     assert its["refits"]["promoted"] == 1 and its["last_refit"]["reason"] == "better"
     loop.statistics.refitted(
