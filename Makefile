@@ -9,8 +9,10 @@ STAMP := .venv/.installed
 run: venv
 	$(BIN)/orbitfb run --ioc sim
 
+# Unit tests on all cores, each on one; those that start services one after the other.
 test: venv
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/unit -n logical --maxprocesses 8 --dist loadscope
+	$(BIN)/python -m pytest --ignore tests/unit
 
 venv: $(STAMP)
 

@@ -13,6 +13,9 @@ from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
+_FINEST = (0.3, 0.05)
+"""Finest steps looked for, in usual changes of a setpoint: the finer, the more pass for one."""
+
 
 class CorrectorQuantisation(ActuatorKind):
     """Currents rounded to the least significant bit of the converter."""
@@ -56,9 +59,12 @@ class CorrectorQuantisation(ActuatorKind):
         return ladder("step", {}, [*read_back_steps(record, 4), *steps])
 
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:
-        """Find the needles that the grid steps over."""
-        finest = 0.05 * usual_change(record)
-        steps = common_steps(setpoints, pull, finest, 5) + single_steps(setpoints, pull, finest, 5)
+        """Find the needles that the grid steps over, coarse ones and those below a dither."""
+        steps: list[float] = []
+        for share in _FINEST:
+            finest = share * usual_change(record)
+            steps += common_steps(setpoints, pull, finest, 5)
+            steps += single_steps(setpoints, pull, finest, 5)
         return ladder("step", {}, steps)
 
     def simulate(
