@@ -132,6 +132,8 @@ class TickRecord:
         phases: Duration of each phase [s].
         latency: From the complete orbit to the last setpoint sent [s]; NaN if none was.
         missed: Orbits that should have come since the last tick and did not.
+        held_back: Whether a closed loop wrote nothing as its last change did not show in the
+            readbacks of this orbit yet.
     """
 
     tick: int
@@ -149,3 +151,4 @@ class TickRecord:
     phases: Phases
     latency: float
     missed: int
+    held_back: bool = False

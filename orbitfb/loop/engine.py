@@ -25,6 +25,7 @@ from orbitfb.loop.pacing import Pace, miss, take
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.states import Event
 from orbitfb.loop.tick import Checked, check, ramp_gain, screened, supervise, too_long
+from orbitfb.loop.waiting import wait_for_change
 from orbitfb.loop.work import Work
 from orbitfb.safety.limits import Limited
 from orbitfb.safety.prediction import Answers, predict
@@ -105,9 +106,8 @@ class Engine:
             closed = self.memory.state is LoopState.CLOSED
             step = rules.loop.reference_speed * rules.loop.period if closed else np.inf
             rules = replace(rules, reference=approach(rules.reference, wanted.reference, step))
-            self.memory = replace(self.memory, well=None)
             # The error may grow while the loop follows; it is no sign of a wrong response then.
-            self.memory = replace(self.memory, growth=Growth())
+            self.memory = replace(self.memory, well=None, growth=Growth())
         self._rules = rules
 
     def believed(self, reading: Reading) -> Reading:
@@ -218,8 +218,12 @@ class Engine:
             reading: Its orbit.
             checked: The same, found fit to act on.
         """
-        rules, memory, guard = self._rules, self.memory, self._guard
-        closed = memory.state is LoopState.CLOSED
+        rules, guard = self._rules, self._guard
+        if closed := self.memory.state is LoopState.CLOSED:
+            work.held_back, self.memory = wait_for_change(self.memory, reading, checked)
+            if work.held_back:
+                return self._expect(work.nothing)
+        memory = self.memory
         ramp = ramp_gain(reading.received - memory.since, rules.loop) if closed else 1.0
         dither = self._dither.propose() if closed else work.nothing
         deciding, gain = self.policy, ramp * self._adjustments.gain
@@ -236,8 +240,7 @@ class Engine:
         self.memory = remember.note(self.memory, "; ".join(reasons), may_act=True)
         if not closed:
             return
-        age = now - reading.received
-        if age > rules.loop.patience:
+        if (age := now - reading.received) > rules.loop.patience:
             self.move(Event.HOLD, f"the orbit was {age:.3g} s old when it came to writing")
             return
         if self._write(work, reading, limited):
@@ -292,5 +295,6 @@ class Engine:
         work.latency = applied.monotonic - reading.received
         lag = self._rules.interlocks.readback_lag
         recent = (np.array(applied.setpoints), *self.memory.recent[:lag])
-        self.memory = replace(self.memory, recent=recent)
+        sent = replace(self.memory.sent, change=work.applied)
+        self.memory = replace(self.memory, recent=recent, sent=sent)
         return True

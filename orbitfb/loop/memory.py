@@ -10,6 +10,7 @@ from orbitfb.core.signals import Channels, LoopState, Mask, Vector
 from orbitfb.loop.pacing import Pace
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.states import Event, next_state
+from orbitfb.safety.arrival import Sent
 from orbitfb.safety.bpms import BpmMemory
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
@@ -75,6 +76,7 @@ class LoopMemory:
         bpms: What is remembered of every BPM.
         lost: Correctors that are left out as they do not follow, shape (m,).
         answers: What the last changes should have done, and did.
+        sent: The last change, that may be on its way.
         sure: Of these the ticks in which it was there and its readback known, shape (m,).
         current: Stored current when it was last known [A]; NaN: not known.
         away: Correctors that could not be written at the last orbit, shape (m,); None: none.
@@ -99,6 +101,7 @@ class LoopMemory:
     since: float
     fresh: float
     answers: Answers = field(default_factory=Answers)
+    sent: Sent = field(default_factory=Sent)
     sure: NDArray[np.int64] | None = None
     current: float = float("nan")
     away: Mask | None = None
@@ -155,7 +158,9 @@ def confirm_setpoints(memory: LoopMemory, actual: Vector, tolerance: float) -> L
         tolerance: Largest difference that is none [A].
     """
     if moved(memory, actual, tolerance).any():
-        return replace(memory, recent=(actual,), off=np.zeros_like(memory.off), well=None)
+        off = np.zeros_like(memory.off)
+        sent = replace(memory.sent, change=None)
+        return replace(memory, recent=(actual,), off=off, well=None, sent=sent)
     return replace(memory, recent=(actual, *memory.recent[1:]))
 
 
@@ -167,7 +172,8 @@ def moved(memory: LoopMemory, actual: Vector, tolerance: float) -> Mask:
 def forget_setpoints(memory: LoopMemory) -> LoopMemory:
     """Assume nothing of the setpoints until the machine states them."""
     unknown = np.full_like(memory.setpoints, np.nan)
-    return replace(memory, recent=(unknown,), off=np.zeros_like(memory.off), well=None)
+    off, sent = np.zeros_like(memory.off), replace(memory.sent, change=None)
+    return replace(memory, recent=(unknown,), off=off, well=None, sent=sent)
 
 
 def move(memory: LoopMemory, event: Event, reason: str, now: float, recloses: bool) -> LoopMemory:
@@ -189,7 +195,8 @@ def move(memory: LoopMemory, event: Event, reason: str, now: float, recloses: bo
         return memory if latched else replace(memory, reason=reason, good=0)
     memory = replace(memory, state=after, reason=reason, since=now, good=0)
     if after in (LoopState.OPEN, LoopState.SHADOW):
-        memory = replace(memory, lost=np.zeros_like(memory.lost), well=None, way=None)
+        sent = replace(memory.sent, change=None)
+        memory = replace(memory, lost=np.zeros_like(memory.lost), well=None, way=None, sent=sent)
     if after is LoopState.CLOSED:
         return replace(memory, growth=Growth(), rise=Rise())
     if after is LoopState.HELD:

@@ -268,4 +268,5 @@ class Runner:
             phases=work.phases(),
             latency=work.latency,
             missed=work.missed,
+            held_back=work.held_back,
         )

@@ -22,6 +22,7 @@ class Work:
         written: When the write had left [s since the epoch].
         latency: From the complete orbit to the last setpoint sent [s].
         missed: Orbits missed before this one.
+        held_back: Whether nothing was written as the last change does not show yet.
     """
 
     clock: Clock
@@ -35,6 +36,7 @@ class Work:
     written: float = float("nan")
     latency: float = float("nan")
     missed: int = 0
+    held_back: bool = False
     _marks: dict[str, float] = field(default_factory=dict[str, float])
     _mark: float = field(init=False)
 

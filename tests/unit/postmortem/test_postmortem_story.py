@@ -110,7 +110,7 @@ def test_changes_are_told_in_their_order(loop):
     assert all(change.since_trip >= -0.3 for change in short.changes)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Richer(TickRecord):
     """A record with more than the columns know."""
 

@@ -1,0 +1,84 @@
+"""Has the last change acted when the orbit was taken? Else one error would be corrected twice.
+
+Between two orbits the readbacks go from r − d to r, d being the change that was sent. So
+
+    c = (readback − (r − d)) · d / d²
+
+is 1 when the change has arrived and 0 when it has not, with the uncertainty σ / |d|, where σ is
+what of the readbacks lies across d: noise, rounding and offsets tell how much they can tell.
+
+A machine whose readbacks are always late is no machine that stands still: a change that is not
+seen counts for something only as long as that is rare.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+
+SEEN = 0.5
+"""Least part of a change that must show."""
+
+TELLING = 0.2
+"""Largest uncertainty of that part; beyond it the readbacks say nothing."""
+
+RARE = 0.25
+"""Share of changes that showed late from which that is usual at this machine."""
+
+_SMOOTHING = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """What was sent last.
+
+    Args:
+        change: Shape (m,) [A]; None: nothing that might be on its way.
+        late: Share of orbits at which the last change did not show, smoothed [1]. It begins where
+            it is usual: nothing is waited for before a change was seen in time.
+    """
+
+    change: Vector | None = None
+    late: float = RARE
+
+
+def arrived(
+    readback: Vector, setpoints: Vector, counts: Mask, sent: Sent
+) -> tuple[float | None, Sent]:
+    """Look for the last change in the readbacks of an orbit.
+
+    Args:
+        readback: Shape (m,) [A]; NaN where none is known.
+        setpoints: Believed to be in force, the last change included, shape (m,) [A].
+        counts: Correctors that follow, shape (m,).
+        sent: So far.
+
+    Returns:
+        The part of it that shows if it is worth to wait for the rest, else None; and what to
+        remember.
+    """
+    part = _part(readback, setpoints, counts, sent)
+    if part is None:
+        return None, sent
+    late = part < SEEN
+    waits = late and sent.late < RARE
+    share = sent.late + _SMOOTHING * (late - sent.late)
+    after = replace(sent, late=share, change=sent.change if late else None)
+    return (part if waits else None), after
+
+
+def _part(readback: Vector, setpoints: Vector, counts: Mask, sent: Sent) -> float | None:
+    """Give the part of the change that shows; None: they do not tell."""
+    if sent.change is None:
+        return None
+    counts = counts & np.isfinite(readback) & np.isfinite(setpoints)
+    change = sent.change[counts]
+    power = float(change @ change)
+    if power == 0.0:
+        return None
+    went = readback[counts] - (setpoints[counts] - change)
+    part = float(went @ change) / power
+    across = went - part * change
+    spread = float(across @ across) / max(change.size - 1, 1)
+    return part if spread <= TELLING**2 * power else None

@@ -1,0 +1,105 @@
+"""Puts that are late: one orbit error is corrected once, and that costs nothing otherwise."""
+
+from collections import deque
+
+import numpy as np
+import pytest
+from scripted import PERIOD, RESPONSE, InversePolicy, M, N, ScriptedMachine, new_clock
+
+from orbitfb.core.signals import Applied, LoopState
+from orbitfb.loop.runner import Runner
+from orbitfb.loop.settings import LoopSettings
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.limits import LimitSettings
+
+
+class LatePuts(ScriptedMachine):
+    """A machine at which puts act some orbits late, and its readbacks with them."""
+
+    def __init__(self):
+        super().__init__(new_clock())
+        self.late, self.on_the_way = 0, deque()
+
+    def read(self, timeout):
+        while self.on_the_way and self.on_the_way[0][0] <= self.clock.monotonic() + 1e-9:
+            self.inside = self.on_the_way.popleft()[1]
+        return super().read(timeout)
+
+    def write(self, setpoints):
+        self.writes.append(setpoints.copy())
+        due = self.clock.monotonic() + self.late * PERIOD
+        self.on_the_way.append((due, setpoints.copy()))
+        return Applied(setpoints, self.clock.wall(), self.clock.monotonic())
+
+
+@pytest.fixture
+def loop():
+    machine = LatePuts()
+    runner = Runner(
+        machine,
+        PolicySlot(InversePolicy(gain=0.9)),
+        LoopSettings(ramp=0.0),
+        LimitSettings(setpoint=50.0, change_per_tick=50.0),
+        InterlockSettings(divergence_factor=1000.0, prediction_ticks=0),
+        np.zeros(N),
+        machine.clock,
+        start=LoopState.CLOSED,
+    )
+    records = [runner.step() for _ in range(60)]
+    assert not any(record.held_back for record in records)
+    assert sum(np.isfinite(record.written) for record in records) == len(machine.writes) == 58
+    return machine, runner
+
+
+def correctable(scale):
+    return scale * RESPONSE @ np.ones(M)
+
+
+def rms(record):
+    return np.sqrt(np.mean(record.reading.orbit.position**2))
+
+
+@pytest.mark.parametrize("late", [1, 2, 3])
+def test_one_error_is_corrected_once_while_puts_are_late(loop, late):
+    machine, runner = loop
+    machine.late, machine.disturbance = late, correctable(2.0)
+    first = runner.step()
+    assert np.isfinite(first.written) and not first.held_back
+    for _ in range(late):
+        record = runner.step()
+        assert record.held_back and np.isnan(record.written) and not record.applied.any()
+        assert record.state is LoopState.CLOSED
+        assert "held back: 0% of the last change shows" in record.reason
+    machine.late = 0
+    record = runner.step()
+    assert not record.held_back and not record.reason
+    assert rms(record) < 0.2 * rms(first)
+
+
+def test_orbits_that_come_in_a_burst_are_not_each_corrected(loop):
+    machine, runner = loop
+    machine.late, machine.disturbance = 3, correctable(2.0)
+    errors = [rms(runner.step()) for _ in range(12)]
+    assert max(errors) <= errors[0] * 1.01
+
+
+def test_a_loop_at_a_machine_that_is_always_late_goes_on(loop):
+    machine, runner = loop
+    machine.late = 1
+    records = [runner.step() for _ in range(100)]
+    assert sum(record.held_back for record in records) < 15
+    assert not any(record.held_back for record in records[-50:])
+
+
+def test_nothing_is_waited_for_once_the_setpoints_were_moved_or_the_loop_opened(loop):
+    machine, runner = loop
+    machine.late, machine.disturbance = 5, correctable(2.0)
+    runner.step()
+    runner.command("open")
+    runner.step()
+    machine.late = 0
+    for _ in range(6):
+        runner.step()
+    runner.command("close")
+    assert not runner.step().held_back
