@@ -13,7 +13,7 @@ from orbitfb.effects.layout import Layout
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
-_LADDER = np.exp(np.linspace(-13.0, 4.5, 30))
+LADDER = np.exp(np.linspace(-13.0, 4.5, 30))
 """Ratios q / r² that a mode is tried with."""
 _PASSES = 30
 _NEIGHBOURS = 4.0
@@ -53,7 +53,7 @@ def estimate_floor(left: Matrix, starts: Mask, modes: Matrix) -> NoiseFloor:
         starts: Where stretches begin, shape (N,).
         modes: Orthonormal columns, in falling order of what the ground makes of them, (n, n).
     """
-    squares, logs, rows = _evidence(left @ modes, starts)
+    squares, logs, rows = evidence(left @ modes, starts)
     reading = float(np.quantile(squares[0], 0.25)) / max(rows, 1)  # modes that hardly walk
     level = np.zeros(len(modes), dtype=np.intp)
     cost = squares
@@ -69,24 +69,24 @@ def estimate_floor(left: Matrix, starts: Mask, modes: Matrix) -> NoiseFloor:
     return NoiseFloor(modes, reading, reading * _between(cost, level))
 
 
-def _evidence(z: Matrix, starts: Mask) -> tuple[Matrix, Vector, int]:
+def evidence(z: Matrix, starts: Mask) -> tuple[Matrix, Vector, int]:
     """Sum the likelihood of every ratio of the ladder, the beginnings of stretches exact.
 
     Returns:
         Σ e² / (S / r²) of every ratio and mode, (G, n) [m²]; Σ log S / r² of every ratio, (G,);
         and the rows that count.
     """
-    squares = np.zeros((len(_LADDER), z.shape[1]))
-    logs, rows = np.zeros(len(_LADDER)), 0
+    squares = np.zeros((len(LADDER), z.shape[1]))
+    logs, rows = np.zeros(len(LADDER)), 0
     for begin, end in _ends(starts):
-        filtered = np.ones(len(_LADDER))
-        feedback = np.zeros(len(_LADDER))
+        filtered = np.ones(len(LADDER))
+        feedback = np.zeros(len(LADDER))
         innovation = np.zeros_like(squares)
         steps = np.diff(z[begin:end], axis=0)
         for step in steps:
             innovation *= feedback[:, None]
             innovation += step
-            predicted = filtered + _LADDER
+            predicted = filtered + LADDER
             variance = predicted + 1.0
             filtered = predicted / variance
             feedback = 1.0 - filtered
@@ -114,9 +114,9 @@ def _with_neighbours(cost: Matrix) -> Matrix:
 
 def _between(cost: Matrix, level: Indices) -> Vector:
     """Ratio q / r² at the minimum of the parabola through the best step and its neighbours."""
-    level = np.clip(level, 1, len(_LADDER) - 2)
+    level = np.clip(level, 1, len(LADDER) - 2)
     mode = np.arange(len(level))
-    place = np.log(_LADDER)
+    place = np.log(LADDER)
     below, here, above = (cost[level + step, mode] for step in (-1, 0, 1))
     bend = below - 2.0 * here + above
     shift = np.where(bend > 0, 0.5 * (below - above) / np.where(bend > 0, bend, 1.0), 0.0)

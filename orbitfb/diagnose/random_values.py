@@ -19,7 +19,9 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause, explain
 from orbitfb.diagnose.problem import from_fitted, prior_width, to_fitted
+from orbitfb.diagnose.randomness import wanders
 from orbitfb.diagnose.strike_scan import latent_gain, strikes
+from orbitfb.diagnose.wandering import Wandering
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.physics.optics import Matrix
@@ -65,6 +67,11 @@ def state(bench: Bench, cause: Cause) -> Stated:
     if isinstance(kind, NoiseKind):
         if not 0 < len(_places(bench, cause)) <= _MOST_PLACES:
             return _level(bench, cause)
+        if wanders(bench, kind):
+            walk = Wandering(bench, kind.patterns(bench.record.layout)[:, 0])
+            if walk.seen:
+                reading = float(np.sqrt(bench.floor.reading))
+                return _best(bench, cause, lambda values: walk.gain(kind.variance(values, reading)))
         spectra = _Spectra(bench, cause)
         for _ in range(_ROUNDS):
             cause = _best(bench, cause, spectra.log_likelihood).cause

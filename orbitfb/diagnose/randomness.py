@@ -14,6 +14,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan import groups_of
+from orbitfb.diagnose.wandering import Wandering
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix
@@ -38,10 +39,31 @@ def noise_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
     patterns = kind.patterns(bench.record.layout)
     if not patterns.shape[1]:
         return []
+    if wanders(bench, kind):
+        found = _wandering(bench, kind, patterns[:, 0])
+        if found is not None:
+            return found
     found = [*_steady(bench, kind, patterns)]
     if kind.sudden and kind.lag == 0:
         found += [*_sudden(bench, kind, patterns)]
     return sorted(found, key=lambda c: c.gain - np.log(c.choices), reverse=True)[:_KEPT]
+
+
+def wanders(bench: Bench, kind: NoiseKind) -> bool:
+    """Whether an effect is one shape that walks, and the floor may have taken it over."""
+    return kind.colour == "walk" and kind.target == "ring" and not bench.told_floor
+
+
+def _wandering(bench: Bench, kind: NoiseKind, shape: Vector) -> list[Candidate] | None:
+    """Try a shape that walks in a few modes; None when it has too many."""
+    walk = Wandering(bench, shape)
+    if not walk.seen:
+        return None
+    variance, gain = walk.best()
+    values = _values(kind, variance, float(np.sqrt(bench.floor.reading)))
+    if values is None or gain <= 0.0:
+        return []
+    return [Candidate(Cause(kind, (0,), values), gain, 1.0)]
 
 
 def level_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
