@@ -125,9 +125,8 @@ class Engine:
         Raises:
             ControlError: A command that is not legal in this state.
         """
-        before = self.memory.state
-        now, recloses = self._clock.monotonic(), self._rules.loop.reclose
-        after = remember.move(self.memory, event, reason, now, recloses)
+        before, now = self.memory.state, self._clock.monotonic()
+        after = remember.move(self.memory, event, reason, now, self._rules.loop.reclose)
         if after.state is LoopState.CLOSED and before is not LoopState.CLOSED:
             if before is not LoopState.HELD:
                 self._guard.forgive()
@@ -186,9 +185,8 @@ class Engine:
         return checked, missed
 
     def _ask_interlocks(self, reading: Reading) -> Checked:
-        guard = self._guard
-        movable = guard.movable(len(self.memory.setpoints))
-        leaves_out = guard.can_leave_out
+        movable = self._guard.movable(len(self.memory.setpoints))
+        leaves_out = self._guard.can_leave_out
         return check(reading, self.memory, self._rules, self._flaws, movable, leaves_out)
 
     def _ask_setpoints(self, away: Mask | None) -> tuple[str, str]:
@@ -196,6 +194,10 @@ class Engine:
         answer = ask_setpoints(self._machine, self.memory, self._rules, away)
         self.memory = answer.memory
         return answer.trouble or self._guard.obstacle(), answer.moved
+
+    def _state_setpoints(self, reading: Reading) -> tuple[LoopMemory, str]:
+        trouble, moved = self._ask_setpoints(reading.away)
+        return self.memory, trouble or (moved and f"setpoints were moved: {moved}")
 
     def supervise(self, reading: Reading, verdict: Verdict) -> None:
         """Let a verdict have its effect on the state."""
@@ -220,7 +222,11 @@ class Engine:
         """
         rules, guard = self._rules, self._guard
         if closed := self.memory.state is LoopState.CLOSED:
-            work.held_back, self.memory = wait_for_change(self.memory, reading, checked)
+            work.held_back, self.memory, trouble = wait_for_change(
+                self.memory, reading, checked, rules, lambda: self._state_setpoints(reading)
+            )
+            if trouble:
+                self.move(Event.HOLD, trouble)
             if work.held_back:
                 return self._expect(work.nothing)
         memory = self.memory
@@ -228,7 +234,6 @@ class Engine:
         dither = self._dither.propose() if closed else work.nothing
         deciding, gain = self.policy, ramp * self._adjustments.gain
         choice = choose(guard, checked, memory, rules, gain, dither, work.done)
-        now = self._clock.monotonic()
         limited, policy_state = choice.limited, choice.policy_state
         if not limited.verdict.may_act:
             self.move(Event.TRIP, f"policy {deciding.policy_id}: {limited.verdict.reason}")
@@ -236,11 +241,11 @@ class Engine:
         if self.policy is not deciding:
             self.memory = replace(self.memory, policy_state=self.policy.initial_state())
         work.requested, work.dither, work.scale = choice.requested, choice.dither, limited.scale
-        reasons = filter(None, (checked.verdict.reason, *choice.reasons))
-        self.memory = remember.note(self.memory, "; ".join(reasons), may_act=True)
+        told = "; ".join(filter(None, (checked.verdict.reason, *choice.reasons)))
+        self.memory = remember.note(self.memory, told, may_act=True)
         if not closed:
             return
-        if (age := now - reading.received) > rules.loop.patience:
+        if (age := self._clock.monotonic() - reading.received) > rules.loop.patience:
             self.move(Event.HOLD, f"the orbit was {age:.3g} s old when it came to writing")
             return
         if self._write(work, reading, limited):
@@ -259,13 +264,8 @@ class Engine:
         """
         if self.memory.way is None:
             return
-
-        def ask() -> tuple[LoopMemory, str]:
-            trouble, moved = self._ask_setpoints(reading.away)
-            return self.memory, trouble or (moved and f"setpoints were moved: {moved}")
-
-        movable = self._guard.movable(len(self.memory.lost))
-        step = comeback.next_step(self.memory, checked, self._rules, movable, ask)
+        movable, ask = self._guard.movable(len(self.memory.lost)), self._state_setpoints
+        step = comeback.next_step(self.memory, checked, self._rules, movable, lambda: ask(reading))
         self.memory = step.memory
         if step.limited is None:
             return
@@ -295,6 +295,6 @@ class Engine:
         work.latency = applied.monotonic - reading.received
         lag = self._rules.interlocks.readback_lag
         recent = (np.array(applied.setpoints), *self.memory.recent[:lag])
-        sent = replace(self.memory.sent, change=work.applied)
+        sent = replace(self.memory.sent, change=work.applied, waited=0)
         self.memory = replace(self.memory, recent=recent, sent=sent)
         return True

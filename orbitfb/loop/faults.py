@@ -85,11 +85,28 @@ FAULTS = (
         ),
     ),
     Fault(
+        "a change that was sent does not show in the readbacks of the next orbit, though it does "
+        "as a rule: puts or orbits are late",
+        "that tick is held back, named and counted, so that no error is corrected twice; after as "
+        "many ticks as readbacks may lag the setpoints are read again before it goes on",
+        (_CLOSED,),
+        ("interlocks.readback_lag",),
+        (
+            "test_one_error_is_corrected_once_while_puts_are_late",
+            "test_a_change_that_was_lost_is_found_out_by_asking",
+            "test_a_loop_at_a_machine_that_is_always_late_goes_on",
+        ),
+    ),
+    Fault(
         "more correctors than may be lost",
-        "TRIPPED; HELD while a readback is away, as its IOC may come back",
+        "TRIPPED; HELD while a readback is away, as its IOC may come back, and until it has "
+        "had its ticks to follow",
         (_HELD, _TRIPPED),
-        ("interlocks.max_lost_correctors",),
-        ("test_more_correctors_than_may_be_lost_trip",),
+        ("interlocks.max_lost_correctors", "interlocks.readback_ticks"),
+        (
+            "test_more_correctors_than_may_be_lost_trip",
+            "test_readbacks_that_come_back_in_waves_with_what_they_said_before_only_hold",
+        ),
     ),
     Fault(
         "a corrector would go beyond its limit",
@@ -131,14 +148,14 @@ FAULTS = (
     ),
     Fault(
         "the stored current is too low, drops, is not known or old",
-        "TRIPPED in the same tick, setpoints stay, post-mortem",
+        "TRIPPED in the same tick, setpoints stay, post-mortem; a drop trips while HELD too",
         (_TRIPPED,),
         (
             "interlocks.current_min",
             "interlocks.current_drop",
             "epics.auxiliary",
         ),
-        ("test_the_stored_current_trips",),
+        ("test_the_stored_current_trips", "test_a_stored_current_that_drops_while_held_trips"),
     ),
     Fault(
         "the orbit error is too large (rms, largest) or grows too fast",
@@ -207,6 +224,7 @@ FAULTS = (
         (),
         (
             "test_a_full_disk_costs_nothing_but_what_waits_too_long",
+            "test_the_process_survives_a_disk_that_is_full_again_and_again",
             "test_a_data_directory_that_is_gone_is_made_again",
             "test_lines_that_a_full_disk_refuses_wait",
         ),

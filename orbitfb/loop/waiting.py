@@ -1,31 +1,49 @@
-"""A closed loop waits while its last change is still on the way: one error is corrected once."""
+"""A closed loop waits while its last change is still on the way: one error is corrected once.
 
+It waits for as many ticks as a readback may lag; then it asks the machine for its setpoints, whose
+answer comes behind the change, and goes on from what they are: a change may have been lost.
+"""
+
+from collections.abc import Callable
 from dataclasses import replace
 
 from orbitfb.core.signals import Reading
 from orbitfb.loop import memory as remember
-from orbitfb.loop.memory import LoopMemory
+from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
 from orbitfb.safety.arrival import arrived
 
 
 def wait_for_change(
-    memory: LoopMemory, reading: Reading, checked: Checked
-) -> tuple[bool, LoopMemory]:
+    memory: LoopMemory,
+    reading: Reading,
+    checked: Checked,
+    rules: Rules,
+    ask: Callable[[], tuple[LoopMemory, str]],
+) -> tuple[bool, LoopMemory, str]:
     """Say whether to write nothing at this tick, as its orbit does not know of the last change.
 
     Args:
         memory: Of a loop that is CLOSED.
         reading: The orbit, with its readbacks.
         checked: The same.
+        rules: Say by how many ticks a readback may lag behind its setpoint.
+        ask: Asks for the setpoints in force; gives what is wrong with them.
+
+    Returns:
+        Whether to write nothing, the memory, and what keeps the loop from going on.
     """
     follows = ~memory.lost if reading.away is None else ~memory.lost & ~reading.away
     part, sent = arrived(reading.readback, memory.setpoints, follows, memory.sent)
     memory = replace(memory, sent=sent)
     if part is None:
-        return False, memory
+        return False, memory, ""
     told = (
         f"held back: {max(part, 0.0):.0%} of the last change shows in the readbacks of this orbit"
     )
     reason = "; ".join(filter(None, (checked.verdict.reason, told)))
-    return True, remember.note(memory, reason, may_act=True)
+    trouble = ""
+    if sent.waited > rules.interlocks.readback_lag:
+        memory, trouble = ask()
+        memory = replace(memory, sent=replace(sent, change=None, waited=0))
+    return True, remember.note(memory, reason, may_act=True), trouble

@@ -63,6 +63,7 @@ def _loop(snapshot: LoopSnapshot, beside: Beside) -> Samples:
         ],
         "orbitfb_ticks_total": _one(ticks.ticks),
         "orbitfb_missed_ticks_total": _one(ticks.missed),
+        "orbitfb_held_back_ticks_total": _one(ticks.held_back),
         "orbitfb_limited_ticks_total": _one(snapshot.correctors.limited),
         "orbitfb_last_tick_timestamp_seconds": _one(ticks.time),
         "orbitfb_tick_period_seconds": _one(ticks.period),

@@ -29,6 +29,13 @@ LOOP = (
         "orbitfb_missed_ticks_total", "counter", "", (), "Orbits that should have come and did not."
     ),
     Metric(
+        "orbitfb_held_back_ticks_total",
+        "counter",
+        "",
+        (),
+        "Ticks that wrote nothing, as the last change did not show in the readbacks yet.",
+    ),
+    Metric(
         "orbitfb_limited_ticks_total",
         "counter",
         "",

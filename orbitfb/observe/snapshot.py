@@ -84,6 +84,7 @@ class TickFigures:
     Args:
         ticks: Ticks since the start.
         missed: Orbits that should have come and did not.
+        held_back: Ticks that wrote nothing as the last change did not show yet.
         age: Time since the last tick, or since the start if there was none [s].
         time: When the last tick ended, wall clock [s since the epoch]; NaN before the first.
         period: Mean time from orbit to orbit over the window [s]; NaN when unknown.
@@ -93,6 +94,7 @@ class TickFigures:
 
     ticks: int
     missed: int
+    held_back: int
     age: float
     time: float
     period: float

@@ -80,7 +80,7 @@ class LoopStatistics:
         self._last_wall = math.nan
         self._state_since = self._started
         self._entries: Counter[LoopState] = Counter()
-        self._ticks = self._missed = self._limited = self._swaps = 0
+        self._ticks = self._missed = self._held_back = self._limited = self._swaps = 0
         self._phase_sums = [0.0] * 5
 
         self._first_rms = math.nan
@@ -103,6 +103,7 @@ class LoopStatistics:
         with self._lock:
             self._ticks += 1
             self._missed += record.missed
+            self._held_back += record.held_back
             self._limited += record.scale < 1.0
             self._count_phases(record.phases)
             self._note_changes(record)
@@ -165,7 +166,8 @@ class LoopStatistics:
             intervals, latencies = self._intervals.copy(), self._latencies.copy()
             buckets = self._histogram.cumulative()
             total, largest = self._histogram.total, self._histogram.largest
-            ticks, missed, limited, swaps = self._ticks, self._missed, self._limited, self._swaps
+            ticks, missed, held_back = self._ticks, self._missed, self._held_back
+            limited, swaps = self._limited, self._swaps
             phases = Phases(*self._phase_sums)
             monotonic = self._clock.monotonic()
             age, in_state = monotonic - self._last_monotonic, monotonic - self._state_since
@@ -208,7 +210,7 @@ class LoopStatistics:
                 worst_bpms=worst(errors, self._channels.bpms, self._channels.planes),
             ),
             correctors=correctors,
-            ticks=TickFigures(ticks, missed, age, wall, period, jitter, phases),
+            ticks=TickFigures(ticks, missed, held_back, age, wall, period, jitter, phases),
             latency=LatencyFigures(p50, p99, largest, buckets, total),
             auxiliary={} if reading is None else dict(reading.auxiliary),
             policy_id="" if last is None else last.policy_id,

@@ -11,7 +11,7 @@ A machine whose readbacks are always late is no machine that stands still: a cha
 seen counts for something only as long as that is rare.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,10 +37,12 @@ class Sent:
         change: Shape (m,) [A]; None: nothing that might be on its way.
         late: Share of orbits at which the last change did not show, smoothed [1]. It begins where
             it is usual: nothing is waited for before a change was seen in time.
+        waited: Orbits in a row that were worth waiting at.
     """
 
     change: Vector | None = None
     late: float = RARE
+    waited: int = 0
 
 
 def arrived(
@@ -64,8 +66,8 @@ def arrived(
     late = part < SEEN
     waits = late and sent.late < RARE
     share = sent.late + _SMOOTHING * (late - sent.late)
-    after = replace(sent, late=share, change=sent.change if late else None)
-    return (part if waits else None), after
+    change, waited = sent.change if late else None, sent.waited + 1 if waits else 0
+    return (part if waits else None), Sent(change, share, waited)
 
 
 def _part(readback: Vector, setpoints: Vector, counts: Mask, sent: Sent) -> float | None:

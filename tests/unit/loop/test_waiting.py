@@ -26,6 +26,10 @@ class LatePuts(ScriptedMachine):
             self.inside = self.on_the_way.popleft()[1]
         return super().read(timeout)
 
+    def setpoints(self):
+        self.asked += 1  # whose answer comes behind what is on the way
+        return (self.on_the_way[-1][1] if self.on_the_way else self.inside).copy()
+
     def write(self, setpoints):
         self.writes.append(setpoints.copy())
         due = self.clock.monotonic() + self.late * PERIOD
@@ -82,6 +86,23 @@ def test_orbits_that_come_in_a_burst_are_not_each_corrected(loop):
     machine.late, machine.disturbance = 3, correctable(2.0)
     errors = [rms(runner.step()) for _ in range(12)]
     assert max(errors) <= errors[0] * 1.01
+
+
+@pytest.mark.parametrize("size", [0.05, 2.0])
+def test_a_change_that_was_lost_is_found_out_by_asking(loop, size):
+    machine, runner = loop
+    machine.late, machine.disturbance = 10**6, correctable(size)
+    runner.step()
+    machine.late = 0
+    machine.on_the_way.clear()
+    asked = machine.asked
+    records = [runner.step() for _ in range(3)]
+    assert all(record.held_back for record in records) and machine.asked == asked + 1
+    assert records[-1].state is (LoopState.HELD if size > 1.0 else LoopState.CLOSED)
+    assert "setpoints were moved: COR" in records[-1].reason or size < 1.0
+    for _ in range(8):
+        record = runner.step()
+    assert record.state is LoopState.CLOSED and rms(record) < 1e-6
 
 
 def test_a_loop_at_a_machine_that_is_always_late_goes_on(loop):

@@ -40,6 +40,7 @@ def record(
     latency: float = math.nan,
     missed: int = 0,
     lost: bool = False,
+    held_back: bool = False,
 ) -> TickRecord:
     """Return a record whose orbit is reference + error; `lost` leaves the reading out."""
     distance = np.asarray(error, dtype=np.float64)
@@ -67,6 +68,7 @@ def record(
         phases=Phases(0.09, 1e-4, 2e-4, 3e-5, 1e-3),
         latency=latency,
         missed=missed,
+        held_back=held_back,
     )
 
 

@@ -158,6 +158,13 @@ def test_a_lost_orbit_takes_its_figures_out_of_the_scrape(full):
     assert values["orbitfb_missed_ticks_total", ()] == 1
 
 
+def test_ticks_that_are_held_back_are_counted(full):
+    full(record(21, held_back=True))
+    full(record(22))
+    _, values = scrape(full)
+    assert values["orbitfb_held_back_ticks_total", ()] == 1
+
+
 def test_strict_openmetrics_readers_take_it_too(full):
     encode, content_type = choose_encoder("application/openmetrics-text; version=1.0.0")
     assert content_type.startswith("application/openmetrics-text")
