@@ -62,9 +62,11 @@ chaos: venv
 soak: venv
 	$(BIN)/python -m tests.soak --hours $(or $(HOURS),12) --minutes $(or $(MINUTES),30) $(if $(OUT),--out $(OUT)/soak.json)
 
-test-system: venv test-docs
+# What needs programs of Debian, some two minutes; then every page, some minutes more.
+test-system: venv
 	@tests/debian/install
 	$(BIN)/python -m pytest tests/debian
+	$(MAKE) --no-print-directory test-docs
 
 clean:
 	rm -rf .venv build dist

@@ -4,9 +4,11 @@ Another ring or prefix: `python deploy/epics/generate.py --config site.toml --ou
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 from orbitfb.config import load_config
+from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.panel.pv_table import Extent, panel_pvs
 from orbitfb.panel.site_files import site_files
 
@@ -28,7 +30,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=HERE, help="directory [beside this program]")
     chosen = parser.parse_args()
     chosen.out.mkdir(parents=True, exist_ok=True)
-    for name, text in files(chosen.config).items():
+    try:
+        written = files(chosen.config)
+    except OrbitFeedbackError as error:
+        sys.exit(f"generate.py: {error}")
+    for name, text in written.items():
         (chosen.out / name).write_text(text, encoding="utf-8")
         print(chosen.out / name)
 
