@@ -28,7 +28,6 @@ class BpmPolarity(SensorKind):
     confused_with = ("bpm-gain",)
     splits = "nothing is needed: it is a gain error of −2, and so simple that it goes first"
     collective = False
-    sudden = False
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -29,7 +29,6 @@ class BpmSwap(PairKind):
     )
     equation = "y_i = x_j + v_j, y_j = x_i + v_i"
     collective = False
-    sudden = False
     confused_with = ("bpm-gain", "bpm-polarity")
     splits = "nothing is needed: each of them follows the model of the other"
 
