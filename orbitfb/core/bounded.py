@@ -15,6 +15,9 @@ from orbitfb.core.errors import OrbitFeedbackError
 LARGEST_TEXT = 1 << 22
 """Longest text that people write or edit: a configuration, a table of places [bytes]."""
 
+LARGEST_DIAGNOSIS = 1 << 24
+"""Longest `diagnosis.json` that is read, by whoever reads one [bytes]."""
+
 DEEPEST = 32
 """Most levels of tables, objects and lists within each other."""
 

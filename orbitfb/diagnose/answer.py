@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
-from orbitfb.core.bounded import read_bytes
+from orbitfb.core.bounded import LARGEST_DIAGNOSIS, read_bytes
 from orbitfb.core.errors import RecordError
 from orbitfb.diagnose.answer_blocks import (
     AmbiguousSet,
@@ -36,7 +36,6 @@ from orbitfb.diagnose.answer_parts import (
 from orbitfb.diagnose.answer_values import Part
 
 State = Literal["no_gap", "named", "ambiguous", "named_plus_remainder", "unknown"]
-_LARGEST = 1 << 26
 SCHEMA_VERSION = "1.0"
 """Raised in front when a key goes or changes its meaning, behind when one is added."""
 
@@ -90,7 +89,7 @@ def read_diagnosis(path: Path) -> Diagnosis:
         RecordError: It cannot be read, or is no diagnosis of this version.
     """
     try:
-        content = read_bytes(path, _LARGEST, RecordError, "name a diagnosis.json")
+        content = read_bytes(path, LARGEST_DIAGNOSIS, RecordError, "name a diagnosis.json")
         return Diagnosis.model_validate_json(content)
     except ValidationError as error:
         first = error.errors()[0]

@@ -8,7 +8,7 @@ from typing import Any
 
 import structlog
 
-from orbitfb.core.bounded import LARGEST_TEXT, parse_json, read_bytes
+from orbitfb.core.bounded import LARGEST_DIAGNOSIS, parse_json, read_bytes
 from orbitfb.core.errors import RecordError
 
 FILE = Path("archive.diagnosis/diagnosis.json")
@@ -68,7 +68,7 @@ class LastDiagnosis:
 
 def _figures(path: Path, written: float) -> DiagnosisFigures:
     advice = "diagnose again, or remove it"
-    content = read_bytes(path, LARGEST_TEXT, RecordError, advice)
+    content = read_bytes(path, LARGEST_DIAGNOSIS, RecordError, advice)
     answer = parse_json(content, path, RecordError)
     if not isinstance(answer, Mapping):
         raise RecordError(f"{path}: is no diagnosis; {advice}")

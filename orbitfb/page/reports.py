@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from orbitfb.core.bounded import LARGEST_DIAGNOSIS
+
 SUFFIX = ".diagnosis"
 """What the names of directories end with in which a diagnosis is written."""
 REPORT, ANSWER = "report.html", "diagnosis.json"
-LARGEST_REPORT, LARGEST_ANSWER = 64 << 20, 16 << 20
-"""Larger files are not read [bytes]."""
+LARGEST_REPORT = 64 << 20
+"""Larger ones are not shown [bytes]."""
 MOST = 1000
 LONGEST_HEADLINE = 300
 
@@ -37,7 +39,7 @@ class Report:
     def headline(self) -> str:
         """Give the answer in one sentence; empty where it cannot be read."""
         try:
-            answer: Any = json.loads(_read(self.directory / ANSWER, LARGEST_ANSWER))
+            answer: Any = json.loads(_read(self.directory / ANSWER, LARGEST_DIAGNOSIS))
         except (OSError, ValueError, RecursionError):
             return ""
         told = answer.get("headline") if isinstance(answer, dict) else None
