@@ -60,6 +60,7 @@ class Reading:
             configured; NaN where none is known.
         received: When the orbit was complete, on the monotonic clock [s].
         away: Correctors whose setpoint cannot be written now, shape (m,); None: all can.
+        behind: Correctors whose readback was taken before the orbit, shape (m,); None: none.
     """
 
     orbit: Orbit
@@ -67,6 +68,7 @@ class Reading:
     auxiliary: Mapping[str, float]
     received: float
     away: Mask | None = None
+    behind: Mask | None = None
 
 
 @dataclass(frozen=True, slots=True)

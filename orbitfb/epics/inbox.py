@@ -15,9 +15,9 @@ import numpy as np
 
 from orbitfb.core.errors import NoOrbitError
 from orbitfb.core.ports import Clock
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.epics.assembler import Assembler, Snapshot
-from orbitfb.epics.records import usable
+from orbitfb.epics.records import NANOSECONDS, stamps_of, usable
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.epics.timekeeper import Timekeeper
 
@@ -41,10 +41,14 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """An orbit with its readbacks, shape (m,), in the units of the PVs."""
+    """An orbit with its readbacks, shape (m,), in the units of the PVs.
+
+    `behind` tells which of them are of before the orbit, shape (m,); None: none.
+    """
 
     arrival: Arrival
     readback: Vector
+    behind: Mask | None = None
 
 
 class Inbox:
@@ -136,7 +140,7 @@ class Inbox:
                 stale = self._stale(newest.snapshot)
                 if not stale:
                     self.time.follow(newest.snapshot.time)
-                    return Frame(newest, self._readbacks_of(newest))
+                    return self._with_readbacks(newest)
             remaining = deadline - self._clock.monotonic()
             if remaining <= 0 or self._closed:
                 self._accept_clock()
@@ -161,7 +165,7 @@ class Inbox:
             return f"orbit is stamped {-age:.1f} s in the future: set the clocks"
         return ""
 
-    def _readbacks_of(self, orbit: Arrival) -> Vector:
+    def _with_readbacks(self, orbit: Arrival) -> Frame:
         limit = orbit.received + (self._settings.readback_wait if self._in_step else 0.0)
         while True:
             self._wake.clear()
@@ -169,7 +173,7 @@ class Inbox:
             if newest is not None and newest.snapshot is orbit.snapshot:
                 orbit = newest  # perhaps with its readbacks by now
             if orbit.readbacks is not None:
-                return orbit.readbacks
+                return Frame(orbit, orbit.readbacks)
             remaining = limit - self._clock.monotonic()
             if remaining <= 0 or newest is None or newest.snapshot is not orbit.snapshot:
                 break
@@ -179,7 +183,9 @@ class Inbox:
             self._in_step = self._misses < MISSES_UNTIL_NOT_WAITED_FOR
         assembler = self._readback_assembler
         known = assembler.connected & usable(assembler.records)
-        return np.where(known, assembler.records["value"], np.nan)
+        window = round(self._settings.stamp_window * NANOSECONDS)
+        behind = stamps_of(assembler.records) < orbit.snapshot.stamp - window
+        return Frame(orbit, np.where(known, assembler.records["value"], np.nan), behind)
 
     def _matches(self, readbacks: Snapshot, orbit: Snapshot) -> bool:
         apart = abs(readbacks.time - orbit.time)

@@ -137,7 +137,8 @@ class EpicsMachine:
         auxiliary = self._auxiliary.values(self._inbox.time)
         away = ~self._setpoints.connected
         received = frame.arrival.received
-        return Reading(orbit, frame.readback, auxiliary, received, away if away.any() else None)
+        gone = away if away.any() else None
+        return Reading(orbit, frame.readback, auxiliary, received, gone, frame.behind)
 
     def setpoints(self) -> Vector:
         """Ask the machine for the absolute setpoints in force, shape (m,) [A].

@@ -33,8 +33,10 @@ def wait_for_change(
     Returns:
         Whether to write nothing, the memory, and what keeps the loop from going on.
     """
-    follows = ~memory.lost if reading.away is None else ~memory.lost & ~reading.away
-    part, sent = arrived(reading.readback, memory.setpoints, follows, memory.sent)
+    tells = ~memory.lost
+    for mask in (reading.away, reading.behind):
+        tells = tells if mask is None else tells & ~mask
+    part, sent = arrived(reading.readback, memory.setpoints, tells, memory.sent)
     memory = replace(memory, sent=sent)
     if part is None:
         return False, memory, ""

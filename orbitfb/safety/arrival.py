@@ -8,7 +8,7 @@ is 1 when the change has arrived and 0 when it has not, with the uncertainty σ 
 what of the readbacks lies across d: noise, rounding and offsets tell how much they can tell.
 
 A machine whose readbacks are always late is no machine that stands still: a change that is not
-seen counts for something only as long as that is rare.
+seen at the next orbit counts for something only as long as that is rare.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ TELLING = 0.2
 RARE = 0.25
 """Share of changes that showed late from which that is usual at this machine."""
 
-_SMOOTHING = 0.03
+_SMOOTHING = 0.06
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +35,9 @@ class Sent:
 
     Args:
         change: Shape (m,) [A]; None: nothing that might be on its way.
-        late: Share of orbits at which the last change did not show, smoothed [1]. It begins where
-            it is usual: nothing is waited for before a change was seen in time.
-        waited: Orbits in a row that were worth waiting at.
+        late: Share of changes that did not show at the orbit after them, smoothed [1]. It begins
+            where it is usual: nothing is waited for before a change was seen in time.
+        waited: Orbits that were waited at for this change.
     """
 
     change: Vector | None = None
@@ -53,7 +53,7 @@ def arrived(
     Args:
         readback: Shape (m,) [A]; NaN where none is known.
         setpoints: Believed to be in force, the last change included, shape (m,) [A].
-        counts: Correctors that follow, shape (m,).
+        counts: Correctors that follow and whose readback is not older than the orbit, shape (m,).
         sent: So far.
 
     Returns:
@@ -64,8 +64,9 @@ def arrived(
     if part is None:
         return None, sent
     late = part < SEEN
-    waits = late and sent.late < RARE
-    share = sent.late + _SMOOTHING * (late - sent.late)
+    waits = late and (sent.waited > 0 or sent.late < RARE)
+    # Each change counts once, when it is looked for first.
+    share = sent.late if sent.waited else sent.late + _SMOOTHING * (late - sent.late)
     change, waited = sent.change if late else None, sent.waited + 1 if waits else 0
     return (part if waits else None), Sent(change, share, waited)
 

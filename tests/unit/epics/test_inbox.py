@@ -52,6 +52,19 @@ def test_an_orbit_is_taken_once():
         bench.inbox.take(0.0)
 
 
+def test_readbacks_of_before_the_orbit_are_told():
+    bench = Bench()
+    bench.clock.advance(1.0)
+    bench.readback(0.5, age=0.1)
+    bench.orbit(1.0)
+    frame = bench.inbox.take(0.0)
+    assert frame.behind is not None and frame.behind.all()
+    bench.clock.advance(0.1)
+    bench.readback(0.6)
+    bench.orbit(1.0)
+    assert bench.inbox.take(0.0).behind is None
+
+
 def test_the_newest_of_several_is_taken():
     bench = Bench()
     for value in (1.0, 2.0, 3.0):

@@ -1,6 +1,7 @@
 """Puts that are late: one orbit error is corrected once, and that costs nothing otherwise."""
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,6 +112,14 @@ def test_a_loop_at_a_machine_that_is_always_late_goes_on(loop):
     records = [runner.step() for _ in range(100)]
     assert sum(record.held_back for record in records) < 15
     assert not any(record.held_back for record in records[-50:])
+
+
+def test_readbacks_of_before_the_orbit_hold_nobody_back(loop):
+    machine, runner = loop
+    plain, all_of_them = machine.read, np.ones(M, dtype=bool)
+    machine.read = lambda timeout: replace(plain(timeout), behind=all_of_them)
+    machine.late = 1
+    assert not any(runner.step().held_back for _ in range(30))
 
 
 def test_nothing_is_waited_for_once_the_setpoints_were_moved_or_the_loop_opened(loop):

@@ -59,7 +59,16 @@ def test_nor_for_long_if_they_are_so_from_now_on():
     for _ in range(100):
         part, sent = arrived(BEFORE, BEFORE + CHANGE, ALL, Sent(CHANGE, sent.late))
         waits += part is not None
-    assert 5 <= waits <= 12
+    assert 3 <= waits <= 6
+
+
+def test_a_change_that_is_waited_for_counts_once():
+    sent = Sent(CHANGE, 0.0)
+    for number in range(1, 10):
+        part, sent = arrived(BEFORE, BEFORE + CHANGE, ALL, sent)
+        assert (part, sent.waited) == (pytest.approx(0.0), number) and sent.late < 0.1
+    part, after = arrived(BEFORE + CHANGE, BEFORE + CHANGE, ALL, sent)
+    assert (part, after) == (None, Sent(None, sent.late))
 
 
 @given(st.lists(st.booleans(), max_size=200))
