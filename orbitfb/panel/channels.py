@@ -9,14 +9,16 @@ from caproto import (
     AccessRights,
     AlarmSeverity,
     AlarmStatus,
+    CaprotoError,
     ChannelChar,
     ChannelDouble,
     ChannelEnum,
     ChannelInteger,
-    native_type,
+    ChannelType,
 )
 
 from orbitfb.core.errors import ControlError
+from orbitfb.panel.plain import plain
 from orbitfb.panel.pv import Kind, PanelPv, out_of_range
 
 
@@ -82,15 +84,28 @@ class _Panel:
             reason = f"{origin.user}@{origin.address} may not write {self.pv.name}"
             self.desk.refused(self.pv, None, origin, reason)
             raise ControlError(reason)
-        if native_type(data_type) != data_type:
-            # such a write carries limits and alarms besides, which are not the client's to set
-            raise ControlError(f"{self.pv.name} takes plain values only, not {data_type!r}")
+        try:
+            # caproto would turn a fraction into a choice or a switch, and nothing into 0
+            data, data_type = plain(self.pv, data, ChannelType(data_type))
+        except ControlError as error:
+            await self._take_ill(data, origin, str(error))
+            raise
         token = _writer.set(origin)
         try:
             inside: Any = super()
             return await inside.auth_write(hostname, username, data, data_type, metadata, **options)
+        except (CaprotoError, ValueError) as error:  # it cannot even be converted
+            reason = f"{self.pv.name} cannot take that: {str(error) or 'it has another type'}"
+            await self._take_ill(data, origin, reason)
+            raise ControlError(reason) from None
         finally:
             _writer.reset(token)
+
+    async def _take_ill(self, data: Any, origin: Origin, reason: str) -> None:
+        """Log what is refused before its value is looked at, and put the PV in alarm."""
+        self.desk.refused(self.pv, data, origin, reason)
+        channel: Any = self
+        await channel.alarm.write(status=AlarmStatus.WRITE, severity=AlarmSeverity.MAJOR_ALARM)
 
     async def verify_value(self, data: Any) -> Any:
         """Check what a client writes and have it done, before the PV shows it."""

@@ -8,9 +8,11 @@ from caproto import (
     AccessRights,
     AlarmSeverity,
     AlarmStatus,
+    CaprotoValueError,
     ChannelAlarm,
     ChannelDouble,
     ChannelString,
+    ChannelType,
     TimeStamp,
 )
 
@@ -44,6 +46,20 @@ class ScalarChannel(ChannelDouble):
             alarm=self._own_alarm,
             **limits,
         )
+
+    async def auth_write(
+        self,
+        hostname: str,
+        username: str,
+        data: Any,
+        data_type: Any,
+        metadata: Any,
+        **options: Any,
+    ) -> Any:
+        """Take plain values alone, as an IOC does: with limits in it, a write would set them."""
+        if data_type > ChannelType.DOUBLE:
+            raise CaprotoValueError(f"takes plain values only, not {data_type!r}")
+        return await super().auth_write(hostname, username, data, data_type, metadata, **options)
 
     def get_field(self, field: str) -> "ScalarChannel":
         """Give the field of the record; there is only the value."""

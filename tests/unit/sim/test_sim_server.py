@@ -160,3 +160,19 @@ def test_a_job_survives_its_line_of_json():
     job = SimJob.model_validate({"planes": "xy", "seed": 3, "sim": {"port": 0, "lockstep": True}})
     assert SimJob.model_validate_json(job.model_dump_json()) == job
     assert "\n" not in job.model_dump_json()
+
+
+def test_a_write_that_brings_limits_along_is_refused(settings):
+    """Else zeros as limits would mean none, and the next write could be anything."""
+
+    async def scenario():
+        server = RingServer(Ring(), settings)
+        pvs = channels(server)
+        for name in ("c{1}:SP", "SR:SIM{Ring}Current-SP"):
+            for data_type in (ChannelType.CTRL_DOUBLE, ChannelType.STS_DOUBLE):
+                with pytest.raises(ValueError, match="plain values only"):
+                    await pvs[name].auth_write("here", "me", [0.0], data_type, b"\0" * 80)
+            with pytest.raises(ValueError, match="Cannot write"):
+                await pvs[name].auth_write("here", "me", [1e6], ChannelType.DOUBLE, None)
+
+    asyncio.run(scenario())
