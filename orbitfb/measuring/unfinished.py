@@ -61,6 +61,13 @@ def put_back(
     if confirm is not None and restore is None:
         restore = confirm(f"{found}\nPut them back?")
     if restore:
+        limit = config.limits.setpoint
+        if (beyond := np.abs(moved.setpoints) > limit).any():
+            raise MeasurementError(
+                f"{found}\n{moved.setpoint_pvs[int(beyond.argmax())]} was beyond limits.setpoint "
+                f"({limit:g} A), so that nothing is moved; put the setpoints back by hand and say "
+                "--leave"
+            )
         mover.base[mine] = moved.setpoints
         patience = config.measure.restore_timeout
         restore_persistently(mover, mine.tolist(), machine, SystemClock(), patience)
