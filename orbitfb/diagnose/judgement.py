@@ -25,6 +25,8 @@ _STAND_IN = 3.0
 _HALF = 0.5
 _STAND_IN_SHRINK = 0.2
 """Share of a resolved gap on held-out data below which the causes only stood in for another."""
+_NO_TRACE = 1e-6
+"""Share below which the causes change nothing there, as what began before and stays does."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +94,8 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
     """
     named = judged.state in ("named", "ambiguous", "named_plus_remainder")
     if shrunk is None or not shrunk.resolved or shrunk.high is None or not named:
+        return judged
+    if shrunk.nats is not None and abs(shrunk.nats) < _NO_TRACE:
         return judged
     if shrunk.high < _STAND_IN_SHRINK:
         state: State = "unknown"

@@ -1,0 +1,30 @@
+"""A name is taken back by later data only if its cause had something to say about them."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from orbitfb.diagnose.answer_blocks import Audit
+from orbitfb.diagnose.answer_parts import Shrink
+from orbitfb.diagnose.judgement import Judgement, held_to_account
+
+OUTCOME = SimpleNamespace(
+    rounds=(SimpleNamespace(entries=()),),
+    bench=None,
+)
+
+
+@pytest.mark.parametrize(
+    ("nats", "high", "state"),
+    [
+        (0.95, 0.99, "named"),
+        (0.3, 0.4, "named_plus_remainder"),
+        (0.02, 0.1, "unknown"),
+        (3e-12, 2e-11, "named"),  # it began before and stays: there is nothing to explain
+    ],
+)
+def test_a_name_is_held_to_later_data(nats, high, state, monkeypatch):
+    monkeypatch.setattr("orbitfb.diagnose.judgement._unknown", lambda *parts: None)
+    judged = Judgement("named", Audit(), None, 1.0, (), None)  # type: ignore[arg-type]
+    shrunk = Shrink(nats=nats, low=0.0, high=high, um=nats, held_out_ticks=1000, resolved=True)
+    assert held_to_account(judged, OUTCOME, shrunk).state == state  # type: ignore[arg-type]
