@@ -148,10 +148,13 @@ _TICKS = (
     ),
     Panel(
         "timeseries",
-        "Shortened changes, last 5 min",
-        "Ticks whose change of setpoints the limits shortened.",
+        "Shortened and held back, last 5 min",
+        "Ticks whose change of setpoints the limits shortened, and ticks that waited for the last one.",
         "none",
-        (Query(f"increase({metric('limited_ticks_total')}[5m])", "shortened", "bars"),),
+        (
+            Query(f"increase({metric('limited_ticks_total')}[5m])", "shortened", "bars"),
+            Query(f"increase({metric('held_back_ticks_total')}[5m])", "held back", "bars"),
+        ),
         8,
         Steps(GREEN, ((1, YELLOW), (100, RED))),
         8,
