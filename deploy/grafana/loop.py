@@ -149,7 +149,8 @@ _TICKS = (
     Panel(
         "timeseries",
         "Shortened and held back, last 5 min",
-        "Ticks whose change of setpoints the limits shortened, and ticks that waited for the last one.",
+        "Ticks whose change of setpoints the limits shortened, and ticks that waited for the last "
+        "change.",
         "none",
         (
             Query(f"increase({metric('limited_ticks_total')}[5m])", "shortened", "bars"),
