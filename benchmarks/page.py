@@ -6,6 +6,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from benchmarks.newcomer_page import newcomer
 from benchmarks.page_text import HEAD, TAIL
 from benchmarks.summary import rate_name
 from benchmarks.viewers_page import viewers
@@ -37,6 +38,7 @@ def page(result: Result) -> str:
     parts += ["\n## More PVs\n\n", SCALING, _scaling(result["scaling"], result["scaling_fit"])]
     parts += ["\n## Beside a swap and a refit\n\n", ADDED, _added(result["added_by"])]
     parts += ["\n## Beside viewers of the operator page\n\n", viewers()]
+    parts += ["\n## From the clone to the first report\n\n", newcomer()]
     return "".join((*parts, TAIL))
 
 
