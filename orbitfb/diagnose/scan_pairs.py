@@ -67,7 +67,7 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
         if kind.sudden and not kind.parameters:
             yield from _pair_onsets(bench, kind, (patterns, drivers, change), score, choices)
         if kind.sudden and kind.linear is not None and kind.target == "corrector":
-            yield from _leak_onsets(bench, scoring, kind, choices)
+            yield from _leak_onsets(bench, scoring, kind, kind.linear, choices)
         for place in np.argsort(gain)[::-1][:KEPT]:
             if gain[place] > 0:
                 yield Candidate(
@@ -125,7 +125,7 @@ def _pair_onsets(
 
 
 def _leak_onsets(
-    bench: Bench, scoring: Scoring, kind: PairKind, choices: Vector
+    bench: Bench, scoring: Scoring, kind: PairKind, share: str, choices: Vector
 ) -> Iterator[Candidate]:
     """Try what begins to leak from one corrector into another in the middle of the record.
 
@@ -133,7 +133,7 @@ def _leak_onsets(
     and correctors of the largest jumps are tried with every corrector as the first.
     """
     record, currents = bench.record, bench.currents
-    matrix = kind.matrix({kind.linear or "": 1.0})
+    matrix = kind.matrix({share: 1.0})
     if matrix[1, 0] != 1.0 or matrix[0, 1] != 0.0 or matrix[0, 0] != matrix[1, 1]:
         return  # it mixes both
     shapes = scoring.correctors()
@@ -150,8 +150,9 @@ def _leak_onsets(
         for first in np.argsort(gain)[::-1][:KEPT]:
             place = places.get((int(first), second))
             if place is not None and gain[first] > 0:
-                values = {kind.linear or "": float(strength[first])}
-                cause = Cause(kind, (place,), sized(kind, values, 1.0), row)
+                cause = Cause(
+                    kind, (place,), sized(kind, {share: 1.0}, float(strength[first])), row
+                )
                 among = float(choices[place] * len(currents))
                 yield Candidate(cause, float(gain[first]), among)
 
