@@ -1,6 +1,7 @@
 """Commands around the service: run it, serve a ring to it, ask it."""
 
-from functools import partial
+import os
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -94,8 +95,17 @@ def run(
         effect=chosen,
         observe__port=metrics_port,
     )
-    announce = partial(print, flush=True)
-    raise typer.Exit(run_service(settings, ioc, start, duration, summary, announce, excite, live))
+    raise typer.Exit(run_service(settings, ioc, start, duration, summary, _tell, excite, live))
+
+
+def _tell(line: str) -> None:
+    """Print a line; a reader that has gone (`| head -1`, a closed window) must not end the loop."""
+    try:
+        print(line, flush=True)
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def ioc(

@@ -96,12 +96,12 @@ def test_what_it_shows_equals_what_the_pvs_say(service: Service):
     with look(service) as viewer:
         hello = json.loads(viewer.recv(5.0))
         ask(service.data, {"command": "open"})  # setpoints stand still
-        script = LISTEN.format(ring=service.port, panel=panel, names=wanted, seconds=4.0)
+        script = LISTEN.format(ring=service.port, panel=panel, names=wanted, seconds=8.0)
         pvs, texts = run_client(panel, script)
         shown = pictures(viewer, 0.5)
     assert hello["layout"]["bpms"] == list(CHANNELS.bpms)
-    # every reading of the ring that came while both looked, by its stamp
-    stamps = {round(its["stamp"], 3): its["orbit_um"] for its in shown}
+    # every reading of the ring that came while both looked, by its stamp; a late tick shows none
+    stamps = {round(its["stamp"], 3): its["orbit_um"] for its in shown if its["stamp"] is not None}
     compared = 0
     for number, name in enumerate(BPMS):
         for stamp, value in pvs[name]:
@@ -109,10 +109,10 @@ def test_what_it_shows_equals_what_the_pvs_say(service: Service):
                 assert stamps[round(stamp, 3)][number] == pytest.approx(1e3 * value, abs=6e-4)
                 compared += 1
     assert compared >= 4 * len(BPMS)
-    # the panel's figures: each was on the page too
+    # the panel's figures: each was on the page too, but for ticks at which either looked away
     rms = {round(its["rms_um"]["x"], 6) for its in shown if its["rms_um"]["x"] is not None}
     told = {round(value, 6) for _, value in pvs[f"{PREFIX}RmsX-I"][1:-1]}
-    assert len(told & rms) >= 5 and len(told - rms) <= 1
+    assert len(told & rms) >= 5 and len(told - rms) <= max(1, len(told) // 4)
     last = shown[-1]
     for name, value in (
         ("State-I", last["state"]),
@@ -121,7 +121,8 @@ def test_what_it_shows_equals_what_the_pvs_say(service: Service):
         ("GapText-I", last["gap"]["headline"]),
     ):
         assert texts[PREFIX + name] == value, name
-    assert abs(pvs[f"{PREFIX}Ticks-I"][-1][1] - last["ticks"]) <= 3
+    ticks = pvs[f"{PREFIX}Ticks-I"][-1][1]
+    assert min(abs(its["ticks"] - ticks) for its in shown) <= 1
     assert last["command"]["did"] == "opened" and "@localhost" in last["command"]["by"]
 
 

@@ -209,16 +209,18 @@ def test_refit_of_nobody(tmp_path: Path):
     assert refused("refit", "--data", tmp_path).startswith("no service of this user runs on ")
 
 
-def test_a_closed_terminal_does_not_stop_the_loop(tmp_path: Path):
-    """`orbitfb run | head -1`: whoever read has gone."""
+@pytest.mark.parametrize("lines", [0, 1])
+def test_a_closed_terminal_does_not_stop_the_loop(tmp_path: Path, lines: int):
+    """`orbitfb run | head -1`: whoever read has gone, before the first line or after it."""
     command = [*PROGRAM, *map(str, SIM[:3]), "--ioc", "sim", "--port", "0", "--duration", "2.5"]
     summary = tmp_path / "s.json"
     options = ["--data", str(tmp_path / "data"), "--summary", str(summary)]
     with subprocess.Popen([*command, *options], stdout=subprocess.PIPE) as run:
         assert run.stdout is not None
-        run.stdout.readline()
+        for _ in range(lines):
+            run.stdout.readline()
         run.stdout.close()
-        run.wait(30)
+        assert run.wait(60) == 0
     assert json.loads(summary.read_text())["ticks"] > 15
 
 
