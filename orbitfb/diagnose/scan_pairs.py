@@ -17,6 +17,7 @@ from orbitfb.diagnose.candidate import (
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.kinds import Values
 from orbitfb.effects.layout import Layout
 from orbitfb.physics.optics import Matrix
 
@@ -68,6 +69,8 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
             yield from _pair_onsets(bench, kind, (patterns, drivers, change), score, choices)
         if kind.sudden and kind.linear is not None and kind.target == "corrector":
             yield from _leak_onsets(bench, scoring, kind, kind.linear, choices)
+        if kind.sudden and kind.linear is not None and kind.target == "bpm":
+            yield from _mixing_onsets(bench, scoring, kind, values, choices)
         for place in np.argsort(gain)[::-1][:KEPT]:
             if gain[place] > 0:
                 yield Candidate(
@@ -122,6 +125,49 @@ def _pair_onsets(
             values = {p.name: p.typical for p in kind.parameters}
             cause = Cause(kind, (int(place),), values, row)
             yield Candidate(cause, float(gain[row]), float(choices[place] * len(gain)))
+
+
+def _mixing_onsets(
+    bench: Bench, scoring: Scoring, kind: PairKind, values: Values, choices: Vector
+) -> Iterator[Candidate]:
+    """Try every row as the beginning of what mixes two readings by a size: they then jump.
+
+    Args:
+        bench: The record under the causes so far.
+        scoring: On that bench.
+        kind: The effect.
+        values: A small size of it.
+        choices: Among how many each pair was chosen, shape (P,).
+    """
+    record, orbit = bench.record, bench.orbit
+    pairs = kind.pairs(record.layout)
+    change = kind.matrices(record.layout, values) - np.eye(2)
+    shapes = scoring.ladder.shapes(np.eye(orbit.shape[1]))
+    rows = len(orbit)
+    row = np.arange(rows, dtype=np.float64)
+    short = 1.0 / np.maximum(row, 1.0) + 1.0 / (rows - row)
+    score, info = np.zeros((rows, len(pairs))), np.zeros((rows, len(pairs)))
+    for side in range(2):
+        columns = pairs[:, side]
+        driven = np.einsum("pb,kpb->kp", change[:, side], orbit[:, pairs])
+        score += np.cumsum((bench.slope[:, columns] * driven)[::-1], axis=0)[::-1]
+        for shape, course, feedback in zip(
+            shapes, scoring.courses(driven), scoring.ladder.feedback, strict=True
+        ):
+            size = np.sum(shape[:, columns] ** 2, axis=0)
+            info += size * np.cumsum((course**2)[::-1], axis=0)[::-1]
+            info += size * driven**2 / (1.0 - feedback**2 + short)[:, None]
+    strength, gain = best_strength(kind, score, info)
+    gain[:FIRST_ONSET] = 0.0
+    gain[rows - LAST_ONSET :] = 0.0
+    best = np.argmax(gain, axis=0)
+    height = gain[best, np.arange(len(pairs))]
+    for place in np.argsort(height)[::-1][:KEPT]:
+        begin = int(best[place])
+        if height[place] > 0:
+            scaled = sized(kind, values, float(strength[begin, place]))
+            cause = Cause(kind, (int(place),), scaled, begin)
+            yield Candidate(cause, float(height[place]), float(choices[place] * rows))
 
 
 def _leak_onsets(

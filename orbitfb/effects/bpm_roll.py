@@ -35,7 +35,6 @@ class BpmRoll(PairKind):
     )
     linear = "angle"
     collective = False
-    sudden = False
     confused_with = ("skew-coupling", "corrector-roll", "bpm-gain")
     splits = "skew magnets are seen by all BPMs; excite both planes one after the other"
 

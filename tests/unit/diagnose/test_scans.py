@@ -58,6 +58,20 @@ def test_crosstalk_that_begins_in_the_middle_is_not_a_kick():
     assert abs(found.cause.onset - 300) < 3
 
 
+def test_a_roll_that_begins_in_the_middle_is_not_an_offset():
+    layout = layout_of(RING, "xy", 0.1)
+    roll = parse_effect(f"bpm-roll:angle=0.05,names={BPMS[20]},from=50s")
+    effects = build([roll], layout, 1)
+    record = simulate_record(RING, "xy", 500, 5, effects, dither=2e-3, period=layout.period)
+    bench, kind = Bench(record), all_effects()["bpm-roll"]
+    found = Scanner(bench).candidates(kind)[0]
+    offset = Scanner(bench).candidates(all_effects()["bpm-offset"])[0]
+    assert record.layout.bpms.names[kind.pairs(record.layout)[found.cause.places[0]][0]] == BPMS[20]
+    assert abs(found.cause.onset - 300) < 16  # the tournament finds the very row
+    assert abs(found.cause.values["angle"] / 0.05 - 1.0) < 0.3
+    assert found.gain > offset.gain + 10.0
+
+
 def test_the_predicted_orbit_knows_nothing_of_the_noise_of_its_row():
     """With a wrong gain in the model the innovation is that of the restored reading."""
     record = record_with(f"bpm-gain:gain=0.5,names={BPMS[20]}", dither=2e-3)
