@@ -147,6 +147,7 @@ def join(rows: Transition, layout: Layout, source: str) -> tuple[Record, list[Fi
         auxiliary={name: spread(each, each[ends]) for name, each in rows.auxiliary.items()},
         source=source,
         digest=digest_of(time, readings, setpoints, np.nan_to_num(requested), layout.response),
+        began=float(rows.time[0]),
     )
     return record, [*_gap_findings(rows, position, jumps), *_filled_findings(record)]
 

@@ -27,6 +27,9 @@ _LEAST_TO_SPLIT = 500
 """Rows below which nothing is put aside: what is left would show too little."""
 _FITTED = 0.8
 _PHASES = 24
+_SINCE = np.arange(0.0, 4.1, 0.25)
+"""How long a drift may have gone on when a record of another clock begins, in lengths of the
+first one."""
 _NINETY = (0.05, 0.95)
 
 
@@ -53,17 +56,19 @@ def contrast(
 
     Args:
         bench: The record of the fit under the causes that were found.
-        later: Of the same devices; nothing of the causes is fitted to it. Only the phase of a
-            periodic disturbance is, where the later record does not say when it was taken.
+        later: Of the same devices; nothing of the causes is fitted to it but what its clock does
+            not tell: the phase of a periodic disturbance (always, unless it is the end of the
+            same record), and how long a drift has gone on, where it is another clock.
         seed: Of the bootstrap.
         rivals: The best few of the tournament that were not accepted, fitted to the same ticks.
         net: Fitted to the same ticks; None: left out.
     """
     rivals = tuple(replace(rival, onset=0) for rival in rivals)
     causes = tuple(replace(cause, onset=0) for cause in bench.causes)
+    same = bool(later.time[0] > bench.record.time[-1])
+    later = _since_onset(bench, causes, _on_one_clock(bench.record, later))
     replay = Replay.later(bench, causes, later)
-    continued = bool(later.time[0] > bench.record.time[-1])
-    if not continued:
+    if not same:
         causes = _in_phase(replay, causes)
     change = refitted_response(Replay.of(bench))
     orbit = None if net is None else net.extra(replay)
@@ -154,6 +159,39 @@ def _share(part: Vector, whole: Vector) -> tuple[float | None, float | None, flo
     shares = np.where(known, part / np.where(known, whole, 1.0), -np.inf)
     low, high = np.quantile(shares[1:], _NINETY, method="inverted_cdf")
     return float(shares[0]), min(float(low), float(shares[0])), max(float(high), float(shares[0]))
+
+
+def _on_one_clock(record: Record, later: Record) -> Record:
+    """Count the time of a later record from the first row of the record, if their clocks agree."""
+    since = later.began - record.began
+    if since + later.time[0] <= record.time[-1]:
+        return later
+    return replace(later, time=later.time + since)
+
+
+def _since_onset(bench: Bench, causes: Sequence[Cause], later: Record) -> Record:
+    """Count the time of a later record from where a cause that grows has begun.
+
+    Args:
+        bench: The record of the fit, with the causes' onsets.
+        causes: As they act in the later record.
+        later: On the clock of that record, if it is later by it; otherwise the time since then
+            is the one that explains it best.
+    """
+    begun = [one.onset for one in bench.causes if one.kind.grows]
+    if not begun:
+        return later
+    if later.time[0] > bench.record.time[-1]:
+        return replace(later, time=later.time - bench.record.time[min(begun)])
+    replay = Replay.later(bench, tuple(causes), later)
+    model = Model(tuple(causes))
+    length = float(bench.record.time[-1] - bench.record.time[min(begun)])
+    tried = [replace(later, time=later.time + length * step) for step in _SINCE]
+    costs = [
+        float(np.sum(Replay(one, replay.floor, replay.orbit, replay.healthy).white(model) ** 2))
+        for one in tried
+    ]
+    return tried[int(np.argmin(costs))]
 
 
 def _in_phase(replay: Replay, causes: tuple[Cause, ...]) -> tuple[Cause, ...]:

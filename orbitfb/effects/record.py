@@ -32,6 +32,7 @@ class Record:
         auxiliary: Slow channels by name, SI (`current` [A], `rf_frequency` [Hz]), each (N,).
         source: Where it came from, for people.
         digest: SHA-256 of what was read, hexadecimal.
+        began: What the clock said at `time` = 0 [s]; 0 where nobody knows.
     """
 
     layout: Layout
@@ -47,6 +48,7 @@ class Record:
     auxiliary: Mapping[str, Vector]
     source: str
     digest: str
+    began: float = 0.0
 
     def __len__(self) -> int:
         return len(self.time)
@@ -74,6 +76,7 @@ class Record:
             auxiliary={name: values[piece] for name, values in self.auxiliary.items()},
             source=self.source,
             digest=self.digest,
+            began=self.began,
         )
 
     @property

@@ -1,13 +1,21 @@
 """A right cause takes the gap away on later data, a wrong one makes it larger."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from gap_cases import GAIN, PLACE, bench, gain_error, record
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.competitor import refitted_response
+from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.replay import Replay
 from orbitfb.diagnose.shrink import contrast, k_steps, put_aside, shrink
+from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.effects.build import build, layout_of
+from orbitfb.effects.registry import effect
+from orbitfb.effects.settings import parse_effect
+from orbitfb.physics.places import Ring
 
 TRUE = ((PLACE, GAIN),)
 
@@ -107,3 +115,19 @@ def test_an_end_put_aside_serves_as_a_later_record():
 def test_nothing_is_put_aside_of_a_short_record():
     short = record(False)
     assert put_aside(short) == (short, None)
+
+
+@pytest.mark.parametrize("clock", [True, False])
+def test_a_drift_goes_on_in_a_record_whose_time_begins_anew(clock):
+    ring = Ring.load()
+    layout = layout_of(ring, "x", 0.1)
+    drift = parse_effect("tune-drift:rate_x=0.0003")
+    effects = build([drift], layout, 1)
+    whole = simulate_record(ring, "x", 900, 5, effects, dither=2e-3, period=layout.period)
+    first, later = whole.rows(0, 450), whole.rows(450, 900)
+    begun = float(later.time[0]) if clock else 0.0
+    later = replace(later, time=later.time - later.time[0], began=begun)
+    cause = Cause(effect("tune-drift"), (), {"rate_x": 0.0003, "rate_y": 0.0})
+    its = shrink(contrast(Bench(first, (cause,)), later))
+    assert its.resolved
+    assert its.nats > 0.9
