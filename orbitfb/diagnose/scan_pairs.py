@@ -66,7 +66,9 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
                         )
         strength, gain = best_strength(kind, score, info)
         if kind.sudden and not kind.parameters:
-            yield from _pair_onsets(bench, kind, (patterns, drivers, change), score, choices)
+            yield from _pair_onsets(
+                bench, scoring, kind, (patterns, drivers, change), score, choices
+            )
         if kind.sudden and kind.linear is not None and kind.target == "corrector":
             yield from _leak_onsets(bench, scoring, kind, kind.linear, choices)
         if kind.sudden and kind.linear is not None and kind.target == "bpm":
@@ -96,6 +98,7 @@ def _choices(kind: PairKind, layout: Layout) -> Vector:
 
 def _pair_onsets(
     bench: Bench,
+    scoring: Scoring,
     kind: PairKind,
     parts: tuple[Matrix, Matrix, Matrix],
     score: Vector,
@@ -105,6 +108,7 @@ def _pair_onsets(
 
     Args:
         bench: The record under the causes so far.
+        scoring: On that bench.
         kind: The effect.
         parts: Patterns (n, c) and drivers (N, c) of the columns, changes (P, 2, 2) of the pairs.
         score: Of the pairs over the whole record, shape (P,).
@@ -112,12 +116,19 @@ def _pair_onsets(
     """
     patterns, drivers, change = parts
     pairs = kind.pairs(bench.record.layout)
+    short = _short(len(drivers))
     for place in np.argsort(score)[::-1][:_PAIRS_TRIED]:
         pair = pairs[place]
-        moved = (drivers[:, pair] @ change[place].T) @ patterns[:, pair].T
-        white = bench.floor.whiten(moved, bench.record.starts)
-        by_row = np.sum(bench.slope * moved, axis=1) - 0.5 * np.sum(white**2, axis=1)
-        gain = np.cumsum(by_row[::-1])[::-1]
+        driven = drivers[:, pair] @ change[place].T
+        gain = _to_the_end(np.sum((bench.slope @ patterns[:, pair]) * driven, axis=1))
+        for shape, course, feedback in zip(
+            scoring.ladder.shapes(patterns[:, pair]),
+            scoring.courses(driven),
+            scoring.ladder.feedback,
+            strict=True,
+        ):
+            jump = np.sum((driven @ shape.T) ** 2, axis=1) / (1.0 - feedback**2 + short)
+            gain -= 0.5 * (_to_the_end(np.sum((course @ shape.T) ** 2, axis=1)) + jump)
         gain[:FIRST_ONSET] = 0.0
         gain[len(gain) - LAST_ONSET :] = 0.0
         row = int(np.argmax(gain))
@@ -144,18 +155,17 @@ def _mixing_onsets(
     change = kind.matrices(record.layout, values) - np.eye(2)
     shapes = scoring.ladder.shapes(np.eye(orbit.shape[1]))
     rows = len(orbit)
-    row = np.arange(rows, dtype=np.float64)
-    short = 1.0 / np.maximum(row, 1.0) + 1.0 / (rows - row)
+    short = _short(rows)
     score, info = np.zeros((rows, len(pairs))), np.zeros((rows, len(pairs)))
     for side in range(2):
         columns = pairs[:, side]
         driven = np.einsum("pb,kpb->kp", change[:, side], orbit[:, pairs])
-        score += np.cumsum((bench.slope[:, columns] * driven)[::-1], axis=0)[::-1]
+        score += _to_the_end(bench.slope[:, columns] * driven)
         for shape, course, feedback in zip(
             shapes, scoring.courses(driven), scoring.ladder.feedback, strict=True
         ):
             size = np.sum(shape[:, columns] ** 2, axis=0)
-            info += size * np.cumsum((course**2)[::-1], axis=0)[::-1]
+            info += size * _to_the_end(course**2)
             info += size * driven**2 / (1.0 - feedback**2 + short)[:, None]
     strength, gain = best_strength(kind, score, info)
     gain[:FIRST_ONSET] = 0.0
@@ -206,14 +216,24 @@ def _leak_onsets(
 def _jumps(scoring: Scoring, pull: Matrix, sizes: list[Vector]) -> list[tuple[int, int]]:
     """Rows at which, and correctors whose, a constant kick that begins explains most."""
     rows, count = pull.shape
-    row = np.arange(rows, dtype=np.float64)
-    short = 1.0 / np.maximum(row, 1.0) + 1.0 / (rows - row)
+    short = _short(rows)
     info = np.zeros((rows, count))
     for size, feedback in zip(sizes, scoring.ladder.feedback, strict=True):
         info += size / (1.0 - feedback**2 + short)[:, None]
-    gain = np.cumsum(pull[::-1], axis=0)[::-1] ** 2 / np.maximum(info, 1e-300)
+    gain = _to_the_end(pull) ** 2 / np.maximum(info, 1e-300)
     gain[:FIRST_ONSET] = 0.0
     gain[rows - LAST_ONSET :] = 0.0
     best = np.argmax(gain, axis=0)
     order = np.argsort(gain[best, np.arange(count)])[::-1][:_JUMPS_TRIED]
     return [(int(best[column]), int(column)) for column in order]
+
+
+def _to_the_end(values: Matrix) -> Matrix:
+    """Sum from every row to the last one, over the first axis."""
+    return np.cumsum(values[::-1], axis=0)[::-1]
+
+
+def _short(rows: int) -> Vector:
+    """Tell what a jump near an end of a record costs beside its steady cost, shape (rows,)."""
+    row = np.arange(rows, dtype=np.float64)
+    return 1.0 / np.maximum(row, 1.0) + 1.0 / (rows - row)

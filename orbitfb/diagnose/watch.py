@@ -34,7 +34,10 @@ FEWEST = 200
 """Ticks below which nothing is said."""
 SURE = 0.99
 """Probability that there is any effect, at which a gap is resolved."""
-_FITTED = 3
+_FITTED = 4
+"""Candidates that are fitted."""
+_OF_A_KIND = 2
+"""Those among them that one effect may take."""
 
 _SIMPLE = ("bpm-stuck", "corrector-stuck", "bpm-polarity", "corrector-polarity")
 """What is named first among effects that break the same device as well."""
@@ -89,7 +92,7 @@ def look(record: Record, stamp: float, kinds: Sequence[EffectKind] | None = None
         if not kind.unavailable(record)
     ]
     bench = Bench(record)
-    judged = [_judged(bench, candidate) for candidate in propose(bench, able)[:_FITTED]]
+    judged = [_judged(bench, candidate) for candidate in _foremost(propose(bench, able))]
     judged.sort(key=lambda one: one[0], reverse=True)
     if judged:
         judged += [_judged(bench, one) for one in _harder(record, able, judged[0])]
@@ -136,6 +139,16 @@ def places_of(cause: Cause, layout: Layout) -> tuple[tuple[str, ...], tuple[str,
         columns = [int(column) for place in cause.places for column in pairs[place]]
     names = tuple(devices.names[column] for column in columns)
     return names, tuple(devices.planes[column] for column in columns)
+
+
+def _foremost(proposed: Sequence[Candidate]) -> list[Candidate]:
+    """Take the best candidates, so that the rough scores of one effect crowd out no other."""
+    taken: list[Candidate] = []
+    for one in proposed:
+        of_its_kind = sum(other.cause.kind is one.cause.kind for other in taken)
+        if of_its_kind < _OF_A_KIND and len(taken) < _FITTED:
+            taken.append(one)
+    return taken
 
 
 def _harder(record: Record, kinds: Sequence[EffectKind], found: _Judged) -> list[Candidate]:

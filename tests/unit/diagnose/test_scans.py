@@ -1,5 +1,7 @@
 """What a scan of places must not step over."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,20 @@ def test_crosstalk_that_begins_in_the_middle_is_not_a_kick():
     found = best(record, "corrector-crosstalk")
     assert tuple(kind.pairs(record.layout)[found.cause.places[0]]) == (first, second)
     assert abs(found.cause.onset - 300) < 3
+
+
+def test_an_exchange_that_begins_in_the_middle_costs_the_jump_of_a_steered_orbit():
+    """With magnets that steer by 100 µm an exchange would jump by as much: it promises nothing."""
+    record = record_with(f"corrector-gain:gain=0.3,names={CORRECTORS[20]}", dither=0.0, ticks=400)
+    steering = 0.05 * np.random.default_rng(3).standard_normal(len(CORRECTORS))
+    steered = replace(record, setpoints=record.setpoints + steering)
+    scanner = Scanner(Bench(steered))
+    promised = [
+        found.gain
+        for kind in ("bpm-swap", "corrector-swap")
+        for found in scanner.candidates(all_effects()[kind])
+    ]
+    assert max(promised, default=0.0) < 50.0
 
 
 def test_a_roll_that_begins_in_the_middle_is_not_an_offset():
