@@ -33,13 +33,16 @@ class Machine(Protocol):
         """
         ...
 
-    def write(self, setpoints: Vector) -> Applied:
-        """Send absolute setpoints, shape (m,) [A]: all of them or none.
+    def write(self, setpoints: Vector, which: Mask | None = None) -> Applied:
+        """Send absolute setpoints: all that are asked for, or none.
 
-        A corrector that is away and whose last known setpoint is wanted is passed over.
+        Args:
+            setpoints: Shape (m,) [A]; elements that are not asked for are not looked at.
+            which: Correctors to put, shape (m,); None: all. Others are left alone, whoever moved
+                them, be they away or switched off.
 
         Raises:
-            WriteError: A channel is away or refuses, or a value is not finite.
+            WriteError: One of them is away or refuses, or its value is not finite.
         """
         ...
 

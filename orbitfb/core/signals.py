@@ -76,7 +76,7 @@ class Applied:
     """What a write did.
 
     Args:
-        setpoints: What was sent, shape (m,) [A].
+        setpoints: What was sent, shape (m,) [A]; elsewhere what was handed over.
         time: When the last one had left, wall clock [s since the epoch].
         monotonic: The same moment on the monotonic clock [s].
     """

@@ -163,10 +163,12 @@ class EpicsMachine:
             raise MachineError(told)
         raise AwayError(told, self._last.copy(), ~known)
 
-    def write(self, setpoints: Vector) -> Applied:
-        """Send absolute setpoints, shape (m,) [A]: all of them or none.
+    def write(self, setpoints: Vector, which: Mask | None = None) -> Applied:
+        """Send absolute setpoints: all that are asked for, or none.
 
-        One that is away is passed over if what is wanted is what it was last known to be.
+        Args:
+            setpoints: Shape (m,) [A].
+            which: Correctors to put, shape (m,); None: all. Nothing is put to the others.
 
         Raises:
             WriteError: A channel is away or read-only, or was away and has not been asked for its
@@ -175,21 +177,20 @@ class EpicsMachine:
         """
         self._refuse_if_closed(WriteError)
         values = np.array(setpoints, dtype=np.float64)
-        self._check_values(values)
+        which = np.ones(len(self._setpoints), dtype=np.bool_) if which is None else which
+        self._check_values(values, which)
         if (silence := self._inbox.silence) > self._settings.silent_after:
             raise WriteError(
                 f"no orbit for {silence:.1f} s: {self._describe()}; nothing was sent to a machine "
                 "that may hang"
             )
-        connected = self._setpoints.connected
-        but = ~connected & (values == self._last)
-        if (unread := connected & self._unread).any():
+        if (unread := which & self._setpoints.connected & self._unread).any():
             raise WriteError(
                 f"{np.count_nonzero(unread)} of {len(values)} setpoints were away and have not "
                 f"been read since: {name_some(unread, self._setpoints.names)}; nothing was sent"
             )
-        self._putter.put(values, but)
-        self._last = values
+        self._putter.put(values, which)
+        self._last = np.where(which, values, self._last)
         return Applied(values, self._inbox.time.now(), self._clock.monotonic())
 
     def close(self) -> None:
@@ -272,11 +273,11 @@ class EpicsMachine:
             limits = self._getter.limits()
             self._drive_limits = np.where(here[:, None], limits, self._drive_limits)
 
-    def _check_values(self, values: Vector) -> None:
+    def _check_values(self, values: Vector, which: Mask) -> None:
         expected = len(self._setpoints)
         if values.shape != (expected,):
             raise WriteError(f"{values.shape} setpoints instead of ({expected},); nothing was sent")
-        wrong = ~np.isfinite(values)
+        wrong = which & ~np.isfinite(values)
         if wrong.any():
             names = name_some(wrong, self._setpoints.names)
             raise WriteError(

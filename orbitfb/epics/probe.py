@@ -69,7 +69,7 @@ class Probe:
         Raises:
             WriteError: The PV is away.
         """
-        self._putter.put(np.array([value]))
+        self._putter.put(np.array([value]), np.ones(1, dtype=np.bool_))
 
     def close(self) -> None:
         """Let go of them; nothing is taken any more when this returns."""

@@ -87,7 +87,7 @@ class Getter:
 
 
 class Putter:
-    """Puts one double to every channel of a group and flushes once.
+    """Puts one double to some or all channels of a group and flushes once.
 
     Args:
         context: Context of the group.
@@ -103,12 +103,12 @@ class Putter:
         # A function object of its own, without prototype: its arguments are converted beforehand.
         self._put: Callable[..., int] = context.library["ca_array_put"]
 
-    def put(self, values: Vector, but: Mask | None = None) -> None:
-        """Send values, shape (m,), in the unit of the PVs: all of them or none.
+    def put(self, values: Vector, which: Mask) -> None:
+        """Send values, shape (m,), in the unit of the PVs: all that are asked for, or none.
 
         Args:
             values: To send.
-            but: Channels to pass over, shape (m,); None: none.
+            which: Channels to send to, shape (m,).
 
         Raises:
             WriteError: A channel is away, read-only or refuses; then nothing was sent, unless
@@ -117,18 +117,18 @@ class Putter:
         group = self._group
         with group.lock:
             ready = group.connected & group.writable
-            if not (ready if but is None else ready | but).all():
-                raise WriteError(self._refusal())
+            if not (ready | ~which).all():
+                raise WriteError(self._refusal(which))
             if self._generation != group.generation:
                 self._prepare()
             self._values[:] = values
             self._context.attach()
             put, calls = self._put, self._calls
-            if but is not None and but.any():
-                calls = [call for call, left in zip(calls, but, strict=True) if not left]
-            for call in calls:
+            if not which.all():
+                calls = [call for call, wanted in zip(calls, which, strict=True) if wanted]
+            for sent, call in enumerate(calls):
                 if (status := put(*call)) != ECA_NORMAL:
-                    self._refused(call, status)
+                    self._refused(call, status, sent)
             self._context.flush()
 
     def _prepare(self) -> None:
@@ -139,9 +139,10 @@ class Putter:
         ]
         self._generation = self._group.generation
 
-    def _refusal(self) -> str:
+    def _refusal(self, which: Mask) -> str:
         group = self._group
-        away, read_only = ~group.connected, group.connected & ~group.writable
+        away = which & ~group.connected
+        read_only = which & group.connected & ~group.writable
         parts = [
             f"{np.count_nonzero(mask)} of {len(group)} setpoints are {what}: "
             + name_some(mask, group.names)
@@ -150,12 +151,12 @@ class Putter:
         ]
         return "; ".join([*parts, "nothing was sent"])
 
-    def _refused(self, call: tuple[Any, ...], status: int) -> None:
+    def _refused(self, call: tuple[Any, ...], status: int, before: int) -> None:
         index = self._calls.index(call)
         sent = (
             "nothing was sent"
-            if index == 0
-            else f"{index} setpoints before it may have been sent: read them back"
+            if before == 0
+            else f"{before} setpoints before it may have been sent: read them back"
         )
         raise WriteError(
             f"{self._group.names[index]} refused: {self._context.message(status)}; {sent}"

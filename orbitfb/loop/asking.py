@@ -19,18 +19,21 @@ class Answer:
     Args:
         memory: With the setpoints that are in force, or none where they are not known.
         trouble: What failed; empty when nothing did.
-        moved: The first correctors whose setpoint is not as believed; empty when all are.
+        moved: The first correctors of ours whose setpoint is not as believed; empty when all are.
+        known: Whether the setpoints are known.
     """
 
     memory: LoopMemory
     trouble: str = ""
     moved: str = ""
+    known: bool = True
 
 
 def ask_setpoints(machine: Machine, memory: LoopMemory, rules: Rules, away: Mask | None) -> Answer:
     """Have the machine state its setpoints.
 
-    Those that are known to be away are left out of the loop: what they were will do.
+    Those that are known to be away, or are not ours, are left out of the loop: what they were
+    will do.
 
     Args:
         machine: To ask.
@@ -42,7 +45,8 @@ def ask_setpoints(machine: Machine, memory: LoopMemory, rules: Rules, away: Mask
         actual = np.array(machine.setpoints(), dtype=np.float64)
     except AwayError as error:
         actual = error.last
-        if away is None or (error.away & ~away).any():
+        needed = error.away if away is None else error.away & ~away
+        if (needed if memory.mine is None else needed & memory.mine).any():
             return _unknown(memory, error)
     except MachineError as error:
         return _unknown(memory, error)
@@ -56,4 +60,4 @@ def ask_setpoints(machine: Machine, memory: LoopMemory, rules: Rules, away: Mask
 
 def _unknown(memory: LoopMemory, error: MachineError) -> Answer:
     trouble = f"the setpoints in force are not known: {error}"
-    return Answer(remember.forget_setpoints(memory), trouble)
+    return Answer(remember.forget_setpoints(memory), trouble, known=False)

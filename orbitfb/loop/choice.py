@@ -46,6 +46,7 @@ def choose(
     rules: Rules,
     gain: Vector,
     dither: Vector,
+    mine: Mask,
     done: Callable[[str], float],
 ) -> Choice:
     """Decide and limit; correctors that would go beyond their limit leave the solution.
@@ -57,6 +58,7 @@ def choose(
         rules: Limits and names.
         gain: Factor of the policy's change, shape (m,) [1].
         dither: Shape (m,) [A].
+        mine: Correctors that the loop moves, shape (m,).
         done: Told the phase of the tick that has just ended.
     """
     names = rules.channels.correctors
@@ -70,8 +72,9 @@ def choose(
         if guard.policy is not asked:
             state = guard.policy.initial_state()
         change, shaken = decision.change, dither
-        if out.any():  # also of a policy that cannot be solved for the others
-            change, shaken = np.where(out, 0.0, change), np.where(out, 0.0, dither)
+        moves = mine & ~out
+        if not moves.all():  # also of a policy that cannot be solved for the others
+            change, shaken = np.where(moves, change, 0.0), np.where(moves, dither, 0.0)
         requested = gain * change + shaken
         done("decide")
         limited = limit(requested, memory.setpoints, rules.limits, names)
@@ -79,12 +82,13 @@ def choose(
         tight = limited.at_limit
         more = out | tight
         rounds += 1
-        if rounds > _ROUNDS or spent or not tight.any() or not guard.can_leave_out or more.all():
+        alone = not guard.can_leave_out or not (mine & ~more).any()
+        if rounds > _ROUNDS or spent or not tight.any() or alone:
             break
         out, full = more, full | tight
     reasons = [alarm, limited.verdict.reason]
     if not full.any():
-        reasons.append(near_limit(limited.setpoints, rules.limits, names))
+        reasons.append(near_limit(np.where(mine, limited.setpoints, 0.0), rules.limits, names))
     else:
         reasons.append(
             f"{int(full.sum())} correctors at their limit of ±{rules.limits.setpoint:g} A "

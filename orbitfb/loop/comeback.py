@@ -84,7 +84,7 @@ def next_step(
     memory: LoopMemory,
     checked: Checked,
     rules: Rules,
-    movable: Mask,
+    mine: Mask,
     ask: Callable[[], tuple[LoopMemory, str]],
 ) -> Step:
     """Say what the next step is.
@@ -93,7 +93,7 @@ def next_step(
         memory: Of a loop that is TRIPPED.
         checked: The orbit of this tick.
         rules: Limits of the steps.
-        movable: Correctors that may move, shape (m,).
+        mine: Correctors that the loop moves, shape (m,).
         ask: Asks for the setpoints in force; gives what is wrong with them.
     """
     way = memory.way
@@ -110,7 +110,7 @@ def next_step(
     way = replace(way, rms=min(way.rms, checked.rms), seen=way.seen + 1)
     if way.seen <= rules.loop.proving:  # what was sent before the trip arrives first
         return Step(replace(memory, way=way))
-    left = np.where(movable & ~memory.lost, way.good - memory.setpoints, 0.0)
+    left = np.where(mine, way.good - memory.setpoints, 0.0)
     limited = limit(_cut(left, rules), memory.setpoints, rules.limits)
     if limited.scale < 1.0:
         return Step(stop(memory, limited.verdict.reason))

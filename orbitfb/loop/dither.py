@@ -118,8 +118,12 @@ class Dither:
         return self._movable * aim - self._excursion
 
     def settle(self, change: Vector) -> None:
-        """Note the part of a proposed change that was written, shape (m,) [A]."""
-        self._excursion = self._excursion + change
+        """Note the part of a proposed change that was written, shape (m,) [A].
+
+        A corrector that it may not move any more stays where it is, and that counts as no
+        excursion: it is not brought back when it may move again.
+        """
+        self._excursion = self._movable * (self._excursion + change)
 
     def restart(self, held: bool = False) -> None:
         """Take the setpoints as they are for those of the feedback.

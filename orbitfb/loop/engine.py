@@ -15,21 +15,21 @@ from orbitfb.core.signals import LoopState, Mask, Reading, Vector
 from orbitfb.loop import comeback
 from orbitfb.loop import memory as remember
 from orbitfb.loop.adjustments import Adjustments, approach
-from orbitfb.loop.asking import ask_setpoints
 from orbitfb.loop.choice import choose
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.guard import NONE, Guard, Safeguards
+from orbitfb.loop.inspection import Asker, inspect, mine_of
 from orbitfb.loop.intake import Intake, await_orbit
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.pacing import Pace, miss, take
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.states import Event
-from orbitfb.loop.tick import Checked, check, ramp_gain, screened, supervise, too_long
+from orbitfb.loop.tick import Checked, ramp_gain, screened, supervise, too_long
 from orbitfb.loop.waiting import wait_for_change
 from orbitfb.loop.work import Work
 from orbitfb.safety.limits import Limited
 from orbitfb.safety.prediction import Answers, predict
-from orbitfb.safety.verdict import Action, Verdict
+from orbitfb.safety.verdict import Verdict
 from orbitfb.safety.watch import Growth
 
 
@@ -63,6 +63,7 @@ class Engine:
         deadline = rules.loop.policy_deadline * rules.loop.period
         self._guard = Guard(slot, safeguards, clock, deadline)
         self._flaws = np.zeros(len(rules.channels.bpms), dtype=np.int8)
+        self._asker = Asker(machine, self._guard)
         self._rules, self._dither = rules, dither
         self._counting = rules.counting
         self.wanted: Adjustments = Adjustments.none(rules.reference, len(rules.channels.correctors))
@@ -163,41 +164,18 @@ class Engine:
         self.memory = replace(self.memory, pace=pace)
         if missed:
             self.memory = replace(self.memory, answers=Answers())
-        trouble = ""
-        closed = self.memory.state is LoopState.CLOSED
-        unknown = bool(np.isnan(self.memory.setpoints).any())
-        doubt = closing or unknown or self.memory.state is LoopState.HELD
-        if doubt:
-            trouble, _ = self._ask_setpoints(reading.away)
-        before, away = self.memory.away, reading.away
-        back = before is not None and (away is None or bool((before & ~away).any()))
-        checked = self._ask_interlocks(reading)
-        if (checked.off.any() or back) and not doubt:
-            trouble, names = self._ask_setpoints(reading.away)
-            if names:
-                self.memory = comeback.stop(self.memory, f"setpoints were moved: {names}")
-            checked = self._ask_interlocks(reading)
-            if closed and names:
-                trouble = f"setpoints were moved by somebody else: {names}"
-        if trouble and checked.verdict.action < Action.HOLD:
-            checked = replace(checked, verdict=Verdict(Action.HOLD, "setpoints", trouble))
+        checked = inspect(self._asker, self.memory, reading, self._rules, self._flaws, closing)
         self.memory = comeback.remember_good(checked.memory, checked, self._rules)
         return checked, missed
 
-    def _ask_interlocks(self, reading: Reading) -> Checked:
-        movable = self._guard.movable(len(self.memory.setpoints))
-        leaves_out = self._guard.can_leave_out
-        return check(reading, self.memory, self._rules, self._flaws, movable, leaves_out)
-
-    def _ask_setpoints(self, away: Mask | None) -> tuple[str, str]:
-        """Ask what is in force; say what keeps from writing, or which were moved."""
-        answer = ask_setpoints(self._machine, self.memory, self._rules, away)
-        self.memory = answer.memory
-        return answer.trouble or self._guard.obstacle(), answer.moved
-
     def _state_setpoints(self, reading: Reading) -> tuple[LoopMemory, str]:
-        trouble, moved = self._ask_setpoints(reading.away)
-        return self.memory, trouble or (moved and f"setpoints were moved: {moved}")
+        answer = self._asker.ask(self.memory, self._rules, reading.away)
+        self.memory, moved = answer.memory, answer.moved
+        return self.memory, answer.trouble or (moved and f"setpoints were moved: {moved}")
+
+    def _mine(self) -> Mask:
+        """Correctors that the loop moves now, shape (m,)."""
+        return mine_of(self._guard, self.memory)
 
     def supervise(self, reading: Reading, verdict: Verdict) -> None:
         """Let a verdict have its effect on the state."""
@@ -223,7 +201,12 @@ class Engine:
         rules, guard = self._rules, self._guard
         if closed := self.memory.state is LoopState.CLOSED:
             work.held_back, self.memory, trouble = wait_for_change(
-                self.memory, reading, checked, rules, lambda: self._state_setpoints(reading)
+                self.memory,
+                reading,
+                checked,
+                rules,
+                self._mine(),
+                lambda: self._state_setpoints(reading),
             )
             if trouble:
                 self.move(Event.HOLD, trouble)
@@ -233,7 +216,8 @@ class Engine:
         ramp = ramp_gain(reading.received - memory.since, rules.loop) if closed else 1.0
         dither = self._dither.propose() if closed else work.nothing
         deciding, gain = self.policy, ramp * self._adjustments.gain
-        choice = choose(guard, checked, memory, rules, gain, dither, work.done)
+        mine = self._mine()
+        choice = choose(guard, checked, memory, rules, gain, dither, mine, work.done)
         limited, policy_state = choice.limited, choice.policy_state
         if not limited.verdict.may_act:
             self.move(Event.TRIP, f"policy {deciding.policy_id}: {limited.verdict.reason}")
@@ -264,8 +248,8 @@ class Engine:
         """
         if self.memory.way is None:
             return
-        movable, ask = self._guard.movable(len(self.memory.lost)), self._state_setpoints
-        step = comeback.next_step(self.memory, checked, self._rules, movable, lambda: ask(reading))
+        mine, ask = self._mine(), self._state_setpoints
+        step = comeback.next_step(self.memory, checked, self._rules, mine, lambda: ask(reading))
         self.memory = step.memory
         if step.limited is None:
             return
@@ -281,20 +265,20 @@ class Engine:
             self.memory = replace(self.memory, answers=answers)
 
     def _write(self, work: Work, reading: Reading, limited: Limited) -> bool:
-        before = self.memory.setpoints
+        before, mine = self.memory.setpoints, self._mine()
         try:
-            applied = self._machine.write(limited.setpoints)
+            applied = self._machine.write(limited.setpoints, mine)
         except MachineError as error:
             self.memory = remember.forget_setpoints(self.memory)
             self.move(Event.HOLD, f"writing failed: {error}")
             return False
         finally:
             work.done("act")
-        work.applied = applied.setpoints - before
+        sent = np.where(mine, applied.setpoints, before)
+        work.applied = sent - before
         work.written = applied.time
         work.latency = applied.monotonic - reading.received
         lag = self._rules.interlocks.readback_lag
-        recent = (np.array(applied.setpoints), *self.memory.recent[:lag])
-        sent = replace(self.memory.sent, change=work.applied, waited=0)
-        self.memory = replace(self.memory, recent=recent, sent=sent)
+        change = replace(self.memory.sent, change=work.applied, waited=0)
+        self.memory = replace(self.memory, recent=(sent, *self.memory.recent[:lag]), sent=change)
         return True

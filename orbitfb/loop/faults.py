@@ -4,6 +4,7 @@ The page on safety is written from it, and a test looks every setting and every 
 """
 
 from orbitfb.core.signals import LoopState
+from orbitfb.loop.device_faults import DEVICE_FAULTS
 from orbitfb.loop.fault import Fault
 
 _OPEN, _CLOSED, _HELD, _TRIPPED = (
@@ -15,117 +16,7 @@ _OPEN, _CLOSED, _HELD, _TRIPPED = (
 
 
 FAULTS = (
-    Fault(
-        "a BPM is disconnected, INVALID, NaN or exactly 0, keeps its stamp or repeats its reading "
-        "while others change, or jumps alone",
-        "left out within the tick (one that keeps its stamp: after one lost orbit) and named with "
-        "the reason, the law solved for the rest; counts "
-        "again after a row of good readings; one that jumped, once it reads what it did, or after "
-        "the loop was opened",
-        (_CLOSED,),
-        (
-            "epics.stuck_bpms",
-            "interlocks.bpm_zero",
-            "interlocks.bpm_frozen_ticks",
-            "interlocks.bpm_jump",
-            "interlocks.bpm_proving",
-        ),
-        (
-            "test_a_bad_bpm_is_left_out_named_and_comes_back",
-            "test_a_nan_bpm_is_not_read_as_on_reference",
-            "test_a_bpm_that_keeps_its_stamp_is_masked_and_comes_back",
-            "test_half_of_the_machine_away_is_masked_and_comes_back",
-        ),
-    ),
-    Fault(
-        "more such BPMs than may be, or too many next to each other; those of `masks.bpms` and "
-        "disabled ones are not counted",
-        "nothing is written until they are back",
-        (_HELD, _TRIPPED),
-        (
-            "interlocks.max_invalid_bpms",
-            "interlocks.max_adjacent_bpms",
-            "loop.proving",
-            "loop.trip_after",
-        ),
-        (
-            "test_three_bad_bpms_in_a_row_hold_until_they_are_back",
-            "test_an_orbit_of_zeros_holds",
-            "test_held_too_long_trips_and_only_reset_leads_out",
-        ),
-    ),
-    Fault(
-        "no coherent orbit, an old one, or the same one again",
-        "nothing is written: an old orbit is never acted on",
-        (_HELD, _TRIPPED),
-        ("loop.hold_after", "interlocks.frozen_ticks", "epics.stale_after", "loop.trip_after"),
-        (
-            "test_a_frozen_orbit_is_not_integrated",
-            "test_a_frozen_ioc_is_noticed_too",
-            "test_a_torn_orbit_is_refused_and_the_late_bpm_named",
-        ),
-    ),
-    Fault(
-        "a corrector is off, stuck, disconnected, or its readback is away or beyond the tolerance",
-        "left out after some ticks (at once if its setpoint cannot be written) and named, its "
-        "setpoint stays, the law solved for the others, its rows teach nobody; read anew when it "
-        "is back; counts again when the loop is opened and closed",
-        (_CLOSED,),
-        (
-            "interlocks.readback_tolerance",
-            "interlocks.readback_ticks",
-            "interlocks.readback_lag",
-        ),
-        (
-            "test_a_corrector_that_does_not_follow_is_left_out",
-            "test_a_dead_corrector_does_not_let_setpoints_and_hardware_part_ways",
-            "test_rows_of_a_stuck_corrector_do_not_teach_until_it_is_left_alone",
-            "test_a_corrector_whose_setpoint_is_away_is_left_out_and_read_when_it_is_back",
-            "test_a_policy_that_cannot_be_solved_anew_moves_no_corrector_that_is_left_out",
-        ),
-    ),
-    Fault(
-        "a change that was sent does not show in the readbacks of the next orbit, though it does "
-        "as a rule: puts or orbits are late",
-        "that tick is held back, named and counted, so that no error is corrected twice; after as "
-        "many ticks as readbacks may lag the setpoints are read again before it goes on",
-        (_CLOSED,),
-        ("interlocks.readback_lag",),
-        (
-            "test_one_error_is_corrected_once_while_puts_are_late",
-            "test_a_change_that_was_lost_is_found_out_by_asking",
-            "test_a_loop_at_a_machine_that_is_always_late_goes_on",
-        ),
-    ),
-    Fault(
-        "more correctors than may be lost",
-        "TRIPPED; HELD while a readback is away, as its IOC may come back, and until it has "
-        "had its ticks to follow",
-        (_HELD, _TRIPPED),
-        ("interlocks.max_lost_correctors", "interlocks.readback_ticks"),
-        (
-            "test_more_correctors_than_may_be_lost_trip",
-            "test_readbacks_that_come_back_in_waves_with_what_they_said_before_only_hold",
-        ),
-    ),
-    Fault(
-        "a corrector would go beyond its limit",
-        "it leaves the solution of this tick and the others take over; named, and warned of before",
-        (_CLOSED,),
-        ("limits.setpoint", "limits.warning"),
-        (
-            "test_a_corrector_at_its_limit_leaves_the_solution_and_the_rest_take_over",
-            "test_a_corrector_is_warned_of_before_its_limit",
-            "test_the_others_take_over_from_correctors_at_their_limit_over_channel_access",
-        ),
-    ),
-    Fault(
-        "a step larger than allowed",
-        "the whole vector is shortened, its direction kept",
-        (_CLOSED,),
-        ("limits.change_per_tick",),
-        ("test_limits_hold_for_any_finite_input",),
-    ),
+    *DEVICE_FAULTS,
     Fault(
         "the policy raises, or asks for something that is not finite or of another shape",
         "the SVD baseline decides from this tick on, until another policy is put in force or the "

@@ -103,9 +103,16 @@ class Guard:
             self._use(self._taken, "")
 
     def movable(self, correctors: int) -> Mask:
-        """Correctors that the policy in force may move, shape (m,)."""
-        mask: Mask | None = getattr(self.policy, "movable", None)
-        return np.ones(correctors, dtype=np.bool_) if mask is None else mask
+        """Correctors that may move, shape (m,), whoever decides.
+
+        Which are disabled is told by the policy of the slot; the baseline does not know.
+        """
+        mask = np.ones(correctors, dtype=np.bool_)
+        for policy in (self._taken, self.policy):
+            own: Mask | None = getattr(policy, "movable", None)
+            if own is not None:
+                mask &= own
+        return mask
 
     def predict(self, change: Vector) -> Vector | None:
         """Give what a change does to the orbit by the policy's matrix, shape (n,) [m]."""
@@ -158,6 +165,8 @@ class Guard:
         self._solved.clear()
 
     def _leaving(self, policy: Policy, lost: Mask) -> Policy:
+        if policy is not self._taken:
+            lost = lost | ~self.movable(len(lost))
         if self._without is None or not lost.any():
             return policy
         key = id(policy), lost.tobytes()

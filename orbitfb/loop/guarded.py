@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from orbitfb.core.errors import WriteError
 from orbitfb.core.ports import Machine
-from orbitfb.core.signals import Applied, Channels, Reading, Vector
+from orbitfb.core.signals import Applied, Channels, Mask, Reading, Vector
 
 
 class GuardedMachine:
@@ -35,15 +35,19 @@ class GuardedMachine:
         """Ask the machine for the absolute setpoints in force, shape (m,) [A]."""
         return self._machine.setpoints()
 
-    def write(self, setpoints: Vector) -> Applied:
-        """Send absolute setpoints, shape (m,) [A]: all of them or none.
+    def write(self, setpoints: Vector, which: Mask | None = None) -> Applied:
+        """Send absolute setpoints; see `Machine`.
+
+        Args:
+            setpoints: Shape (m,) [A].
+            which: Correctors to put, shape (m,); None: all.
 
         Raises:
             WriteError: There is a reason not to, or the machine refuses.
         """
         if reason := self._refusal():
             raise WriteError(f"{reason}; nothing was sent")
-        return self._machine.write(setpoints)
+        return self._machine.write(setpoints, which)
 
     def close(self) -> None:
         """Let go of the machine; setpoints stay where they are."""

@@ -36,9 +36,14 @@ class MaskedMachine:
         """Ask the machine for the absolute setpoints in force, shape (m,) [A]."""
         return self._machine.setpoints()
 
-    def write(self, setpoints: Vector) -> Applied:
-        """Send absolute setpoints, shape (m,) [A]: all of them or none."""
-        return self._machine.write(setpoints)
+    def write(self, setpoints: Vector, which: Mask | None = None) -> Applied:
+        """Send absolute setpoints; see `Machine`.
+
+        Args:
+            setpoints: Shape (m,) [A].
+            which: Correctors to put, shape (m,); None: all.
+        """
+        return self._machine.write(setpoints, which)
 
     def close(self) -> None:
         """Let go of the machine; setpoints stay where they are."""

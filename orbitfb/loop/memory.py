@@ -86,6 +86,10 @@ class LoopMemory:
         way: The way back to them after a trip; None: there is none.
         good: Good orbits in a row while HELD.
         recloses: Whether HELD ends by itself.
+        mine: Correctors that the loop moves and whose setpoint it was told, shape (m,); None:
+            not looked at yet. The others belong to whoever sets them.
+        seen: Readback of each of the others when its setpoint was last asked for, shape (m,)
+            [A]; NaN or None: not asked for.
     """
 
     state: LoopState
@@ -110,6 +114,8 @@ class LoopMemory:
     way: "Way | None" = None
     good: int = 0
     recloses: bool = True
+    mine: Mask | None = None
+    seen: Vector | None = None
 
     @property
     def setpoints(self) -> Vector:
@@ -150,7 +156,8 @@ def confirm_setpoints(memory: LoopMemory, actual: Vector, tolerance: float) -> L
     """Take setpoints as the machine states them.
 
     What was sent before still explains a readback on its way, unless a setpoint is not what
-    it was believed to be: then that history counts no longer.
+    it was believed to be: then that history counts no longer. One that the loop does not move
+    has no such history: wherever somebody else put it is where it has been.
 
     Args:
         memory: So far.
@@ -161,12 +168,17 @@ def confirm_setpoints(memory: LoopMemory, actual: Vector, tolerance: float) -> L
         off = np.zeros_like(memory.off)
         sent = replace(memory.sent, change=None)
         return replace(memory, recent=(actual,), off=off, well=None, sent=sent)
-    return replace(memory, recent=(actual, *memory.recent[1:]))
+    before, well = memory.recent[1:], memory.well
+    if memory.mine is not None and not memory.mine.all():
+        before = tuple(np.where(memory.mine, earlier, actual) for earlier in before)
+        well = None if well is None else np.where(memory.mine, well, actual)
+    return replace(memory, recent=(actual, *before), well=well)
 
 
 def moved(memory: LoopMemory, actual: Vector, tolerance: float) -> Mask:
-    """Find the setpoints that are not what they were believed to be, shape (m,)."""
-    return ~(np.abs(actual - memory.setpoints) <= tolerance)
+    """Find the setpoints of ours that are not what they were believed to be, shape (m,)."""
+    other = ~(np.abs(actual - memory.setpoints) <= tolerance)
+    return other if memory.mine is None else other & memory.mine
 
 
 def forget_setpoints(memory: LoopMemory) -> LoopMemory:

@@ -7,7 +7,7 @@ answer comes behind the change, and goes on from what they are: a change may hav
 from collections.abc import Callable
 from dataclasses import replace
 
-from orbitfb.core.signals import Reading
+from orbitfb.core.signals import Mask, Reading
 from orbitfb.loop import memory as remember
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
@@ -19,6 +19,7 @@ def wait_for_change(
     reading: Reading,
     checked: Checked,
     rules: Rules,
+    mine: Mask,
     ask: Callable[[], tuple[LoopMemory, str]],
 ) -> tuple[bool, LoopMemory, str]:
     """Say whether to write nothing at this tick, as its orbit does not know of the last change.
@@ -28,12 +29,13 @@ def wait_for_change(
         reading: The orbit, with its readbacks.
         checked: The same.
         rules: Say by how many ticks a readback may lag behind its setpoint.
+        mine: Correctors that the loop moves, shape (m,): where the others are tells nothing.
         ask: Asks for the setpoints in force; gives what is wrong with them.
 
     Returns:
         Whether to write nothing, the memory, and what keeps the loop from going on.
     """
-    tells = ~memory.lost
+    tells = mine
     for mask in (reading.away, reading.behind):
         tells = tells if mask is None else tells & ~mask
     part, sent = arrived(reading.readback, memory.setpoints, tells, memory.sent)

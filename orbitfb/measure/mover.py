@@ -61,21 +61,24 @@ class Mover:
                 measurement must be given up.
             WriteError: The machine does not take it.
         """
-        self.verify()  # a write says all setpoints: it must not undo what somebody else did
+        self.verify()
         target = self._sent.copy()
         target[list(correctors)] = self.base[list(correctors)] + offsets
-        while not self._step(target):
+        while not self._step(target, correctors):
             self._watch.orbit()
             self.verify()
 
-    def _step(self, target: Vector) -> bool:
-        """Go one step; says whether this was the last one."""
+    def _step(self, target: Vector, correctors: Sequence[int]) -> bool:
+        """Go one step with some correctors; says whether this was the last one."""
         names = self._machine.channels.setpoint_pvs
         limited = limit(target - self._sent, self._sent, self._limits, names)
         if not limited.verdict.may_act or limited.scale == 0.0:
             raise MeasurementError(limited.verdict.reason)
         arrived = limited.scale == 1.0
-        self._sent = self._machine.write(target if arrived else limited.setpoints).setpoints.copy()
+        which = np.zeros(len(target), dtype=np.bool_)
+        which[list(correctors)] = True
+        wanted = target if arrived else limited.setpoints
+        self._sent = self._machine.write(wanted, which).setpoints.copy()
         return arrived
 
     def restore(self, correctors: Sequence[int]) -> None:
@@ -91,7 +94,7 @@ class Mover:
         self._sent = self._machine.setpoints()
         target = self._sent.copy()
         target[mine] = self.base[mine]
-        while not self._step(target):
+        while not self._step(target, mine):
             self._machine.read(1.0)  # a step per orbit
         present = self._machine.setpoints()
         if not (np.abs(present[mine] - self.base[mine]) <= self._same).all():

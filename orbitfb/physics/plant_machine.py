@@ -6,7 +6,7 @@ import numpy as np
 
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
-from orbitfb.core.signals import Applied, Channels, Orbit, Reading, Vector
+from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
 from orbitfb.physics.plant import Plant, PlantState
 
 _STORED_CURRENT = 0.4
@@ -98,8 +98,12 @@ class PlantMachine:
         self._check_open()
         return self._setpoints.copy()
 
-    def write(self, setpoints: Vector) -> Applied:
-        """Put absolute setpoints in force, shape (m,) [A]: all of them or none.
+    def write(self, setpoints: Vector, which: Mask | None = None) -> Applied:
+        """Put absolute setpoints in force: all that are asked for, or none.
+
+        Args:
+            setpoints: Shape (m,) [A].
+            which: Correctors to put, shape (m,); None: all.
 
         Raises:
             WriteError: Wrong shape, a value not finite or beyond the limit, or made to fail.
@@ -115,16 +119,14 @@ class PlantMachine:
                 "nothing was written"
             )
         limit = self._limit
-        refused = np.flatnonzero(~(np.abs(setpoints) <= limit))  # so that NaN is refused too
+        wanted = setpoints if which is None else np.where(which, setpoints, self._setpoints)
+        refused = np.flatnonzero(~(np.abs(wanted) <= limit))  # so that NaN is refused too
         if refused.size:
-            which = ", ".join(
-                f"{self.channels.setpoint_pvs[int(i)]} = {setpoints[i]}" for i in refused
-            )
-            raise WriteError(
-                f"{which}: not a finite current within ±{limit} A; nothing was written"
-            )
-        self._setpoints = setpoints.astype(np.float64)
-        return Applied(self._setpoints.copy(), self._clock.wall(), self._clock.monotonic())
+            told = ", ".join(f"{self.channels.setpoint_pvs[int(i)]} = {wanted[i]}" for i in refused)
+            raise WriteError(f"{told}: not a finite current within ±{limit} A; nothing was written")
+        self._setpoints = wanted.astype(np.float64)
+        sent = np.array(setpoints, dtype=np.float64)
+        return Applied(sent, self._clock.wall(), self._clock.monotonic())
 
     def close(self) -> None:
         """Let go; setpoints stay where they are."""

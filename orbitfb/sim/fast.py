@@ -8,7 +8,7 @@ import numpy as np
 from caproto import SubscriptionType
 from numpy.typing import NDArray
 
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.sim.board import Board
 from orbitfb.sim.channels import (
     BoardChannel,
@@ -63,9 +63,9 @@ class FastFront:
         return self.board.setpoints.copy()
 
     @property
-    def complete(self) -> bool:
-        """Whether every setpoint has been written since the last `show`."""
-        return bool(self.board.written.all())
+    def written(self) -> Mask:
+        """Setpoints that were written since the last `show`, shape (m,): a copy."""
+        return self.board.written.copy()
 
     @property
     def busy(self) -> bool:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.sim.listening import Sockets
 from orbitfb.sim.stamp import Stamp
 
@@ -23,8 +23,8 @@ class Front(Protocol):
         ...
 
     @property
-    def complete(self) -> bool:
-        """Whether every setpoint has been written since the last `show`."""
+    def written(self) -> Mask:
+        """Setpoints that were written since the last `show`, shape (m,): a copy."""
         ...
 
     @property

@@ -57,9 +57,9 @@ class PlainFront:
         return np.array([float(channel.value) for channel in self._setpoints])
 
     @property
-    def complete(self) -> bool:
-        """Whether every setpoint has been written since the last `show`."""
-        return bool(self._written.all())
+    def written(self) -> Mask:
+        """Setpoints that were written since the last `show`, shape (m,): a copy."""
+        return self._written.copy()
 
     @property
     def busy(self) -> bool:

@@ -3,6 +3,9 @@
 import asyncio
 from collections.abc import Callable
 
+import numpy as np
+
+from orbitfb.core.signals import Mask
 from orbitfb.sim.fast import FastFront
 from orbitfb.sim.frames import UPDATE_SIZE
 from orbitfb.sim.front import Front
@@ -37,6 +40,7 @@ class RingServer:
         self.front: Front = kind(self.layout, self._turned)
         self._stored = self.layout.stored.initial
         self._ticker: Ticker | None = None
+        self._awaited: Mask = np.ones(len(self.layout.setpoints), dtype=np.bool_)
         self.failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def start(self) -> None:
@@ -57,6 +61,9 @@ class RingServer:
         if self.front.busy or self.failed.done():
             return
         stamp = now()
+        written = self.front.written
+        if written.any():
+            self._awaited = written
         try:
             state = self._ring.step(self.front.setpoints)
             values = self.layout.values(state, self._ring.tick, self._stored)
@@ -65,10 +72,12 @@ class RingServer:
             self.failed.set_exception(error)
 
     def _tick_if_complete(self) -> None:
-        if self.front.complete and not self.front.busy:
-            self.tick()
-            if self._ticker is not None:
-                self._ticker.restart()
+        """Tick once all have come that came before: a controller may leave some alone."""
+        if self.front.busy or (self._awaited & ~self.front.written).any():
+            return
+        self.tick()
+        if self._ticker is not None:
+            self._ticker.restart()
 
     def _turned(self, pv: str, value: float) -> None:
         """Do what a knob of the tester's says, in its units."""

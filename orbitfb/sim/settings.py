@@ -25,8 +25,8 @@ class SimSettings(Settings):
     lockstep: bool = Field(
         default=False,
         description=(
-            "Advance the ring as soon as every setpoint has been written since the last tick, "
-            "and at the latest after the period: an accelerated clock."
+            "Advance the ring as soon as the setpoints that were written before the last tick "
+            "have been written anew, and at the latest after the period: an accelerated clock."
         ),
     )
     plain: bool = Field(

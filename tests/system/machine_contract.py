@@ -85,6 +85,27 @@ def what_is_written_is_in_force_and_read_back(bench: Bench) -> None:
     machine.write(before)
 
 
+def only_those_that_are_asked_for_are_put(bench: Bench) -> None:
+    """What somebody else sets on the others stays, and nothing is said of them, be it finite."""
+    machine = bench.machine
+    before = machine.setpoints()
+    which = np.arange(before.size) % 3 != 0
+    by_hand = np.where(which, before, before + 0.03)
+    machine.write(by_hand, ~which)
+    for others in (before, np.full_like(before, np.nan)):
+        machine.write(np.where(which, before + 0.01, others), which)
+        for _ in range(3):
+            machine.read(bench.timeout)
+        expected = np.where(which, before + 0.01, by_hand)
+        np.testing.assert_allclose(machine.setpoints(), expected, atol=1e-9)
+    machine.write(before, np.zeros_like(which))
+    np.testing.assert_allclose(machine.setpoints(), expected, atol=1e-9)
+    machine.write(before)
+    for _ in range(3):
+        machine.read(bench.timeout)
+    np.testing.assert_allclose(machine.setpoints(), before, atol=1e-9)
+
+
 def the_applied_setpoints_are_a_copy(bench: Bench) -> None:
     wanted = bench.machine.setpoints()
     expected = wanted.copy()
@@ -101,6 +122,10 @@ def setpoints_that_are_not_finite_are_refused_whole(bench: Bench) -> None:
         wanted[-1] = wrong
         with pytest.raises(WriteError, match=machine.channels.setpoint_pvs[-1].split("{")[0]):
             machine.write(wanted)
+        which = np.zeros(before.size, dtype=np.bool_)
+        which[[0, -1]] = True
+        with pytest.raises(WriteError):
+            machine.write(wanted, which)
     machine.read(bench.timeout)
     np.testing.assert_array_equal(machine.setpoints(), before)
 
@@ -132,6 +157,7 @@ CHECKS: tuple[Callable[[Bench], None], ...] = (
     an_orbit_is_never_returned_twice,
     values_returned_are_not_changed_later,
     what_is_written_is_in_force_and_read_back,
+    only_those_that_are_asked_for_are_put,
     the_applied_setpoints_are_a_copy,
     setpoints_that_are_not_finite_are_refused_whole,
     setpoints_of_the_wrong_shape_are_refused,

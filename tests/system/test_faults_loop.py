@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_session import RATE, Session, fault_session
-from service_process import transitions, wait_for
+from service_process import CHANNELS, transitions, wait_for
 
+from orbitfb.control import ask
 from orbitfb.core.errors import ControlError
 
 pytestmark = pytest.mark.system
@@ -63,6 +64,41 @@ def test_a_wrong_response_is_found_before_the_orbit_is_lost(
     archived = transitions(session.service.data)
     assert rms_where(archived.closed, archived.orbit, archived.valid)[-10:].max() < 1e-3
     session.again()
+
+
+def test_what_an_operator_sets_on_a_disabled_corrector_stays_and_is_gone_on_from(session: Session):
+    which, size = 20, len(CHANNELS.correctors)
+    enabled = [index != which for index in range(size)]
+    ask(session.service.data, {"command": "enable-correctors", "enabled": enabled})
+    session.fault(correctors={str(which): "off"})  # its readback tells nothing of its setpoint
+    time.sleep(4 / RATE)
+    before = session.setpoints()
+    by_hand = before[which] + 0.3
+    session.client.put_waiting(CHANNELS.setpoint_pvs[which], by_hand)
+    time.sleep(1.0)
+    assert session.setpoints()[which] == by_hand
+    session.fault()
+    time.sleep(1.0)
+    status = session.service.status()
+    assert status["state"] == "CLOSED" and not status["reason"]
+    assert session.setpoints()[which] == by_hand
+    assert np.abs(session.setpoints() - before)[enabled].max() > 1e-4  # the others go on
+    session.service.wait_below(2.0)
+    first = session.service.status()["ticks"]
+    ask(session.service.data, {"command": "enable-correctors", "enabled": [True] * size})
+    time.sleep(1.0)
+    session.service.wait_below(1.0)
+    time.sleep(1.0)  # for the archive
+    rows = transitions(session.service.data)
+    hand = (rows.tick > first - 10) & (rows.tick < first)
+    assert hand.any() and rows.closed[hand].all() and np.isfinite(rows.written[hand]).all()
+    assert (rows.setpoints[hand, which] == by_hand).all() and not rows.applied[hand, which].any()
+    since = rows.tick >= first
+    moved = np.flatnonzero(rows.applied[:, which] * since)
+    assert moved.size and rows.setpoints[moved[0], which] == by_hand
+    assert np.abs(rows.applied[moved]).max() < 0.05
+    ours = rows.setpoints[since]
+    np.testing.assert_allclose(np.diff(ours, axis=0), rows.applied[since][:-1], atol=1e-9)
 
 
 def test_a_frozen_orbit_is_not_integrated(session: Session):

@@ -177,7 +177,7 @@ class Machine:
     def __init__(self) -> None:
         self.writes: list[np.ndarray] = []
 
-    def write(self, setpoints):
+    def write(self, setpoints, which=None):
         self.writes.append(setpoints)
         return Applied(setpoints, 0.0, 0.0)
 

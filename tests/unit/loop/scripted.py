@@ -26,7 +26,7 @@ class ScriptedMachine:
         self.script = deque()
         self.disturbance = np.zeros(N)
         self.inside = np.zeros(M)
-        self.reads, self.writes, self.asked = [], [], 0
+        self.reads, self.writes, self.put, self.asked = [], [], [], 0
         self.write_error = self.setpoints_error = None
         self.readback_offset = np.zeros(M)
         self.current = 0.4
@@ -68,12 +68,15 @@ class ScriptedMachine:
             raise MachineError(self.setpoints_error)
         return self.inside.copy()
 
-    def write(self, setpoints):
+    def write(self, setpoints, which=None):
+        which = np.ones(M, dtype=bool) if which is None else which
         self.writes.append(setpoints.copy())
+        self.put.append(which.copy())
         if self.write_error:
-            self.inside[0] = setpoints[0]  # one had left when it failed
+            first = np.flatnonzero(which)[:1]
+            self.inside[first] = setpoints[first]  # one had left when it failed
             raise WriteError(self.write_error)
-        self.inside = setpoints.copy()
+        self.inside = np.where(which, setpoints, self.inside)
         return Applied(setpoints, self.clock.wall(), self.clock.monotonic())
 
     def close(self):

@@ -42,13 +42,14 @@ class PartlyAway(ScriptedMachine):
             raise AwayError("some are away", self.known.copy(), self.gone.copy())
         return self.inside.copy()
 
-    def write(self, setpoints):
+    def write(self, setpoints, which=None):
+        which = np.ones(M, bool) if which is None else which
         self.writes.append(setpoints.copy())
-        if (~self.gone & self.unread).any() or (setpoints != self.known)[self.gone].any():
+        if (which & (self.gone | self.unread)).any():
             raise WriteError("away, or not read since")
-        assert np.abs(setpoints - self.inside)[~self.gone].max(initial=0.0) <= 0.5 + 1e-12
-        self.inside = np.where(self.gone, self.inside, setpoints)
-        self.known = setpoints.copy()
+        assert np.abs(setpoints - self.inside)[which].max(initial=0.0) <= 0.5 + 1e-12
+        self.inside = np.where(which, setpoints, self.inside)
+        self.known = np.where(which, setpoints, self.known)
         return Applied(setpoints, self.clock.wall(), self.clock.monotonic())
 
 

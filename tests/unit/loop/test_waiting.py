@@ -31,10 +31,12 @@ class LatePuts(ScriptedMachine):
         self.asked += 1  # whose answer comes behind what is on the way
         return (self.on_the_way[-1][1] if self.on_the_way else self.inside).copy()
 
-    def write(self, setpoints):
+    def write(self, setpoints, which=None):
         self.writes.append(setpoints.copy())
         due = self.clock.monotonic() + self.late * PERIOD
-        self.on_the_way.append((due, setpoints.copy()))
+        before = self.on_the_way[-1][1] if self.on_the_way else self.inside
+        then = setpoints if which is None else np.where(which, setpoints, before)
+        self.on_the_way.append((due, then.copy()))
         return Applied(setpoints, self.clock.wall(), self.clock.monotonic())
 
 

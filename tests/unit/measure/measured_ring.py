@@ -39,8 +39,8 @@ class Recorder(PlantMachine):
         self.writes = [self.setpoints()]
         self.at = {}
 
-    def write(self, setpoints):
-        applied = super().write(setpoints)
+    def write(self, setpoints, which=None):
+        applied = super().write(setpoints, which)
         self.writes.append(setpoints.copy())
         return applied
 

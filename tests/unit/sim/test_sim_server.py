@@ -60,6 +60,36 @@ async def value(channel):
     return (await channel.read(ChannelType.DOUBLE))[1][0]
 
 
+def test_a_setpoint_that_is_left_alone_is_waited_for_once(settings):
+    async def scenario():
+        ring = Ring()
+        server = RingServer(ring, settings)
+        server.start()
+        pvs = channels(server)
+        try:
+            await asyncio.sleep(0.01)
+            await pvs["c{2}:SP"].write(4.0)
+            assert ring.tick == 1
+            server.tick()  # as after the period
+            await asyncio.sleep(0.01)
+            await pvs["c{2}:SP"].write(5.0)
+            assert ring.tick == 3
+            await asyncio.sleep(0.01)
+            server.tick()
+            await asyncio.sleep(0.01)  # nothing was written: as before
+            await pvs["c{1}:SP"].write(1.0)
+            assert ring.tick == 4
+            await pvs["c{2}:SP"].write(5.0)
+            assert ring.tick == 5
+            await asyncio.sleep(0.01)
+            await pvs["c{2}:SP"].write(5.0)
+            assert ring.tick == 5  # both are awaited again
+        finally:
+            server.stop()
+
+    asyncio.run(scenario())
+
+
 def test_the_ring_ticks_when_every_setpoint_was_written(settings):
     async def scenario():
         ring = Ring()

@@ -1,0 +1,144 @@
+"""An orbit looked at with setpoints that the machine states whenever in doubt.
+
+The loop puts its own correctors alone: those that the policy moves and that follow. The others,
+disabled, masked or left out, belong to whoever sets them. Where those were put is asked for when
+their readback says that it is elsewhere, so that every record tells it, and once more when one is
+given to the loop: it takes over from the setpoint in force.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfb.core.ports import Machine
+from orbitfb.core.signals import LoopState, Mask, Reading, Vector
+from orbitfb.loop import comeback
+from orbitfb.loop.asking import Answer, ask_setpoints
+from orbitfb.loop.guard import Guard
+from orbitfb.loop.memory import LoopMemory, Rules
+from orbitfb.loop.tick import Checked, check
+from orbitfb.safety.bpms import Flaws
+from orbitfb.safety.verdict import Action, Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Asker:
+    """Whom to ask.
+
+    Args:
+        machine: For its setpoints.
+        guard: Which correctors may move, and whether the machine may be written to.
+    """
+
+    machine: Machine
+    guard: Guard
+
+    def ask(self, memory: LoopMemory, rules: Rules, away: Mask | None) -> Answer:
+        """Have the machine state its setpoints; say what keeps from writing.
+
+        Args:
+            memory: So far.
+            rules: Tolerance and names.
+            away: Correctors that cannot be written now, shape (m,); None: none.
+        """
+        answer = ask_setpoints(self.machine, memory, rules, away)
+        return replace(answer, trouble=answer.trouble or self.guard.obstacle())
+
+
+def mine_of(guard: Guard, memory: LoopMemory) -> Mask:
+    """Correctors that the loop moves now, shape (m,): may move, follow, and are known.
+
+    Args:
+        guard: Which may move.
+        memory: Which do not follow, and which were taken over.
+    """
+    may = guard.movable(len(memory.lost)) & ~memory.lost
+    return may if memory.mine is None else may & memory.mine
+
+
+def inspect(
+    asker: Asker,
+    memory: LoopMemory,
+    reading: Reading,
+    rules: Rules,
+    flaws: Flaws,
+    closing: bool,
+) -> Checked:
+    """Ask the interlocks, and the machine for its setpoints if there is a doubt about them.
+
+    Args:
+        asker: Whom to ask.
+        memory: So far.
+        reading: The orbit of this tick.
+        rules: Settings and names.
+        flaws: What is wrong with each BPM, shape (n,).
+        closing: Whether the loop is asked to close on it.
+    """
+    guard, closed = asker.guard, memory.state is LoopState.CLOSED
+    movable = guard.movable(len(memory.setpoints))
+    may = movable & ~memory.lost
+    mine = may if memory.mine is None else may & memory.mine
+    given = bool((may & ~mine).any())
+    unknown = bool(np.isnan(memory.setpoints).any())
+    memory = replace(memory, mine=None if memory.mine is None else mine)
+    trouble = moved = ""
+    doubt = closing or unknown or given or memory.state is LoopState.HELD
+    if doubt:
+        answer = asker.ask(memory, rules, reading.away)
+        memory, trouble = answer.memory, answer.trouble
+        if given and not unknown:
+            moved = answer.moved
+    if not trouble:
+        memory = replace(memory, mine=may)
+
+    def checked_with(memory: LoopMemory) -> Checked:
+        return check(reading, memory, rules, flaws, movable, guard.can_leave_out)
+
+    checked = checked_with(memory)
+    seen = memory.seen
+    if not doubt:
+        sudden = bool((checked.off & mine).any()) or _back(memory, reading, may)
+        strays, seen = _strayed(checked.off & ~may, reading.readback, memory.seen, rules)
+        if sudden or strays or _back(memory, reading, ~may):
+            answer = asker.ask(memory, rules, reading.away)
+            if sudden or answer.known:  # what is not ours holds nobody
+                memory, trouble, moved = answer.memory, answer.trouble, answer.moved
+                if moved:
+                    memory = comeback.stop(memory, f"setpoints were moved: {moved}")
+                checked = checked_with(memory)
+    if closed and moved:
+        trouble = f"setpoints were moved by somebody else: {moved}"
+    if trouble and checked.verdict.action < Action.HOLD:
+        checked = replace(checked, verdict=Verdict(Action.HOLD, "setpoints", trouble))
+    return replace(checked, memory=replace(checked.memory, seen=seen))
+
+
+def _back(memory: LoopMemory, reading: Reading, among: Mask) -> bool:
+    """Whether some correctors can be written again."""
+    before, away = memory.away, reading.away
+    if before is None:
+        return False
+    back = before & among
+    return bool((back if away is None else back & ~away).any())
+
+
+def _strayed(off: Mask, readback: Vector, seen: Vector | None, rules: Rules) -> tuple[bool, Vector]:
+    """Say whether the setpoints of some that are not ours are worth asking for.
+
+    One that is switched off reads something else than its setpoint for good: it is asked for
+    once, and again when the readback moves on.
+
+    Args:
+        off: Those whose readback is not at their setpoint, shape (m,).
+        readback: Shape (m,) [A]; NaN where none is known.
+        seen: Readbacks at which they were asked for last, shape (m,) [A].
+        rules: Tolerance.
+
+    Returns:
+        Whether to ask, and what will have been seen then.
+    """
+    seen = np.full_like(readback, np.nan) if seen is None else seen
+    tolerance = rules.interlocks.readback_tolerance or 0.0
+    new = off & np.isfinite(readback) & ~(np.abs(readback - seen) <= tolerance)
+    kept = np.where(off, seen, np.nan)
+    return bool(new.any()), np.where(new, readback, kept)
