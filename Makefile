@@ -2,6 +2,8 @@
 PYTHON ?= python3.11
 BIN := .venv/bin
 STAMP := .venv/.installed
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
+WAITING := -n 4 --dist loadgroup --no-loadscope-reorder
 
 # make docs: the pages as a site in site/.
 .PHONY: run test test-system test-docs docs newcomer venv lint types layers audit format bench clean blind chaos soak
@@ -9,10 +11,11 @@ STAMP := .venv/.installed
 run: venv
 	$(BIN)/orbitfb run --ioc sim
 
-# Unit tests on all cores, each on one; those that start services one after the other.
+# Unit tests compute: on all cores, each on one. Those that start services wait most of their time:
+# more at once than there are cores, a file after the other.
 test: venv
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/unit -n logical --maxprocesses 8 --dist loadscope
-	$(BIN)/python -m pytest --ignore tests/unit
+	$(PYTEST) tests/unit -n logical --maxprocesses 8 --dist loadscope --no-loadscope-reorder
+	$(PYTEST) --ignore tests/unit $(WAITING)
 
 venv: $(STAMP)
 
@@ -45,7 +48,7 @@ docs: venv
 
 # Do what every page says: some minutes.
 test-docs: venv
-	$(BIN)/python -m pytest -m slow tests/system/test_docs_snippets.py
+	$(PYTEST) -m slow tests/system/test_docs_snippets.py $(WAITING)
 
 newcomer: venv
 	$(BIN)/python -m benchmarks.newcomer --out benchmarks/newcomer.json
@@ -62,11 +65,10 @@ chaos: venv
 soak: venv
 	$(BIN)/python -m tests.soak --hours $(or $(HOURS),12) --minutes $(or $(MINUTES),30) $(if $(OUT),--out $(OUT)/soak.json)
 
-# What needs programs of Debian, some two minutes; then every page, some minutes more.
+# What needs programs of Debian, and every page: some minutes.
 test-system: venv
 	@tests/debian/install
-	$(BIN)/python -m pytest tests/debian
-	$(MAKE) --no-print-directory test-docs
+	$(PYTEST) -m "slow or debian" tests/debian tests/system/test_docs_snippets.py $(WAITING)
 
 clean:
 	rm -rf .venv build dist

@@ -18,11 +18,11 @@ PATIENCE = 2.0
 _LOOPBACK_EPICS = {
     "EPICS_CA_ADDR_LIST": "127.0.0.1",
     "EPICS_CA_AUTO_ADDR_LIST": "NO",
-    "EPICS_CA_SERVER_PORT": "59999",  # nobody; a test that needs a server names its port
+    "EPICS_CA_SERVER_PORT": "11999",  # nobody; a test that needs a server names its port
     "EPICS_CAS_INTF_ADDR_LIST": "127.0.0.1",
     "EPICS_CAS_AUTO_BEACON_ADDR_LIST": "NO",
     "EPICS_CAS_BEACON_ADDR_LIST": "127.0.0.1",
-    "EPICS_CAS_BEACON_PORT": "59998",
+    "EPICS_CAS_BEACON_PORT": "11998",
     "EPICS_PVA_ADDR_LIST": "127.0.0.1",
     "EPICS_PVA_AUTO_ADDR_LIST": "NO",
     "EPICS_PVAS_INTF_ADDR_LIST": "127.0.0.1",
@@ -40,6 +40,14 @@ def _force_environment() -> None:
 
 
 _force_environment()
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads it
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep the tests of a file on one worker, for what they share; a page is done by any."""
+    for item in items:
+        if item.get_closest_marker("slow") is None:
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,8 +1,18 @@
 """Programs of Debian that these tests need; what is not installed is skipped with the reason."""
 
 import shutil
+from pathlib import Path
 
 import pytest
+
+HERE = Path(__file__).parent
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what is here, so that `make test-system` can ask for it and for other tests."""
+    for item in items:
+        if item.path.parent == HERE:
+            item.add_marker(pytest.mark.debian)
 
 
 def program(name: str, package: str) -> str:

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import socket
 import subprocess
 import sys
 import threading
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from free_ports import free_port
 
 sys.path.append(str(Path(__file__).parents[1] / "system"))
 from service_process import Service, wait_for
@@ -38,13 +38,6 @@ DIAGNOSIS = {
     "gap": {"nats_per_tick": 9.3},
     "shrink": {"nats": 0.99, "low": 0.9, "high": 1.0},
 }
-
-
-def free_port() -> int:
-    """Return a TCP port of loopback that is free now."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]
 
 
 class Webhook:

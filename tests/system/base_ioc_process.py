@@ -4,7 +4,6 @@ import json
 import os
 import selectors
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -12,25 +11,13 @@ import time
 from pathlib import Path
 
 import numpy as np
+from free_ports import free_port
 
 from orbitfb.core.signals import Channels
 
 SCRIPT = Path(__file__).with_name("base_ioc.py")
 CURRENT, RF_FREQUENCY = 400.0, 499.68e6
 AUXILIARY = {"SR:C03-BI{DCCT:1}I:Real-I": CURRENT, "RF{Osc:1}Freq:SP": RF_FREQUENCY}
-
-
-def free_port() -> int:
-    """A port that is free for TCP and UDP on loopback."""
-    while True:
-        with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
-            tcp.bind(("127.0.0.1", 0))
-            port = tcp.getsockname()[1]
-            try:
-                udp.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-            return port
 
 
 def small_ring(size: int) -> Channels:

@@ -4,7 +4,6 @@ import contextlib
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -12,6 +11,7 @@ import time
 from pathlib import Path
 
 from docs_pieces import COMMANDS, commands, file_name
+from free_ports import free_port
 
 NUMBER = r"[-+]?\d[\d.:]*(?:e[-+]?\d+)?"
 VARIABLE = re.compile(rf"(?:svd|modal)-[0-9a-f]{{12}}|\d{{4}}-\d\d-\d\dT\S+|{NUMBER}")
@@ -81,20 +81,6 @@ class Shell:
         self._bash.stdout.close()
 
 
-def free_ports(count):
-    """Ports that are free for TCP and UDP now."""
-    with contextlib.ExitStack() as stack:
-        ports = []
-        while len(ports) < count:
-            tcp = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
-            udp = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            tcp.bind(("127.0.0.1", 0))
-            with contextlib.suppress(OSError):
-                udp.bind(tcp.getsockname())
-                ports.append(tcp.getsockname()[1])
-        return ports
-
-
 class Session:
     """The terminals of a reader.
 
@@ -105,7 +91,7 @@ class Session:
 
     def __init__(self, directory, stack):
         self.directory = directory
-        self.ports = dict(zip(PORTS, map(str, free_ports(len(PORTS))), strict=True))
+        self.ports = {page: str(free_port()) for page in PORTS}
         # The path of a Unix socket is short, that of a test's directory may not be.
         runtime = stack.enter_context(tempfile.TemporaryDirectory(prefix="docs-"))
         clean = {k: v for k, v in os.environ.items() if not k.startswith("ORBITFB_")}

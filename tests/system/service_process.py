@@ -14,6 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 import psutil
+from free_ports import free_port
 from ioc_clients import run_client
 
 from orbitfb.control import ask
@@ -141,12 +142,12 @@ class Ioc(Process):
 
     Args:
         directory: Where what it prints is kept.
-        port: Port; 0: any.
+        port: Port; 0: a free one that another one can have after it.
         options: More options.
     """
 
     def __init__(self, directory: Path, port: int = 0, options: Sequence[object] = ()) -> None:
-        super().__init__(["ioc", "--port", port, *options], directory, "ioc")
+        super().__init__(["ioc", "--port", port or free_port(), *options], directory, "ioc")
         wait_for("IOC", lambda: self.check_alive() or self.out.count("\n") == 2)
         self.ready = time.time()
         self.port = int(self.out.split("EPICS_CA_SERVER_PORT=")[1])
@@ -165,8 +166,8 @@ class Service(Process):
     def __init__(self, data: Path, ioc: str, *options: object, page: int | None = None) -> None:
         self.data = data
         before = len(self.events("service_started"))
-        arguments = ["run", "--ioc", ioc, "--data", data, "--metrics-port", 0]
-        ring = ["--port", 0] if ioc == "sim" else []
+        arguments = ["run", "--ioc", ioc, "--data", data, "--metrics-port", free_port()]
+        ring = ["--port", free_port()] if ioc == "sim" else []
         variables = {"ORBITFB_WEB__ENABLED": "true", "ORBITFB_WEB__PORT": str(page)}
         if page is None:
             variables = {}

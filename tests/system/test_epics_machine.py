@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from base_ioc_process import CURRENT, RF_FREQUENCY, BaseIoc, free_port, is_coherent, small_ring
+from base_ioc_process import CURRENT, RF_FREQUENCY, BaseIoc, is_coherent, small_ring
+from free_ports import free_port
 
 from orbitfb.core.errors import ConnectError, MachineError
 from orbitfb.epics.machine import EpicsMachine
@@ -167,7 +168,7 @@ def test_close_leaves_no_thread_and_wakes_the_reader(ioc: BaseIoc):
 def test_nothing_is_printed_and_no_repeater_started(ioc: BaseIoc, leave: str):
     code = f"""
 import os, sys
-sys.path.insert(0, {os.path.dirname(__file__)!r})
+sys.path[:0] = {[os.path.dirname(__file__), os.path.dirname(os.path.dirname(__file__))]!r}
 from base_ioc_process import small_ring
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import EpicsSettings
