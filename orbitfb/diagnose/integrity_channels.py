@@ -29,6 +29,12 @@ _FEWEST = 30
 _FEWEST_CHANNELS = 4
 _TRIED = 4
 _ROUNDS = 8
+_ONE_WAY = 0.95
+"""Share of the model's steps along one pattern above which a BPM has shown one number only."""
+_APART = 10.0
+"""By so much it must then differ from the others: what is small has any sign by other errors."""
+_ALL = 0.9
+"""Share that a turned or swapped corrector explains of what any response to its steps would."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +110,8 @@ def _whole(steps: Steps) -> list[Finding]:
             "wrong sign altogether; turn one of them"
         )
         return [Finding("wrong-sign", "failure", (), None, text)]
+    if _one_way(steps):
+        return []
     likeness = _likeness(steps)
     own = np.diag(likeness)
     best = likeness.max(axis=1)
@@ -118,6 +126,12 @@ def _whole(steps: Steps) -> list[Finding]:
             )
             return [Finding("permuted-channels", "failure", (), None, text)]
     return []
+
+
+def _one_way(steps: Steps) -> bool:
+    """Whether the correctors hardly moved but in proportion, so that all BPMs step alike."""
+    moved = np.linalg.eigvalsh(steps.predicted.T @ steps.predicted)
+    return bool(moved[-1] > _ONE_WAY * moved.sum())
 
 
 def _gain(count: int, left: Vector, left_otherwise: Vector) -> Vector:
@@ -143,17 +157,20 @@ def _bpms(steps: Steps) -> list[_Alternative]:
     made = np.sum(steps.predicted**2, axis=0)
     own = seen - 2 * np.diag(cross) + made
     usual = _LIKE_OTHERS * float(np.median(own))
+    apart = own > (_APART * np.median(own) if _one_way(steps) else 0.0)
     found: list[_Alternative] = []
     turned = seen + 2 * np.diag(cross) + made
     gain = _gain(count, own, turned)
-    for i in np.flatnonzero((gain > _SURE) & (turned < usual) & (turned < _EXPLAINED * seen)):
+    for i in np.flatnonzero(
+        apart & (gain > _SURE) & (turned < usual) & (turned < _EXPLAINED * seen)
+    ):
         found.append(_Alternative(float(gain[i]), "bpm-polarity", (int(i),)))
     # Against a gain of its own, so that a wrong gain is no swap.
     slope = np.divide(np.diag(cross), made, out=np.zeros(n), where=made > 0)
     reach = np.maximum(np.minimum(own, seen - slope * np.diag(cross)), 0.0)
     left = np.maximum(seen[:, None] - 2 * cross + made[None, :], 0.0)
     gains = _gain(count, np.broadcast_to(reach[:, None], left.shape).copy(), left)
-    good = (gains > _SURE) & (left < usual) & (left < _EXPLAINED * seen[:, None])
+    good = apart[:, None] & (gains > _SURE) & (left < usual) & (left < _EXPLAINED * seen[:, None])
     for i, j in np.argwhere(np.triu(good & good.T, 1)):
         both = float(gains[i, j] + gains[j, i])
         found.append(_Alternative(both, "bpm-swap", (int(i), int(j))))
@@ -173,8 +190,10 @@ def _correctors(steps: Steps, response: Matrix) -> list[_Alternative]:
     turning = -2.0 * (pull + size)
     for j in np.argsort(turning)[-_TRIED:]:
         if turning[j] > 0:
-            change = 2.0 * np.outer(steps.setpoints[:, j], response[:, j])
-            found += _judged(steps, own, residual + change, "corrector-polarity", (int(j),))
+            drive = steps.setpoints[:, j]
+            change = 2.0 * np.outer(drive, response[:, j])
+            if _all_of(residual, change, drive, weights):
+                found += _judged(steps, own, residual + change, "corrector-polarity", (int(j),))
     pulls = pull[:, None] - scores - scores.T + pull[None, :]
     apart = np.diag(overlap)[:, None] - 2 * overlap + np.diag(overlap)[None, :]
     travel = np.diag(moves)[:, None] - 2 * moves + np.diag(moves)[None, :]
@@ -185,8 +204,21 @@ def _correctors(steps: Steps, response: Matrix) -> list[_Alternative]:
             difference = steps.setpoints[:, j] - steps.setpoints[:, k]
             change = np.outer(difference, response[:, j] - response[:, k])
             rest = np.minimum(own, _with_own_gains(residual, steps, response, weights, (j, k)))
-            found += _judged(steps, rest, residual + change, "corrector-swap", (j, k))
+            if _all_of(residual, change, difference, weights):
+                found += _judged(steps, rest, residual + change, "corrector-swap", (j, k))
     return found
+
+
+def _all_of(residual: Matrix, change: Matrix, drive: Vector, weights: Vector) -> bool:
+    """Whether a change by these steps is right, and not just better than none.
+
+    Where many correctors move in proportion, whatever is wrong with any of them follows the steps
+    of each; only the response of the right one explains all of it.
+    """
+    before = np.sum(residual**2, axis=0)
+    explained = before - np.sum((residual + change) ** 2, axis=0)
+    most = (drive @ residual) ** 2 / np.sum(drive**2)
+    return float(explained @ weights) > _ALL * float(most @ weights)
 
 
 def _with_own_gains(

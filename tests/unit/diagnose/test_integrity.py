@@ -119,6 +119,35 @@ def test_a_dead_corrector_is_no_swap_with_one_that_makes_up_for_it():
     assert screen(made) == []
 
 
+def in_proportion(effect, seed=1):
+    """A record in which all correctors move up and down together."""
+    random = np.random.default_rng(seed)
+    moves = np.outer(random.standard_normal(400), 0.02 * random.standard_normal(180))
+    return simulate_record(ring(), ticks=300, seed=5, effects=(effect,), excitation=moves)
+
+
+def partly(column, share):
+    def change(values):
+        values[column] *= share
+        return values
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "effect", [lambda: Acting(partly(7, 0.1)), lambda: Acting(memory(0.6)), lambda: Staying(7, 210)]
+)
+def test_magnets_that_move_in_proportion_are_no_proof_of_a_wrong_sign(effect):
+    assert screen(in_proportion(effect())) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "proven"), [(turn(7), "corrector-polarity"), (swap(7, 9), "corrector-swap")]
+)
+def test_a_wrong_sign_is_seen_among_magnets_that_move_in_proportion(change, proven):
+    assert only(in_proportion(Acting(change)), "channels").effect == proven
+
+
 @pytest.mark.parametrize("dither", [0.0, 1e-4])
 @pytest.mark.parametrize(
     "effect",
