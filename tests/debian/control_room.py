@@ -139,7 +139,7 @@ def control_room(directory: Path, prometheus: str, alertmanager: str) -> Iterato
         webhook = Webhook()
         stack.callback(webhook.close)
         options = ("--config", directory / "c.toml", "--effect", EFFECT)
-        service = stack.enter_context(Service(data, "sim", *options))
+        service = stack.enter_context(Service(data, "sim", *options, watch=True))
         target = service.where["metrics"].removeprefix("http://")
         ports = free_port(), free_port()
         callee = configured(

@@ -29,14 +29,20 @@ START = 30.0
 """How long a start may take on a loaded computer [s]."""
 
 
-def without_page(arguments: Sequence[object]) -> dict[str, str]:
-    """Keep `run` from serving the operator page: few tests look at it, and it takes a second."""
-    return {"ORBITFB_WEB__ENABLED": "false"} if arguments[0] == "run" else {}
+WATCH = "ORBITFB_DIAGNOSE__LIVE__ENABLED"
+
+
+def lean(arguments: Sequence[object]) -> dict[str, str]:
+    """Keep `run` from what few tests look at, the operator page and the watch over the gap.
+
+    Each is a process more: the page takes a second of computing, a look at the gap half a minute.
+    """
+    return {"ORBITFB_WEB__ENABLED": "false", WATCH: "false"} if arguments[0] == "run" else {}
 
 
 def orbitfb(*arguments: object, **environment: str | None) -> subprocess.CompletedProcess[str]:
     """Run a command to its end; a variable that is None is unset."""
-    given = os.environ | without_page(arguments) | environment
+    given = os.environ | lean(arguments) | environment
     variables = {k: v for k, v in given.items() if v is not None}
     return subprocess.run(
         [*PROGRAM, *map(str, arguments)],
@@ -100,7 +106,7 @@ class Process:
                 stdout=out,
                 stderr=err,
                 start_new_session=True,
-                env={**os.environ, **without_page(arguments), **(variables or {})},
+                env={**os.environ, **lean(arguments), **(variables or {})},
             )
 
     @property
@@ -161,16 +167,19 @@ class Service(Process):
         ioc: Value of `--ioc`.
         options: More options.
         page: Port of the operator page; 0: any; None: there is no page.
+        watch: Whether it watches its gap.
     """
 
-    def __init__(self, data: Path, ioc: str, *options: object, page: int | None = None) -> None:
+    def __init__(
+        self, data: Path, ioc: str, *options: object, page: int | None = None, watch: bool = False
+    ) -> None:
         self.data = data
         before = len(self.events("service_started"))
         arguments = ["run", "--ioc", ioc, "--data", data, "--metrics-port", free_port()]
         ring = ["--port", free_port()] if ioc == "sim" else []
-        variables = {"ORBITFB_WEB__ENABLED": "true", "ORBITFB_WEB__PORT": str(page)}
-        if page is None:
-            variables = {}
+        variables = {WATCH: str(watch).lower()}
+        if page is not None:
+            variables |= {"ORBITFB_WEB__ENABLED": "true", "ORBITFB_WEB__PORT": str(page)}
         super().__init__([*arguments, *ring, *options], data.parent, data.name, variables)
         self.began = time.monotonic()
         self.where = wait_for("start", lambda: self.check_alive() or self._started(before))

@@ -57,7 +57,7 @@ def start(directory: Path, *options: object, page: int = 0) -> Service:
         prefix = "{PREFIX}"
         """
     )
-    return Service(directory / "data", "sim", "--config", config, *options, page=page)
+    return Service(directory / "data", "sim", "--config", config, *options, page=page, watch=True)
 
 
 @pytest.fixture(scope="module")

@@ -41,7 +41,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """
     data = tmp_path_factory.mktemp("run") / "data"
     options = ("--duration", DURATION, "--summary", data.parent / "summary.json")
-    with Service(data, "sim", *options) as service:
+    with Service(data, "sim", *options, watch=True) as service:
         yield service
 
 

@@ -50,6 +50,8 @@ def engine(monkeypatch):
         record = Record(name=path.name, layout=layout, digest="aa", source=str(path))
         return SimpleNamespace(record=record, findings=its.noticed)
 
+    its.page = writing.page  # some seconds of pictures: one test looks at them
+    monkeypatch.setattr(writing, "page", lambda diagnosis: "<html></html>")
     monkeypatch.setattr(run, "load", load)
     monkeypatch.setattr(run, "screen", lambda record: its.findings)
     yield its
@@ -71,7 +73,8 @@ def finding(severity):
     return Finding("readback-differs", severity, ("COR04",), (3, 9), "the readback stays")
 
 
-def test_a_record_is_answered_with_its_files_beside_it(engine, record, tmp_path):
+def test_a_record_is_answered_with_its_files_beside_it(engine, record, tmp_path, monkeypatch):
+    monkeypatch.setattr(writing, "page", engine.page)
     result = run(record, "--seed", 3)
     assert result.exit_code == 0, result.output
     assert "named: Gap 0.42" in result.stdout
@@ -83,6 +86,7 @@ def test_a_record_is_answered_with_its_files_beside_it(engine, record, tmp_path)
         "gap.csv",
         "effect.toml",
     }
+    assert "data:image/svg+xml" in (out / "report.html").read_text(encoding="utf-8")
     assert read_diagnosis(out / "diagnosis.json").state == "named"
     assert engine.calls[0][1:] == (None, None, 3)
 

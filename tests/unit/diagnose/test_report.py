@@ -1,6 +1,7 @@
 """The report of a diagnosis: whole, alone, harmless, and honest about what is missing."""
 
 import base64
+import functools
 import re
 from html.parser import HTMLParser
 from xml.etree import ElementTree
@@ -43,9 +44,15 @@ def read(text):
     return reader
 
 
-@pytest.fixture(scope="module")
+@functools.cache
+def drawn(name):
+    """The page of an example: drawing takes seconds, and tests only read it."""
+    return page(getattr(examples, name)())
+
+
+@pytest.fixture
 def rich():
-    return page(examples.named())
+    return drawn("named")
 
 
 def pictures(text):
@@ -68,7 +75,7 @@ def test_the_headline_comes_first(rich):
 
 @pytest.mark.parametrize("name", ["named", "bare", "unknown", "broken"])
 def test_the_page_asks_for_nothing_from_anywhere(name):
-    reader = read(page(getattr(examples, name)()))
+    reader = read(drawn(name))
     assert not {"script", "link", "iframe", "object", "embed", "base"} & set(reader.tags)
     for key, value in reader.attributes:
         assert not key.startswith("on")
@@ -84,14 +91,14 @@ def test_every_link_has_its_section(rich):
 
 
 def test_what_is_missing_is_said_and_not_drawn():
-    text = page(examples.bare())
+    text = drawn("bare")
     assert not pictures(text)
     for what in ("gap", "tournament", "score map", "shrink", "closed loop", "experiment"):
         assert re.search(rf"The {what}[^<]*: not computed|An {what}: not computed", text), what
 
 
 def test_a_record_that_is_not_intact_gets_its_findings_and_no_estimates():
-    text = page(examples.broken())
+    text = drawn("broken")
     assert "readback-differs" in text
     assert "tournament" not in text
 
@@ -135,5 +142,4 @@ def test_names_from_a_record_can_neither_run_nor_break_a_picture():
 
 
 def test_the_same_diagnosis_gives_the_same_page():
-    its = examples.unknown()
-    assert page(its) == page(its)
+    assert page(examples.unknown()) == drawn("unknown")

@@ -73,7 +73,7 @@ def test_is_told_what_a_physicist_knows() -> None:
 
 
 def test_every_variant_runs_and_can_be_written_as_json() -> None:
-    rows = ablation(["E2"], trajectories=1, steps=100, after=10, variants=VARIANTS)
+    rows = ablation(["E2"], trajectories=1, steps=30, after=5, variants=VARIANTS)
     assert [row["variant"] for row in rows] == list(VARIANTS)
     json.dumps(rows)
     assert all(row["swaps_per_tick"] > 0.0 or row["diverged"] for row in rows)
