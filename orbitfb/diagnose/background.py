@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.diagnose.innovation import Ladder, NoiseFloor, information
+from orbitfb.diagnose.healing import Errors, Preconditioner, Single
+from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.layout import ChannelPlane, Layout
 from orbitfb.physics.optics import Matrix
 
@@ -76,28 +76,21 @@ class Background:
                 scatter = np.full(to_bpms.shape[1], scale * _gradient_scatter(layout, plane))
                 self._parts.append(_Part(plane, to_bpms, at_quads, scatter))
         # Single precision is enough for errors of one per cent, and half the work.
-        self._patterns = np.concatenate([p.patterns for p in self._parts], axis=1, dtype=np.float32)
-        self._drivers = np.concatenate([p.drivers * p.scatter for p in self._parts], axis=1)
-        self._drivers = (self._drivers - self._drivers.mean(axis=0)).astype(np.float32)
-        self._solver: tuple[Matrix, bool] | None = None
-        self._absorbed: Vector = np.zeros(0)
+        patterns = np.concatenate([p.patterns for p in self._parts], axis=1)
+        drivers = np.concatenate([p.drivers * p.scatter for p in self._parts], axis=1)
+        drivers -= drivers.mean(axis=0)
+        self._errors = Errors(patterns, drivers.astype(np.float32))
+        self._solver: Preconditioner | None = None
 
-    def prepare(self, floor: NoiseFloor) -> None:
-        """Compute the information of the record on all sizes, once for a floor."""
-        if self._scale == 0.0:
-            return
-        ladder = Ladder(floor, _LEVELS)
-        shapes = [ladder.shapes(part.patterns * part.scatter) for part in self._parts]
-        courses = [ladder.filtered(part.drivers, self._starts) for part in self._parts]
-        all_shapes = [np.concatenate(level, axis=1) for level in zip(*shapes, strict=True)]
-        all_courses = [np.concatenate(level, axis=1) for level in zip(*courses, strict=True)]
-        matrix = information(all_shapes, all_courses)
-        known = np.diagonal(matrix).copy()
-        matrix[np.diag_indices_from(matrix)] += 1.0
-        self._solver = cho_factor(matrix, lower=True)
-        # J − J (J + 1)⁻¹ J = 1 − (J + 1)⁻¹ is what is left of the information on every size.
-        left = 1.0 - np.diagonal(cho_solve(self._solver, np.eye(len(matrix))))
-        self._absorbed = np.clip(1.0 - left / np.maximum(known, 1e-12), 0.0, 1.0)
+    def prepare(self, floor: NoiseFloor, levels: int = _LEVELS) -> None:
+        """Compute the information of the record on all sizes, once for a floor.
+
+        Args:
+            floor: The noise.
+            levels: Of the ladder of filters; a few do to find the sizes by, in more steps.
+        """
+        if self._scale:
+            self._solver = Preconditioner(self._errors, floor, self._starts, levels)
 
     def absorbed(self, name: Healthy) -> Vector:
         """Share of the information on an error that the background takes away, shape (P,).
@@ -112,16 +105,18 @@ class Background:
         for part in self._parts:
             end = begin + len(part.scatter)
             if part.name == name:
-                return self._absorbed[begin:end] if len(self._absorbed) else np.zeros(end - begin)
+                if self._solver is None:
+                    return np.zeros(end - begin)
+                return self._solver.absorbed[begin:end]
             begin = end
         raise KeyError(name)
 
     @property
     def nothing(self) -> Vector:
         """No errors, shape (P,) over all parts; empty for an exact model."""
-        return np.zeros(0 if self._solver is None else len(self._solver[0]))
+        return np.zeros(0 if self._solver is None else self._errors.count)
 
-    def gradient(self, slope: Matrix, sizes: Vector) -> Vector:
+    def gradient(self, slope: Matrix | Single, sizes: Vector) -> Vector:
         """Derivative of the log posterior by the sizes, in units of their scatter, shape (P,).
 
         Args:
@@ -130,20 +125,21 @@ class Background:
         """
         if self._solver is None:
             return np.zeros(0)
-        pull = slope.astype(np.float32) @ self._patterns
-        score = np.einsum("kp,kp->p", pull, self._drivers).astype(np.float64)
-        return score - sizes
+        return self._errors.score(slope.astype(np.float32, copy=False)) - sizes
 
     def step(self, gradient: Vector) -> Vector:
         """Precondition a gradient by the ladder's information, shape (P,)."""
-        return gradient if self._solver is None else cho_solve(self._solver, gradient)
+        return gradient if self._solver is None else self._solver.solve(gradient)
 
     def orbit(self, sizes: Vector) -> Matrix:
         """Tell what errors of these sizes add to the orbit, shape (N, n) [m]."""
+        return self.single_orbit(sizes).astype(np.float64)
+
+    def single_orbit(self, sizes: Vector) -> Single:
+        """The same in single precision, which is all that there is of it."""
         if not len(sizes):
-            return np.zeros((len(self._starts), len(self._patterns)))
-        orbit = (self._drivers * sizes.astype(np.float32)) @ self._patterns.T
-        return orbit.astype(np.float64)
+            return np.zeros((len(self._starts), self._errors.bpms), dtype=np.float32)
+        return self._errors.orbit(sizes)
 
 
 def _gradient_scatter(layout: Layout, plane: ChannelPlane) -> float:

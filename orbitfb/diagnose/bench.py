@@ -2,23 +2,39 @@
 
 import copy
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import Background
+from orbitfb.diagnose.changed import Change, Explained
 from orbitfb.diagnose.explain import Cause, actuated, explain, restored
 from orbitfb.diagnose.floor import estimate_floor, noise_modes
 from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.quick import Quick, Single
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 
 _PASSES = 2
+_FEW_LEVELS = 4
+"""Of the ladder, while orbit and floor are not yet what they will be."""
 _MOST_STEPS = 8
 _SOLVED = 0.1
 """Gain of a step of the background's sizes below which they are the best [nats]."""
+_CONVERGENCE = 0.15
+"""Most that a step of the search leaves of what there was to gain."""
 _SEEN = 1e-4
 """The same as a share of what a change is seen with."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Base:
+    """A record under the causes that stay, and its innovations of unit variance, (N, n)."""
+
+    explained: Explained
+    floor: NoiseFloor
+    white: Matrix
 
 
 class Bench:
@@ -51,7 +67,9 @@ class Bench:
         self.scale = background
         self.told_floor = floor is not None
         modes = noise_modes(record.layout) if modes is None else modes
-        self._nearby: tuple[Vector, Matrix] = (np.zeros(0), np.zeros((0, 0)))
+        self._nearby: tuple[Vector, Single] = (np.zeros(0), np.zeros((0, 0), np.float32))
+        self._base: _Base | None = None
+        self._in_single: Quick | None = None
         self.currents = actuated(record, self.causes)
         self.orbit = readings = restored(record, self.causes)[0]
         leftover = explain(record, self.causes, self.orbit)
@@ -64,12 +82,12 @@ class Bench:
             self.background = Background(
                 record.layout, self.currents, self.orbit, record.starts, background
             )
-            self.background.prepare(self.floor)
-            self.sizes = self._healed(leftover.left)[1]
+            self.background.prepare(self.floor, _FEW_LEVELS)
+            self.sizes = self._healed(self.floor.whiten(leftover.left, record.starts))[1]
             healthy = self.background.orbit(self.sizes)
         if floor is None:
             self.floor = estimate_floor(leftover.left - healthy, record.starts, modes)
-            self.background.prepare(self.floor)
+        self.background.prepare(self.floor)
         self.remember(self.sizes)
         self.white, self.sizes, self.jacobian = self.residual(())
         self.remember(self.sizes)
@@ -84,9 +102,12 @@ class Bench:
             White innovations (N, n), sizes of the background (P,), log-Jacobian of the sensors'
             causes by row (N,): the log-likelihood is −½ Σ white² − ½ Σ sizes² + Σ log-Jacobian.
         """
-        leftover = explain(self.record, (*self.causes, *causes), self.orbit)
-        white, sizes = self._healed(leftover.left)
-        return white, sizes, leftover.log_jacobian
+        base = self._beside()
+        if not causes:
+            return *self._healed(base.white), base.explained.log_jacobian
+        change = base.explained.change(causes)
+        white, sizes = self._healed(base.white + self._whitened(change))
+        return white, sizes, change.log_jacobian
 
     def information(self, change: Matrix) -> float:
         """Measure a change of the prediction, the healthy errors doing their best against it.
@@ -102,13 +123,53 @@ class Bench:
         white, sizes = self._descend(white, nothing, _SEEN * float(np.sum(white**2)))
         return float(np.sum(white**2) + np.sum(sizes**2))
 
-    def _healed(self, left: Matrix) -> tuple[Matrix, Vector]:
+    def _beside(self) -> "_Base":
+        """What more causes are put beside, computed once for causes, orbit and floor."""
+        known = self._base
+        if (
+            known is None
+            or known.explained.causes is not self.causes
+            or known.explained.orbit is not self.orbit
+        ):
+            explained = Explained(self.record, self.causes, self.orbit)
+            known = None
+        else:
+            explained = known.explained
+        if known is None or known.floor is not self.floor:
+            white = self.floor.whiten(explained.left, self.record.starts)
+            known = self._base = _Base(explained, self.floor, white)
+        return known
+
+    @property
+    def _quick(self) -> Quick:
+        if self._in_single is None or self._in_single.floor is not self.floor:
+            before = self._in_single
+            same = before is not None and before.floor.modes is self.floor.modes
+            modes = before.modes if before is not None and same else None
+            self._in_single = Quick(self.floor, self.record.starts, modes)
+        return self._in_single
+
+    def _whitened(self, change: Change) -> Single:
+        """Whiten what is left more: few columns of many as a rule."""
+        quick, response = self._quick, self.record.layout.response
+        if change.orbit is not None or 2 * len(change.bpms) > response.shape[0]:
+            return quick.whiten(change.whole(response).astype(np.float32))
+        modes = self.floor.modes
+        z = change.readings.astype(np.float32) @ modes[change.bpms].astype(np.float32)
+        if len(change.correctors):
+            made = (response[:, change.correctors].T @ modes).astype(np.float32)
+            z -= change.currents.astype(np.float32) @ made
+        return quick.whiten_modes(z)
+
+    def _healed(self, white: Matrix) -> tuple[Matrix, Vector]:
         """Take the best healthy errors out of what is left.
 
         The search begins where the bench's errors are, or at none if that is better: errors that
         had swallowed a cause are far from those beside it.
+
+        Args:
+            white: What is left, shape (N, n).
         """
-        white = self.floor.whiten(left, self.record.starts)
         sizes, change = self._nearby
         near = white - change if len(sizes) else white
         if not len(sizes) or np.vdot(white, white) < np.vdot(near, near) + sizes @ sizes:
@@ -126,10 +187,14 @@ class Bench:
             sizes: Of those errors, shape (P,).
             enough: Gain of a step below which they are the best [nats].
         """
-        floor, background, starts = self.floor, self.background, self.record.starts
+        quick, background = self._quick, self.background
         if not len(sizes):
             return white, sizes
-        gradient = background.gradient(floor.adjoint(white, starts), sizes)
+
+        def slope() -> Vector:
+            return background.gradient(quick.adjoint(white.astype(np.float32)), sizes)
+
+        gradient = slope()
         direction, before = np.zeros_like(sizes), 0.0
         for _ in range(_MOST_STEPS):
             step = background.step(gradient)
@@ -138,19 +203,20 @@ class Bench:
                 break
             direction = step + (promise / before if before else 0.0) * direction
             before = promise
-            change = floor.whiten(background.orbit(direction), starts)
+            change = quick.whiten(background.single_orbit(direction))
             length = float(gradient @ direction) / float(
                 np.vdot(change, change) + direction @ direction
             )
             sizes = sizes + length * direction
-            white = white - length * change
-            gradient = background.gradient(floor.adjoint(white, starts), sizes)
+            white = white - np.float32(length) * change
+            if 0.5 * _CONVERGENCE * promise < enough:
+                break  # what is left to gain would not be enough: no need to look
+            gradient = slope()
         return white, sizes
 
     def remember(self, sizes: Vector) -> None:
         """Begin to look for healthy errors at these, under the floor as it is."""
-        change = self.floor.whiten(self.background.orbit(sizes), self.record.starts)
-        self._nearby = (sizes, change)
+        self._nearby = (sizes, self._quick.whiten(self.background.single_orbit(sizes)))
 
     def with_floor(self, floor: NoiseFloor) -> "Bench":
         """The same causes judged under another floor; the background's information stays."""
@@ -180,7 +246,7 @@ class Bench:
             return self.floor
         record = self.record
         left = explain(record, (*self.causes, *causes), self.orbit).left
-        left = left - self.background.orbit(self._healed(left)[1])
+        left = left - self.background.orbit(self.residual(causes)[1])
         return estimate_floor(left, record.starts, self.floor.modes)
 
     @property

@@ -67,9 +67,15 @@ def columns_of(cause: Cause, count: int) -> list[int]:
     return list(range(count)) if cause.kind.target == "ring" else list(cause.places)
 
 
-def actuated(record: Record, causes: Sequence[Cause]) -> Matrix:
-    """Currents that act on the beam under these causes, shape (N, m) [A]."""
-    currents = record.setpoints
+def actuated(record: Record, causes: Sequence[Cause], currents: Matrix | None = None) -> Matrix:
+    """Currents that act on the beam under these causes, shape (N, m) [A].
+
+    Args:
+        record: What happened.
+        causes: One after the other.
+        currents: Under the causes before them; the setpoints when None.
+    """
+    currents = record.setpoints if currents is None else currents
     for cause in causes:
         kind, tail = cause.kind, slice(cause.onset, None)
         if isinstance(kind, ActuatorKind):

@@ -14,11 +14,13 @@ F. C. Schweppe, IEEE Trans. Inf. Theory 11 (1965) 61).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
-from scipy.signal import lfilter
+from numpy.typing import NDArray
 
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.recursion import steady
 from orbitfb.physics.optics import Matrix
 
 _OLDEST = 3000
@@ -64,6 +66,14 @@ class NoiseFloor:
         """Steady variance S of every mode's innovation, shape (n,) [m²]."""
         return self._deviation[-1] ** 2
 
+    def feedback_of(self, rows: int) -> Matrix:
+        """1 − L by which the row before counts in every row of a stretch, shape (rows, n)."""
+        return self._feedback[np.minimum(np.maximum(np.arange(rows) - 1, 0), _OLDEST - 1)]
+
+    def deviation_of(self, rows: int) -> Matrix:
+        """√S of every row of a stretch, shape (rows, n) [m]."""
+        return self._deviation[np.minimum(np.arange(rows), _OLDEST - 1)]
+
     def to_modes(self, columns: Matrix) -> Matrix:
         """Rotate rows of the BPMs' space into modes, shape (…, n)."""
         return columns @ self.modes
@@ -88,7 +98,7 @@ class NoiseFloor:
         innovation[1:] = z[1:] - z[:-1]
         innovation[starts] = 0.0
         deviation = np.empty_like(z)
-        for stretch in _stretches(starts):
+        for stretch in stretches(starts):
             self._run(innovation[stretch], deviation[stretch])
         return innovation, deviation
 
@@ -124,7 +134,7 @@ class NoiseFloor:
             log-likelihood when the prediction changes by δ, if `white` are the innovations.
         """
         total = np.zeros_like(white)
-        for stretch in _stretches(starts):
+        for stretch in stretches(starts):
             rows = stretch.stop - stretch.start
             ages = np.minimum(np.arange(rows), _OLDEST - 1)
             piece = white[stretch] / self._deviation[ages]
@@ -141,7 +151,7 @@ class NoiseFloor:
             2 * np.pi
         )
         terms = np.empty(len(starts))
-        for stretch in _stretches(starts):
+        for stretch in stretches(starts):
             ages = np.minimum(np.arange(stretch.stop - stretch.start), _OLDEST - 1)
             terms[stretch] = constant[ages]
             terms[stretch.start] = 0.0
@@ -183,17 +193,17 @@ class Ladder:
         self.feedback = [1.0 - float(step) for step in steps]
         self._floor = floor
 
-    def filtered(self, drivers: Matrix, starts: Mask) -> list[Matrix]:
-        """Filter courses in time with every level, each of shape (N, P) like the drivers."""
-        steps = np.zeros_like(drivers)
-        steps[1:] = drivers[1:] - drivers[:-1]
+    def filtered(self, drivers: NDArray[np.floating], starts: Mask) -> list[Matrix]:
+        """Filter courses in time with every level, each of shape (N, P), in single precision."""
+        # Differences of large numbers need double precision, what is made of them does not.
+        steps = np.zeros(drivers.shape, dtype=np.float32)
+        np.subtract(drivers[1:], drivers[:-1], out=steps[1:], casting="same_kind")
         steps[starts] = 0.0
         done: list[Matrix] = []
         for feedback in self.feedback:
-            level = np.empty_like(steps)
-            for stretch in _stretches(starts):
-                level[stretch] = lfilter([1.0], [1.0, -feedback], steps[stretch], axis=0)
-            done.append(level)
+            pieces = [steady(steps[own], feedback) for own in stretches(starts)]
+            whole = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+            done.append(cast("Matrix", whole))  # what it is multiplied with is double
         return done
 
     def shapes(self, patterns: Matrix) -> list[Matrix]:
@@ -228,7 +238,8 @@ def information(
     return np.zeros((0, 0)) if total is None else total
 
 
-def _stretches(starts: Mask) -> list[slice]:
+def stretches(starts: Mask) -> list[slice]:
+    """List the stretches of a record by where they begin."""
     begins = np.flatnonzero(starts)
     return [
         slice(int(begin), int(end))

@@ -1,0 +1,128 @@
+"""The small errors of a healthy ring as one linear problem, in its uncoupled parts."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.innovation import Ladder, NoiseFloor
+from orbitfb.diagnose.uncoupled import compact, components
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+Single = NDArray[np.float32]
+
+
+class Errors:
+    """P small errors: orbit = Σ size · pattern · driver.
+
+    Args:
+        patterns: Shape (n, P).
+        drivers: Times the scatter of each, shape (N, P).
+
+    Attributes:
+        patterns: As given.
+        drivers: As given.
+        bpms: n.
+        count: P.
+    """
+
+    def __init__(self, patterns: Matrix, drivers: Single) -> None:
+        self.patterns, self.drivers = patterns, drivers
+        self.bpms, self.count = patterns.shape
+        single = np.count_nonzero(patterns, axis=0) == 1
+        # An error of one BPM needs no product: its reading is its pattern.
+        self._alone = np.flatnonzero(single)
+        self._where = np.argmax(patterns[:, self._alone] != 0.0, axis=0)
+        self._size = patterns[self._where, self._alone].astype(np.float32)
+        self._diagonal = len(np.unique(self._where)) == len(self._where)
+        if not self._diagonal:
+            self._alone, self._where = np.zeros(0, np.intp), np.zeros(0, np.intp)
+            self._size = np.zeros(0, np.float32)
+        wide = np.setdiff1d(np.arange(self.count), self._alone)
+        parts = [(own, wide[its]) for own, its in components(patterns[:, wide])]
+        self._parts = [
+            (
+                compact(own),
+                its,
+                patterns[np.ix_(own, its)].astype(np.float32),
+                np.ascontiguousarray(drivers[:, its]),
+            )
+            for own, its in parts
+        ]
+        self._own = np.ascontiguousarray(drivers[:, self._alone] * self._size)
+
+    def score(self, slope: Single) -> Vector:
+        """Derivative by every size of a sum that goes with λ, shape (P,) of (N, n)."""
+        found = np.zeros(self.count)
+        found[self._alone] = np.einsum("kp,kp->p", slope[:, compact(self._where)], self._own)
+        for rows, columns, patterns, drivers in self._parts:
+            found[columns] = np.einsum("kp,kp->p", slope[:, rows] @ patterns, drivers)
+        return found
+
+    def orbit(self, sizes: Vector) -> Single:
+        """What errors of these sizes add to the orbit, shape (N, n)."""
+        single = sizes.astype(np.float32)
+        orbit = np.zeros((len(self.drivers), self.bpms), dtype=np.float32)
+        for rows, columns, patterns, drivers in self._parts:
+            orbit[:, rows] = (drivers * single[columns]) @ patterns.T
+        orbit[:, compact(self._where)] += self._own * single[self._alone]
+        return orbit
+
+
+class Preconditioner:
+    """Nearly the inverse of the information on all sizes and their prior.
+
+    Args:
+        errors: Whose sizes are open.
+        floor: The noise.
+        starts: Where stretches begin, shape (N,).
+        levels: Of the ladder of filters.
+
+    Attributes:
+        absorbed: Share of the information on every error that all of them take away, shape (P,).
+    """
+
+    def __init__(self, errors: Errors, floor: NoiseFloor, starts: Mask, levels: int) -> None:
+        ladder = Ladder(floor, levels)
+        shapes = [shape.astype(np.float32) for shape in ladder.shapes(errors.patterns)]
+        courses = [
+            course.astype(np.float32, copy=False)
+            for course in ladder.filtered(errors.drivers, starts)
+        ]
+        both = np.hstack([errors.patterns, floor.modes])
+        self.absorbed = np.zeros(errors.count)
+        self._blocks: list[tuple[Indices, tuple[Matrix, bool]]] = []
+        for _, its in components(both):
+            columns = its[its < errors.count]
+            if len(columns):
+                self._blocks.append((columns, self._solved(shapes, courses, columns)))
+
+    def _solved(
+        self, shapes: Sequence[Single], courses: Sequence[Single], columns: Indices
+    ) -> tuple[Matrix, bool]:
+        matrix = np.zeros((len(columns), len(columns)))
+        for shape, course in zip(shapes, courses, strict=True):
+            one = np.ascontiguousarray(shape[:, columns])
+            other = np.ascontiguousarray(course[:, columns])
+            matrix += (one.T @ one) * (other.T @ other)
+        known = np.diagonal(matrix).copy()
+        matrix[np.diag_indices_from(matrix)] += 1.0
+        try:
+            solver = cho_factor(matrix, lower=True)
+        except LinAlgError:  # rounding: what is known best is known a little less
+            matrix[np.diag_indices_from(matrix)] += 1e-4 * known
+            solver = cho_factor(matrix, lower=True)
+        # J − J (J + 1)⁻¹ J = 1 − (J + 1)⁻¹ is what is left of the information on every size.
+        left = 1.0 - np.diagonal(cho_solve(solver, np.eye(len(matrix))))
+        self.absorbed[columns] = np.clip(1.0 - left / np.maximum(known, 1e-12), 0.0, 1.0)
+        return solver
+
+    def solve(self, gradient: Vector) -> Vector:
+        """Step to the top of the parabola that has this gradient, shape (P,)."""
+        step = np.zeros_like(gradient)
+        for columns, solver in self._blocks:
+            step[columns] = cho_solve(solver, gradient[columns], check_finite=False)
+        return step
