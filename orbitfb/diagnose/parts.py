@@ -30,6 +30,8 @@ from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
 
 _RIVALS = 4
+_PLANNED = 3
+"""Rivals at most from which an experiment has to split the best cause."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,6 +170,6 @@ class Parts:
         one = self.outcome.winners[0]
         if one.accepted is None:
             return None
-        rival = one.rivals()[0]
-        found = plan(one.bench, one.accepted.cause, rival.cause, seed=self.seed + 1)
+        rivals = [rival.cause for rival in one.rivals()[:_PLANNED]]
+        found = plan(one.bench, one.accepted.cause, rivals, seed=self.seed + 1)
         return found.experiment

@@ -15,7 +15,7 @@ from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.plan_answer import ENOUGH, Option, advice, longer, movement
+from orbitfb.diagnose.plan_answer import ENOUGH, Option, advice, beside, longer, movement
 from orbitfb.diagnose.plan_candidates import (
     ORBIT_LIMIT,
     Limits,
@@ -68,17 +68,19 @@ def limits_of(
 def plan(
     bench: Bench,
     first: Cause,
-    second: Cause | None = None,
+    rivals: Sequence[Cause] = (),
     limits: Limits | None = None,
     seed: int = 1,
     progress: Progress | None = None,
 ) -> Plan:
-    """Find the experiment that splits two causes, or shows one better.
+    """Find the experiment that splits a cause from all its rivals, or shows it better.
+
+    Rivals that no movement of the correctors splits from it are named with what would.
 
     Args:
-        bench: The record under the causes that are accepted; neither of the two is among them.
+        bench: The record under the causes that are accepted; none of these is among them.
         first: With its best values.
-        second: The same; None: no effect.
+        rivals: The same; none: it is told from no effect.
         limits: To be kept; the defaults when None.
         seed: Of random levels.
         progress: Told what is done and which share of all.
@@ -95,22 +97,29 @@ def plan(
             f"{record.source}: no stretch has {_FEWEST_ROWS} rows to plan an experiment from"
         )
     gains = loop_gains(record)
-    causes = [first] if second is None else [first, second]
-    passive = _rate(bench, np.zeros((rows, record.setpoints.shape[1])), gains, causes, True)
-    rated: list[tuple[float, Proposal]] = []
-    listed = list(proposals(record.layout, causes, limits))
+    listed = list(proposals(record.layout, [first, *rivals], limits))
+    rated: list[Vector] = []
     for index, proposal in enumerate(listed):
         tell("planning", index / (len(listed) + _FINALISTS))
         excursion = proposal.waveform(record.layout, rows, seed)
-        rated.append((_rate(bench, excursion, gains, causes, False), proposal))
-    rated.sort(key=lambda pair: pair[0], reverse=True)
+        rated.append(_rates(bench, excursion, gains, first, rivals, False))
+    allowed = limits.minutes * 60 / record.layout.period
+    split = np.max(rated, axis=0) * allowed >= _LEAST if rivals else np.zeros(0, dtype=bool)
+    left = [rival for rival, able in zip(rivals, split, strict=True) if not able]
+    if rivals and not split.any():
+        return advice(record.layout, [first, *rivals])
+    told = [rival for rival, able in zip(rivals, split, strict=True) if able]
+    causes = [first, *told]
+    worst = [float(rates[split].min() if rivals else rates[0]) for rates in rated]
+    order = sorted(range(len(listed)), key=lambda index: worst[index], reverse=True)
     options = [
-        _option(bench, gains, causes, limits, proposal, seed) for _, proposal in rated[:_FINALISTS]
+        _option(bench, gains, causes, limits, listed[index], seed) for index in order[:_FINALISTS]
     ]
     tell("planning", 1.0)
-    allowed = limits.minutes * 60 / record.layout.period
+    still = np.zeros((rows, record.setpoints.shape[1]))
+    passive = float(_rates(bench, still, gains, first, told, True).min())
     if passive * allowed >= ENOUGH and max(o.rate for o in options) < _GAINED * passive:
-        return longer(record.layout, causes, passive)
+        return beside(longer(record.layout, causes, passive), first, left)
     if max(option.rate for option in options) * allowed < _LEAST:
         return advice(record.layout, causes)
     within = [option for option in options if option.minutes <= limits.minutes]
@@ -118,7 +127,7 @@ def plan(
         best = min(within, key=lambda option: option.orbit * option.minutes)
     else:
         best = max(options, key=lambda option: option.rate)
-    return movement(record.layout, causes, best, limits, seed)
+    return beside(movement(record.layout, causes, best, limits, seed), first, left)
 
 
 def plan_for(
@@ -150,15 +159,16 @@ def plan_for(
     first = entries[0].cause if entries else _somewhere(kinds[0], bench.record)
     if entries and len(kinds) == 1 and entries[0].weight <= 0.0:  # its size is that of the noise
         first = replace(first, values=_typical(kinds[0]), onset=0)
-    second = None
+    rivals: list[Cause] = []
     if against is not None:
         found = tournament(bench, [against])
-        second = found[0].cause if found else replace(first, kind=against, values=_typical(against))
+        rivals = [
+            found[0].cause if found else replace(first, kind=against, values=_typical(against))
+        ]
     elif len(kinds) > 1:
-        others = (entry.cause for entry in entries if entry.kind.id != first.kind.id)
-        second = next(others, None)
+        rivals = [entry.cause for entry in entries if entry.kind.id != first.kind.id][:1]
     rest: Progress = lambda what, share: tell(what, 0.6 + 0.4 * share)  # noqa: E731
-    return plan(bench, first, second, limits, seed, rest)
+    return plan(bench, first, rivals, limits, seed, rest)
 
 
 def _somewhere(kind: EffectKind, record: Record) -> Cause:
@@ -178,16 +188,22 @@ def _typical(kind: EffectKind) -> Values:
     return {parameter.name: parameter.typical for parameter in kind.parameters}
 
 
-def _rate(
-    bench: Bench, excursion: Vector, gains: Vector, causes: Sequence[Cause], exact: bool
-) -> float:
-    """Expected separation per tick; the smaller one of both directions where exact."""
+def _rates(
+    bench: Bench,
+    excursion: Vector,
+    gains: Vector,
+    first: Cause,
+    rivals: Sequence[Cause],
+    exact: bool,
+) -> Vector:
+    """Expected separation per tick from every rival; the smaller of both directions where exact."""
     view = outlook(bench, excursion, gains)
-    second = causes[1] if len(causes) > 1 else None
-    worth = separation(view, causes[0], second)
-    if exact and second is not None:
-        worth = min(worth, separation(view, second, causes[0]))
-    return worth / len(excursion)
+    if not rivals:
+        return np.array([separation(view, first, None)]) / len(excursion)
+    worth = [separation(view, first, rival) for rival in rivals]
+    if exact:
+        worth = [min(w, separation(view, r, first)) for w, r in zip(worth, rivals, strict=True)]
+    return np.array(worth) / len(excursion)
 
 
 def _option(
@@ -205,7 +221,7 @@ def _option(
         amplitude = tuple(share * each for each in proposal.part.amplitude)
         scaled = replace(proposal, part=proposal.part.model_copy(update={"amplitude": amplitude}))
         excursion = scaled.waveform(layout, rows, seed)
-        rate = _rate(bench, excursion, gains, causes, True)
+        rate = float(_rates(bench, excursion, gains, causes[0], causes[1:], True).min())
         ticks = max(_LEAST_TICKS, ENOUGH / max(rate, 1e-12))
         orbit = max(float(orbit_rms(layout, excursion, plane).max()) for plane in layout.planes)
         minutes = ticks * layout.period / 60

@@ -44,7 +44,7 @@ def movement(
 
     Args:
         layout: Of the record.
-        causes: One or two, to be seen or told apart.
+        causes: What is to be seen, or to be told from all that follow.
         best: What is done.
         limits: Kept by it.
         seed: Of random levels.
@@ -79,7 +79,7 @@ def longer(layout: Layout, causes: Sequence[Cause], rate: float) -> Plan:
 
     Args:
         layout: Of the record.
-        causes: One or two, to be seen or told apart.
+        causes: What is to be seen, or to be told from all that follow.
         rate: Expected separation by the record's own activity [nats/tick].
     """
     minutes = ENOUGH / rate * layout.period / 60
@@ -100,11 +100,10 @@ def advice(layout: Layout, causes: Sequence[Cause]) -> Plan:
 
     Args:
         layout: Of the record.
-        causes: One or two, to be seen or told apart.
+        causes: What is to be seen, or to be told from all that follow.
     """
-    known = declared(causes[0].kind, causes[1].kind) if len(causes) > 1 else None
-    splits = (known.splits if known else causes[0].kind.splits).rstrip(".")
-    told = f": {splits[0].lower()}{splits[1:]}" if splits else ""
+    ways = dict.fromkeys(_otherwise(causes[0], cause) for cause in causes[1:] or causes)
+    told = f": {'; '.join(ways)}"
     experiment = Experiment(
         kind="read-only-test",
         text=f"No movement of the correctors within the limits helps to {_names(causes)}{told}.",
@@ -114,9 +113,32 @@ def advice(layout: Layout, causes: Sequence[Cause]) -> Plan:
     return Plan(experiment, None, layout)
 
 
+def beside(its: Plan, first: Cause, left: Sequence[Cause]) -> Plan:
+    """Add what would split those that the experiment does not.
+
+    Args:
+        its: The plan for the others.
+        first: What is to be told from all.
+        left: Rivals that no movement of the correctors splits from it.
+    """
+    if not left:
+        return its
+    ways = [f"{cause.kind.id}: {_otherwise(first, cause)}" for cause in left]
+    text = f"{its.experiment.text} It does not split {first.kind.id} from {'; '.join(ways)}."
+    return Plan(its.experiment.model_copy(update={"text": text}), its.settings, its.layout)
+
+
+def _otherwise(first: Cause, second: Cause) -> str:
+    """Give what splits two causes without a movement of the correctors, by their own words."""
+    known = declared(first.kind, second.kind)
+    splits = (known.splits if known else second.kind.splits or first.kind.splits).rstrip(".")
+    return f"{splits[0].lower()}{splits[1:]}" if splits else "nothing known does"
+
+
 def _names(causes: Sequence[Cause]) -> str:
     if len(causes) == 1:
         spec = size_parameter(causes[0].kind)
         size = f" of {causes[0].values[spec.name]:.3g} {spec.unit}" if spec else ""
         return f"see {causes[0].kind.id}{size} better"
-    return f"tell {causes[0].kind.id} from {causes[1].kind.id}"
+    *others, last = [cause.kind.id for cause in causes[1:]]
+    return f"tell {causes[0].kind.id} from {', '.join(others) + ' and ' if others else ''}{last}"

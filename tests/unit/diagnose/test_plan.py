@@ -73,7 +73,7 @@ def test_a_plan_splits_gain_from_nonlinearity_that_one_orbit_cannot() -> None:
     gain = best(bench, "bpm-gain", 40, [{"gain": 0.1}])
     curve = best(bench, "bpm-nonlinearity", 40, bent)
     assert abs(gain.gain - curve.gain) < 5.0  # the record cannot tell
-    its = plan(bench, gain.causes[0], curve.causes[0])
+    its = plan(bench, gain.causes[0], [curve.causes[0]])
     assert its.experiment.kind == "bump-ladder"
     rows = its.waveform().excursion
     after = Bench(
@@ -92,7 +92,7 @@ def test_a_plan_keeps_its_limits(weak: tuple[Bench, Plan]) -> None:
     layout = bench.record.layout
     cause = Cause(effect("corrector-gain"), (50,), {"gain": 0.03})
     write = LimitSettings(change_per_tick=0.05)
-    its = plan(bench, cause, None, limits_of(2e-6, 3.0, write))
+    its = plan(bench, cause, (), limits_of(2e-6, 3.0, write))
     rows = its.waveform().excursion
     channels = Channels("x", layout.bpms.names, layout.correctors.names, (), (), ())
     everything = np.ones(rows.shape[1], dtype=bool)
@@ -122,11 +122,27 @@ def test_what_no_corrector_can_split_is_said_in_words(weak: tuple[Bench, Plan]) 
     bench, _ = weak
     missed = Cause(effect("missed-write"), (), {"probability": 0.01})
     jitter = Cause(effect("clock-jitter"), (), {"rms": 0.01})
-    its = plan(bench, missed, jitter)
+    its = plan(bench, missed, [jitter])
     assert its.settings is None
     assert "time stamps" in its.experiment.text
     with pytest.raises(EstimationError, match="nothing to run"):
         its.waveform()
+
+
+def test_a_plan_splits_all_rivals_and_says_which_it_cannot(weak: tuple[Bench, Plan]) -> None:
+    bench, alone = weak
+    gain = Cause(effect("corrector-gain"), (50,), {"gain": 0.08})
+    near = Cause(effect("corrector-gain"), (51,), {"gain": 0.08})
+    lag = Cause(effect("corrector-lag"), (50,), {"tau": 0.02})
+    noise = Cause(effect("noise-level"), (20,), {"factor": 1.5})
+    its = plan(bench, gain, [near, lag, noise]).experiment
+    pair = plan(bench, gain, [near]).experiment
+    assert its.splits == ("corrector-gain", "corrector-gain", "corrector-lag")
+    assert "corrector-gain and corrector-lag:" in its.text
+    assert "does not split corrector-gain from noise-level: " in its.text
+    assert its.separation_nats is not None and its.separation_nats >= ENOUGH
+    assert pair.minutes is not None and its.minutes is not None and alone.experiment.minutes
+    assert its.minutes * (its.orbit_cost_um or 1e-9) >= pair.minutes * (pair.orbit_cost_um or 1e-9)
 
 
 def test_an_effect_without_a_trace_is_planned_for_at_its_typical_size(
