@@ -18,6 +18,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause, columns_of, explain, restored
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
+from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.physics.optics import Matrix
 
@@ -25,8 +26,14 @@ IDEAL = 0.1
 """Share of an effect's gain that nature's departure from a law of the library may be worth."""
 STAND_IN = 0.5
 """The same share beyond which the law is not that of the effect at all."""
+OUTSIDE = 0.1
+"""Share of the causes of gaps that are in no library, before the data: one in ten."""
 _OCCAM = 2.0
 """What the size of a course costs [nats]."""
+_ALIKE = 0.9
+"""Cosine of a source's orbit with that of a corrector that may be what makes it."""
+_COST = 5.0
+"""What a course has to gain to be seen at all: its size, and the choice among all [nats]."""
 _MEMORIES = (5.0, 20.0, 80.0, 300.0)
 """Time constants of slow followers [ticks]."""
 _RANK = 2
@@ -54,8 +61,11 @@ class Departure:
     @property
     def chance(self) -> float:
         """Probability that the law is the cause's own, given that it is the best of the library."""
-        odds = self.nats - IDEAL * max(self.gain, 0.0)
-        return float(expit(-odds)) if self.nats > 0.0 else 1.0
+        gain = max(self.gain, 0.0)
+        right = float(expit(IDEAL * gain - self.nats)) if self.nats > 0.0 else 1.0
+        # What is in no library and departs by any share of the gain is missed below these shares.
+        missed = min(1.0, IDEAL + _COST / gain) if gain > 0.0 else 1.0
+        return right * (1.0 - OUTSIDE * missed)
 
     @property
     def stand_in(self) -> bool:
@@ -76,17 +86,45 @@ def departure(bench: Bench, cause: Cause, gain: float) -> Departure:
     """
     if isinstance(cause.kind, LatentKind | NoiseKind):
         return Departure("", 0.0, gain)
-    patterns, course = _driven(bench, cause)
     echoes = _echoes(bench, cause)
-    best, top = "", 0.0
-    trials = list(_courses(course))
-    for name, trial in trials:
-        change = bench.floor.whiten(trial @ patterns.T, bench.record.starts)
-        height = _gain(bench, change, echoes)
-        if height > top:
-            best, top = name, height
-    nats = top - float(np.log(len(trials))) - _OCCAM
+    best, top, tried = "", 0.0, 0
+    for patterns, course in _drives(bench, cause):
+        for name, trial in (*_courses(course), *_with_others(bench, course)):
+            change = bench.floor.whiten(trial @ patterns.T, bench.record.starts)
+            height = _gain(bench, change, echoes)
+            tried += 1
+            if height > top:
+                best, top = name, height
+    nats = top - float(np.log(tried)) - _OCCAM
     return Departure(best, nats, gain) if nats > 0.0 else Departure("", 0.0, gain)
+
+
+def _drives(bench: Bench, cause: Cause) -> Iterator[tuple[Matrix, Matrix]]:
+    """What drives a cause's devices; where a source is like a corrector, also what drives that."""
+    patterns, course = _driven(bench, cause)
+    yield patterns, course
+    if not isinstance(cause.kind, SourceKind) or cause.kind.target != "source":
+        return
+    response = bench.record.layout.response
+    modal = bench.floor.modes.T @ np.column_stack([patterns[:, :1], response])
+    modal /= np.sqrt(bench.floor.innovation_variance)[:, None]
+    modal /= np.maximum(np.linalg.norm(modal, axis=0), _TINY)
+    alike = np.abs(modal[:, 1:].T @ modal[:, 0])
+    nearest = int(np.argmax(alike))
+    if alike[nearest] > _ALIKE:
+        setpoints = bench.record.setpoints[:, [nearest]]
+        yield response[:, [nearest]], setpoints - setpoints[:1]
+
+
+def _with_others(bench: Bench, course: Matrix) -> Iterator[tuple[str, Matrix]]:
+    """Courses that go with another channel of the record, such as the stored current."""
+    for name, channel in bench.record.auxiliary.items():
+        size = float(np.std(channel))
+        if np.isfinite(size) and size > 0.0:
+            yield (
+                f"in proportion, the more so with {name}",
+                course * ((channel - channel.mean()) / size)[:, None],
+            )
 
 
 def _driven(bench: Bench, cause: Cause) -> tuple[Matrix, Matrix]:
@@ -135,6 +173,9 @@ def _courses(course: Matrix) -> Iterator[tuple[str, Matrix]]:
         yield f"slowly, over {memory:.0f} ticks", slow
     yield "as the square", course**2 / size
     yield "as the cube", course**3 / size**2
+    away = np.abs(course - course[:1])
+    yield "more than in proportion to the way from where it began", course * away / size
+    yield "as the sum of all before", np.cumsum(course - course[:1], axis=0) / rows
     yield "as the change without its sign", np.abs(step)
     yield "more than in proportion to the change", step * np.abs(step) / usual
     yield "only when the direction turns", step * (step * _later(step, 1) < 0.0)

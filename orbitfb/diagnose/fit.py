@@ -129,7 +129,8 @@ def _climb(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left, lis
         slopes = _derivatives(problem, best, now)
         if not slopes:
             break
-        gradient, curvature = _normal_equations(now, slopes)
+        padded = (_padded(now[0], problem), *now[1:])
+        gradient, curvature = _normal_equations(padded, slopes)
         if not (np.isfinite(curvature).all() and np.isfinite(gradient).all()):
             return best, now, []
         move = np.zeros_like(best)
@@ -177,11 +178,21 @@ def _derivative(problem: Problem, best: Vector, now: Left, index: int) -> Left:
         if not seen > _SEEN:
             break
         size /= np.sqrt(seen)
-    return (
-        (moved[0] - now[0]) / size,
-        (moved[1] - now[1]) / size,
-        (moved[2] - now[2]) / size,
-    )
+    jacobian = (moved[2] - now[2]) / size
+    white = _padded((moved[0] - now[0]) / size, problem)
+    owner = problem.parameters[index][0]
+    channels = max(len(problem.causes[owner].places), 1)
+    white[:, owner - len(problem.causes)] = jacobian / np.sqrt(channels)
+    return white, (moved[1] - now[1]) / size, jacobian
+
+
+def _padded(white: Matrix, problem: Problem) -> Matrix:
+    """White innovations beside a column per cause for what scales the readings themselves.
+
+    Scores of a scale g are Σ (e² − 1): their scatter is twice that by the derivative of e alone,
+    which the square of the derivative of the Jacobian, shared out over the readings, adds.
+    """
+    return np.hstack([white, np.zeros((len(white), len(problem.causes)))])
 
 
 def _normal_equations(now: Left, slopes: list[Left]) -> tuple[Vector, Matrix]:
@@ -205,20 +216,21 @@ def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, pr
     gains += (gain - gains.sum()) / len(gains)  # the background's share belongs to no row
     count, smooth = len(best), problem.smooth
     if len(slopes) < len(smooth):  # none that is finite: nothing is known of them
-        nothing = np.zeros_like(now[0]), np.zeros_like(now[1]), np.zeros_like(now[2])
+        nothing = _padded(now[0], problem) * 0.0, np.zeros_like(now[1]), np.zeros_like(now[2])
         slopes = [nothing for _ in smooth]
     covariance = np.zeros((count, count))
     held, unstable = gains, np.zeros(count, dtype=np.bool_)
     volume, inflation = 0.0, 1.0
     if smooth:
         scale = problem.scale[smooth]
-        rows = np.stack([-np.sum(s[0] * white, axis=1) + s[2] for s in slopes], axis=1)
-        curvature = _normal_equations(now, slopes)[1]
+        padded = (_padded(white, problem), *now[1:])
+        rows = np.stack([-np.sum(s[0] * padded[0], axis=1) + s[2] for s in slopes], axis=1)
+        curvature = _normal_equations(padded, slopes)[1]
         known = curvature + np.diag(1e-6 / scale**2)
         inverse = np.asarray(np.linalg.pinv(known), dtype=np.float64)
         inflation = scores.inflation(rows, inverse, scores.known_by_row(slopes, inverse))
         covariance[np.ix_(smooth, smooth)] = inverse * inflation
-        held, unstable[smooth] = scores.held_out(scale, now, slopes, rows, gains)
+        held, unstable[smooth] = scores.held_out(scale, padded, slopes, rows, gains)
         bent = np.eye(len(smooth)) + curvature * np.outer(scale, scale)
         volume += 0.5 * float(np.linalg.slogdet(bent)[1])
     ranges: list[tuple[float, float] | None] = [None] * count

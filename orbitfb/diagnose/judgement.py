@@ -15,7 +15,7 @@ from orbitfb.diagnose.certain import Certain
 from orbitfb.diagnose.departure import Departure, departure
 from orbitfb.diagnose.gof import audit, passed
 from orbitfb.diagnose.naming import column_names
-from orbitfb.diagnose.search import CLOSE, Outcome, Round
+from orbitfb.diagnose.search import CLOSE, SURE, Outcome, Round
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 _EXPLAINED = 0.8
@@ -118,7 +118,7 @@ def _state(
     if not outcome.winners:
         if certain.causes:
             return "named_plus_remainder" if remains else "named"
-        return "unknown" if remains else "no_gap"
+        return "unknown" if remains or _of_no_kind(outcome.rounds[0]) else "no_gap"
     if _stand_in(outcome.winners[0]) or departures[0].stand_in or explained < _HALF:
         return "unknown"
     if remains:
@@ -130,6 +130,22 @@ def _stand_in(one: Round) -> bool:
     """Whether the winner only stands for something that is not in the library."""
     fit = None if one.accepted is None else one.accepted.fit
     return fit is not None and fit.inflation > _STAND_IN
+
+
+def _of_no_kind(one: Round) -> bool:
+    """Whether something is surely there of which the library has only stand-ins.
+
+    The evidence against the nominal model counts as it is; that its scores scatter far more than
+    they should speaks against the stand-in alone.
+    """
+    sure = float(np.log(one.kinds) + np.log(SURE / (1.0 - SURE)))
+    return any(
+        entry.fit is not None
+        and entry.fit.inflation > _STAND_IN
+        and entry.held_out > 0.0
+        and entry.weight + entry.fit.gain - entry.fit.gain / entry.fit.inflation > sure
+        for entry in one.entries
+    )
 
 
 def _unknown(outcome: Outcome, departures: Sequence[Departure], explained: float) -> Unknown:

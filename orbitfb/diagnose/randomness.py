@@ -22,6 +22,8 @@ from orbitfb.physics.places import Indices
 
 _LEAST_SCATTER = 0.05
 """Relative scatter of a healthy variance between devices, beyond chance."""
+_LEAST_COLOUR = 0.02
+"""The same of a correlation in time: levels of healthy noise differ, but all of it is white."""
 _LEVELS = ("noise-level", "ground-motion-level")
 """Kinds that may strike every place alike."""
 _LEVEL_SCATTER = 0.1
@@ -128,7 +130,8 @@ def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
         seen = np.log(np.maximum(ratio, 1e-6))
         chance, strength = np.sqrt(2.0 / rows), (ratio - 1.0) / size
     seen = seen - (np.median(seen) if len(seen) > _MANY else 0.0)
-    deviation = np.hypot(chance, _scatter(seen, chance))
+    least = _LEAST_COLOUR if kind.lag else _LEAST_SCATTER
+    deviation = np.hypot(chance, _scatter(seen, chance, least))
     reading = float(np.sqrt(bench.floor.reading))
     for members, name, choices in _sets(bench, kind, seen):
         # Healthy devices scatter each for itself: what a group has in common shows the better.
@@ -162,12 +165,12 @@ def _sets(bench: Bench, kind: NoiseKind, seen: Vector) -> Iterator[tuple[Indices
         yield members, name, float(len(groups))
 
 
-def _scatter(values: Vector, chance: float) -> float:
+def _scatter(values: Vector, chance: float, least: float) -> float:
     """Scatter between places beyond chance: no device is exactly like the others."""
     if len(values) < _MANY:
-        return 3 * _LEAST_SCATTER
+        return 3 * least
     spread = 1.4826 * float(np.median(np.abs(values - np.median(values))))
-    return max(_LEAST_SCATTER, float(np.sqrt(max(spread**2 - chance**2, 0.0))))
+    return max(least, float(np.sqrt(max(spread**2 - chance**2, 0.0))))
 
 
 def _sudden(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candidate]:

@@ -6,12 +6,13 @@ what the choice of values, place, onset and kind costs. Nothing here is calibrat
 cases: a candidate that is wrong leaves scores that scatter more than they should, and pays.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench, log_likelihood
+from orbitfb.diagnose.budget import SCAN_SHARE, Budget
 from orbitfb.diagnose.candidate import FIRST_ONSET, LAST_ONSET, Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
@@ -19,6 +20,7 @@ from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.randomness import level_candidates, noise_candidates
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.strike_scan import latent_candidates
+from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
@@ -83,7 +85,10 @@ class Entry:
 
 
 def tournament(
-    bench: Bench, kinds: Sequence[EffectKind], progress: Progress | None = None
+    bench: Bench,
+    kinds: Sequence[EffectKind],
+    progress: Progress | None = None,
+    budget: Budget | None = None,
 ) -> list[Entry]:
     """Let every kind compete to explain what a bench leaves.
 
@@ -91,12 +96,14 @@ def tournament(
         bench: The record under the causes accepted so far.
         kinds: Those that the record can show.
         progress: Told what is done and which share of all.
+        budget: Time for it; what there was no time for is told to it. None: all there is.
 
     Returns:
         The entries that were fitted, best first; several places of a kind may be among them.
     """
     tell = progress or (lambda what, share: None)
-    proposals = propose(bench, kinds, lambda what, share: tell(what, 0.5 * share))
+    budget = budget or Budget(np.inf)
+    proposals = propose(bench, kinds, lambda what, share: tell(what, 0.5 * share), budget)
     swallowed = kinds
     if np.sum(bench.sizes**2) <= _ABSURD**2 * len(bench.sizes):
         # What has no size is never small: healthy errors hide it even if they stay healthy.
@@ -104,16 +111,29 @@ def tournament(
     if swallowed:
         told = bench.floor if bench.told_floor else None
         bare = Bench(bench.record, bench.causes, told, bench.floor.modes, 0.0)
-        proposals = _distinct([*propose(bare, swallowed), *proposals])
+        proposals = _distinct([*propose(bare, swallowed, budget=budget), *proposals])
     entries: list[Entry] = []
     for index, candidate in enumerate(proposals):
         tell("fitting", 0.5 + 0.3 * index / len(proposals))
         best = max((entry.weight for entry in entries), default=0.0)
         # What has no size is fitted at no cost, and scanned badly: it is never small.
         if _net(candidate) > _HOPELESS * best or not candidate.cause.kind.parameters:
-            entries.append(_enter(bench, candidate))
+            if (
+                index
+                and budget.over()
+                and not isinstance(candidate.cause.kind, NoiseKind | LatentKind)
+            ):
+                budget.untried.append(candidate)
+            else:
+                entries.append(_enter(bench, candidate))
     entries.sort(key=lambda entry: entry.weight, reverse=True)
-    again = [_profiled(bench, entry, entries[0].weight) for entry in entries[:REFITTED]]
+    again: list[Entry] = []
+    for entry in entries[:REFITTED]:
+        if budget.over():
+            budget.leave("the floor of the noise was not estimated anew for every candidate")
+            again.append(entry)
+        else:
+            again.append(_profiled(bench, entry, entries[0].weight))
     tell("fitting", 1.0)
     again = _alike_alike(again)
     return sorted((*again, *entries[REFITTED:]), key=_rank, reverse=True)
@@ -139,12 +159,28 @@ def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def propose(
-    bench: Bench, kinds: Sequence[EffectKind], progress: Progress | None = None
+    bench: Bench,
+    kinds: Sequence[EffectKind],
+    progress: Progress | None = None,
+    budget: Budget | None = None,
 ) -> list[Candidate]:
-    """List the candidates that deserve a fit, best first."""
+    """List the candidates that deserve a fit, best first.
+
+    Args:
+        bench: The record under the causes accepted so far.
+        kinds: Those that the record can show.
+        progress: Told what is done and which share of all.
+        budget: Time for it; kinds that are not reached are told to it. None: all there is.
+    """
     scanner = Scanner(bench)
     found: list[Candidate] = []
     for index, kind in enumerate(kinds):
+        if budget is not None and budget.over(SCAN_SHARE) and not bench.causes:
+            budget.unseen += [kind.id] if kind.id not in budget.unseen else []
+            continue
+        if budget is not None and budget.over():
+            budget.leave("further causes were looked for among some effects only")
+            break
         if isinstance(kind, NoiseKind):
             found += noise_candidates(bench, kind)
             found += level_candidates(bench, kind)
@@ -154,9 +190,24 @@ def propose(
             found += scanner.candidates(kind)
         if progress is not None:
             progress(kind.id, (index + 1) / len(kinds))
+    found += [*_scaled_noise(found, kinds)]
     found.sort(key=_net, reverse=True)
     worth = sum(_net(candidate) > 0.0 for candidate in found)
     return _chosen(found[: max(worth, _LEAST_FINALISTS)])
+
+
+def _scaled_noise(found: Sequence[Candidate], kinds: Sequence[EffectKind]) -> Iterator[Candidate]:
+    """Try what scales readings, noise and all, wherever the noise has another level.
+
+    Where the orbit hardly moves the noise alone shows it: only the fit tells the two apart.
+    """
+    for kind in kinds:
+        if isinstance(kind, SensorKind) and kind.scales and kind.linear is not None:
+            for one in found:
+                if one.cause.kind.id == "noise-level" and one.cause.places:
+                    size = one.cause.values["factor"] - 1.0
+                    cause = replace(one.cause, kind=kind, values={kind.linear: size})
+                    yield replace(one, cause=cause)
 
 
 def _chosen(found: Sequence[Candidate]) -> list[Candidate]:
@@ -184,7 +235,13 @@ def _enter(bench: Bench, candidate: Candidate) -> Entry:
 
 def _fitted(bench: Bench, candidate: Candidate) -> Entry:
     found = fit(bench, (candidate.cause,))
-    return Entry(candidate, found, found.evidence - float(np.log(candidate.choices)))
+    return Entry(candidate, found, found.evidence - _price(candidate))
+
+
+def _price(candidate: Candidate) -> float:
+    """What the choice costs, and what of the gain healthy devices may scatter [nats]."""
+    spare = 0.0 if candidate.alone is None else candidate.alone - candidate.gain
+    return float(np.log(candidate.choices)) + spare
 
 
 def _begun(bench: Bench, entry: Entry) -> Entry:
@@ -260,7 +317,7 @@ def _profiled(bench: Bench, entry: Entry, best: float) -> Entry:
     found = fit(own, entry.fit.causes)
     lost = own.full_log_likelihood - bench.full_log_likelihood  # by the other floor alone
     gain = found.gain + lost
-    weight = gain / found.inflation - found.occam - float(np.log(entry.candidate.choices))
+    weight = gain / found.inflation - found.occam - _price(entry.candidate)
     if weight <= entry.weight:
         return entry
     judged = replace(

@@ -31,7 +31,14 @@ class BpmGain(SensorKind):
         "(J. Safranek, Nucl. Instrum. Meth. A 388 (1997) 27)"
     )
     linear = "gain"
-    confused_with = ("bpm-nonlinearity", "corrector-gain", "bpm-roll", "quadrupole-gradient")
+    scales = True
+    confused_with = (
+        "noise-level",
+        "bpm-nonlinearity",
+        "corrector-gain",
+        "bpm-roll",
+        "quadrupole-gradient",
+    )
     splits = (
         "orbits at three levels tell it from a nonlinearity; for the scale common to all BPMs and "
         "all correctors a change of RF frequency or one calibrated corrector is needed"

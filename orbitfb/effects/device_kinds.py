@@ -55,10 +55,13 @@ class SensorKind(EffectKind):
 
     Attributes:
         colours: Whether it filters the noise of the readings, so that it shows by that alone.
+        scales: Whether it scales the noise with the readings (by 1 + its `linear` parameter), so
+            that it shows by that alone.
     """
 
     target = "bpm"
     colours: ClassVar[bool] = False
+    scales: ClassVar[bool] = False
 
     @abstractmethod
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:

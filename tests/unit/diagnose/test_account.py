@@ -6,7 +6,7 @@ import pytest
 
 from orbitfb.diagnose.answer_blocks import Audit
 from orbitfb.diagnose.answer_parts import Shrink
-from orbitfb.diagnose.judgement import Judgement, held_to_account
+from orbitfb.diagnose.judgement import Judgement, _state, held_to_account
 
 OUTCOME = SimpleNamespace(
     rounds=(SimpleNamespace(entries=()),),
@@ -28,3 +28,21 @@ def test_a_name_is_held_to_later_data(nats, high, state, monkeypatch):
     judged = Judgement("named", Audit(), None, 1.0, (), None)  # type: ignore[arg-type]
     shrunk = Shrink(nats=nats, low=0.0, high=high, um=nats, held_out_ticks=1000, resolved=True)
     assert held_to_account(judged, OUTCOME, shrunk).state == state  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("gain", "scatter", "state"),
+    [
+        (83.0, 3.1, "unknown"),  # much is there, and the best of the library is far from it
+        (83.0, 1.0, "no_gap"),  # what tidy scores do not make sure is not there
+        (30.0, 3.1, "no_gap"),  # the choice among all rows and places finds as much in noise
+    ],
+)
+def test_what_has_only_stand_ins_is_no_quiet_record(gain, scatter, state):
+    fit = SimpleNamespace(gain=gain, inflation=scatter)
+    weight = gain / scatter - 28.0  # as the search has it: less the prices of values and choice
+    entry = SimpleNamespace(fit=fit, weight=min(weight, 0.0), held_out=gain)
+    outcome = SimpleNamespace(rounds=(SimpleNamespace(entries=(entry,), kinds=45),), winners=())
+    certain = SimpleNamespace(causes=())
+    told = _state(outcome, certain, (), remains=False, explained=1.0)  # type: ignore[arg-type]
+    assert told == state

@@ -11,6 +11,7 @@ from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.randomness import noise_candidates
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.actuating import usual_change
 from orbitfb.effects.build import build, layout_of
 from orbitfb.effects.registry import all_effects
@@ -96,6 +97,26 @@ def test_the_predicted_orbit_knows_nothing_of_the_noise_of_its_row():
     noise = record.readings[:, 20] / 1.5 - bench.orbit[:, 20]
     course = bench.orbit[:, 20] - bench.orbit[:, 20].mean()
     assert abs(np.corrcoef(noise[1:], course[1:])[0, 1]) < 0.12
+
+
+def test_a_little_colour_of_a_whole_cell_is_seen():
+    record = record_with("noise-coloured:correlation=0.15,cells=C09", dither=0.0, ticks=900)
+    found = noise_candidates(Bench(record), all_effects()["noise-coloured"])[0]
+    assert {BPMS[place] for place in found.cause.places} == {n for n in BPMS if n.endswith("C09")}
+    assert found.gain > 25.0
+
+
+@pytest.mark.parametrize("effect", ["bpm-gain:gain=0.3", "noise-level:factor=1.3"])
+def test_a_louder_reading_is_a_gain_only_if_the_orbit_is_louder_too(effect):
+    record = record_with(f"{effect},names={BPMS[20]}", dither=5e-4)
+    kinds = [all_effects()[name] for name in ("bpm-gain", "noise-level")]
+    best, *others = tournament(Bench(record), kinds)
+    assert best.kind.id == effect.split(":")[0]
+    assert best.cause.places == (20,)
+    if best.kind.id == "bpm-gain":
+        assert best.fit.inflation < 1.2
+    else:
+        assert any(one.kind.id == "bpm-gain" and one.cause.places == (20,) for one in others)
 
 
 @pytest.mark.parametrize(("step", "seen"), [(2e-8, True), (0.0, False)])
