@@ -17,9 +17,7 @@ from orbitfb.core.errors import ControlError
 from orbitfb.core.ports import Machine
 from orbitfb.core.signals import LoopState
 from orbitfb.diagnose.broken import Screen
-from orbitfb.diagnose.live import GapProcess, GapWatch
 from orbitfb.doors import Parts, check_panel, open_doors
-from orbitfb.effects.build import layout_of
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.history.archive import ArchiveWriter
 from orbitfb.history.buffer import History
@@ -33,6 +31,7 @@ from orbitfb.loop.masked import MaskedMachine
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.maintenance import baseline, open_store, safeguards, sim_job, trainer
+from orbitfb.measure.left import left_astray
 from orbitfb.observe.clock_watch import ClockWatch
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
@@ -43,11 +42,10 @@ from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import Surroundings
 from orbitfb.own_lease import take_lease
 from orbitfb.own_ring import OwnRing
-from orbitfb.physics.places import Ring
 from orbitfb.policies.masking import mask_of
 from orbitfb.policies.stability import growth_of, warning_of
 from orbitfb.remote import Remote
-from orbitfb.reports import Reports, beside, postmortems, say_excitation
+from orbitfb.reports import Reports, beside, gap_watch, postmortems, say_excitation
 from orbitfb.safety.limits import too_narrow
 from orbitfb.startup import (
     SIMULATED,
@@ -162,7 +160,7 @@ class Service:
             counting=counting,
             safeguards=replace(safeguards(nominal, config, movable), obstacle=self._obstacle),
         )
-        self.watch = self._gap_watch(config, ring, stack)
+        self.watch = gap_watch(config, ring, self.history, self._reports, stack)
         self.learner: LearnerThread | None = None
         if config.learn.enabled:
             self.learner = LearnerThread(
@@ -236,11 +234,19 @@ class Service:
             **panel,
         }
         _log.info("service_started", **self._where)
+        place = f"{epics.address_list}:{epics.server_port}"
+        same = config.measure.same_setpoint
+        self._astray = left_astray(directory, self.machine, place, ioc, same)
+        if self._astray:
+            _log.warning("setpoints_astray", problem=self._astray)
+            self.statistics.happened("measurement", self._astray)
 
     def announce(self, say: Callable[[str], None]) -> None:
         """Say what was started where."""
         for line in announcement(self._where, self._own_ring is not None):
             say(line)
+        if self._astray:
+            say(f"attention: {self._astray}")
 
     @property
     def ring_failure(self) -> str:
@@ -292,22 +298,6 @@ class Service:
         self.statistics.happened("lease", f"taken by {owner}: the loop opens")
         with suppress(ControlError):  # it is open already, or latched
             self.runner.command("open")
-
-    def _gap_watch(self, config: AppConfig, ring: Ring, stack: ExitStack) -> GapWatch:
-        """Watch the gap between model and machine, if that is wanted."""
-        layout = layout_of(ring, config.ring.planes, config.loop.period)
-        looker = GapProcess(layout)
-        watch = GapWatch(
-            config.diagnose.live,
-            self.history,
-            looker.look,
-            self._reports.gap_seen,
-            self._reports.look_failed,
-        )
-        if config.diagnose.live.enabled:
-            watch.start()
-            stack.callback(watch.stop, looker.close)
-        return watch
 
 
 def _say_and_log(say: Callable[[str], None], line: str) -> None:

@@ -12,7 +12,10 @@ from orbitfb.core.errors import ArchiveError, EstimationError
 from orbitfb.core.gap import GapSight
 from orbitfb.core.refit import Alarm, RefitReport
 from orbitfb.core.signals import Channels, Mask
+from orbitfb.diagnose.live import GapProcess, GapWatch
+from orbitfb.effects.build import layout_of
 from orbitfb.epics.machine import EpicsMachine
+from orbitfb.history.buffer import History
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.excitation import Excitation, Progress
 from orbitfb.observe.beside import Beside
@@ -20,6 +23,7 @@ from orbitfb.observe.clock_watch import ClockWatch
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.last_diagnosis import LastDiagnosis
 from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.physics.places import Ring
 from orbitfb.postmortem.frozen import Frozen
 from orbitfb.postmortem.log_tap import LogTap
 from orbitfb.postmortem.recorder import Listeners, PostMortemRecorder, Run
@@ -159,3 +163,26 @@ def postmortems(
     stack.callback(recorder.close)
     stack.callback(LogTap(recorder.tell).close)
     return (recorder,)
+
+
+def gap_watch(
+    config: AppConfig, ring: Ring, history: History, reports: Reports, stack: ExitStack
+) -> GapWatch:
+    """Watch the gap between model and machine, if that is wanted.
+
+    Args:
+        config: The configuration.
+        ring: Its ring.
+        history: What is looked at.
+        reports: Where it reports.
+        stack: Ends it.
+    """
+    layout = layout_of(ring, config.ring.planes, config.loop.period)
+    looker = GapProcess(layout)
+    watch = GapWatch(
+        config.diagnose.live, history, looker.look, reports.gap_seen, reports.look_failed
+    )
+    if config.diagnose.live.enabled:
+        watch.start()
+        stack.callback(watch.stop, looker.close)
+    return watch

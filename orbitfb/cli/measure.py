@@ -50,12 +50,14 @@ def measure_response_command(
         bool, typer.Option("--fresh", help="Begin anew instead of going on where one was stopped.")
     ] = False,
     restore: Annotated[
-        bool | None,
+        bool,
         typer.Option(
-            "--restore/--leave",
-            help="Put back setpoints that a killed measurement left astray, or leave them [asks].",
+            "--restore", help="Put back setpoints that a killed measurement left astray [asks]."
         ),
-    ] = None,
+    ] = False,
+    leave: Annotated[
+        bool, typer.Option("--leave", help="Leave them where they are [asks].")
+    ] = False,
     activate: Annotated[
         bool,
         typer.Option(
@@ -88,6 +90,11 @@ def measure_response_command(
     from orbitfb.measuring.command import MeasureRequest, measure_response
     from orbitfb.measuring.stopping import StopRequests
 
+    if restore and leave:
+        raise ConfigError(
+            "--restore puts setpoints back that a killed measurement left astray, --leave leaves "
+            "them: give one of the two, or none to be asked"
+        )
     chosen = chosen_effects(effect, effects)
     if chosen is not None and ioc != "sim":
         raise ConfigError(
@@ -121,7 +128,8 @@ def measure_response_command(
     asker = confirm if sys.stdin.isatty() else None
     with stop:
         try:
-            request = MeasureRequest(ioc, out, fresh, restore, activate, live)
+            put_back = restore if restore or leave else None
+            request = MeasureRequest(ioc, out, fresh, put_back, activate, live)
             answer = measure_response(settings, request, stop, say, asker)
         except StoppedError as stopped:
             print(

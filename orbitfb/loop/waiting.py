@@ -7,11 +7,13 @@ answer comes behind the change, and goes on from what they are: a change may hav
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from orbitfb.core.signals import Mask, Reading
 from orbitfb.loop import memory as remember
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
-from orbitfb.safety.arrival import arrived
+from orbitfb.safety.arrival import RARE, SEEN, acted, arrived
 
 
 def wait_for_change(
@@ -38,7 +40,10 @@ def wait_for_change(
     tells = mine
     for mask in (reading.away, reading.behind):
         tells = tells if mask is None else tells & ~mask
+    usual = memory.sent.late >= RARE
     part, sent = arrived(reading.readback, memory.setpoints, tells, memory.sent)
+    if part is not None and usual and _acted(memory, checked, rules):
+        part, sent = None, replace(sent, change=None, waited=0)
     memory = replace(memory, sent=sent)
     if part is None:
         return False, memory, ""
@@ -51,3 +56,13 @@ def wait_for_change(
         memory, trouble = ask()
         memory = replace(memory, sent=replace(sent, change=None, waited=0))
     return True, remember.note(memory, reason, may_act=True), trouble
+
+
+def _acted(memory: LoopMemory, checked: Checked, rules: Rules) -> bool:
+    """Whether the orbit shows the last change, whatever the readbacks say."""
+    answers, ago = memory.answers, memory.sent.waited
+    if answers.step is None or len(answers.predicted) <= ago:
+        return False
+    step = np.where(checked.valid, answers.step, np.nan)
+    part = acted(step, answers.predicted[ago], rules.interlocks.prediction_floor)
+    return part is not None and part >= SEEN

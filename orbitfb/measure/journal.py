@@ -9,6 +9,7 @@ Both are replaced whole: a reader sees the old or the new, also after a kill or 
 """
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,11 +114,25 @@ class Journal:
         try:
             text = read_bounded(self._moved, _LARGEST, advice)
             found = _Moved.model_validate_json(text)
-        except (StoreError, ValidationError) as error:
-            raise MeasurementError(f"{self._moved} is damaged ({error}); {advice}") from error
+        except StoreError as error:
+            raise MeasurementError(f"{self._moved}: {error}") from error
+        except ValidationError as error:
+            raise MeasurementError(self._damaged(_first_problem(error), text)) from None
         if len(found.setpoint_pvs) != len(found.setpoints):
-            raise MeasurementError(f"{self._moved} is damaged (unequal lists); {advice}")
+            names, values = len(found.setpoint_pvs), len(found.setpoints)
+            problem = f"it names {names} PVs for {values} setpoints"
+            raise MeasurementError(self._damaged(problem, text))
         return Moved(found.where, found.time, found.setpoint_pvs, np.array(found.setpoints))
+
+    def _damaged(self, problem: str, text: bytes) -> str:
+        """Say what is wrong, and what to do with setpoints that nobody knows for certain."""
+        pvs = sorted({pv for pv in self._channels.setpoint_pvs if pv.encode() in text})
+        named = f"; it names {', '.join(pvs[:5])}{' and others' if len(pvs) > 5 else ''}"
+        return (
+            f"{self._moved} is damaged: {problem}. It tells where setpoints were before a "
+            f"measurement moved them{named if pvs else ''}; compare the setpoints with the "
+            "archive, put back by hand what is astray, then remove the file"
+        )
 
     def save(self, table: Table, conditions: dict[str, Any]) -> None:
         """Keep the columns that are done.
@@ -193,3 +208,17 @@ class Journal:
             raise MeasurementError(
                 f"{path} cannot be written ({error.strerror}); nothing was moved"
             ) from error
+
+
+def _first_problem(error: ValidationError) -> str:
+    """Say in words what is wrong with a file of JSON, and where."""
+    first = error.errors()[0]
+    if first["type"] == "json_invalid":
+        where = re.search(r"line (\d+) column (\d+)", first["msg"])
+        place = f" (line {where[1]}, column {where[2]})" if where else ""
+        return f"it is no whole JSON{place}"
+    key = ".".join(map(str, first["loc"]))
+    if not key:
+        return "it holds something else than a record of moved setpoints"
+    kinds = {"missing": "is missing", "extra_forbidden": "does not belong there"}
+    return f"`{key}` {kinds.get(first['type'], 'has a wrong value')}"

@@ -21,6 +21,7 @@ from orbitfb.loop.guarded import GuardedMachine
 from orbitfb.maintenance import sim_job
 from orbitfb.measure.journal import Journal
 from orbitfb.measure.judging import judge
+from orbitfb.measure.left import DIRECTORY
 from orbitfb.measure.measurement import Measurement
 from orbitfb.measure.response_file import write_response
 from orbitfb.measure.watch import Watch
@@ -100,7 +101,7 @@ def measure_response(
             epics = OwnRing(sim_job(config), stack).settings(config)
             directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         else:
-            directory = config.data_directory / "measurement"
+            directory = config.data_directory / DIRECTORY
         take_ring(epics, channels, stack)
         where = f"{epics.address_list}:{epics.server_port}"
         logs = configure_logs(config.observe.logs, config.data_directory)

@@ -8,7 +8,10 @@ is 1 when the change has arrived and 0 when it has not, with the uncertainty σ 
 what of the readbacks lies across d: noise, rounding and offsets tell how much they can tell.
 
 A machine whose readbacks are always late is no machine that stands still: a change that is not
-seen at the next orbit counts for something only as long as that is rare.
+seen at the next orbit counts for something only as long as that is rare. But a machine that was in
+time and is late from now on may have become slow in its puts: were they no longer waited for, the
+loop would correct each error several times and drive the orbit away. So there it goes on waiting,
+unless the orbit shows that the change has acted: then only the readbacks are slow.
 """
 
 from dataclasses import dataclass
@@ -26,6 +29,9 @@ TELLING = 0.2
 RARE = 0.25
 """Share of changes that showed late from which that is usual at this machine."""
 
+PROMPT = 0.05
+"""Share of late changes below which a machine is known to be in time."""
+
 _SMOOTHING = 0.06
 
 
@@ -38,11 +44,13 @@ class Sent:
         late: Share of changes that did not show at the orbit after them, smoothed [1]. It begins
             where it is usual: nothing is waited for before a change was seen in time.
         waited: Orbits that were waited at for this change.
+        prompt: Whether changes were in time once, as a rule.
     """
 
     change: Vector | None = None
     late: float = RARE
     waited: int = 0
+    prompt: bool = False
 
 
 def arrived(
@@ -64,11 +72,34 @@ def arrived(
     if part is None:
         return None, sent
     late = part < SEEN
-    waits = late and (sent.waited > 0 or sent.late < RARE)
+    waits = late and (sent.waited > 0 or sent.late < RARE or sent.prompt)
     # Each change counts once, when it is looked for first.
     share = sent.late if sent.waited else sent.late + _SMOOTHING * (late - sent.late)
     change, waited = sent.change if late else None, sent.waited + 1 if waits else 0
-    return (part if waits else None), Sent(change, share, waited)
+    after = Sent(change, share, waited, sent.prompt or share < PROMPT)
+    return (part if waits else None), after
+
+
+def acted(step: Vector, predicted: Vector, floor: float) -> float | None:
+    """Look for a change in the orbit itself.
+
+    Args:
+        step: Of the orbit since the change was sent, shape (n,) [m]; NaN where it is not known.
+        predicted: What the change should do to it, shape (n,) [m].
+        floor: Rms of a predicted step [m] below which nothing can be told.
+
+    Returns:
+        The part of the change that shows; None: the orbit does not tell.
+    """
+    known = np.isfinite(step)
+    step, predicted = step[known], predicted[known]
+    power = float(predicted @ predicted)
+    if power < max(step.size, 1) * floor**2:
+        return None
+    part = float(step @ predicted) / power
+    across = step - part * predicted
+    spread = float(across @ across) / max(step.size - 1, 1)
+    return part if spread <= TELLING**2 * power else None
 
 
 def _part(readback: Vector, setpoints: Vector, counts: Mask, sent: Sent) -> float | None:

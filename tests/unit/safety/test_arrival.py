@@ -1,11 +1,13 @@
 """A change that does not show is waited for, where readbacks can tell and it is rare."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orbitfb.safety.arrival import RARE, Sent, arrived
+from orbitfb.safety.arrival import RARE, Sent, acted, arrived
 
 M = 60
 RANDOM = np.random.default_rng(3)
@@ -51,15 +53,27 @@ def test_a_machine_whose_readbacks_are_always_late_is_never_waited_for():
     assert sent.late > 0.9
 
 
-def test_nor_for_long_if_they_are_so_from_now_on():
+def test_one_that_was_in_time_goes_on_being_waited_for_however_often_it_is_late():
     sent = Sent()
     for _ in range(100):
-        _, sent = arrived(BEFORE + CHANGE, BEFORE + CHANGE, ALL, Sent(CHANGE, sent.late))
-    waits = 0
+        _, sent = arrived(BEFORE + CHANGE, BEFORE + CHANGE, ALL, replace(sent, change=CHANGE))
+    assert sent.prompt
     for _ in range(100):
-        part, sent = arrived(BEFORE, BEFORE + CHANGE, ALL, Sent(CHANGE, sent.late))
-        waits += part is not None
-    assert 3 <= waits <= 6
+        part, sent = arrived(BEFORE, BEFORE + CHANGE, ALL, replace(sent, change=CHANGE, waited=0))
+        assert part is not None
+    assert sent.late > RARE
+
+
+@pytest.mark.parametrize("part", [0.0, 0.4, 1.0])
+def test_the_orbit_tells_whether_a_large_change_has_acted(part):
+    random = np.random.default_rng(8)
+    predicted, noise = random.normal(0.0, 5e-6, M), random.normal(0.0, 0.3e-6, M)
+    assert acted(part * predicted + noise, predicted, 2e-6) == pytest.approx(part, abs=0.05)
+    step = np.where(np.arange(M) < 5, np.nan, part * predicted)
+    assert acted(step, predicted, 2e-6) == pytest.approx(part)
+    assert acted(part * predicted, predicted, 20e-6) is None
+    assert acted(part * predicted + 50.0 * noise, predicted, 1e-9) is None
+    assert acted(np.full(M, np.nan), predicted, 2e-6) is None
 
 
 def test_a_change_that_is_waited_for_counts_once():
@@ -72,10 +86,11 @@ def test_a_change_that_is_waited_for_counts_once():
 
 
 @given(st.lists(st.booleans(), max_size=200))
-def test_no_more_than_a_share_is_ever_held_back_in_the_long_run(shows):
+def test_no_more_than_a_share_is_ever_held_back_at_one_that_never_was_in_time(shows):
     sent, waits = Sent(), 0
     for shown in shows:
-        part, sent = arrived(BEFORE + shown * CHANGE, BEFORE + CHANGE, ALL, Sent(CHANGE, sent.late))
+        before = replace(sent, change=CHANGE, waited=0, prompt=False)
+        part, sent = arrived(BEFORE + shown * CHANGE, BEFORE + CHANGE, ALL, before)
         waits += part is not None
         assert 0.0 <= sent.late <= 1.0 and not (shown and part is not None)
     assert waits <= 10 + 2 * RARE * len(shows)
