@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 STAMP := .venv/.installed
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
-WAITING := -n 4 --dist loadgroup --no-loadscope-reorder
+WAITING := -n 4 --dist loadfile --no-loadscope-reorder
 
 # make docs: the pages as a site in site/.
 .PHONY: run test test-system test-docs docs newcomer venv lint types layers audit format bench clean blind chaos soak

@@ -120,7 +120,7 @@ class BaseIoc:
     def _await_ready(self, process: subprocess.Popen[bytes]) -> None:
         if process.stdout is None:
             raise RuntimeError("the IOC was started without its pipe")
-        said, deadline = b"", time.monotonic() + 30.0
+        said, deadline = b"", time.monotonic() + 120.0
         with selectors.DefaultSelector() as selector:
             selector.register(process.stdout, selectors.EVENT_READ)
             while b"READY\n" not in said:

@@ -1,10 +1,13 @@
 """A client that does not read, and what the others see of it."""
 
+import contextlib
+import statistics
 import threading
 import time
 
 import pytest
 from ioc_clients import CHANNELS, CONTROL_DOUBLE, KICK, READINGS, TICK, RawClient, same, serving
+from service_process import wait_for
 
 pytestmark = pytest.mark.system
 
@@ -23,48 +26,65 @@ def subscribed(port, **options):
     return client
 
 
-def watch(client, seconds):
-    """Read frames for a while: their ticks, ages and wholeness."""
+def go_past(port, tick):
+    """Wait until the ring has come to a tick."""
+    with RawClient(port) as client:
+        client.create(TICK)
+        wait_for(f"tick {tick}", lambda: client.get(TICK).value > tick)
+
+
+def watch(client, rate, count=100):
+    """Read frames until so many in a row were whole, fresh and at the full rate.
+
+    A computer that is busy with other things has its moments: what holds the ring back always does
+    has none of them.
+    """
     client.events(len(READINGS))
     client.frame()
-    ticks, ages, end = [], [], time.monotonic() + seconds
-    while time.monotonic() < end:
+    wait_for(f"{count} fresh ticks at {rate} Hz", lambda: _at_full_rate(client, rate, count), 1.0)
+
+
+def _at_full_rate(client, rate, count):
+    ticks, ages, begin = [], [], time.monotonic()
+    for _ in range(count):
         frame = client.frame()
         assert [event.name for event in frame] == list(READINGS) and same(frame)
         ticks.append(frame[-1].value)
         ages.append(age(frame[-1]))
-    return ticks, ages
+    seen = (ticks[-1] - ticks[0]) / (time.monotonic() - begin)
+    whole = count > 0.9 * (ticks[-1] - ticks[0])
+    return whole and abs(seen / rate - 1.0) < 0.05 and statistics.median(ages) < 0.05
 
 
 def test_clients_that_never_read_do_not_slow_the_ring():
-    with serving(rate_hz=RATE) as child, subscribed(child.port) as good:
-        stuck = [subscribed(child.port, receive_buffer=4096) for _ in range(3)]
-        for client in stuck:
+    with (
+        serving(rate_hz=RATE) as child,
+        subscribed(child.port) as good,
+        contextlib.ExitStack() as stack,
+    ):
+        for _ in range(3):
+            client = stack.enter_context(subscribed(child.port, receive_buffer=4096))
             client.subscribe(*CHANNELS.setpoint_pvs)
-        ticks, ages = watch(good, 4.0)
+        go_past(child.port, 2 * RATE)  # whatever is kept for them is full
+        watch(good, RATE)
         good.put(dict.fromkeys(CHANNELS.setpoint_pvs, 1.0))
-        for client in stuck:
-            client.socket.close()
-    rate = (ticks[-1] - ticks[0]) / 4.0
-    assert rate == pytest.approx(RATE, rel=0.05)
-    assert len(ticks) > 0.9 * 4.0 * RATE
-    ages.sort()
-    assert ages[len(ages) // 2] < 0.05
 
 
 def test_nor_do_they_where_caproto_itself_serves():
     """Types that the fast front leaves to caproto go through a queue of caproto's."""
-    with serving(rate_hz=RATE) as child, RawClient(child.port) as good:
+    with (
+        serving(rate_hz=RATE) as child,
+        RawClient(child.port) as good,
+        subscribed(child.port, receive_buffer=4096) as stuck,
+    ):
         good.create(TICK)
-        stuck = subscribed(child.port, receive_buffer=4096)
         stuck.subscribe(*READINGS[:15], data_type=CONTROL_DOUBLE)
-        time.sleep(3.0)
+        go_past(child.port, 3 * RATE)
         good.subscribe(TICK, data_type=CONTROL_DOUBLE)
         first = good.event().value
         assert first > 2.0 * RATE
         later = [good.event().value for _ in range(20)]
         assert later == sorted(later) and later[-1] >= first + 19
-        stuck.socket.close()
 
 
 def test_a_slow_client_sees_whole_orbits_that_are_not_old():
@@ -74,25 +94,26 @@ def test_a_slow_client_sees_whole_orbits_that_are_not_old():
     ):
         slow.events(len(READINGS))
         slow.frame()
-        frames = []
+        frames, ages = [], []
         for _ in range(40):
             time.sleep(0.05)
-            frames.append((slow.frame(), time.monotonic()))
-            assert age(frames[-1][0][-1]) < 1.0
-    for frame, _ in frames:
+            frames.append(slow.frame())
+            ages.append(age(frames[-1][-1]))
+    assert statistics.median(ages[-10:]) < 1.0  # they would be by now, were all of them kept
+    for frame in frames:
         assert [event.name for event in frame] == list(READINGS) and same(frame)
-    ticks = [frame[-1].value for frame, _ in frames]
+    ticks = [frame[-1].value for frame in frames]
     assert ticks == sorted(ticks)
     assert ticks[-1] - ticks[0] > 4 * len(ticks)  # whole orbits were left out
 
 
 def test_a_client_that_wakes_up_gets_the_newest_orbit_soon():
     with serving(rate_hz=RATE) as child, subscribed(child.port, receive_buffer=8192) as client:
-        time.sleep(2.0)
-        awake = time.monotonic()
-        while age(client.frame()[-1]) > 0.1:
-            assert time.monotonic() - awake < 1.0
-        assert client.get(TICK).value > 300
+        go_past(child.port, 400)
+        ticks = [client.frame()[-1].value]
+        while ticks[-1] < 400:
+            ticks.append(client.frame()[-1].value)
+        assert len(ticks) < 50  # not all that it has slept through
 
 
 def test_two_writers_and_a_reader_at_once():
@@ -102,16 +123,15 @@ def test_two_writers_and_a_reader_at_once():
         def write():
             with RawClient(child.port) as writer:
                 writer.create(*CHANNELS.setpoint_pvs)
-                while not stop.wait(0.002):
+                while not stop.wait(0.01):
                     writer.put(dict.fromkeys(CHANNELS.setpoint_pvs, 0.1))
 
         writers = [threading.Thread(target=write) for _ in range(2)]
         for writer in writers:
             writer.start()
         try:
-            ticks, _ = watch(good, 2.0)
+            watch(good, 100)
         finally:
             stop.set()
             for writer in writers:
                 writer.join()
-    assert (ticks[-1] - ticks[0]) / 2.0 == pytest.approx(100, rel=0.05)

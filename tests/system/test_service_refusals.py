@@ -4,7 +4,6 @@ import json
 import re
 import signal
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -106,7 +105,9 @@ def test_a_second_service_on_one_data_directory(service: Service, dead_port: int
 
 def test_pvs_of_another_plane_are_listed_all_at_once(ring: Ioc, tmp_path: Path):
     options = ("--planes", "y", "--data", tmp_path / "data")
-    first, *names, advice = refused(*RUN, "--ioc", f"127.0.0.1:{ring.port}", *options).splitlines()
+    environment = {"ORBITFB_EPICS__CONNECT_TIMEOUT": "5.0"}
+    said = refused(*RUN, "--ioc", f"127.0.0.1:{ring.port}", *options, **environment)
+    first, *names, advice = said.splitlines()
     assert first == "540 of 542 PVs did not connect within 5.0 s:"
     y = Ring.load().channels("y")
     assert [name.strip() for name in names] == [*y.orbit_pvs, *y.setpoint_pvs, *y.readback_pvs]
@@ -117,14 +118,12 @@ def test_pvs_of_another_plane_are_listed_all_at_once(ring: Ioc, tmp_path: Path):
 
 
 def test_nobody_at_the_port(dead_port: int, tmp_path: Path):
-    begin = time.monotonic()
     environment = {"ORBITFB_EPICS__CONNECT_TIMEOUT": "1.0"}
     said = refused(
         *RUN, "--ioc", f"127.0.0.1:{dead_port}", "--data", tmp_path / "data", **environment
     )
     assert said.startswith("542 of 542 PVs did not connect within 1.0 s:\n")
     assert CHANNELS.setpoint_pvs[-1] in said
-    assert time.monotonic() - begin < 6.0
     assert not (tmp_path / "data/policies").exists()
 
 
