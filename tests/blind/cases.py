@@ -25,7 +25,7 @@ from tests.blind import (
 from tests.blind.conditions import Conditions, Dither, second_ring
 from tests.blind.draft import MAKERS, Draft, Maker
 from tests.blind.drawing import draw
-from tests.blind.healthy import healthy_errors
+from tests.blind.healthy import healthy_errors, healthy_gradients
 from tests.blind.machine import Log, Nature, run
 from tests.blind.oracle import Innovations, detectability
 
@@ -171,11 +171,13 @@ def _sized(
     """Search the size that is as detectable as wanted; an effect without a size is taken as is."""
 
     healthy = healthy_errors(case, maker, draft) if spec.background else []
+    gradients = healthy_gradients(case, maker, draft, filter_)
+    leave = None if gradients is None else gradients.leave
 
     def look(size: float) -> tuple[float, Log]:
         effects: list[tuple[int, Nature]] = [(start, draft.build(size))]
         seen, log = detectability(
-            case, effects, spec.seed, draft.law, filter_, spec.ticks + 1, healthy
+            case, effects, spec.seed, draft.law, filter_, spec.ticks + 1, healthy, leave
         )
         if draft.closed is not None:
             rows = min(spec.ticks + 1, len(log.readings)) - max(start - case.warm, 0)

@@ -5,7 +5,7 @@ under the true reading noise, mode by mode, has the squared length d'² = 2 ΔL:
 knows the effect exactly, but of the small errors of its devices only how they scatter, gains by it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -33,15 +33,23 @@ class Innovations:
     def whiten(self, difference: Array) -> Array:
         """Turn a difference of readings (rows, n) [m] into whitened innovations."""
         modes = difference / self.noise @ self.modes
-        state, doubt = np.zeros(modes.shape[1]), np.full(modes.shape[1], 1e8)
+        state = np.zeros(modes.shape[1])
         white = np.empty_like(modes)
+        shares, totals = self.gains(len(modes))
         for row, seen in enumerate(modes):
-            total = doubt + 1.0
-            white[row] = (seen - state) / np.sqrt(total)
-            share = doubt / total
-            state = state + share * (seen - state)
-            doubt = doubt * (1 - share) + self.power
+            white[row] = (seen - state) / np.sqrt(totals[row])
+            state = state + shares[row] * (seen - state)
         return white
+
+    def gains(self, rows: int) -> tuple[Array, Array]:
+        """Give the gain of every row and mode and the variance of its innovation, (rows, n)."""
+        doubt = np.full(len(self.power), 1e8)
+        shares, totals = np.empty((rows, len(doubt))), np.empty((rows, len(doubt)))
+        for row in range(rows):
+            totals[row] = doubt + 1.0
+            shares[row] = doubt / totals[row]
+            doubt = doubt * (1 - shares[row]) + self.power
+        return shares, totals
 
 
 def detectability(
@@ -52,6 +60,7 @@ def detectability(
     filter_: Innovations,
     rows: int,
     healthy: Sequence[Nature] = (),
+    leave: Callable[[Array, Log], float] | None = None,
 ) -> tuple[float, Log]:
     """Tell d' of a single effect on the first rows of the record, and give the run itself.
 
@@ -63,11 +72,14 @@ def detectability(
         filter_: Of the case.
         rows: Of the record that count.
         healthy: Small errors, one standard deviation each, that nobody knows.
+        leave: Tells what is seen of a whitened change beside more of them.
     """
     log = run(case, effects, seed)
     without = run(case, [], seed, replay=_extend(case, log.sent))
     rows = min(rows, len(log.readings))
     white = filter_.whiten(log.readings[:rows] - without.readings[:rows])
+    if law == "mean" and leave is not None:
+        return leave(white, log), log
     if law == "mean":
         return _beside(white, [changed(case, log, one, seed, filter_) for one in healthy]), log
     if law == "rare":  # whole ticks

@@ -17,6 +17,7 @@ from tests.blind.draft import invented, known
 from tests.blind.drawing import draw
 from tests.blind.figures import wilson
 from tests.blind.generate import opaque, seal, write_case
+from tests.blind.healthy import HealthyGradients
 from tests.blind.machine import Nature, run
 from tests.blind.nature_actuator import Lag, Resonance, Slew
 from tests.blind.nature_limits import BoucWen
@@ -235,6 +236,25 @@ def test_innovations_of_the_true_noise_are_white(case: Conditions) -> None:
     white = filter_.whiten(orbit + rng.standard_normal(orbit.shape) * filter_.noise)[50:]
     assert np.var(white) == pytest.approx(1.0, abs=0.02)
     assert abs(np.mean(white[1:] * white[:-1])) < 0.02
+
+
+def test_healthy_gradients_change_readings_as_the_ring_solved_anew_does(case: Conditions) -> None:
+    filter_, seed = Innovations(case), 4
+    strength = case.lattice.ring.strength("QUAD")
+    scatter = np.abs(strength) * np.std(case.lattice.errors / strength)
+    log = run(case, [], seed)
+    its = HealthyGradients(case, filter_)
+    first_order = np.concatenate([block for _, block in its.changes(log.setpoints)])
+    solved = {}
+    for quad in (0, 40, 211):
+        error = np.where(np.arange(len(scatter)) == quad, scatter, 0.0)
+        there = run(case, [(0, Gradients([(0, error)]))], seed, replay=log.sent)
+        solved[quad] = filter_.whiten(there.readings - log.readings)
+        difference = first_order[:, :, quad] - solved[quad]
+        assert np.linalg.norm(difference) < 0.1 * np.linalg.norm(solved[quad])
+    # What is one of them is hidden by itself and by the others.
+    alone = float(np.linalg.norm(solved[40]))
+    assert 0.0 < its.leave(solved[40], log) < alone / np.sqrt(1.0 + alone**2)
 
 
 @pytest.mark.parametrize("name", ["bpm-gain", "local-kick", "noise-level", "x-weak-bus"])
