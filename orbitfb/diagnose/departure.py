@@ -88,15 +88,40 @@ def departure(bench: Bench, cause: Cause, gain: float) -> Departure:
         return Departure("", 0.0, gain)
     echoes = _echoes(bench, cause)
     best, top, tried = "", 0.0, 0
-    for patterns, course in _drives(bench, cause):
-        for name, trial in (*_courses(course), *_with_others(bench, course)):
-            change = bench.floor.whiten(trial @ patterns.T, bench.record.starts)
-            height = _gain(bench, change, echoes)
-            tried += 1
-            if height > top:
-                best, top = name, height
+    for name, trial in _trials(bench, cause):
+        change = bench.floor.whiten(trial, bench.record.starts)
+        height = _gain(bench, change, echoes)
+        tried += 1
+        if height > top:
+            best, top = name, height
     nats = top - float(np.log(tried)) - _OCCAM
     return Departure(best, nats, gain) if nats > 0.0 else Departure("", 0.0, gain)
+
+
+def _trials(bench: Bench, cause: Cause) -> Iterator[tuple[str, Matrix]]:
+    """Courses in words, and what they add to the prediction, each of shape (N, n)."""
+    for patterns, course in _drives(bench, cause):
+        for name, trial in (*_courses(course), *_with_others(bench, course)):
+            yield name, trial @ patterns.T
+    yield from _heard(bench, cause)
+
+
+def _heard(bench: Bench, cause: Cause) -> Iterator[tuple[str, Matrix]]:
+    """What a single BPM may hear of the others of its cell and plane, at once or slowly."""
+    if not isinstance(cause.kind, SensorKind) or len(cause.places) != 1:
+        return
+    bpms, own = bench.record.layout.bpms, cause.places[0]
+    for other in range(len(bpms)):
+        alike = bpms.cells[other] == bpms.cells[own] and bpms.planes[other] == bpms.planes[own]
+        if other == own or not alike or not bpms.cells[own]:
+            continue
+        course = bench.orbit[:, other] - bench.orbit[:, other].mean()
+        for memory in (0.0, *_MEMORIES[:2]):
+            kept = float(np.exp(-1.0 / memory)) if memory else 0.0
+            told = np.zeros_like(bench.orbit)
+            told[:, own] = lfilter([1.0 - kept], [1.0, -kept], course)
+            slowly = f", slowly, over {memory:.0f} ticks" if memory else ""
+            yield f"as what {bpms.label(other)} reads{slowly}", told
 
 
 def _drives(bench: Bench, cause: Cause) -> Iterator[tuple[Matrix, Matrix]]:

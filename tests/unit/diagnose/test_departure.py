@@ -12,6 +12,7 @@ from orbitfb.effects.actuating import ColumnsEffect
 from orbitfb.effects.build import build, layout_of
 from orbitfb.effects.registry import all_effects
 from orbitfb.effects.settings import parse_effect
+from orbitfb.physics.effect import Effect
 from orbitfb.physics.places import Ring
 
 RING = Ring.load()
@@ -78,6 +79,33 @@ def test_a_kick_that_creeps_is_not_told_for_a_corrector_that_leaks():
     found = fit(Bench(record), (Cause(kind, (place,), {"rate": 1e-9}),))
     its = departure(Bench(record, found.causes), found.causes[0], found.gain)
     assert its.nats > 0.1 * found.gain + 5.0
+    assert its.chance < 0.1
+
+
+class Hears(Effect):
+    """A law of no library: a BPM hears its neighbour, through a filter."""
+
+    def __init__(self, giver, taker):
+        self._giver, self._taker, self._heard = giver, taker, 0.0
+
+    def sense(self, orbit, tick):
+        self._heard = 0.8 * self._heard + 0.2 * orbit[self._giver]
+        told = orbit.copy()
+        told[self._taker] += 0.5 * self._heard
+        return told
+
+
+def test_a_gain_is_not_told_for_a_bpm_that_hears_another():
+    first = 20
+    cells = LAYOUT.bpms.cells
+    second = next(i for i in (19, 21) if cells[i] == cells[first])
+    record = simulate_record(
+        RING, "x", 700, 5, [Hears(second, first)], dither=2e-3, period=LAYOUT.period
+    )
+    kind = all_effects()["bpm-gain"]
+    found = fit(Bench(record), (Cause(kind, (first,), {"gain": 0.1}),))
+    its = departure(Bench(record, found.causes), found.causes[0], found.gain)
+    assert its.course.startswith(f"as what {LAYOUT.bpms.label(second)} reads")
     assert its.chance < 0.1
 
 
