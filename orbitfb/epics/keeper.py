@@ -1,12 +1,22 @@
-"""The thread that searches anew for channels that are away."""
+"""The thread that searches anew for channels that are away.
+
+A search anew drops the answers to the one before. Where a server or a network needs longer for its
+answers than the time between two searches, no channel would ever come: so what is away is left
+alone while others come, and searched for less often as long as nothing does.
+"""
 
 import threading
 from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from orbitfb.core.errors import MachineError
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import repeater_stand_in
+
+LONGEST = 4.0
+"""Longest time between two searches, unless the period is longer [s]."""
 
 
 class Keeper:
@@ -30,6 +40,7 @@ class Keeper:
         self._groups = tuple(groups)
         self._period = period
         self._then = then
+        self._wait, self._came = period, 0
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="epics-keeper", daemon=True)
         self.trouble = ""
@@ -47,16 +58,24 @@ class Keeper:
 
     def _run(self) -> None:
         self._context.attach()
-        while not self._stopped.wait(self._period):
+        while not self._stopped.wait(self._wait):
             try:
-                self._look()
+                self.look()
                 self.trouble = ""
             except MachineError as error:
                 self.trouble = str(error)
         self._context.detach()
 
-    def _look(self) -> None:
+    def look(self) -> float:
+        """Look after the channels; return the time until the next look [s]."""
         repeater_stand_in().answer()
-        for group in self._groups:
-            group.reopen_away()
+        came = sum(int(np.count_nonzero(group.connected)) + group.losses for group in self._groups)
+        if all(group.all_connected for group in self._groups):
+            self._wait = self._period
+        elif came <= self._came:
+            for group in self._groups:
+                group.reopen_away()
+            self._wait = min(2.0 * self._wait, max(self._period, LONGEST))
+        self._came = came
         self._then()
+        return self._wait

@@ -6,6 +6,7 @@ metadata of the column. A segment at a time is in memory. Needs the extra `parqu
 
 import contextlib
 import json
+import os
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -69,6 +70,8 @@ def export_archive(path: Path, out: Path, skip_corrupt: bool = False) -> dict[st
                 rows += content.rows
         if writer is None:
             raise ExchangeError(f"{path} holds no readable row; run the loop to record some")
+        with unfinished.open("rb") as file:
+            os.fsync(file.fileno())  # whole on disk before it takes the name
         unfinished.replace(out)
     except OSError as error:
         raise ExchangeError(

@@ -78,6 +78,7 @@ class Campaign:
             self._live(episode)
             done += len(episode.faults)
             self._recover(episode)
+            self._dismiss_second(episode)
             if self.naive is not None:
                 self.naive.look_after()
             if episode.number % 10 == 9:
@@ -130,6 +131,8 @@ class Campaign:
             self.ours.side.signal(number)
             if self.naive is not None:
                 self.naive.side.signal(number)
+        elif do == "second" and begins:
+            self.ours.second.start()
         elif do == "full":
             self.ours.fill_disk(begins)
             self._unlogged(begins)
@@ -231,6 +234,14 @@ class Campaign:
         self.recoveries.append(time.monotonic() - began)
         for state in states - {"CLOSED"}:
             self.counts[f"episodes that ended {state}"] += 1
+
+    def _dismiss_second(self, episode: Episode) -> None:
+        """See that a second controller was refused, unless the IOC was not there to do so."""
+        became, told = self.ours.second.end(STARTING)
+        self.counts[f"second controller: {became}"] += bool(became)
+        at_ring = any(fault.where == "ioc" for fault in episode.faults)
+        if became == "runs" or (became == "ended" and not at_ring):
+            self._note(f"a second controller {became}: {told}", episode)
 
     def _after_trip(self, episode: Episode) -> None:
         if self.rings[0].tell()["rms"] > 0.3e-3:

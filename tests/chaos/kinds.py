@@ -145,6 +145,7 @@ KINDS = (
     Kind("IOC stands still", "ioc", _plain(do="stop"), (0.1, 2.0)),
     Kind("controller killed", "controller", _plain(do="kill"), (0.1, 0.5), 0.5, early=True),
     Kind("controller stands still", "controller", _plain(do="stop"), (0.1, 2.0)),
+    Kind("second controller", "controller", _plain(do="second")),
     Kind("disk full", "controller", _plain(do="full"), (0.5, 1.5)),
     Kind("archive directory gone", "controller", _plain(do="gone"), (0.5, 1.5), 0.5),
     Kind("policy asks for NaN", "policy", _plain(mode="nan")),

@@ -77,7 +77,7 @@ def run_once(
         "recovery_p50_s": round(float(np.median(campaign.recoveries)), 2),
         "recovery_longest_s": round(max(campaign.recoveries), 2),
         "growth": growth,
-        "counts": dict(sorted(campaign.counts.items())),
+        "counts": {name: n for name, n in sorted(campaign.counts.items()) if n},
         "trouble": campaign.trouble,
     }
     if campaign.naive is not None:

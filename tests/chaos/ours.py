@@ -14,6 +14,7 @@ from orbitfb.core.errors import ArchiveError, ControlError
 from orbitfb.history.archive import read_archive
 from orbitfb.history.reader import segment_paths
 from tests.chaos.rings import LIMIT, STEP, Ring, Side, wait
+from tests.chaos.second import Second
 
 CONFIG = """
 [loop]
@@ -26,9 +27,11 @@ change_per_tick = {step}
 [interlocks]
 readback_tolerance = 0.05
 [learn]
-enabled = false
+every = 500
+check = 100
+minimum_rows = 200
 [diagnose.live]
-enabled = false
+period = 20.0
 [history]
 capacity = 2000
 [history.archive]
@@ -41,6 +44,7 @@ port = 0
 [lease]
 time = 1.0
 [epics]
+connect_timeout = 60.0
 reconnect_period = 0.5
 [epics.auxiliary.current]
 pv = "SR:C03-BI{{DCCT:1}}I:Real-I"
@@ -70,6 +74,7 @@ class Ours:
         command += ["--ioc", f"127.0.0.1:{ring.port}", "--data", self.data]
         command += ["--metrics-port", 0, "--start", "closed"]
         self.side = Side([str(word) for word in command], directory, ring.port)
+        self.second = Second(command, directory / "second", ring.port)
 
     def status(self) -> dict[str, Any] | None:
         """Ask how it is; None: it does not answer."""
@@ -150,12 +155,13 @@ class Ours:
 
     def close(self, timeout: float = 10.0) -> None:
         """Stop it as its user does."""
+        self.second.end()
         if self.side.alive:
             self.side.signal(signal.SIGCONT)
             self.side.signal(signal.SIGINT)
             wait(lambda: not self.side.alive, timeout)
         self.side.kill()
 
-    def come_up(self, timeout: float = 40.0) -> bool:
+    def come_up(self, timeout: float = 120.0) -> bool:
         """Wait until it is well after a start."""
         return wait(lambda: not self.side.alive or self.is_well(), timeout, 0.2) and self.side.alive

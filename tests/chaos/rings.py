@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -115,11 +116,18 @@ class Side:
         command: What follows the interpreter.
         directory: Where it may print.
         port: Of its ring.
+        environment: Besides.
     """
 
-    def __init__(self, command: list[str], directory: Path, port: int) -> None:
+    def __init__(
+        self,
+        command: list[str],
+        directory: Path,
+        port: int,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self._command, self._directory = command, directory
-        self._environment = os.environ | client_environment(port)
+        self._environment = os.environ | client_environment(port) | dict(environment or {})
         self.starts = 0
         self.start()
 

@@ -1,7 +1,9 @@
 """What is written for other programs, read by them; and the way back."""
 
+import contextlib
 import csv
 import json
+import resource
 from collections import deque
 
 import h5py
@@ -9,6 +11,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 import scipy.io
+from typer.testing import CliRunner
 
 from orbitfb.cli.app import app
 from orbitfb.core.clock import ManualClock
@@ -179,3 +182,44 @@ def test_parquet_that_cannot_be_written(archive, tmp_path):
             export_archive(archive, out)
     with pytest.raises(ArchiveError, match="no archive"):
         export_archive(tmp_path / "absent", tmp_path / "a.parquet")
+
+
+@contextlib.contextmanager
+def room_for(size):
+    """No file may grow beyond a size, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("size", [0, 700])
+def test_the_archive_does_not_half_fit_on_a_full_disk(archive, tmp_path, size):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "a.parquet").write_text("before")
+    with room_for(size), pytest.raises(ExchangeError, match="make room or name another place"):
+        export_archive(archive, out / "a.parquet")
+    assert [path.name for path in out.iterdir()] == ["a.parquet"]
+    assert (out / "a.parquet").read_text() == "before"
+    assert export_archive(archive, out / "a.parquet")["rows"] == 10
+    assert pyarrow.parquet.read_table(out / "a.parquet").num_rows == 10
+
+
+@pytest.mark.parametrize("suffix", ["csv", "h5", "mat"])
+def test_a_response_does_not_half_fit_on_a_full_disk(learned, tmp_path, suffix):
+    """HDF5 never meets it: the file is made in memory."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / f"r.{suffix}").write_text("before")
+    command = ["export", "response", "--out", str(out / f"r.{suffix}")]
+    with room_for(20_000):
+        refused = CliRunner().invoke(app, command)
+    assert isinstance(refused.exception, ExchangeError)
+    assert "make room or name another place" in str(refused.exception)
+    assert [path.name for path in out.iterdir()] == [f"r.{suffix}"]
+    assert (out / f"r.{suffix}").read_text() == "before"
+    assert CliRunner().invoke(app, command).exit_code == 0
+    assert (out / f"r.{suffix}").stat().st_size > 20_000
