@@ -58,6 +58,14 @@ def diagnose_record(
         list[str] | None,
         typer.Option(help="Id of an effect that is not to be considered; may be repeated."),
     ] = None,
+    search_seconds: Annotated[
+        float,
+        typer.Option(
+            min=1.0,
+            help="Processor time after which the search gives what it has, and says what it left "
+            "out [s].",
+        ),
+    ] = 180.0,
     as_json: AsJson = False,
 ) -> None:
     """Diagnose a record: exit code 0 answered, 3 the record is not intact, 2 any other error."""
@@ -81,6 +89,7 @@ def diagnose_record(
             ring=known,
             seed=seed,
             without=left_out,
+            search_seconds=search_seconds,
             progress=progress,
         )
     written = write(answer, target)

@@ -102,12 +102,31 @@ class Bench:
             White innovations (N, n), sizes of the background (P,), log-Jacobian of the sensors'
             causes by row (N,): the log-likelihood is −½ Σ white² − ½ Σ sizes² + Σ log-Jacobian.
         """
+        white, log_jacobian = self._with(causes)
+        return *self._healed(white), log_jacobian
+
+    def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
+        """As `residual`, the sizes of the background left as they are: a first look at many."""
+        white, log_jacobian = self._with(causes)
+        sizes, change = self._nearby
+        return (white - change if len(sizes) else white), sizes, log_jacobian
+
+    def _with(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
+        """White innovations before healthy errors are taken out, and the log-Jacobian."""
         base = self._beside()
         if not causes:
-            return *self._healed(base.white), base.explained.log_jacobian
+            return base.white, base.explained.log_jacobian
         change = base.explained.change(causes)
-        white, sizes = self._healed(base.white + self._whitened(change))
-        return white, sizes, change.log_jacobian
+        return base.white + self._whitened(change), change.log_jacobian
+
+    def energy(self, change: Matrix) -> float:
+        """Sum the squares of a change of the prediction as the noise sees it.
+
+        Args:
+            change: Shape (N, n) [m].
+        """
+        white = self._quick.whiten(change.astype(np.float32))
+        return float(np.vdot(white, white))
 
     def information(self, change: Matrix) -> float:
         """Measure a change of the prediction, the healthy errors doing their best against it.
@@ -262,4 +281,4 @@ class Bench:
 
 def log_likelihood(white: Matrix, sizes: Vector, jacobian: Vector) -> float:
     """Sum what `Bench.residual` gives [nats]."""
-    return float(-0.5 * np.sum(white**2) - 0.5 * np.sum(sizes**2) + np.sum(jacobian))
+    return float(-0.5 * np.vdot(white, white) - 0.5 * np.sum(sizes**2) + np.sum(jacobian))

@@ -2,13 +2,15 @@
 
 import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from orbitfb.diagnose.answer import Diagnosis
+from orbitfb.diagnose.answer_parts import Finding as Told
 from orbitfb.diagnose.answer_parts import NotTested, Provenance
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.budget import SEARCH_SECONDS, Budget
 from orbitfb.diagnose.certain import beside, certain_causes
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.judgement import judge
@@ -33,6 +35,7 @@ def diagnose(
     seed: int,
     without: frozenset[str] = frozenset(),
     findings: Sequence[Finding] = (),
+    search_seconds: float = SEARCH_SECONDS,
     progress: Progress,
 ) -> Diagnosis:
     """Answer where the gap of a record lies and what causes it.
@@ -44,6 +47,7 @@ def diagnose(
         seed: Of the bootstrap.
         without: Ids of effects that are not to be considered.
         findings: Of the integrity screen; those that prove an effect are causes.
+        search_seconds: Processor time after which the search gives what it has [s].
         progress: Is told what is being done, and which share of all.
     """
     began = time.monotonic()
@@ -53,20 +57,21 @@ def diagnose(
     floor = None if reference is None else Bench(beside(reference, whole)).floor
     first, later = put_aside(whole) if holdout is None else (whole, beside(holdout, whole))
     given = certain.given
+    budget = Budget(search_seconds)
 
     def look(part: Record, begin: float, end: float) -> Outcome:
         def tell(what: str, share: float) -> None:
             progress(what, begin + share * (end - begin))
 
-        return search(part, kinds, floor, given, tell)
+        return search(part, kinds, floor, given, tell, budget)
 
     outcome = look(first, 0.0, 0.7)
-    if certain.given:
+    if certain.given and not budget.over():
         # The screen judges channels by few rows: what it proves must also explain the record best.
-        free = search(first, kinds, floor, ())
+        free = search(first, kinds, floor, (), budget=budget)
         if free.bench.full_log_likelihood > outcome.bench.full_log_likelihood:
             certain, outcome = certain.without_given(), free
-    if not outcome.winners and first is not whole:
+    if not outcome.winners and first is not whole and not budget.over():
         # Nothing yet: the end of the record may show what its beginning does not.
         given = certain.given
         again = look(whole, 0.7, 0.85)
@@ -75,12 +80,13 @@ def diagnose(
     judged = judge(outcome, certain, seed)
     progress("taking the gap apart", 0.85)
     parts = Parts(outcome, judged, later, holdout is not None, kinds, seed)
-    answer = parts.answer(certain, not_tested)
+    answer = parts.answer(certain, (*not_tested, *_unseen(budget)))
     return answer.model_copy(
         update={
+            "findings": (*answer.findings, *_cut(outcome)),
             "provenance": _provenance(
                 record, reference, holdout, outcome, seed, time.monotonic() - began
-            )
+            ),
         }
     )
 
@@ -98,6 +104,19 @@ def _able(
         elif kind.id not in _SCREENED:
             able.append(kind)
     return able, tuple(unable)
+
+
+def _unseen(budget: Budget) -> Iterator[NotTested]:
+    """Effects that there was no time for."""
+    reason = f"the search was cut short after {budget.seconds:.0f} s of processor time"
+    for name in budget.unseen:
+        yield NotTested(effect=name, reason=reason)
+
+
+def _cut(outcome: Outcome) -> Iterator[Told]:
+    """What else there was no time for."""
+    if outcome.cut:
+        yield Told(check="search-time", severity="warning", text=outcome.cut)
 
 
 def _provenance(

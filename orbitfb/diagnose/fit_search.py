@@ -24,6 +24,8 @@ _BOTTOM = 8.0
 """Drop of the likelihood beyond which values do not count [nats]."""
 _POINTS = np.linspace(0.0, 1.0, 25)
 _LINES = np.linspace(-1.0, 1.0, 41)
+_CLOSER = 3
+"""Of the values that were tried roughly, those that are judged as they should be."""
 NINETY = 0.05
 """Chance on either side of a stated interval."""
 
@@ -40,7 +42,8 @@ def line_search(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left
         return -log_likelihood(*problem.residual(np.array([number])))
 
     trials = np.linspace(low, high, _FIRST_LOOK)
-    lowest = int(np.argmin([depth(float(number)) for number in trials]))
+    heights = [problem.likelihood(best, 0, float(number), roughly=True) for number in trials]
+    lowest = int(np.argmax(heights))
     around = trials[max(lowest - 1, 0)], trials[min(lowest + 1, len(trials) - 1)]
     found = minimize_scalar(depth, bounds=around, method="bounded", options={"maxiter": 10})
     if -float(found.fun) <= log_likelihood(*now):
@@ -76,11 +79,14 @@ def rough_search(problem: Problem, best: Vector, index: int, *, near: bool = Fal
         first = zoom == 0 and not near
         offsets = _FEW_TRIALS if follows else _FIRST_TRIALS if first else _TRIALS
         trials = np.clip(centre + reach * offsets, problem.low[index], problem.high[index])
-        heights = [problem.likelihood(best, index, float(number)) for number in trials]
-        top = int(np.argmax(heights))
-        if heights[top] > height:
-            centre, height = float(trials[top]), heights[top]
-        if height - min(heights) < _FLAT:
+        rough = np.array(
+            [problem.likelihood(best, index, t, roughly=True) for t in trials.tolist()]
+        )
+        for number in trials[np.argsort(rough)[::-1][:_CLOSER]].tolist():
+            there = problem.likelihood(best, index, number)
+            if there > height:
+                centre, height = number, there
+        if np.ptp(rough) < _FLAT:
             break
         reach *= _ZOOM
     return problem.beside(best, index, centre)[1]
@@ -129,12 +135,22 @@ def posterior_interval(problem: Problem, best: Vector, index: int, temper: float
 
 def _bracket(problem: Problem, best: Vector, index: int) -> tuple[float, float]:
     """Ends between which the likelihood is worth looking at."""
-    height = problem.likelihood(best, index, float(best[index]))
+    centre = float(best[index])
+    height = problem.likelihood(best, index, centre)
+    rough = problem.likelihood(best, index, centre, roughly=True)
     parameter = problem.parameters[index][1]
     first = 1e-6 * (1.0 if parameter.log else max(abs(best[index]), 1e-3 * problem.scale[index]))
     ends: list[float] = []
     for sign, bound in ((-1.0, problem.low[index]), (1.0, problem.high[index])):
-        step, end = first, float(best[index])
+        step, end = first, centre
+        while step < 1e6 * first:
+            end = float(np.clip(centre + sign * step, problem.low[index], problem.high[index]))
+            if end == bound:
+                break
+            if problem.likelihood(best, index, end, roughly=True) < rough - _BOTTOM:
+                break
+            step *= 3.0
+        step = max(step / 9.0, first)
         while step < 1e6 * first:
             end = float(np.clip(best[index] + sign * step, problem.low[index], problem.high[index]))
             if end == bound or problem.likelihood(best, index, end) < height - _BOTTOM:

@@ -7,6 +7,7 @@ from pathlib import Path
 from orbitfb.core.errors import RecordError
 from orbitfb.diagnose.answer import Diagnosis
 from orbitfb.diagnose.answer_parts import Finding, Provenance
+from orbitfb.diagnose.budget import SEARCH_SECONDS
 from orbitfb.diagnose.engine import diagnose
 from orbitfb.diagnose.finding import Finding as Found
 from orbitfb.diagnose.integrity import screen
@@ -31,6 +32,7 @@ def diagnose_files(
     ring: Ring | None,
     seed: int,
     without: frozenset[str] = frozenset(),
+    search_seconds: float = SEARCH_SECONDS,
     progress: Progress,
 ) -> Diagnosis:
     """Diagnose a record of a file.
@@ -43,6 +45,7 @@ def diagnose_files(
         ring: Whose names the devices may have; the default ring when None.
         seed: Of the bootstrap.
         without: Ids of effects that are not to be considered.
+        search_seconds: Processor time after which the search gives what it has [s].
         progress: Is told how far it is.
 
     Raises:
@@ -66,6 +69,7 @@ def diagnose_files(
         seed=seed,
         without=without,
         findings=found,
+        search_seconds=search_seconds,
         progress=progress,
     )
     merged = tuple(dict.fromkeys((*findings, *answer.findings)))

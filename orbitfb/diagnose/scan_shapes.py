@@ -182,7 +182,7 @@ class Scoring:
 
     def seen(self, change: Matrix) -> float:
         """Tell the information on one change of all readings (N, n) [nats]."""
-        return float(np.sum(self._bench.floor.whiten(change, self._starts) ** 2))
+        return self._bench.energy(change)
 
 
 def _own(drivers: Matrix) -> Indices:

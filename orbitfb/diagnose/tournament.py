@@ -108,10 +108,12 @@ def tournament(
     if np.sum(bench.sizes**2) <= _ABSURD**2 * len(bench.sizes):
         # What has no size is never small: healthy errors hide it even if they stay healthy.
         swallowed = [] if bench.causes else [kind for kind in kinds if not kind.parameters]
-    if swallowed:
+    if swallowed and budget.over(SCAN_SHARE):
+        budget.leave("causes that healthy errors may hide were not looked for")
+    elif swallowed:
         told = bench.floor if bench.told_floor else None
         bare = Bench(bench.record, bench.causes, told, bench.floor.modes, 0.0)
-        proposals = _distinct([*propose(bare, swallowed, budget=budget), *proposals])
+        proposals = _distinct([*propose(bare, swallowed), *proposals])
     entries: list[Entry] = []
     for index, candidate in enumerate(proposals):
         tell("fitting", 0.5 + 0.3 * index / len(proposals))
@@ -250,11 +252,11 @@ def _begun(bench: Bench, entry: Entry) -> Entry:
     if not cause.onset or entry.weight < 0.0:
         return entry
     row, rows = cause.onset, len(bench.record)
-    best = log_likelihood(*bench.residual((cause,)))
+    best = log_likelihood(*bench.roughly((cause,)))
     for step in _STRIDES:
         for there in (row - step, row + step):
             if FIRST_ONSET <= there < rows - LAST_ONSET:
-                height = log_likelihood(*bench.residual((replace(cause, onset=there),)))
+                height = log_likelihood(*bench.roughly((replace(cause, onset=there),)))
                 if height > best:
                     best, row = height, there
     if row == cause.onset:
