@@ -33,40 +33,41 @@ def go_past(port, tick):
         wait_for(f"tick {tick}", lambda: client.get(TICK).value > tick)
 
 
-def watch(client, rate, count=100):
+def watch(client, rate, count=25):
     """Read frames until so many in a row were whole, fresh and at the full rate.
 
-    A computer that is busy with other things has its moments: what holds the ring back always does
-    has none of them.
+    A computer that is busy with other things has its free moments; a ring
+    that is held back has none.
     """
     client.events(len(READINGS))
     client.frame()
-    wait_for(f"{count} fresh ticks at {rate} Hz", lambda: _at_full_rate(client, rate, count), 1.0)
+    wait_for(f"{count} fresh ticks at {rate} Hz", lambda: _at_full_rate(client, rate, count), 2.0)
 
 
 def _at_full_rate(client, rate, count):
-    ticks, ages, begin = [], [], time.monotonic()
+    ticks, ages, times = [], [], []
     for _ in range(count):
         frame = client.frame()
+        times.append(time.monotonic())
         assert [event.name for event in frame] == list(READINGS) and same(frame)
         ticks.append(frame[-1].value)
         ages.append(age(frame[-1]))
-    seen = (ticks[-1] - ticks[0]) / (time.monotonic() - begin)
+    seen = (ticks[-1] - ticks[0]) / (times[-1] - times[0])
     whole = count > 0.9 * (ticks[-1] - ticks[0])
     return whole and abs(seen / rate - 1.0) < 0.05 and statistics.median(ages) < 0.05
 
 
 def test_clients_that_never_read_do_not_slow_the_ring():
     with (
-        serving(rate_hz=RATE) as child,
+        serving(rate_hz=50.0) as child,
         subscribed(child.port) as good,
         contextlib.ExitStack() as stack,
     ):
         for _ in range(3):
             client = stack.enter_context(subscribed(child.port, receive_buffer=4096))
             client.subscribe(*CHANNELS.setpoint_pvs)
-        go_past(child.port, 2 * RATE)  # whatever is kept for them is full
-        watch(good, RATE)
+        go_past(child.port, 100)  # whatever is kept for them is full
+        watch(good, 50.0)
         good.put(dict.fromkeys(CHANNELS.setpoint_pvs, 1.0))
 
 
@@ -117,7 +118,7 @@ def test_a_client_that_wakes_up_gets_the_newest_orbit_soon():
 
 
 def test_two_writers_and_a_reader_at_once():
-    with serving(rate_hz=100) as child, subscribed(child.port) as good:
+    with serving(rate_hz=20) as child, subscribed(child.port) as good:
         stop = threading.Event()
 
         def write():
@@ -130,7 +131,7 @@ def test_two_writers_and_a_reader_at_once():
         for writer in writers:
             writer.start()
         try:
-            watch(good, 100)
+            watch(good, 20.0)
         finally:
             stop.set()
             for writer in writers:
