@@ -43,6 +43,7 @@ after = 0.2
 port = 0
 [lease]
 time = 1.0
+required = true
 [epics]
 connect_timeout = 60.0
 reconnect_period = 0.5
