@@ -125,7 +125,8 @@ def ioc(
     lockstep: Annotated[
         bool | None,
         typer.Option(
-            "--lockstep", help="Advance as soon as a client has written its setpoints (accelerated clock)."
+            "--lockstep",
+            help="Advance as soon as a client has written its setpoints (accelerated clock).",
         ),
     ] = None,
 ) -> None:

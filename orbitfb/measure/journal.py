@@ -113,9 +113,10 @@ class Journal:
         advice = f"put the setpoints back by hand and remove {self._moved}"
         try:
             text = read_bounded(self._moved, _LARGEST, advice)
-            found = _Moved.model_validate_json(text)
         except StoreError as error:
             raise MeasurementError(f"{self._moved}: {error}") from error
+        try:
+            found = _Moved.model_validate_json(text)
         except ValidationError as error:
             raise MeasurementError(self._damaged(_first_problem(error), text)) from None
         if len(found.setpoint_pvs) != len(found.setpoints):
