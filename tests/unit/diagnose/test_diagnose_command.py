@@ -27,9 +27,10 @@ def engine(monkeypatch):
     """What reads, screens and estimates, with answers to be chosen."""
     its = SimpleNamespace(answer=examples.named(), findings=(), noticed=(), calls=[])
 
-    def diagnose(record, reference, holdout, *, seed, without, findings, progress):
+    def diagnose(record, reference, holdout, *, search_seconds, seed, without, findings, progress):
         progress("scanning", 0.5)
         its.calls.append((record, reference, holdout, seed))
+        its.search_seconds = search_seconds
         return its.answer
 
     stub = ModuleType("orbitfb.diagnose.engine")
@@ -100,7 +101,9 @@ def test_the_word_record_may_be_typed_and_options_may_come_first(engine, record,
 def test_reference_and_later_record_reach_the_engine(engine, record, tmp_path):
     later = tmp_path / "later.npz"
     later.write_bytes(b"")
-    assert run(record, "--reference", record, "--holdout", later).exit_code == 0
+    options = ("--reference", record, "--holdout", later, "--search-seconds", 20)
+    assert run(record, *options).exit_code == 0
+    assert engine.search_seconds == 20.0
     assert [its.name for its in engine.calls[0][:3]] == ["shift.npz", "shift.npz", "later.npz"]
 
 
