@@ -1,6 +1,6 @@
 """The lease of the machine that the service holds while it runs."""
 
-import time
+import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 
@@ -9,6 +9,7 @@ import structlog
 from orbitfb.config import AppConfig
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import OwnershipError
+from orbitfb.epics.late_lease import LateLease
 from orbitfb.epics.lease import Lease, LeaseThread
 from orbitfb.epics.lease_pvs import LeasePvs
 from orbitfb.epics.settings import EpicsSettings
@@ -31,7 +32,8 @@ def take_lease(
         stack: Gives it back.
 
     Returns:
-        The lease; None where there is none to hold.
+        The lease, or one that is looked for as long as the machine has none; None where none is
+        wanted.
 
     Raises:
         OwnershipError: Somebody else holds it and lives, or a required one is not there.
@@ -49,18 +51,21 @@ def take_lease(
             raise OwnershipError(
                 f"{told}; let the machine's IOC serve it, or name another with lease.pv"
             )
-        _log.warning("no_lease", problem=f"{told}: another controller would not be noticed")
-        return None
-    lease = Lease(board, settings, SystemClock(), _wait, lost)
-    before = lease.take()
-    if before:
-        _log.warning("stale_lease_taken_over", before=before, owner=lease.owner)
+        _log.warning("no_lease", problem=f"{told}: another controller is not noticed until it is")
+    stop, clock = threading.Event(), SystemClock()
+    if missing:
+        lease = LateLease(
+            board, settings, clock, stop.wait, lost, lambda: board.missing, _say_taken
+        )
     else:
-        _log.info("lease_taken", owner=lease.owner)
-    stack.callback(LeaseThread(lease).stop)
+        lease = Lease(board, settings, clock, stop.wait, lost)
+        _say_taken(lease.take())
+    stack.callback(LeaseThread(lease, stop).stop)
     return lease
 
 
-def _wait(seconds: float) -> bool:
-    time.sleep(seconds)
-    return False
+def _say_taken(before: str) -> None:
+    if before:
+        _log.warning("stale_lease_taken_over", before=before)
+    else:
+        _log.info("lease_taken")

@@ -161,8 +161,7 @@ class Lease:
         try:
             now = self._board.read()
             if self._sign(now) is Sign.THEIRS:
-                self._taken_by = _who(now)
-                self._lost(self._taken_by)
+                self._give_up(now)
                 return
             self._write()  # also anew where an IOC has come back without it
             self._confirmed = self._clock.monotonic()
@@ -189,6 +188,11 @@ class Lease:
                 self._board.write("")
         except MachineError as error:
             self.trouble = str(error)
+
+    def _give_up(self, texts: Sequence[str]) -> None:
+        """Leave the machine to those whom texts name."""
+        self._taken_by = _who(texts)
+        self._lost(self._taken_by)
 
     def _write(self) -> None:
         self._count = (self._count + 1) % _COUNTS
@@ -217,12 +221,13 @@ class LeaseThread:
     """Gives signs of life until it is stopped.
 
     Args:
-        lease: A lease that is held.
+        lease: A lease that is held, or looked for.
+        stop: Set when it is stopped; what the lease waits for may end with it.
     """
 
-    def __init__(self, lease: Lease) -> None:
+    def __init__(self, lease: Lease, stop: threading.Event | None = None) -> None:
         self._lease = lease
-        self._stop = threading.Event()
+        self._stop = stop or threading.Event()
         self._thread = threading.Thread(target=self._run, name="lease", daemon=True)
         self._thread.start()
 

@@ -6,6 +6,7 @@ import pytest
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import MachineError, OwnershipError, WriteError
 from orbitfb.core.signals import Applied
+from orbitfb.epics.late_lease import LateLease
 from orbitfb.epics.lease import LONGEST, Lease, LeaseSettings
 from orbitfb.loop.guarded import GuardedMachine
 
@@ -190,3 +191,61 @@ def test_a_guarded_machine_is_not_written_to_while_there_is_a_reason():
     assert machine.writes == []
     guarded.write(np.ones(2))
     assert len(machine.writes) == 1
+
+
+class Late:
+    """A lease that a machine gets only while the service runs."""
+
+    def __init__(self, texts: Texts) -> None:
+        self.texts, self.missing = texts, ["SR:LEASE"]
+        self.lost: list[str] = []
+        self.taken: list[str] = []
+        settings = LeaseSettings(time=TIME)
+        self.lease = LateLease(
+            texts,
+            settings,
+            texts.clock,
+            texts.wait,
+            self.lost.append,
+            lambda: self.missing,
+            self.taken.append,
+        )
+
+
+def test_a_lease_that_comes_late_is_taken(texts: Texts):
+    late = Late(texts)
+    late.lease.beat()
+    assert late.lease.refusal() == "" and late.lease.owner == "" and not texts.written
+    late.missing.clear()
+    late.lease.beat()
+    assert late.taken == [""] and late.lease.refusal() == ""
+    assert texts.texts[0].startswith(late.lease.owner)
+    late.lease.beat()
+    assert texts.texts[0].endswith(":2")
+    late.lease.release()
+    assert texts.texts == [""]
+
+
+def test_a_lease_that_comes_late_and_is_held_ends_the_control(texts: Texts):
+    late = Late(texts)
+    late.missing.clear()
+    texts.texts[0] = "other:1:ab:7"
+    texts.at(1.5, "other:1:ab:8")
+    late.lease.beat()
+    assert late.lost == ["other:1:ab"] and not late.taken and not texts.written
+    assert late.lease.refusal() == "the lease of the machine was taken by other:1:ab"
+    late.lease.release()
+    assert texts.texts == ["other:1:ab:8"]
+
+
+def test_nothing_is_written_while_a_late_lease_cannot_be_read(texts: Texts):
+    late = Late(texts)
+    late.missing.clear()
+    texts.away = True
+    late.lease.beat()
+    assert late.lease.refusal() == (
+        "the lease of the machine has appeared; who holds it is being asked"
+    )
+    texts.away = False
+    late.lease.beat()
+    assert late.taken == [""] and late.lease.refusal() == ""
