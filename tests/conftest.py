@@ -8,11 +8,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
-from xdist.scheduler import LoadScopeScheduling
 
 PATIENCE = 2.0
 """How long what a test has stopped may take to be gone [s]."""
@@ -42,38 +40,6 @@ def _force_environment() -> None:
 
 
 _force_environment()
-
-
-_LONG = (
-    "test_service_refusals",
-    "test_bench",
-    "test_service_kinds",
-    "test_measure_response",
-    "test_service_damage",
-    "test_service_run",
-    "test_service_options",
-    "test_trainer_process",
-    "test_prometheus_scrape",
-)
-"""Files that take long: begun first, so that no worker ends alone with one of them."""
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what takes long."""
-    order = {name: place for place, name in enumerate(_LONG)}
-    items.sort(key=lambda item: order.get(item.path.stem, len(order)))
-
-
-class _FileByFile(LoadScopeScheduling):
-    """A file stays on one worker, for what its tests share; but each page is a test by itself."""
-
-    def _split_scope(self, nodeid: str) -> str:
-        return nodeid if "::test_a_page_does_what_it_says[" in nodeid else nodeid.split("::")[0]
-
-
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadScopeScheduling | None:
-    """Take the place of `--dist loadfile`."""
-    return _FileByFile(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
 @pytest.fixture(scope="session", autouse=True)
