@@ -16,8 +16,11 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     directory = tmp_path_factory.mktemp("activation")
     config = directory / "orbitfb.toml"
     lessons = "[policy.supervised]\niterations = 40\nbatch = 8\n"
-    config.write_text("[learn]\nenabled = false\n[train.supervised]\nbatch = 4\n" + lessons)
-    options = ("--rate", 50.0, "--policy", "supervised", "--config", config)
+    # What learnt so little lets the orbit grow; slowly, and it is to stay closed meanwhile.
+    patient = "[interlocks]\ndivergence_ticks = 100000\nprediction_ticks = 0\n"
+    quick = "[learn]\nenabled = false\n[train.supervised]\nbatch = 4\n"
+    config.write_text(quick + lessons + patient)
+    options = ("--rate", 10.0, "--policy", "supervised", "--config", config)
     with Service(directory / "data", "sim", *options) as running:
         running.wait_status("closed", lambda status: status["state"] == "CLOSED", 30.0)
         yield running

@@ -30,7 +30,8 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     directory = tmp_path_factory.mktemp("policies")
     config = directory / "orbitfb.toml"
     patient = "[loop]\nhold_after = 100.0\n[epics]\nstale_after = 10.0\n"  # a busy computer stalls
-    patient += "[interlocks]\ndivergence_ticks = 100000\n"  # with the response of before the drift
+    # with the response of before the drift, which the interlocks would notice at last
+    patient += "[interlocks]\ndivergence_ticks = 100000\nprediction_ticks = 0\n"
     config.write_text(f"[learn]\nevery = 1000000\nchi2_trigger = 1e9\n{patient}")
     options = ("--rate", RATE_HZ, "--drift", "strong", "--drift-ticks", 100, "--config", config)
     with Service(directory / "data", "sim", *options) as running:
