@@ -16,6 +16,7 @@ WHOLE = {
     "cli/blind_experiments.py": "what its own child has just written",
     "cli/blind_processes.py": "what its own child has just written",
     "cli/paper.py": "the table that it has just written",
+    "epics/late_lease.py": "a PV, no file: texts of 40 characters",
     "epics/lease.py": "a PV, no file: texts of 40 characters",
     "evaluate/paper/page.py": "the picture that it has just drawn",
     "evaluate/pool/task.py": "source files of the package itself",
