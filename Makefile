@@ -11,7 +11,7 @@ run: venv
 	$(BIN)/orbitfb run --ioc sim
 
 # Unit tests compute: on all cores, each on one. Those that start services come one after the other:
-# four at once took as long on two cores, and what they say about time was no longer true.
+# on two cores several at once take as long, and what they say about time is no longer true.
 test: venv
 	$(PYTEST) tests/unit -n logical --maxprocesses 8 --dist loadscope --no-loadscope-reorder
 	$(PYTEST) --ignore tests/unit

@@ -45,7 +45,7 @@ from orbitfb.own_ring import OwnRing
 from orbitfb.policies.masking import mask_of
 from orbitfb.policies.stability import growth_of, warning_of
 from orbitfb.remote import Remote
-from orbitfb.reports import Reports, beside, gap_watch, postmortems, say_excitation
+from orbitfb.reports import Reports, beside, gap_watch, postmortems, say_and_log, say_excitation
 from orbitfb.safety.limits import too_narrow
 from orbitfb.startup import (
     SIMULATED,
@@ -123,7 +123,7 @@ class Service:
             machine = MaskedMachine(machine, counting)
         self.store = open_store(config)
         keeper = Keeper(self.store, self.channels, config.policies_kept)
-        nominal = baseline(config, ring, lambda line: _say_and_log(say, line))
+        nominal = baseline(config, ring, lambda line: say_and_log(say, line))
         first = keeper.first(nominal, movable, new_ring=ioc == SIMULATED)
         self.slot = PolicySlot(first)
         self.statistics = LoopStatistics(self.channels, config.limits.setpoint, clock, counting)
@@ -298,8 +298,3 @@ class Service:
         self.statistics.happened("lease", f"taken by {owner}: the loop opens")
         with suppress(ControlError):  # it is open already, or latched
             self.runner.command("open")
-
-
-def _say_and_log(say: Callable[[str], None], line: str) -> None:
-    say(line)
-    _log.info("starting", progress=line)

@@ -1,5 +1,6 @@
 """What happens beside the loop goes to the figures, to the events and to the log."""
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -186,3 +187,9 @@ def gap_watch(
         watch.start()
         stack.callback(watch.stop, looker.close)
     return watch
+
+
+def say_and_log(say: Callable[[str], None], line: str) -> None:
+    """Tell how far a start has come, to people and to the log."""
+    say(line)
+    _log.info("starting", progress=line)

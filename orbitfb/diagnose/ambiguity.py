@@ -12,8 +12,8 @@ import numpy as np
 
 from orbitfb.diagnose.answer_blocks import AmbiguousSet, Identifiability
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.tournament import Entry
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.physics.optics import Matrix

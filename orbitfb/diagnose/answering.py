@@ -10,13 +10,13 @@ from orbitfb.diagnose.answer_parts import ParameterValue
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import Draws, Interval, interval
 from orbitfb.diagnose.departure import Departure
+from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit
 from orbitfb.diagnose.naming import devices_and_planes
 from orbitfb.diagnose.nearby import Nearby, nearby
 from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.search import Outcome, Round
-from orbitfb.diagnose.tournament import Entry
 from orbitfb.diagnose.worth import Worths
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind

@@ -11,9 +11,9 @@ from scipy.stats import norm
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.problem import from_fitted, to_fitted
-from orbitfb.diagnose.tournament import Entry
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.physics.optics import Matrix
 

@@ -8,12 +8,13 @@ import numpy as np
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import Budget
 from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.strikes import without_strikes
-from orbitfb.diagnose.tournament import Entry, tournament
+from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record

@@ -9,10 +9,10 @@ import numpy as np
 from orbitfb.diagnose.answer_blocks import WaterfallStep
 from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.contrast import Contrast
+from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.replay import Model, Replay
 from orbitfb.diagnose.search import Outcome
-from orbitfb.diagnose.tournament import Entry
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 _MANY = 5

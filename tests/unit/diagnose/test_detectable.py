@@ -9,9 +9,9 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.detectable import detectable
 from orbitfb.diagnose.detectable_random import ENOUGH
+from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.simulate import simulate_record
-from orbitfb.diagnose.tournament import Entry
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import all_effects, effect
 from orbitfb.physics.places import Ring

@@ -15,6 +15,7 @@ from orbitfb.cli.app import app
 from orbitfb.core.errors import ConfigError, RecordError
 from orbitfb.diagnose import writing
 from orbitfb.diagnose.answer import read_diagnosis
+from orbitfb.diagnose.budget import SEARCH_SECONDS
 from orbitfb.diagnose.finding import Finding
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.files import read_effects
@@ -90,6 +91,7 @@ def test_a_record_is_answered_with_its_files_beside_it(engine, record, tmp_path,
     assert "data:image/svg+xml" in (out / "report.html").read_text(encoding="utf-8")
     assert read_diagnosis(out / "diagnosis.json").state == "named"
     assert engine.calls[0][1:] == (None, None, 3)
+    assert engine.search_seconds == SEARCH_SECONDS
 
 
 def test_the_word_record_may_be_typed_and_options_may_come_first(engine, record, tmp_path):

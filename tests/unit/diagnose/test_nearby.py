@@ -5,11 +5,11 @@ import pytest
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.nearby import mixture_interval, nearby
 from orbitfb.diagnose.simulate import simulate_record
-from orbitfb.diagnose.tournament import Entry
 from orbitfb.effects.build import Since, layout_of
 from orbitfb.effects.registry import effect
 from orbitfb.physics.places import Ring

@@ -8,13 +8,13 @@ from gap_cases import GAIN, PLACE, bench, gain_error, record
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fingerprints import fingerprints
 from orbitfb.diagnose.gap import gap
 from orbitfb.diagnose.score_map import score_map
 from orbitfb.diagnose.search import Outcome, Round
 from orbitfb.diagnose.shrink import contrast
-from orbitfb.diagnose.tournament import Entry
 from orbitfb.diagnose.worth import Gains, Worths, waterfall
 from orbitfb.effects.registry import effect
 

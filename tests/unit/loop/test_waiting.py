@@ -40,12 +40,11 @@ class LatePuts(ScriptedMachine):
         return Applied(setpoints, self.clock.wall(), self.clock.monotonic())
 
 
-@pytest.fixture
-def loop():
-    machine = LatePuts()
-    runner = Runner(
+def at_rest(machine, policy):
+    """Give a closed loop before its first tick."""
+    return Runner(
         machine,
-        PolicySlot(InversePolicy(gain=0.9)),
+        PolicySlot(policy),
         LoopSettings(ramp=0.0),
         LimitSettings(setpoint=50.0, change_per_tick=50.0),
         InterlockSettings(divergence_factor=1000.0, prediction_ticks=0),
@@ -53,6 +52,19 @@ def loop():
         machine.clock,
         start=LoopState.CLOSED,
     )
+
+
+def closed(machine, policy):
+    runner = at_rest(machine, policy)
+    for _ in range(60):
+        runner.step()
+    return runner
+
+
+@pytest.fixture
+def loop():
+    machine = LatePuts()
+    runner = at_rest(machine, InversePolicy(gain=0.9))
     records = [runner.step() for _ in range(60)]
     assert not any(record.held_back for record in records)
     assert sum(np.isfinite(record.written) for record in records) == len(machine.writes) == 58
@@ -130,22 +142,6 @@ class Full:
 
     def act(self, error, valid, state):
         return -0.9 * np.linalg.pinv(RESPONSE) @ np.where(valid, error, 0.0), state
-
-
-def closed(machine, policy):
-    runner = Runner(
-        machine,
-        PolicySlot(policy),
-        LoopSettings(ramp=0.0),
-        LimitSettings(setpoint=50.0, change_per_tick=50.0),
-        InterlockSettings(divergence_factor=1000.0, prediction_ticks=0),
-        np.zeros(N),
-        machine.clock,
-        start=LoopState.CLOSED,
-    )
-    for _ in range(60):
-        runner.step()
-    return runner
 
 
 @pytest.mark.parametrize("late", [1, 2])
