@@ -27,6 +27,9 @@ from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.safety.verdict import Verdict
 
+ORBIT_TO_CLOSE_ON = 2.0
+"""How long an order to close waits for an orbit before it is refused for want of one [s]."""
+
 
 class Runner:
     """Runs the loop in its caller's thread.
@@ -85,6 +88,7 @@ class Runner:
         self._nothing.flags.writeable = False
         self._commands = CommandQueue()
         self._closing: list[Order] = []
+        self._closing_until = -np.inf
         self._stop = threading.Event()
         self._ticks = 0
         self.failure: Exception | None = None
@@ -140,7 +144,7 @@ class Runner:
 
         Returns:
             Its outcome: the state after it, or a `ControlError` with what refused it (closing
-            asks the interlocks, which takes an orbit).
+            asks the interlocks, which takes an orbit, waited for up to `ORBIT_TO_CLOSE_ON`).
 
         Raises:
             ControlError: No such command, not legal in the present state, or the loop ended.
@@ -203,7 +207,9 @@ class Runner:
         self._obey()
         if intake.reading is None:
             work.missed = engine.without_orbit(intake)
-            self._refuse_closing(intake.absence)
+            tripped = self.state is LoopState.TRIPPED
+            if tripped or self._clock.monotonic() >= self._closing_until:
+                self._refuse_closing(intake.absence)
             return False
         reading = work.reading = engine.believed(intake.reading)
         checked, work.missed = engine.check(reading, intake.pace, bool(self._closing))
@@ -226,6 +232,7 @@ class Runner:
                 after = next_state(self.state, event)
                 if after is LoopState.CLOSED and after is not self.state:
                     self._closing.append((event, future))
+                    self._closing_until = self._clock.monotonic() + ORBIT_TO_CLOSE_ON
                     continue
                 self._engine.move(event, "")
             except ControlError as error:

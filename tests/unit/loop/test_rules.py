@@ -10,7 +10,7 @@ from scripted import ConstantPolicy, InversePolicy, M, N, ScriptedMachine, new_c
 
 from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import LoopState
-from orbitfb.loop.runner import Runner
+from orbitfb.loop.runner import ORBIT_TO_CLOSE_ON, Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.safety.interlocks import InterlockSettings
@@ -27,16 +27,19 @@ class Rules:
 
     def __init__(self):
         self.state, self.good, self.repeats, self.known = "OPEN", 0, 0, False
+        self.ordered = None  # when the command to close came that waits for an orbit
 
     def legal(self, command):
         if command == "reset":
             return self.state == "TRIPPED"
         return self.state != "TRIPPED"
 
-    def tick(self, event, command, finite_policy, write_fails, cannot_ask, moved):
+    def tick(self, now, event, command, finite_policy, write_fails, cannot_ask, moved):
         """Return whether exactly one write is tried."""
-        closing = command == "close" and self.state != "CLOSED"
-        if command and not closing:
+        if command == "close" and self.state != "CLOSED":
+            self.ordered = now
+        elif command:
+            self.ordered = None
             self._enter(
                 {"open": "OPEN", "shadow": "SHADOW", "reset": "OPEN"}.get(command, "CLOSED")
             )
@@ -44,7 +47,10 @@ class Rules:
             if self.state == "CLOSED":
                 self._enter("HELD")
             self.good, self.repeats = 0, self.repeats + 1
+            if self.ordered is not None and now - self.ordered >= ORBIT_TO_CLOSE_ON:
+                self.ordered = None
             return False
+        closing, self.ordered = self.ordered is not None, None
         held = self.state == "HELD"
         asks = held or closing or moved or not self.known
         if asks:
@@ -110,6 +116,7 @@ class LoopUnderFaults(RuleBasedStateMachine):
         self.machine = ScriptedMachine(new_clock(), seed=3)
         self.slot = PolicySlot(InversePolicy())
         self.finite = True
+        self.futures = []
         self.model = Rules()
         self.record = None
         self.first = True
@@ -175,12 +182,15 @@ class LoopUnderFaults(RuleBasedStateMachine):
         machine.script.append(event)
         before, tried = machine.inside.copy(), len(machine.writes)
         self.record = self.runner.step()
-        expected = self.model.tick(event, command, self.finite, write_fails, cannot_ask, moved)
+        given = command, self.finite, write_fails, cannot_ask, moved
+        expected = self.model.tick(machine.clock.monotonic(), event, *given)
         writes = machine.writes[tried:]
         assert self.record.state == self.model.state, self.record.reason
         assert len(writes) == expected
         assert event in ACTED or not writes
-        assert future is None or future.done()
+        if future is not None:
+            self.futures.append(future)
+        assert all(its.done() for its in self.futures) == (self.model.ordered is None)
         for written in writes:
             assert np.isfinite(written).all()
             assert (np.abs(written) <= np.maximum(LIMIT, np.abs(before))).all()

@@ -18,7 +18,7 @@ from scripted import (
 from orbitfb.core.errors import ConfigError, ConnectError, ControlError
 from orbitfb.core.signals import LoopState
 from orbitfb.loop.dither import Dither, DitherSettings
-from orbitfb.loop.runner import Runner
+from orbitfb.loop.runner import ORBIT_TO_CLOSE_ON, Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.safety.interlocks import InterlockSettings
@@ -189,16 +189,42 @@ def test_an_unknown_current_delays_the_return_but_does_not_latch():
 
 def test_closing_on_a_bad_orbit_is_refused_with_the_reason():
     bench = Bench()
-    for event, reason in (("beam_lost", "stored current"), ("missing", "script")):
-        future = bench.runner.command("close")
-        assert bench.step(event).state is LoopState.OPEN
-        with pytest.raises(ControlError, match=f"close refused: .*{reason}"):
-            future.result(timeout=0)
+    future = bench.runner.command("close")
+    assert bench.step("beam_lost").state is LoopState.OPEN
+    with pytest.raises(ControlError, match=r"close refused: .*stored current"):
+        future.result(timeout=0)
     bench.machine.setpoints_error = "no answer from COR2"
     future = bench.runner.command("close")
     bench.step()
     with pytest.raises(ControlError, match="COR2"):
         future.result(timeout=0)
+
+
+def test_an_order_to_close_waits_for_an_orbit_but_not_for_ever():
+    bench = Bench()
+    future = bench.runner.command("close")
+    assert bench.step("missing", "missing").state is LoopState.OPEN
+    assert not future.done()
+    assert bench.step("good").state is future.result(timeout=0) is LoopState.CLOSED
+    bench.runner.command("open")
+    bench.step()
+    future, given = bench.runner.command("close"), bench.clock.monotonic()
+    while not future.done():
+        assert bench.step("missing").state is LoopState.OPEN
+    with pytest.raises(ControlError, match=r"close refused: .*script"):
+        future.result(timeout=0)
+    assert bench.clock.monotonic() - given == pytest.approx(ORBIT_TO_CLOSE_ON, abs=2 * 1.9 * PERIOD)
+
+
+def test_an_order_to_close_ends_with_the_trip_that_comes_while_it_waits():
+    bench = Bench(trip_after=1.0).close()
+    assert bench.step("missing", "missing", "missing").state is LoopState.HELD
+    future = bench.runner.command("close")
+    while bench.step("missing").state is LoopState.HELD:
+        assert not future.done()
+    with pytest.raises(ControlError, match=r"close refused: .*script"):
+        future.result(timeout=0)
+    assert bench.step("good").state is LoopState.TRIPPED
 
 
 def test_a_failed_write_holds_and_what_is_in_force_is_asked_for():
