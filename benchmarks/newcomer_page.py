@@ -23,7 +23,13 @@ def newcomer() -> str:
     rows = "".join(f"| {name} | {value:.0f} |\n" for name, value in seconds.items())
     verdict = "met" if seconds["first diagnosis report"] <= AIM else "missed"
     load = f"{told['cpus']} processors had a load of {told['load_before'][0]:.0f} before it began"
+    source = (
+        "; pip found wheels on the disk of this computer: what had to be downloaded is less than "
+        "elsewhere"
+        if told["wheels_from_this_disk"]
+        else ""
+    )
     return (
         f"{INTRODUCTION}{rows}\nThe aim is five minutes. This run {verdict} it; {load}. "
-        f"{told['installed']} packages, {told['torch']}.\n"
+        f"{told['installed']} packages, {told['torch']}{source}.\n"
     )

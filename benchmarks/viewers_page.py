@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 FIGURES = Path(__file__).parent / "viewers.json"
 
 WORDS = {
@@ -28,8 +30,8 @@ process CPU time, in ms a second:
 
 As a thread, the page holds the interpreter's lock while it encodes and sends, and each viewer
 adds to it; so it has a process of its own. There the p99 with any company is at most {added:.1f} ms
-above that without a viewer, and two runs without a viewer differ by {scatter:.1f} ms: a difference
-smaller than that says nothing.
+above that without a viewer. Two runs with the same company differ by up to {scatter:.1f} ms: a
+difference smaller than that says nothing.
 
 `.venv/bin/{command}` measures it.
 """
@@ -56,8 +58,7 @@ def viewers() -> str:
     ]
     moment = (
         f"Measured {about['date']} at commit {about['commit']}, {about['cpus']} × {about['cpu']}, "
-        f"load average (1, 5, 15 minutes) before {loads[0]} and after {loads[1]}: other work "
-        "shared the computer, which the absolute figures show.\n\n"
+        f"load average (1, 5, 15 minutes) before {loads[0]} and after {loads[1]}.\n\n"
     )
     text = TEXT.format(rate=result["rate_hz"], seconds=result["seconds"])
     costs = {
@@ -68,8 +69,6 @@ def viewers() -> str:
     }
     alone, *others = result["process"].values()
     added = max(row["p99_ms"] for row in others) - alone["p99_ms"]
-    runs = alone["p99_ms_of_runs"]
-    end = AFTER.format(
-        **costs, added=added, scatter=max(runs) - min(runs), command=about["command"]
-    )
+    scatter = max(float(np.ptp(row["p99_ms_of_runs"])) for row in result["process"].values())
+    end = AFTER.format(**costs, added=added, scatter=scatter, command=about["command"])
     return text + moment + "\n".join(lines) + "\n" + end
