@@ -5,8 +5,8 @@ itself; a bad one jumps while its neighbours stay. Each is left out at once and 
 itself once it has been good for some orbits in a row.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -52,12 +52,15 @@ class BpmMemory:
         base: Orbit error when the BPM was last believed, shape (n,) [m]; NaN: not known.
         repeats: How often in a row each brought the same reading again, shape (n,).
         good: Good readings in a row, counted up to the proving, shape (n,).
+        then: `base` of all BPMs when one that is not believed now was believed last, by its
+            index, each of shape (n,) [m].
     """
 
     last: Vector
     base: Vector
     repeats: NDArray[np.int64]
     good: NDArray[np.int64]
+    then: Mapping[int, Vector] = field(default_factory=dict[int, Vector])
 
     @classmethod
     def first(cls, size: int, settings: InterlockSettings) -> "BpmMemory":
@@ -108,7 +111,7 @@ def screen(
         frozen = known & (repeats >= settings.bpm_frozen_ticks)
     jump = np.zeros_like(known)
     if latching:
-        jump = known & _jumped(error - memory.base, settings.bpm_jump, planes)
+        jump = known & _jumped(error, memory, settings.bpm_jump, planes)
     flaws = np.zeros(position.shape, dtype=np.int8)
     for flaw, mask in (
         (Flaw.JUMP, jump),
@@ -121,19 +124,32 @@ def screen(
     good = np.where(bad, 0, np.minimum(memory.good + 1, settings.bpm_proving))
     flaws[~bad & (good < settings.bpm_proving)] = Flaw.PROVING
     base = np.where(bad, memory.base, error)
-    return flaws, BpmMemory(position, base, repeats, good)
+    then = {index: memory.then.get(index, memory.base) for index in np.flatnonzero(bad).tolist()}
+    return flaws, BpmMemory(position, base, repeats, good, then)
 
 
-def _jumped(step: Vector, limit: float, planes: int) -> Mask:
-    """Find the BPMs that moved far, and much farther than the others of their plane."""
-    size = np.abs(step)
-    far = size > limit  # False where nothing is known
-    if not far.any():
-        return far
-    rows = size.reshape(planes, -1)
+def _jumped(error: Vector, memory: BpmMemory, limit: float, planes: int) -> Mask:
+    """Find the BPMs that moved far, and much farther than the others of their plane since then.
+
+    Channels come back from an outage in waves: one that comes late must not be told from the
+    others by the way that all of them went before.
+    """
+    step = np.abs(error - memory.base)
+    far = step > limit  # False where nothing is known
+    moved: dict[int, Vector] = {}
+    for index in np.flatnonzero(far).tolist():
+        then = memory.then.get(index, memory.base)
+        if id(then) not in moved:
+            moved[id(then)] = _moved(error - then, planes)
+        far[index] = step[index] > ALONE * moved[id(then)][index * planes // len(error)]
+    return far
+
+
+def _moved(step: Vector, planes: int) -> Vector:
+    """Give how far the median BPM of each plane moved, shape (planes,) [m]."""
+    rows = np.abs(step).reshape(planes, -1)
     known = [row[np.isfinite(row)] for row in rows]
-    moved = np.array([float(np.median(row)) if row.size else 0.0 for row in known])
-    return far & (rows > ALONE * moved[:, None]).reshape(-1)
+    return np.array([float(np.median(row)) if row.size else 0.0 for row in known])
 
 
 def longest_run(bad: Mask) -> int:

@@ -80,6 +80,24 @@ def test_a_beam_that_is_kicked_is_no_jump_of_its_bpms():
     assert set(two.see(kicked)) == {Flaw.NONE}
 
 
+@pytest.mark.parametrize("planes", [1, 2])
+def test_bpms_that_come_back_late_from_an_outage_did_not_jump(planes):
+    ring = Ring(planes=planes)
+    ring.see()
+    late = dict.fromkeys(range(N - 3, N), np.nan)
+    for _ in range(3):
+        ring.see(dict.fromkeys(range(N), np.nan))
+    ring.see(late, move=1e-3)  # the beam is elsewhere when the IOC is back
+    ring.see(late | {1: 9e-3}, move=1e-3)
+    for tick in range(4):
+        flaws = ring.see({1: 9e-3 + tick * 1e-6, N - 1: 99e-3 + tick * 1e-6}, move=1e-3)
+        assert flaws[1] is flaws[N - 1] is Flaw.JUMP
+    assert {flaws[index] for index in (0, *range(2, N - 1))} <= {Flaw.NONE, Flaw.PROVING}
+    for _ in range(3):
+        flaws = ring.see(move=1e-3)
+    assert set(flaws) == {Flaw.NONE}
+
+
 @given(st.lists(st.booleans(), min_size=1, max_size=40))
 def test_the_longest_run_agrees_with_walking_twice_round_the_ring(bad):
     longest = run = 0
