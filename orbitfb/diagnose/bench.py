@@ -13,6 +13,7 @@ from orbitfb.diagnose.explain import Cause, actuated, explain, restored
 from orbitfb.diagnose.floor import estimate_floor, noise_modes
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.quick import Quick, Single
+from orbitfb.diagnose.standing import FreeSteps, Innovations, stretches_across
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 
@@ -70,13 +71,14 @@ class Bench:
         self._nearby: tuple[Vector, Single] = (np.zeros(0), np.zeros((0, 0), np.float32))
         self._base: _Base | None = None
         self._in_single: Quick | None = None
+        self._steps: FreeSteps | None = None
         self.currents = actuated(record, self.causes)
         self.orbit = readings = restored(record, self.causes)[0]
         leftover = explain(record, self.causes, self.orbit)
-        healthy = np.zeros_like(record.readings)
+        healthy, starts = np.zeros_like(record.readings), stretches_across(record, causes)
         for _ in range(_PASSES):
-            self.floor = floor or estimate_floor(leftover.left - healthy, record.starts, modes)
-            innovation, _ = self.floor.innovations(leftover.left - healthy, record.starts)
+            self.floor = floor or estimate_floor(leftover.left - healthy, starts, modes)
+            innovation, _ = self.floor.innovations(leftover.left - healthy, starts)
             self.orbit = readings - self.floor.to_bpms(innovation)
             leftover = explain(record, self.causes, self.orbit)
             self.background = Background(
@@ -85,8 +87,7 @@ class Bench:
             self.background.prepare(self.floor, _FEW_LEVELS)
             self.sizes = self._healed(self.floor.whiten(leftover.left, record.starts))[1]
             healthy = self.background.orbit(self.sizes)
-        if floor is None:
-            self.floor = estimate_floor(leftover.left - healthy, record.starts, modes)
+        self.floor = floor or estimate_floor(leftover.left - healthy, starts, modes)
         self.background.prepare(self.floor)
         self.remember(self.sizes)
         self.white, self.sizes, self.jacobian = self.residual(())
@@ -103,21 +104,27 @@ class Bench:
             causes by row (N,): the log-likelihood is −½ Σ white² − ½ Σ sizes² + Σ log-Jacobian.
         """
         white, log_jacobian = self._with(causes)
-        return *self._healed(white), log_jacobian
+        return *self._healed(white, causes), log_jacobian
 
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
         """As `residual`, the sizes of the background left as they are: a first look at many."""
         white, log_jacobian = self._with(causes)
         sizes, change = self._nearby
-        return (white - change if len(sizes) else white), sizes, log_jacobian
+        if len(sizes):
+            white = self._beyond(white - change, causes)
+        return white, sizes, log_jacobian
+
+    def _beyond(self, white: Innovations, causes: Sequence[Cause]) -> Innovations:
+        return self.free_steps.beyond(white, (*self.causes, *causes))
 
     def _with(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
         """White innovations before healthy errors are taken out, and the log-Jacobian."""
         base = self._beside()
         if not causes:
-            return base.white, base.explained.log_jacobian
+            return self._beyond(base.white, ()), base.explained.log_jacobian
         change = base.explained.change(causes)
-        return base.white + self._whitened(change), change.log_jacobian
+        white = base.white + self._whitened(change)
+        return self._beyond(white, causes), change.log_jacobian
 
     def energy(self, change: Matrix) -> float:
         """Sum the squares of a change of the prediction as the noise sees it.
@@ -138,26 +145,31 @@ class Bench:
             |δ|²: half of it is the expected gain [nats].
         """
         white = self.floor.whiten(change, self.record.starts)
-        nothing = np.zeros_like(self.sizes)
-        white, sizes = self._descend(white, nothing, _SEEN * float(np.sum(white**2)))
+        enough = _SEEN * float(np.sum(white**2))
+        white, sizes = self._descend(white, np.zeros_like(self.sizes), enough)
         return float(np.sum(white**2) + np.sum(sizes**2))
 
     def _beside(self) -> "_Base":
         """What more causes are put beside, computed once for causes, orbit and floor."""
         known = self._base
+        explained = None if known is None else known.explained
         if (
-            known is None
-            or known.explained.causes is not self.causes
-            or known.explained.orbit is not self.orbit
+            explained is None
+            or explained.causes is not self.causes
+            or explained.orbit is not self.orbit
         ):
-            explained = Explained(self.record, self.causes, self.orbit)
-            known = None
-        else:
-            explained = known.explained
+            explained, known = Explained(self.record, self.causes, self.orbit), None
         if known is None or known.floor is not self.floor:
             white = self.floor.whiten(explained.left, self.record.starts)
             known = self._base = _Base(explained, self.floor, white)
         return known
+
+    @property
+    def free_steps(self) -> FreeSteps:
+        """First kicks under this floor."""
+        if self._steps is None or self._steps.floor is not self.floor:
+            self._steps = FreeSteps(self.record, self.floor)
+        return self._steps
 
     @property
     def _quick(self) -> Quick:
@@ -180,7 +192,7 @@ class Bench:
             z -= change.currents.astype(np.float32) @ made
         return quick.whiten_modes(z)
 
-    def _healed(self, white: Matrix) -> tuple[Matrix, Vector]:
+    def _healed(self, white: Matrix, causes: Sequence[Cause] = ()) -> tuple[Matrix, Vector]:
         """Take the best healthy errors out of what is left.
 
         The search begins where the bench's errors are, or at none if that is better: errors that
@@ -188,14 +200,17 @@ class Bench:
 
         Args:
             white: What is left, shape (N, n).
+            causes: Whose first kicks are free, beside those of the bench.
         """
         sizes, change = self._nearby
-        near = white - change if len(sizes) else white
+        near = self._beyond(white - change, causes) if len(sizes) else white
         if not len(sizes) or np.vdot(white, white) < np.vdot(near, near) + sizes @ sizes:
-            return self._descend(white, self.background.nothing, _SOLVED)
-        return self._descend(near, sizes, _SOLVED)
+            return self._descend(white, self.background.nothing, _SOLVED, causes)
+        return self._descend(near, sizes, _SOLVED, causes)
 
-    def _descend(self, white: Matrix, sizes: Vector, enough: float) -> tuple[Matrix, Vector]:
+    def _descend(
+        self, white: Matrix, sizes: Vector, enough: float, causes: Sequence[Cause] = ()
+    ) -> tuple[Matrix, Vector]:
         """Find the best healthy errors by preconditioned conjugate gradients.
 
         The ladder's information is nearly exact, so the first step is nearly the answer, except
@@ -205,6 +220,7 @@ class Bench:
             white: What is left with the errors at hand, shape (N, n).
             sizes: Of those errors, shape (P,).
             enough: Gain of a step below which they are the best [nats].
+            causes: As for `_healed`.
         """
         quick, background = self._quick, self.background
         if not len(sizes):
@@ -222,7 +238,7 @@ class Bench:
                 break
             direction = step + (promise / before if before else 0.0) * direction
             before = promise
-            change = quick.whiten(background.single_orbit(direction))
+            change = self._beyond(quick.whiten(background.single_orbit(direction)), causes)
             length = float(gradient @ direction) / float(
                 np.vdot(change, change) + direction @ direction
             )
@@ -263,10 +279,10 @@ class Bench:
         """Estimate the floor that more causes leave; a floor that was told stays."""
         if self.told_floor:
             return self.floor
-        record = self.record
-        left = explain(record, (*self.causes, *causes), self.orbit).left
+        record, every = self.record, (*self.causes, *causes)
+        left = explain(record, every, self.orbit).left
         left = left - self.background.orbit(self.residual(causes)[1])
-        return estimate_floor(left, record.starts, self.floor.modes)
+        return estimate_floor(left, stretches_across(record, every), self.floor.modes)
 
     @property
     def log_likelihood(self) -> float:

@@ -249,7 +249,9 @@ def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, pr
     )
     far[problem.lines] = 0.0
     surprise = float(np.sum(np.log1p((far / problem.scale) ** 2)))
+    found = problem.at(best)
+    volume += bench.free_steps.price(found)
     return Fit(
-        problem.at(best), gain, white, gains, problem.parameters, covariance, tuple(ranges),
+        found, gain, white, gains, problem.parameters, covariance, tuple(ranges),
         inflation, float(held.sum()), held, volume + surprise, tuple(unstable.tolist()),
     )  # fmt: skip

@@ -171,12 +171,11 @@ class Scanner:
         later = np.zeros_like(later_score)
         row = np.arange(len(score), dtype=np.float64)
         short = 1.0 / np.maximum(row, 1.0) + 1.0 / (len(row) - row)
-        # What a corrector holds is what it had at the onset: there is no jump then.
-        holds = isinstance(kind, ActuatorKind) and not kind.vanishes
+        holds = holding(kind)
         if holds:
-            (shapes, drivers), *_ = changes.parts
-            pull = np.cumsum(shapes.pull[::-1], axis=0)[::-1]
-            later_score = later_score - pull * drivers
+            for shapes, drivers in changes.parts:
+                pull = np.cumsum(shapes.pull[::-1], axis=0)[::-1]
+                later_score = later_score - pull * drivers
         for shapes, drivers in changes.parts:
             for shape, course, feedback in zip(
                 shapes.fine,
@@ -235,6 +234,13 @@ class Scanner:
                     scaled = sized(kind, values, float(strength[row, place]))
                     cause = Cause(kind, (int(place),), scaled, row)
                     yield Candidate(cause, float(height[place]), float(gain.size))
+
+
+def holding(kind: EffectKind) -> bool:
+    """Whether it makes no step where it begins: a corrector holds what it had, or it is free."""
+    if isinstance(kind, ActuatorKind):
+        return not kind.vanishes
+    return isinstance(kind, SourceKind) and kind.standing
 
 
 def groups_of(

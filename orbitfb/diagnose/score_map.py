@@ -18,6 +18,7 @@ from orbitfb.diagnose.answer_values import numbers
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.naming import column_names
+from orbitfb.diagnose.scan import holding
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.diagnose.search import Outcome
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
@@ -101,8 +102,8 @@ def _since(cause: Cause, drivers: Matrix) -> Matrix:
     onset, rows = cause.onset, len(drivers)
     if cause.kind.grows:
         later[onset:] = drivers[: rows - onset]
-    elif isinstance(cause.kind, ActuatorKind) and not cause.kind.vanishes:
-        later[onset:] = drivers[onset:] - drivers[onset]  # it holds what it had at the onset
+    elif holding(cause.kind):
+        later[onset:] = drivers[onset:] - drivers[onset]
     else:
         later[onset:] = drivers[onset:]
     return later

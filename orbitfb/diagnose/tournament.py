@@ -28,6 +28,8 @@ FINALISTS = 10
 _KINDS = 7
 """Kinds of which at least the best one is."""
 _LEAST_FINALISTS = 3
+_RIVAL = 0.5
+"""Share of what the best of a kind promises from which one that was always there is fitted too."""
 _SURE_NOISE = 10.0
 """Weight of a noise that is there for sure [nats]."""
 REFITTED = 6
@@ -165,11 +167,20 @@ def _scaled_noise(found: Sequence[Candidate], kinds: Sequence[EffectKind]) -> It
 
 
 def _chosen(found: Sequence[Candidate]) -> list[Candidate]:
-    """Take the best of the best kinds, every one without a size, and the best of the rest."""
+    """Take the best of the best kinds, every one without a size, and the best of the rest.
+
+    One that begins late is there with the one that was always there: that is the simpler law,
+    and the scan tells the two apart roughly.
+    """
     firsts: dict[str, Candidate] = {}
+    always: dict[str, Candidate] = {}
     for candidate in found:
-        firsts.setdefault(candidate.cause.kind.id, candidate)
+        kind = candidate.cause.kind.id
+        firsts.setdefault(kind, candidate)
+        if not candidate.cause.onset and net(candidate) > _RIVAL * net(firsts[kind]):
+            always.setdefault(kind, candidate)
     kept = [*firsts.values()][:_KINDS]
+    kept += [always[kind] for kind in firsts if kind in always and always[kind] not in kept]
     kept += [one for one in firsts.values() if not one.cause.kind.parameters and one not in kept]
     kept += [one for one in found if one not in kept][: max(FINALISTS - len(kept), 0)]
     return sorted(kept, key=net, reverse=True)

@@ -27,6 +27,9 @@ class SourceKind(EffectKind):
     periodic: ClassVar[bool] = False
     """Whether it is `cosine` cos ωt + `sine` sin ωt of a `frequency` [Hz]: all frequencies are
     then scanned at once by a Fourier transform of the scores."""
+    standing: ClassVar[bool] = False
+    """Whether it kicks by an orbit of which the record tells only the changes: where it begins in
+    the middle of a record its first kick is free."""
 
     @abstractmethod
     def places_of(self, layout: Layout) -> tuple[str, ...]:

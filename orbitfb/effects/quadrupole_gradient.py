@@ -47,6 +47,7 @@ class QuadrupoleGradient(SourceKind):
         "tunes; neighbours at the same phase stay alike"
     )
     collective = False
+    standing = True
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -49,6 +49,7 @@ class Sextupole(SourceKind):
     confused_with = ("quadrupole-gradient", "bpm-nonlinearity")
     splits = "two amplitudes of the same excitation, or two reference orbits: it doubles tones"
     collective = False
+    standing = True
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

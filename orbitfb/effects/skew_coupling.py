@@ -43,6 +43,7 @@ class SkewCoupling(SourceKind):
     confused_with = ("bpm-roll", "corrector-roll")
     splits = "excite one plane at a time: a BPM's roll shows at one BPM, a corrector's for one only"
     collective = False
+    standing = True
 
     def unavailable(self, record: Record) -> str:
         """It needs the optics, and both planes."""

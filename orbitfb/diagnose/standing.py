@@ -1,0 +1,119 @@
+"""First kicks of errors that begin in the middle of a record.
+
+The error of a magnet kicks by the orbit in it. How that changes, the correctors tell; how far off
+its centre the beam stood when the error began they do not: they hold what they had made up for. So
+the step at the onset says nothing of the size of the error: it is left free, one amplitude per
+place and plane, and the record is looked at across it.
+"""
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.quick import Single
+from orbitfb.effects.orbit_kinds import SourceKind
+from orbitfb.effects.record import Record
+from orbitfb.physics.optics import Matrix
+
+_KICK = 0.5e-6
+"""Scatter of such a first kick before the data: an error of 0.005 1/m times 100 µm [rad]."""
+_BLIND = 1e-6
+"""Share of a step below which another one has all of it."""
+
+_REMEMBERED = 4
+"""Sets of causes whose steps are kept: the same few are judged again and again."""
+Innovations = TypeVar("Innovations", Matrix, Single)
+_Key = tuple[tuple[str, tuple[int, ...], int], ...]
+"""Kind, places and onset of every cause."""
+
+
+def is_standing(cause: Cause) -> bool:
+    """Whether the first kick of a cause is free."""
+    return cause.onset > 0 and isinstance(cause.kind, SourceKind) and cause.kind.standing
+
+
+def stretches_across(record: Record, causes: Sequence[Cause]) -> Mask:
+    """Rows at which a stretch begins if first kicks may be anything, shape (N,)."""
+    starts = record.starts.copy()
+    starts[[cause.onset for cause in causes if is_standing(cause)]] = True
+    return starts
+
+
+class FreeSteps:
+    """The steps that first kicks may make, as the noise of one floor sees them.
+
+    Args:
+        record: What happened.
+        floor: The noise.
+    """
+
+    def __init__(self, record: Record, floor: NoiseFloor) -> None:
+        self._record, self.floor = record, floor
+        self._known: dict[_Key, tuple[Matrix, Vector]] = {}
+
+    def beyond(self, white: Innovations, causes: Sequence[Cause]) -> Innovations:
+        """Leave out of innovations what first kicks may have made.
+
+        Args:
+            white: Innovations of unit variance, shape (N, n).
+            causes: Those with a free first kick count.
+        """
+        free = tuple(cause for cause in causes if is_standing(cause))
+        if not free:
+            return white
+        basis = self._basis(free)[0]
+        flat = white.reshape(-1)
+        left = white.copy()
+        left.reshape(-1)[:] -= basis.T @ (basis @ flat)
+        return left
+
+    def price(self, causes: Sequence[Cause]) -> float:
+        """What the choice of the first kicks costs [nats]."""
+        free = tuple(cause for cause in causes if is_standing(cause))
+        if not free:
+            return 0.0
+        return float(0.5 * np.sum(np.log1p(self._basis(free)[1] * _KICK**2)))
+
+    def _basis(self, free: tuple[Cause, ...]) -> tuple[Matrix, Vector]:
+        """Orthonormal steps, shape (k, N n), and the information on each of their kicks, (k,)."""
+        key = tuple((cause.kind.id, cause.places, cause.onset) for cause in free)
+        if key not in self._known:
+            while len(self._known) >= _REMEMBERED:
+                del self._known[next(iter(self._known))]
+            self._known[key] = self._made(free)
+        return self._known[key]
+
+    def _made(self, free: tuple[Cause, ...]) -> tuple[Matrix, Vector]:
+        starts = self._record.starts
+        whitened = [
+            self.floor.whiten(step, starts).reshape(-1)
+            for cause in free
+            for step in self._steps(cause)
+        ]
+        matrix = np.array(whitened).reshape(len(whitened), self._record.readings.size)
+        information, basis = np.sum(matrix**2, axis=1), []
+        for step in matrix:
+            own = step.copy()
+            for other in basis:
+                own -= (own @ other) * other
+            if (size := float(own @ own)) > _BLIND * float(step @ step):
+                basis.append(own / np.sqrt(size))
+        return np.array(basis).reshape(len(basis), matrix.shape[1]), information
+
+    def _steps(self, cause: Cause) -> list[Matrix]:
+        """The orbit of a kick of 1 rad since the onset, for every place and plane."""
+        layout, kind, found = self._record.layout, cause.kind, list[Matrix]()
+        patterns = kind.patterns(layout) if isinstance(kind, SourceKind) else np.zeros((0, 0))
+        for place in cause.places:
+            pattern = patterns[:, place]
+            for plane in layout.planes:
+                rows = layout.bpms.in_plane(plane)
+                step = np.zeros((len(self._record), len(pattern)))
+                step[cause.onset :, rows] = pattern[rows]
+                if step.any():
+                    found.append(step)
+        return found

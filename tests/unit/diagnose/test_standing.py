@@ -1,0 +1,79 @@
+"""Errors of magnets that begin in the middle of a record, with the beam anywhere in the magnet."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.diagnose.standing import FreeSteps
+from orbitfb.diagnose.tournament import _chosen, tournament
+from orbitfb.effects.build import build, layout_of
+from orbitfb.effects.registry import all_effects
+from orbitfb.effects.settings import parse_effect
+from orbitfb.physics.places import Ring
+
+RING = Ring.load()
+LAYOUT = layout_of(RING, "x", 0.1)
+KINDS = all_effects()
+GRADIENT = KINDS["quadrupole-gradient"]
+QUADRUPOLE = 40
+NAME = GRADIENT.places_of(LAYOUT)[QUADRUPOLE]
+ONSET = 300
+"""The record begins after 20 s, so that 50 s is row 300."""
+
+
+@pytest.fixture(scope="module")
+def record():
+    effects = build(
+        [parse_effect(f"quadrupole-gradient:gradient=0.004,names={NAME},from=50s")], LAYOUT, 1
+    )
+    return simulate_record(RING, "x", 700, 5, effects, dither=3e-3, period=LAYOUT.period)
+
+
+def stepped(record, kick):
+    """The record of a beam that stood elsewhere in the quadrupole when the error began."""
+    readings = record.readings.copy()
+    readings[ONSET:] += kick * GRADIENT.patterns(LAYOUT)[:, QUADRUPOLE]
+    return replace(record, readings=readings)
+
+
+@pytest.mark.parametrize("kick", [0.0, 0.3e-6, -1e-6])
+def test_the_first_kick_of_a_gradient_says_nothing_of_its_size(record, kick):
+    kinds = [GRADIENT, KINDS["sextupole"], KINDS["local-kick"], KINDS["bpm-offset"]]
+    best = tournament(Bench(stepped(record, kick)), kinds)[0]
+    assert (best.kind.id, best.cause.onset) == ("quadrupole-gradient", ONSET)
+    assert best.fit is not None and best.fit.inflation < 1.2
+    low, high = best.fit.interval(0)
+    assert low < 0.004 < high
+    assert best.cause.places == (QUADRUPOLE,)
+
+
+def test_what_a_first_kick_may_have_made_is_left_out_and_nothing_else(record):
+    bench = Bench(record)
+    steps = FreeSteps(record, bench.floor)
+    cause = Cause(GRADIENT, (QUADRUPOLE,), {"gradient": 0.004}, ONSET)
+    white = np.random.default_rng(2).standard_normal(bench.white.shape)
+    moved = bench.floor.whiten(stepped(record, 5e-6).readings - record.readings, record.starts)
+    left = steps.beyond(white, (cause,))
+    np.testing.assert_allclose(steps.beyond(white + moved, (cause,)), left, atol=1e-9)
+    assert np.sum(white**2) - np.sum(left**2) < 20.0  # χ² of one amplitude
+    assert steps.price((cause,)) > 1.0
+    for other in (replace(cause, onset=0), Cause(KINDS["local-kick"], (3,), {}, ONSET)):
+        assert steps.beyond(white, (other,)) is white and steps.price((other,)) == 0.0
+
+
+def test_the_twin_that_was_always_there_is_fitted_beside_one_that_begins_late():
+    def proposal(kind, gain, onset, place=0):
+        return Candidate(Cause(KINDS[kind], (place,), {}, onset), gain, 1.0)
+
+    late, always = proposal("loop-delay", 100.0, 20), proposal("loop-delay", 96.0, 0)
+    crowd = [proposal("corrector-lag", 99.0, 0, place) for place in range(20)]
+    weak = [proposal("bpm-gain", 98.0, 20), proposal("bpm-gain", 20.0, 0)]
+    found = sorted((late, always, *crowd, *weak), key=lambda one: one.gain, reverse=True)
+    chosen = _chosen(found)
+    assert late in chosen and always in chosen
+    assert weak[0] in chosen and weak[1] not in chosen
