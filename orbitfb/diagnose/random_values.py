@@ -21,6 +21,7 @@ from orbitfb.diagnose.explain import Cause, explain
 from orbitfb.diagnose.problem import from_fitted, prior_width, to_fitted
 from orbitfb.diagnose.randomness import wanders
 from orbitfb.diagnose.strike_scan import latent_gain, strikes
+from orbitfb.diagnose.switching import switched
 from orbitfb.diagnose.wandering import Wandering
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
@@ -65,6 +66,9 @@ def state(bench: Bench, cause: Cause) -> Stated:
     """
     kind = cause.kind
     if isinstance(kind, NoiseKind):
+        if (followed := switched(bench, cause)) is not None:
+            values, intervals = followed
+            return Stated(replace(cause, values=values), intervals)
         if not 0 < len(_places(bench, cause)) <= _MOST_PLACES:
             return _level(bench, cause)
         if wanders(bench, kind):

@@ -14,6 +14,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan import groups_of
+from orbitfb.diagnose.switching import switching_candidates
 from orbitfb.diagnose.wandering import Wandering
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import NoiseKind
@@ -46,6 +47,8 @@ def noise_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
         if found is not None:
             return found
     found = [*_steady(bench, kind, patterns)]
+    if kind.rare:
+        found += switching_candidates(bench, kind)
     if kind.sudden and kind.lag == 0:
         found += [*_sudden(bench, kind, patterns)]
     return sorted(found, key=lambda c: c.gain - np.log(c.choices), reverse=True)[:_KEPT]

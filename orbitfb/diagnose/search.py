@@ -14,6 +14,7 @@ from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.strikes import without_strikes
+from orbitfb.diagnose.switching import without_switching
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
@@ -177,12 +178,13 @@ def search(
             break
         causes = (*causes, winner.cause)
         if winner.fit is None:
-            # It has no course in time to take out of the record: its strikes are, and its kin.
-            if not isinstance(winner.kind, LatentKind) or winner.kind.strength == "normal":
+            # It has no law in time: what it did is taken out of the record, where that is known.
+            cleaned = _cleaned(bench, winner.cause)
+            if cleaned is None:
                 break  # the floor does not have it, so that what is left is its own doing first
-            record = without_strikes(bench, winner.kind, winner.cause)
+            record = cleaned
             nominal = Bench(record, given, floor, nominal.floor.modes)
-            left = [kind for kind in left if not isinstance(kind, LatentKind | NoiseKind)]
+            left = [kind for kind in left if not _kin(kind, winner.kind)]
         bench = Bench(record, (*given, *_moving(causes)), floor, nominal.floor.modes)
     joint, moving = _together(nominal, bench, _moving(causes))
     final = bench
@@ -193,6 +195,21 @@ def search(
     untried = dict.fromkeys(c.cause.kind.id for one in rounds for c in one.untried)
     cut = budget.told([*untried])
     return Outcome(tuple(rounds), joint, final, (*given, *moving, *still), cut)
+
+
+def _kin(kind: EffectKind, taken: EffectKind) -> bool:
+    """Whether a kind would show in what is left of one without a law that was taken out."""
+    if isinstance(taken, LatentKind):
+        return isinstance(kind, LatentKind | NoiseKind)
+    return isinstance(kind, NoiseKind) and kind.colour == "walk"
+
+
+def _cleaned(bench: Bench, cause: Cause) -> Record | None:
+    """The record without what a cause without a law in time did; None where that is not known."""
+    kind = cause.kind
+    if isinstance(kind, LatentKind) and kind.strength != "normal":
+        return without_strikes(bench, kind, cause)
+    return without_switching(bench, cause)
 
 
 def _moving(causes: Sequence[Cause]) -> tuple[Cause, ...]:
