@@ -40,6 +40,8 @@ _WIDTH = 1.645
 """Standard deviations of a 90 % interval."""
 _IDEAL = 0.02
 """Share of an effect's size by which nature departs from the law that the library has for it."""
+_TIMING = 0.05
+"""The same for a time constant: when within a tick setpoints come into force is not known."""
 _WHOLE = 500.0
 """Reach in a logarithm beyond which an interval covers all bounds."""
 
@@ -90,7 +92,8 @@ class Fit:
             return told
         centre = to_fitted(parameter, self.causes[owner].values[parameter.name])
         size = 1.0 if parameter.log else abs(centre - parameter.nominal)
-        variance = max(self.covariance[index, index], 0.0) + (_IDEAL * size) ** 2
+        ideal = _TIMING if parameter.unit == "s" else _IDEAL
+        variance = max(self.covariance[index, index], 0.0) + (ideal * size) ** 2
         reach = _WIDTH * float(np.sqrt(variance))
         reach = min(reach, _WHOLE) if parameter.log else reach
         low, high = (from_fitted(parameter, centre + sign * reach) for sign in (-1.0, 1.0))
