@@ -22,16 +22,16 @@ KINDS = all_effects()
 GRADIENT = KINDS["quadrupole-gradient"]
 QUADRUPOLE = 40
 NAME = GRADIENT.places_of(LAYOUT)[QUADRUPOLE]
-ONSET = 300
-"""The record begins after 20 s, so that 50 s is row 300."""
+ONSET = 200
+"""The record begins after 20 s, so that 40 s is row 200."""
 
 
 @pytest.fixture(scope="module")
 def record():
     effects = build(
-        [parse_effect(f"quadrupole-gradient:gradient=0.004,names={NAME},from=50s")], LAYOUT, 1
+        [parse_effect(f"quadrupole-gradient:gradient=0.004,names={NAME},from=40s")], LAYOUT, 1
     )
-    return simulate_record(RING, "x", 700, 5, effects, dither=3e-3, period=LAYOUT.period)
+    return simulate_record(RING, "x", 450, 5, effects, dither=3e-3, period=LAYOUT.period)
 
 
 def stepped(record, kick):
@@ -41,7 +41,7 @@ def stepped(record, kick):
     return replace(record, readings=readings)
 
 
-@pytest.mark.parametrize("kick", [0.0, 0.3e-6, -1e-6])
+@pytest.mark.parametrize("kick", [0.3e-6, -1e-6])
 def test_the_first_kick_of_a_gradient_says_nothing_of_its_size(record, kick):
     kinds = [GRADIENT, KINDS["sextupole"], KINDS["local-kick"], KINDS["bpm-offset"]]
     best = tournament(Bench(stepped(record, kick)), kinds)[0]
