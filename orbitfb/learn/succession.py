@@ -30,8 +30,8 @@ class Slot(Protocol):
         """The policy in force."""
         ...
 
-    def swap(self, policy: Policy) -> Policy:
-        """Put a policy in force and return the one that was."""
+    def swap_from(self, expected: Policy, policy: Policy) -> bool:
+        """Put a policy in force unless another than the expected one is; say whether it is."""
         ...
 
 
@@ -50,6 +50,11 @@ class _Trial:
     shadow: Shadow
     report: RefitReport
     tell: Tell
+
+
+def _overtaken(report: RefitReport) -> RefitReport:
+    reason = "another policy was put in force while the candidate ran in shadow"
+    return replace(report, decision=Decision.REFUSED, reason=reason)
 
 
 class Succession:
@@ -122,8 +127,7 @@ class Succession:
         report = replace(trial.report, stage=Stage.SHADOW)
         if self._slot.current is not shadow.incumbent:
             self._trial = None
-            reason = "another policy was put in force while the candidate ran in shadow"
-            trial.tell(replace(report, decision=Decision.REFUSED, reason=reason))
+            trial.tell(_overtaken(report))
             return
         shadow.take(self._history.snapshot(since_tick=shadow.next_tick), now)
         verdict = shadow.verdict(now)
@@ -167,18 +171,26 @@ class Succession:
         self, candidate: Policy, incumbent: Policy, report: RefitReport, tell: Tell
     ) -> None:
         before = observed_rms(self._history.snapshot(last=BASELINE))
+        if self._slot.current is not incumbent:
+            tell(_overtaken(report))
+            return
         report = replace(report, decision=Decision.PROMOTED)
         self._keep(candidate, report)
-        self._slot.swap(candidate)
+        if not self._slot.swap_from(incumbent, candidate):
+            back = replace(report, decision=Decision.ROLLED_BACK)
+            self._keep(self._slot.current, back)  # what an operator chose stays the active one
+            tell(_overtaken(report))
+            return
         if before.size:
             usual = float(np.median(before))
             since, tripped = self._newest() + 2, self._tripped()
             self._watch = Watch(candidate, incumbent, usual, since, tripped)
         tell(report)
 
-    def _roll_back(self, watch: Watch, reason: str) -> RefitReport:
-        left = self._slot.swap(watch.former)
-        self._watch = None
+    def _roll_back(self, watch: Watch, reason: str) -> RefitReport | None:
+        left, self._watch = watch.promoted, None
+        if not self._slot.swap_from(left, watch.former):
+            return None
         self._left.add(left.policy_id)
         report = RefitReport(
             number=0,

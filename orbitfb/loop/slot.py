@@ -45,14 +45,25 @@ class PolicySlot:
 
     def swap(self, policy: Policy) -> Policy:
         """Put another policy in force and return the one that was."""
+        while not self.swap_from(before := self.current, policy):
+            pass
+        return before
+
+    def swap_from(self, expected: Policy, policy: Policy) -> bool:
+        """Put a policy in force in place of an expected one; say whether that one was in force.
+
+        Whoever has thought about it for a while must not undo what an operator chose meanwhile.
+        """
         while True:
             dress = self._dress
             dressed = dress(policy)  # not under the lock: a tick must not wait for it
             with self._lock:
+                if self._policy is not expected:
+                    return False
                 if dress is self._dress:
-                    before, self._policy, self._acting = self._policy, policy, dressed
+                    self._policy, self._acting = policy, dressed
                     self._swaps += 1
-                    return before
+                    return True
 
     def redress(self, dress: Callable[[Policy], Policy]) -> None:
         """Let every policy act otherwise from now on, such as without some correctors.

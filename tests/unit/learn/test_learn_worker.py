@@ -226,6 +226,27 @@ def test_a_candidate_in_shadow_is_dropped_when_an_operator_swaps():
     assert "another policy" in report.reason and bench.slot.current is chosen
 
 
+def test_an_operators_choice_while_the_candidate_is_stored_stays():
+    bench = Bench(factor=0.4, every=10_000, chi2_trigger=1e30)
+    bench.advance(200)
+    chosen = law(bench.loop.plant.response)
+
+    def keep(policy, report):
+        bench.kept.append((policy, report))
+        if report.decision is Decision.PROMOTED:
+            bench.slot.swap(chosen)  # between the last look at the slot and the swap
+
+    bench.thread._succession._keep = keep
+    future = bench.thread.request()
+    bench.thread.step()
+    report = future.result(timeout=0)
+    assert report.decision is Decision.REFUSED
+    assert report.reason.startswith("another policy was put in force")
+    assert bench.slot.current is chosen
+    policy, report = bench.kept[1]
+    assert policy is chosen and report.decision is Decision.ROLLED_BACK
+
+
 def test_a_second_request_waits_for_the_first_candidate():
     bench = Bench(factor=0.4, every=10_000, chi2_trigger=1e30, shadow={"ticks": 20})
     bench.advance(200)
