@@ -55,12 +55,15 @@ def postmortem(
 
 def _chosen(file: Path, directory: Path) -> Path:
     """Find the file that is meant."""
+    from orbitfb.core.errors import RecordError
     from orbitfb.postmortem.shelf import stored
 
     if file.exists():
         return file
     found = stored(directory)
-    if str(file) == "last" and found:
+    if str(file) == "last":
+        if not found:
+            raise RecordError(f"no post-mortem is in {directory}: no trip was kept yet")
         return found[-1]
     named = directory / file.name
     return named if named in found else file

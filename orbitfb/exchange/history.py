@@ -122,12 +122,19 @@ def _kept(history: History) -> tuple[Mask, Mask]:
     """Choose the BPMs that are mostly valid, the correctors that are ever known."""
     bpms: Mask = np.isnan(history.orbit).mean(axis=0) <= MOST_INVALID
     correctors: Mask = np.asarray(np.isfinite(history.setpoints).any(axis=0))
-    for mask, what in ((bpms, "BPM is valid often enough"), (correctors, "corrector is known")):
-        if not mask.any():
-            raise ExchangeError(
-                f"no {what} (invalid at most {100 * MOST_INVALID:.0f} % of the time); see that the "
-                "columns are named as the ring names them"
-            )
+    known = np.isfinite(history.orbit).any(axis=0)
+    if not bpms.any():
+        most = f"{100 * MOST_INVALID:.0f} % of the time"
+        raise ExchangeError(
+            f"no BPM is valid often enough: {np.count_nonzero(known)} of {len(known)} have any "
+            f"number, none is invalid at most {most}; see that the columns are named as the ring "
+            "names them, and hold numbers"
+        )
+    if not correctors.any():
+        raise ExchangeError(
+            "no corrector has any number; give its setpoints too, in columns named as the ring "
+            "names them"
+        )
     return bpms, correctors
 
 

@@ -62,6 +62,8 @@ def import_response(
     )
     scale = size * (_calibration(ring, planes) if unit in PER_KICK else 1.0)
     nominal = response(ring, planes)
+    if not np.isfinite(matrix_of(found, source.path)).any():
+        raise ExchangeError(f"{source.path}: {found.where} has no number; nothing is written")
     table = table_of(source, request, found, channels, rows, columns)
     table.response[:] *= scale
     table.sigma[:] *= scale

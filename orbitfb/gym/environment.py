@@ -84,7 +84,8 @@ class OrbitFeedbackEnv(gymnasium.Env[Numbers, Numbers]):
         )
         self._ring = Ring.load(_path(places), _path(parameters))
         nominal = response(self._ring, planes)
-        scale = orbit_scale or self._settings.initial_orbit_rms or 1e-6
+        usual = self._settings.initial_orbit_rms or 1e-6
+        scale = usual if orbit_scale is None else orbit_scale
         self.render_mode = render_mode
         self.scaling = Scaling.of(nominal, coordinates, scale, modes)
         seen, moved = len(self.scaling.view), self.scaling.move.shape[1]
@@ -104,7 +105,12 @@ class OrbitFeedbackEnv(gymnasium.Env[Numbers, Numbers]):
 
         Returns:
             The first observation and the figures of the tick.
+
+        Raises:
+            ConfigError: There is no such option.
         """
+        if unknown := set(options or {}) - {"plant_seed"}:
+            raise ConfigError(f"options {', '.join(sorted(unknown))}: only plant_seed is known")
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(2**31))
         plant_seed = int((options or {}).get("plant_seed", drawn))
@@ -124,12 +130,13 @@ class OrbitFeedbackEnv(gymnasium.Env[Numbers, Numbers]):
         if self._plant is None:
             raise ConfigError("no episode has begun; call reset first")
         action = np.asarray(action)
-        if action.shape != self.action_space.shape or not np.isfinite(action).all():
+        if action.shape != self.action_space.shape:
             raise ConfigError(
-                f"an action of shape {action.shape} with "
-                f"{int(np.count_nonzero(~np.isfinite(action)))} values that are not finite; give "
-                f"{self.action_space.shape} finite ones"
+                f"an action of shape {action.shape}; give one of shape {self.action_space.shape}"
             )
+        if not np.isfinite(action).all():
+            count = int(np.count_nonzero(~np.isfinite(action)))
+            raise ConfigError(f"{count} values of the action are not finite; give finite ones")
         wanted = self._setpoints + self.scaling.change(action)
         self._setpoints = np.clip(wanted, -LIMIT, LIMIT)
         observation, true = self._tick()

@@ -75,7 +75,8 @@ def _of_row(
     elif reason != its.reasons[row - 1]:
         yield f"{state}: {reason}" if reason else f"{state}, with nothing to say any more"
     if columns["missed"][row]:
-        yield f"{columns['missed'][row]} orbits missed"
+        count = int(columns["missed"][row])
+        yield f"{count} orbit{'s' if count > 1 else ''} missed"
     old, new = (columns["policy_id"][each].decode(errors="replace") for each in (row - 1, row))
     if new != old:
         yield f"policy {new} instead of {old}"

@@ -200,6 +200,16 @@ def test_what_is_not_there_is_not_measured(tmp_path, matrix):
     np.testing.assert_allclose(measured.table.response[:, 2:], matrix[:, 2:])
 
 
+def test_a_matrix_without_a_number_is_refused(tmp_path, matrix):
+    path = tmp_path / "empty.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["", *CORRECTORS])
+        writer.writerows([name, *["nan"] * len(CORRECTORS)] for name in BPMS)
+    assert "has no number" in refused(path, "--unit", "mm/A")
+    assert not Path("response.safetensors").exists()
+
+
 def test_unknown_and_repeated_names_are_listed(tmp_path, matrix):
     with h5py.File(tmp_path / "rm.h5", "w") as file:
         file["R"] = matrix
