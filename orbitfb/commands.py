@@ -9,7 +9,7 @@ from typing import Any
 
 import structlog
 
-from orbitfb.core.errors import OrbitFeedbackError
+from orbitfb.core.errors import ControlError, OrbitFeedbackError
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.panel.figures import Figures
 
@@ -19,6 +19,25 @@ Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 SILENT = frozenset({"status", "panel", "page"})
 """Commands that change nothing and are not logged."""
+ARGUMENTS: Mapping[str, tuple[str, ...]] = {
+    "status": (),
+    **dict.fromkeys(("open", "shadow", "close", "reset", "postmortem"), ()),
+    "gain": ("plane", "value"),
+    "reference": ("values",),
+    "reference-save": ("name",),
+    "reference-load": ("name",),
+    "enable-bpms": ("enabled",),
+    "enable-correctors": ("enabled",),
+    "dither": ("orbit_cost",),
+    "try": ("singular_values", "regularisation"),
+    "apply": (),
+    "refit": ("activate",),
+    "activate": ("policy", "force"),
+}
+"""What goes with every command that people give."""
+_INSIDE = frozenset({"panel", "page", "refused"})
+"""Requests of our own programs."""
+_WITH_ALL = frozenset({"command", "origin", "peer"})
 _LONGEST_WORD = 300
 _MANY = 8
 
@@ -54,6 +73,7 @@ class Commands:
             return self._panel()
         handler = self._handlers.get(name, self._handlers[""])
         if name in SILENT:
+            _check(name, request)
             return handler(request)
         who = origin_of(request)
         if name == "refused":
@@ -61,6 +81,7 @@ class Commands:
             return {}
         told = _told(request)
         try:
+            _check(name, request)
             answer = handler(request)
         except OrbitFeedbackError as error:
             self._refused(name, who, told, str(error))
@@ -102,6 +123,22 @@ def origin_of(request: Mapping[str, Any]) -> dict[str, Any]:
         "process": known.get("process"),
         "door": "socket",
     }
+
+
+def _check(name: str, request: Mapping[str, Any]) -> None:
+    """Refuse what nobody knows: a key that is mistyped must not go unnoticed.
+
+    Raises:
+        ControlError: There is no such command, or it does not take all that came with it.
+    """
+    if name in _INSIDE:
+        return
+    if name not in ARGUMENTS:
+        raise ControlError(f"no command {name!r}; there are {', '.join(ARGUMENTS)}")
+    known = ARGUMENTS[name]
+    if unknown := sorted({str(key) for key in request} - _WITH_ALL - set(known)):
+        takes = f"takes {', '.join(known)} only" if known else "takes nothing with it"
+        raise ControlError(f"{name} {takes}: {', '.join(unknown)} is unknown")
 
 
 def _told(request: Mapping[str, Any]) -> dict[str, Any]:

@@ -184,7 +184,12 @@ def refit(
 
 
 def command(
-    name: Annotated[str, typer.Argument(help="open, shadow, close, reset, postmortem or status.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="open, shadow, close, reset, postmortem, status, or one of the others."
+        ),
+    ],
     values: Annotated[
         list[str] | None,
         typer.Argument(

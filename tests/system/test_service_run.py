@@ -23,6 +23,8 @@ from service_process import (
     wait_for,
 )
 
+from orbitfb.commands import ARGUMENTS
+
 pytestmark = pytest.mark.system
 
 DURATION = 20.0
@@ -108,7 +110,10 @@ def test_setpoints_of_a_ring_of_its_own_are_seen_by_any_client(run: Service):
     ("name", "message"),
     [
         ("reset", "orbitfb: reset refused in CLOSED: there is nothing to reset\n"),
-        ("clsoe", "orbitfb: no command 'clsoe': the loop knows open, shadow, close, reset\n"),
+        (
+            "clsoe",
+            f"orbitfb: no command 'clsoe'; there are {', '.join(ARGUMENTS)}\n",
+        ),
     ],
 )
 def test_what_it_does_not_do_is_refused_with_the_reason(run: Service, name: str, message: str):

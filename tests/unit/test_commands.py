@@ -87,11 +87,12 @@ def test_looking_is_not_logged(commands: Commands, statistics: Any):
 
 
 def test_long_vectors_and_words_do_not_fill_the_log(commands: Commands):
-    request = {"command": "close", "values": [0.0] * 180, "word": "x" * 5000, "origin": PANEL}
+    origin = {**PANEL, "user": "y" * 5000}
     with capture_logs() as logs:
-        commands({**request, "origin": {**PANEL, "user": "y" * 5000}})
+        commands({"command": "reference", "values": [0.0] * 180, "origin": origin})
+        commands({"command": "reference-save", "name": "x" * 5000, "origin": origin})
     assert logs[0]["with_values"] == "180 values"
-    assert len(logs[0]["with_word"]) == len(logs[0]["user"]) == 300
+    assert len(logs[1]["with_name"]) == len(logs[1]["user"]) == 300
 
 
 def test_what_goes_with_a_command_on_the_command_line():
@@ -109,3 +110,20 @@ def test_what_goes_with_a_command_on_the_command_line():
 def test_what_is_no_pair(typed: str):
     with pytest.raises(ConfigError, match="give KEY=VALUE"):
         pairs([typed])
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        ({"command": "clsoe"}, "no command 'clsoe'; there are status, open,"),
+        (
+            {"command": "gain", "value": 0.5, "vlaue": 1, "foo": 2},
+            "gain takes plane, value only: foo, vlaue",
+        ),
+        ({"command": "close", "now": True}, "close takes nothing with it: now is unknown"),
+        ({"command": "status", "extra": 1}, "status takes nothing with it: extra is unknown"),
+    ],
+)
+def test_what_nobody_knows_is_refused(commands: Commands, request_: Any, words: str):
+    with pytest.raises(ControlError, match=words):
+        commands({**request_, "peer": SOCKET})
