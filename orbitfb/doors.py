@@ -22,6 +22,7 @@ from orbitfb.loop.slot import PolicySlot
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.own_page import OwnPage
 from orbitfb.own_panel import OwnPanel
+from orbitfb.page.peaks import Peaks
 from orbitfb.page.view import PageView, Sources
 from orbitfb.panel.access import read_access
 from orbitfb.panel.figures import Figures, gap_text
@@ -120,6 +121,8 @@ def open_doors(
             raise ControlError(f"close refused: {reason}")
         return remote(request)
 
+    peaks = Peaks(config.ring.planes)
+    parts.runner.subscribe(peaks)
     view = PageView(
         Sources(
             statistics.snapshot,
@@ -127,6 +130,7 @@ def open_doors(
             lambda: parts.runner.adjustments.enabled & parts.counting,
             lambda: adjuster.movable,
             gap_text,
+            peaks.since,
             config.learn.identify.reading_noise,
         ),
         SystemClock(),

@@ -120,6 +120,10 @@ class Runner:
         """Reference orbit in force, shape (n,) [m]: on its way to the one that is wanted."""
         return self._engine.reference
 
+    def subscribe(self, subscriber: Subscriber) -> None:
+        """Give every record from the next tick on to one more; may be called from any thread."""
+        self._subscribers = (*self._subscribers, subscriber)
+
     def adjust(self, wanted: Adjustments) -> None:
         """Take other adjustments; they are in force from the next tick on.
 

@@ -129,7 +129,8 @@ class Feed:
             return
         if since < 0:  # the clock was set back
             self._trend.clear()
-        rms = answer["rms_um"] if answer["alive"] else {}
+        # not that of the last orbit: an excursion between two points would be missed
+        rms = answer["rms_peak_um"] if answer["alive"] else {}
         planes = [rms.get(plane) for plane in self._job.layout.planes]
         self._trend.append([round(now, 2), answer["floor_um"], *planes])
 

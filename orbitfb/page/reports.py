@@ -1,24 +1,26 @@
 """Diagnosis reports that may be shown: those that a diagnosis wrote into the data directory.
 
-Nobody can name a file: a report is asked for by the name of its directory, which is looked up
-among those that were found.
+What a directory is called does not matter; that both files of a diagnosis lie in it does. Nobody
+can name a file: a report is asked for by the name of its directory, which is looked up among those
+that were found.
 """
 
 import json
 import os
 import stat
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from orbitfb.core.bounded import LARGEST_DIAGNOSIS
 
-SUFFIX = ".diagnosis"
-"""What the names of directories end with in which a diagnosis is written."""
 REPORT, ANSWER = "report.html", "diagnosis.json"
 LARGEST_REPORT = 64 << 20
 """Larger ones are not shown [bytes]."""
 MOST = 1000
+"""In so many directories is looked at most, in the data directory and in its archive each."""
 LONGEST_HEADLINE = 300
 
 
@@ -62,16 +64,27 @@ def find_reports(data_directory: Path) -> list[Report]:
     """
     found: list[Report] = []
     for parent in (data_directory, data_directory / "archive"):
-        for directory in sorted(parent.glob(f"*{SUFFIX}"))[:MOST]:
+        for directory in islice(_directories(parent), MOST):
             try:
-                plain = stat.S_ISDIR(directory.lstat().st_mode)
                 report = (directory / REPORT).lstat()
                 answer = (directory / ANSWER).lstat()
             except OSError:
                 continue
-            if plain and stat.S_ISREG(report.st_mode) and stat.S_ISREG(answer.st_mode):
+            if stat.S_ISREG(report.st_mode) and stat.S_ISREG(answer.st_mode):
                 found.append(Report(directory.name, directory, report.st_mtime))
     return sorted(found, key=lambda report: report.time, reverse=True)
+
+
+def _directories(parent: Path) -> Iterator[Path]:
+    """Give those in it that are no links and neither hidden nor of a name that no address takes."""
+    try:
+        with os.scandir(parent) as entries:
+            for entry in entries:
+                shown = entry.name.isprintable() and not entry.name.startswith(".")
+                if shown and entry.is_dir(follow_symlinks=False):
+                    yield Path(entry)
+    except OSError:  # there is none yet
+        return
 
 
 def _read(path: Path, largest: int) -> bytes:

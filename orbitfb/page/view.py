@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +31,7 @@ class Sources:
         enabled: Gives the BPMs that count as far as operators and configuration say, shape (n,).
         movable: Gives the correctors that may move, shape (m,).
         gap: Says the gap between model and machine in a sentence.
+        peaks: Gives the largest orbit RMS of late by plane [m], the monotonic time [s] in.
         noise: Noise of one BPM reading to believe before a refit has found it, rms [m].
     """
 
@@ -39,6 +40,7 @@ class Sources:
     enabled: Callable[[], Mask]
     movable: Callable[[], Mask]
     gap: Callable[[LoopSnapshot], str]
+    peaks: Callable[[float], Mapping[str, float]]
     noise: float = math.nan
 
 
@@ -83,6 +85,7 @@ class PageView:
                     "floor_um": floor / MICRO,
                     "floor_source": source,
                     **_figures(snapshot),
+                    "rms_peak_um": self._peaks(snapshot),
                     "gap": _gap(snapshot, self._sources.gap(snapshot)),
                     "happenings": [
                         {"time": its.time, "kind": its.kind, "text": its.text}
@@ -91,6 +94,13 @@ class PageView:
                 }
             ),
             **self._vectors(),
+        }
+
+    def _peaks(self, snapshot: LoopSnapshot) -> dict[str, float]:
+        largest = self._sources.peaks(self._clock.monotonic())
+        return {  # that of the last orbit where a slow loop had none of late
+            plane: float(np.fmax(largest[plane], rms.now)) / MICRO
+            for plane, rms in snapshot.orbit.planes.items()
         }
 
     def _remember(self, snapshot: LoopSnapshot) -> None:

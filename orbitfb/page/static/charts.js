@@ -7,6 +7,7 @@ const SPANS = [60, 300, TREND_SPAN];
 const LEFT = 46, RIGHT = 8, TOP = 8, BOTTOM = 20;
 const SHRINK_AFTER = 4000; // a scale grows at once and shrinks only after so many milliseconds
 const LIMIT_SHOWN = 0.25; // part of a limit from which on the limit itself is in the picture
+const LABEL_ROOM = 12; // pixels
 const STEPS = [1, 2, 5, 10];
 
 const known = (value) => value !== null && Number.isFinite(value);
@@ -219,14 +220,19 @@ export class RingChart extends Chart {
 export class TrendChart extends Chart {
   constructor(canvas, readout, hues) {
     super(canvas);
-    Object.assign(this, { readout, hues, points: [], now: 0 });
+    Object.assign(this, { readout, hues, points: [], now: 0, floor: document.createElement("span") });
+    const keys = hues.map((hue) => {
+      const key = document.createElement("span");
+      return Object.assign(key, { className: `key key-${hue}`, textContent: `${hue} ` });
+    });
+    readout.replaceChildren(...(hues.length > 1 ? keys : []), this.floor);
   }
 
   set(points, now, believed) {
     Object.assign(this, { points, now });
     const floor = points.at(-1)?.[1];
     const origin = believed ? " as configured" : "";
-    this.readout.textContent = known(floor) ? `noise floor ${quantity(floor, "µm")}${origin}, dashed` : "";
+    this.floor.textContent = known(floor) ? `noise floor ${quantity(floor, "µm")}${origin}, dashed` : "";
     this.draw();
   }
 
@@ -242,9 +248,13 @@ export class TrendChart extends Chart {
     const high = Math.max(low + 1, Math.ceil(Math.log10(Math.max(...values)) + 0.05));
     const y = (value) => TOP + ((high - Math.log10(value)) / (high - low)) * (this.height - TOP - BOTTOM);
     const x = (time) => LEFT + ((time - from) / span) * (this.width - LEFT - RIGHT);
+    const room = y(1) - y(2) > LABEL_ROOM;
     for (let decade = low; decade <= high; decade += 1) {
-      this.horizontal(y(10 ** decade), "grid");
-      this.label(decade < 0 ? (10 ** decade).toFixed(-decade) : String(10 ** decade), LEFT - 6, y(10 ** decade), "right", "middle");
+      for (const part of room && decade < high ? [1, 2, 5] : [1]) {
+        const value = part * 10 ** decade;
+        this.horizontal(y(value), "grid");
+        this.label(value.toFixed(Math.max(0, -decade)), LEFT - 6, y(value), "right", "middle");
+      }
     }
     const step = span / (this.width > 480 ? 5 : 2);
     for (let back = 0; back <= span; back += step) {

@@ -2,8 +2,8 @@
 
 import { RingChart, TREND_SPAN, TrendChart } from "./charts.js";
 import { Link } from "./link.js";
-import { at, say, showState } from "./state.js";
-import { ago, count, duration, moment, quantity, signed, some, UNKNOWN } from "./words.js";
+import { at, orbitOld, say, showState } from "./state.js";
+import { ago, count, moment, quantity, signed, some, timeOfDay, UNKNOWN } from "./words.js";
 
 const LOOK = 250; // how often to look whether the picture is still live [ms]
 const TOLD = 5; // how often to tell the charts in words [s]
@@ -41,7 +41,7 @@ function take(its) {
 function remember(its) {
   const last = trend.at(-1);
   if (last && its.time - last[0] < 0.95) return;
-  const rms = its.alive ? its.rms_um : {};
+  const rms = its.alive ? its.rms_peak_um : {};
   trend.push([its.time, its.floor_um, ...[...layout.planes].map((plane) => rms[plane] ?? null)]);
   while (trend[0][0] < its.time - TREND_SPAN) trend.shift();
 }
@@ -54,10 +54,17 @@ function show() {
   policy(picture);
   loop(picture);
   happened(picture);
-  look();
+  look(true);
 }
 
-function look() { showState(picture, link, restarted); }
+function look(fresh = false) {
+  showState(picture, link, restarted, layout);
+  if (!picture || !charts) return;
+  const since = link.live ? 0 : Math.max(0, link.age); // what is not live goes on to age
+  const age = picture.tick_age + since;
+  say("tick-age", age < 1 ? "less than a second ago" : ago(age));
+  if (fresh || since) charts.trend.set(trend, picture.time + since, picture.floor_source === "configuration");
+}
 
 function make(tag, properties = {}, ...children) {
   const element = Object.assign(document.createElement(tag), properties);
@@ -133,8 +140,10 @@ function figures(its) {
 }
 
 function along(its) {
-  const old = its.orbit_age === undefined || its.orbit_age > Math.max(1, 3 * layout.period);
-  at("charts").classList.toggle("old", old);
+  const old = orbitOld(its, layout);
+  document.body.classList.toggle("no-orbit", old);
+  const none = its.orbit_age === undefined ? "no orbit yet"
+    : `no orbit since ${timeOfDay(its.time - its.orbit_age)}: these are the last values`;
   const [errors, orbits, flags] = [halves(its.error_um), halves(its.orbit_um), halves(its.bpms)];
   const [setpoints, moving] = [halves(its.setpoints_A), halves(its.movable ?? "")];
   charts.planes.forEach(({ error, orbit, setpoints: set }, index) => {
@@ -146,16 +155,16 @@ function along(its) {
     const those = (names, marks, mark) => names.filter((_, number) => marks[number] === mark);
     const bad = those(error.names, flags[index], "1"), out = those(error.names, flags[index], "2");
     say(`error-${plane}-note`, [
-      old ? `no orbit for ${duration(its.orbit_age)}: these are the last values` : "",
+      old ? none : "",
       bad.length ? `✕ bad: ${some(bad)}` : "",
       out.length ? `○ left out: ${some(out)}` : "",
     ].filter(Boolean).join("; "));
+    at(`error-${plane}-note`).classList.toggle("bad", old);
     const fixed = those(set.names, still, "2");
     say(`setpoints-${plane}-note`, [
       `limit ±${quantity(layout.limit, "A")}`, fixed.length ? `○ do not move: ${some(fixed)}` : "",
     ].filter(Boolean).join("; "));
   });
-  charts.trend.set(trend, its.time, its.floor_source === "configuration");
   if (Math.abs(its.time - told) > TOLD) describe(its.time);
 }
 
@@ -199,7 +208,6 @@ function policy(its) {
 }
 
 function loop(its) {
-  say("tick-age", its.tick_age < 1 ? "less than a second ago" : ago(its.tick_age));
   say("ticks", count(its.ticks));
   say("missed", count(its.missed));
   say("period", `${quantity(its.period_ms, "ms")}, jitter ${quantity(its.jitter_ms, "ms")}`);
@@ -216,7 +224,7 @@ function happened(its) {
     make("b", { textContent: line.kind }), make("span", { textContent: line.text }))));
 }
 
-const link = new Link(greet, take, () => setTimeout(look));
-setInterval(look, LOOK);
-document.addEventListener("visibilitychange", look);
+const link = new Link(greet, take, () => setTimeout(() => look()));
+setInterval(() => look(), LOOK);
+document.addEventListener("visibilitychange", () => look());
 window.addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });

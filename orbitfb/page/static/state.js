@@ -20,8 +20,13 @@ export function say(id, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+// Whether the figures of the orbit are those of one that is no longer true.
+export function orbitOld(its, layout) {
+  return its.orbit_age === undefined || its.orbit_age > Math.max(1, 3 * layout.period);
+}
+
 // its: the last picture, if there was one; link: where it came from; restarted: when [s].
-export function showState(its, link, restarted) {
+export function showState(its, link, restarted, layout) {
   const late = !its || !link.live;
   const state = its?.state ?? "STARTING";
   const silent = !late && !its.alive && state !== "FAULT";
@@ -37,9 +42,10 @@ export function showState(its, link, restarted) {
   say("who", late ? "" : commanded(its));
   say("live", late ? "not live" : "live");
   say("clock", its ? timeOfDay(its.time) : "");
-  const rms = its ? quantity(Object.values(its.rms_um)[0], "µm") : "";
+  const known = Object.values(its?.rms_um ?? {}).filter((value) => value !== null);
+  const rms = quantity(known.length ? Math.max(...known) : null, "µm"); // of the worse plane
   document.title = `${shown} ${late || silent ? "" : rms} · orbitfb`;
-  notify(its, link, late, silent, restarted);
+  notify(its, link, late, silent, restarted, layout);
 }
 
 function commanded(its) {
@@ -49,12 +55,13 @@ function commanded(its) {
   return `${did} by ${given.by}, ${moment(given.time, its.time)}`;
 }
 
-function notify(its, link, late, silent, restarted) {
+function notify(its, link, late, silent, restarted, layout) {
   let words = "", calm = false;
   if (late) {
     const old = its ? `What is grey is of ${timeOfDay(its.time)}. ` : "";
     words = `NOT LIVE: ${link.problem || "no picture comes"}. ${old}Trying again.`;
   } else if (silent) words = "The loop does not tick: what is grey is old.";
+  else if (orbitOld(its, layout)) words = "No orbit comes: what is grey is old.";
   else if (restarted && its.time - restarted < RESTART_TOLD) {
     words = `The service was started again at ${timeOfDay(its.started)}.`;
     calm = true;

@@ -24,7 +24,10 @@ def page_job(directory: Path, **web: Any) -> PageJob:
 
 
 def answer(time: float = 100.0, rms: float = 1.0) -> dict[str, Any]:
-    return {"time": time, "alive": True, "rms_um": {"x": rms}, "floor_um": 0.2, "state": "CLOSED"}
+    return {
+        "time": time, "alive": True, "rms_um": {"x": rms / 2}, "rms_peak_um": {"x": rms},
+        "floor_um": 0.2, "state": "CLOSED",
+    }  # fmt: skip
 
 
 class Service:

@@ -5,12 +5,14 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 from page_parts import Service, filled, page_job
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from orbitfb.page import reports
 from orbitfb.page.app import FILES, TOO_MANY, page_app
 
 HOME = "http://127.0.0.1:9181"
@@ -137,6 +139,27 @@ def test_the_newest_report_is_named_and_shown_where_it_can_do_nothing(tmp_path: 
     assert policy.startswith("sandbox; default-src 'none'") and "script-src" not in policy
 
 
+def test_a_report_is_found_whatever_its_directory_is_called(tmp_path: Path):
+    report(tmp_path, "archive").rename(tmp_path / "monday, 2nd try?")
+    with browser(tmp_path) as client, client.websocket_connect("/live", headers=OURS) as viewer:
+        viewer.receive_json()
+        named = viewer.receive_json()["report"]
+        got = client.get(f"/reports/{quote(named['name'])}")
+    assert named["name"] == "monday, 2nd try?" and "it was a corrector" in got.text
+
+
+def test_no_more_directories_than_the_bound_are_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(reports, "MOST", 3)
+    for number in range(5):
+        report(tmp_path, str(number))
+    report(tmp_path, "odd").rename(tmp_path / os.fsdecode(b"no \xff text"))
+    assert len(reports.find_reports(tmp_path)) == 3
+    monkeypatch.setattr(reports, "MOST", 10)
+    assert len(reports.find_reports(tmp_path)) == 5  # the odd name would fail in a browser
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -148,6 +171,7 @@ def test_the_newest_report_is_named_and_shown_where_it_can_do_nothing(tmp_path: 
         "linked.diagnosis",
         "inside.diagnosis",
         "half.diagnosis",
+        ".hidden.diagnosis",
         "archive",
         "",
     ],
@@ -161,6 +185,7 @@ def test_only_reports_that_a_diagnosis_wrote_here_are_shown(tmp_path: Path, name
     (inside / "report.html").unlink()
     (inside / "report.html").symlink_to(secret / "report.html")
     (report(data, "half") / "diagnosis.json").unlink()
+    report(data, ".hidden")
     with browser(data) as client:
         got = client.get(f"/reports/{name}")
     assert got.status_code == 404 and "secret" not in got.text

@@ -69,6 +69,14 @@ def test_the_trend_has_a_point_a_second_and_bounds(tmp_path: Path):
     assert json.loads(feed.hello(""))["trend"] == [[50.0, 0.2, None]]
 
 
+def test_a_point_of_the_trend_is_the_largest_of_late_not_the_last(tmp_path: Path):
+    service = Service()
+    service.answer = answer() | {"rms_um": {"x": 1.0}, "rms_peak_um": {"x": 80.0}}
+    feed = filled(page_job(tmp_path), service)
+    feed.close()
+    assert json.loads(feed.hello(""))["trend"] == [[100.0, 0.2, 80.0]]
+
+
 def test_it_asks_seldom_until_somebody_looks(tmp_path: Path):
     service = Service()
 

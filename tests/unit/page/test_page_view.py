@@ -10,6 +10,7 @@ from orbitfb.core.clock import ManualClock
 from orbitfb.core.refit import Decision, RefitReport
 from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, Reading, TickRecord
 from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.page.peaks import Peaks
 from orbitfb.page.view import PageView, Sources
 
 NAMES = ("A", "B", "C", "D")
@@ -34,13 +35,14 @@ class Loop:
         self.statistics = LoopStatistics(
             Channels("x", NAMES, NAMES, NAMES, NAMES, NAMES), 18.0, self.clock
         )
-        self.last = None
+        self.last, self.peaks = None, Peaks("x")
         sources = Sources(
             self.statistics.snapshot,
             lambda: self.last,
             lambda: ENABLED,
             lambda: np.array([True, False, True, True]),
             lambda snapshot: f"gap of {snapshot.ticks.ticks} ticks",
+            self.peaks.since,
             0.2e-6,
         )
         self.view = PageView(sources, self.clock, 5.0)
@@ -48,6 +50,7 @@ class Loop:
     def tick(self, **how):
         self.last = record(self.clock, **how)
         self.statistics(self.last)
+        self.peaks(self.last)
 
     def shown(self):
         its = self.view()
@@ -86,6 +89,35 @@ def test_figures_have_the_units_of_the_pvs(loop):
     assert (its["worst_bpm"], its["worst_um"]) == ("D", pytest.approx(5.0))
     assert (its["policy"], its["reason"], its["ticks"]) == ("svd-1", "why", 1)
     assert its["gap"] == {"headline": "gap of 1 ticks", "resolved": False, "time": None}
+
+
+def test_an_excursion_of_one_tick_is_in_the_peak_of_those_who_ask_once_a_second(loop):
+    def after(seconds):
+        loop.clock.advance(seconds)
+        loop.tick()
+
+    after(0.1)
+    loop.clock.advance(0.1)
+    loop.tick(orbit=REFERENCE + 200e-6)
+    after(0.1)
+    after(0.9)
+    its = loop.shown()
+    assert its["rms_peak_um"]["x"] == pytest.approx(200.0) and its["rms_um"]["x"] < 4.0
+    after(0.6)
+    its = loop.shown()
+    assert its["rms_peak_um"] == its["rms_um"]
+    loop.tick(orbit=np.full(4, np.nan))  # the beam is gone: what it did last is still told
+    assert loop.shown()["rms_peak_um"]["x"] == pytest.approx(its["rms_um"]["x"])
+    loop.clock.advance(1.6)
+    assert loop.shown()["rms_peak_um"] == {"x": None}
+
+
+def test_the_peak_of_each_plane_is_its_own():
+    clock, peaks = ManualClock(), Peaks("xy")
+    for orbit in ([3e-6, 3e-6, 1e-6, 1e-6], [1e-6, 1e-6, 9e-6, np.nan]):
+        clock.advance(0.3)
+        peaks(record(clock, orbit=REFERENCE + np.array(orbit)))
+    assert peaks.since(clock.monotonic()) == pytest.approx({"x": 3e-6, "y": 9e-6})
 
 
 def test_an_old_orbit_and_a_loop_that_stands_still_are_told(loop):
