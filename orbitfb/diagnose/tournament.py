@@ -28,7 +28,7 @@ FINALISTS = 10
 _KINDS = 7
 """Kinds of which at least the best one is."""
 _LEAST_FINALISTS = 3
-_RIVAL = 0.5
+_RIVAL = 0.2
 """Share of what the best of a kind promises from which one that was always there is fitted too."""
 _SURE_NOISE = 10.0
 """Weight of a noise that is there for sure [nats]."""

@@ -70,9 +70,9 @@ def test_the_twin_that_was_always_there_is_fitted_beside_one_that_begins_late():
     def proposal(kind, gain, onset, place=0):
         return Candidate(Cause(KINDS[kind], (place,), {}, onset), gain, 1.0)
 
-    late, always = proposal("loop-delay", 100.0, 20), proposal("loop-delay", 96.0, 0)
+    late, always = proposal("loop-delay", 100.0, 20), proposal("loop-delay", 30.0, 0)
     crowd = [proposal("corrector-lag", 99.0, 0, place) for place in range(20)]
-    weak = [proposal("bpm-gain", 98.0, 20), proposal("bpm-gain", 20.0, 0)]
+    weak = [proposal("bpm-gain", 98.0, 20), proposal("bpm-gain", 10.0, 0)]
     found = sorted((late, always, *crowd, *weak), key=lambda one: one.gain, reverse=True)
     chosen = _chosen(found)
     assert late in chosen and always in chosen
