@@ -127,7 +127,7 @@ _SWAPS = {
     "enable": True,
     "hide": False,
     "iconColor": "blue",
-    "expr": 'increase(orbitfb_policy_swaps_total{instance=~"$instance"}[30s]) > 0',
+    "expr": 'increase(orbitfb_policy_swaps_total{instance=~"$instance"}[2m]) > 0',
     "titleFormat": "The policy changed",
     "step": "15s",
 }

@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deploy.grafana.panels import Panel
-from deploy.grafana.shift import SHIFT, STATES
+from deploy.grafana.shift import SHIFT, STATES, TIMES_NOISE
 
 OUT = Path("docs/how-to/dashboard-shift.png")
 LABEL = "drawn from Prometheus data with matplotlib; not a screenshot of Grafana"
@@ -29,7 +29,12 @@ DRAWN = (
     "Worst BPMs",
     "Correctors nearest their limits",
 )
-_UNITS = {"lengthm": (1e6, "µm"), "percentunit": (100.0, "%"), "none": (1.0, "")}
+_UNITS = {
+    "lengthm": (1e6, "µm"),
+    "percentunit": (100.0, "%"),
+    "none": (1.0, ""),
+    TIMES_NOISE: (1.0, "× noise"),
+}
 _COLOURS = {
     "text": "0.6",
     "green": "tab:green",
@@ -137,6 +142,8 @@ def _lines(axes: Axes, panel: Panel, series: Sequence[Series], begin: float) -> 
         style: dict[str, Any] = {"linewidth": 1.4}
         if one.style == "floor":
             style = {"linestyle": "--", "color": "0.4"}
+        if one.style == "limit":
+            style = {"linestyle": ":", "color": "tab:red"}
         times = [time - begin for time in one.times]
         axes.plot(times, [factor * value for value in one.values], label=one.name, **style)
     if panel.extra.get("log"):

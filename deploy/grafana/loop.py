@@ -1,17 +1,26 @@
 """The pace of the loop, Channel Access, and the service around it."""
 
 from deploy.grafana.dashboard import Dashboard
+from deploy.grafana.loop_beside import ACCESS, ARCHIVE
 from deploy.grafana.panels import GREEN, INFORMATION, RED, YELLOW, Panel, Query, Steps, metric
+
+PERIOD = metric("tick_period_nominal_seconds")
+"""What figures of time are compared with: the rate is configured."""
+PERIOD_LIMIT, LATENCY_LIMIT = 1.1, 0.5
+"""Parts of the period above which OrbitTickLate fires; a test compares."""
 
 _TICKS = (
     Panel(
         "stat",
         "Heartbeat",
-        "Age of the last tick.",
-        "s",
-        (Query(f"time() - {metric('last_tick_timestamp_seconds')}", "age"),),
+        "Age of the last tick, and as part of the age at which the alert OrbitHeartbeatGone fires.",
+        "percentunit",
+        (
+            Query(metric("orbitfb:last_tick:age_ratio"), "of the limit"),
+            Query(f"time() - {metric('last_tick_timestamp_seconds')}", "age", unit="s"),
+        ),
         4,
-        Steps(GREEN, ((10, YELLOW), (30, RED))),
+        Steps(GREEN, ((0.3, YELLOW), (1, RED))),
         4,
         {"decimals": 1},
     ),
@@ -29,11 +38,14 @@ _TICKS = (
     Panel(
         "stat",
         "Ticks",
-        "Ticks per second, mean of a minute.",
-        "hertz",
-        (Query(metric("orbitfb:ticks:rate1m"), "rate"),),
+        "Ticks per second, mean of two minutes, and as part of the rate that is configured.",
+        "percentunit",
+        (
+            Query(f"{metric('orbitfb:ticks:rate2m')} * {PERIOD}", "of the rate"),
+            Query(metric("orbitfb:ticks:rate2m"), "rate", unit="hertz"),
+        ),
         4,
-        Steps(RED, ((0.01, GREEN),)),
+        Steps(RED, ((0.5, YELLOW), (0.9, GREEN))),
         4,
         {"decimals": 2},
     ),
@@ -42,10 +54,13 @@ _TICKS = (
         "Latency p99",
         "From the complete orbit to the last setpoint sent, 5 min; above half a period the alert "
         "OrbitTickLate fires.",
-        "s",
-        (Query(metric("orbitfb:tick_latency_seconds:p99_5m"), "p99"),),
+        "percentunit",
+        (
+            Query(f"{metric('orbitfb:tick_latency_seconds:p99_5m')} / {PERIOD}", "of the period"),
+            Query(metric("orbitfb:tick_latency_seconds:p99_5m"), "p99", unit="s"),
+        ),
         4,
-        Steps(GREEN, ((0.02, YELLOW), (0.05, RED))),
+        Steps(GREEN, ((0.2, YELLOW), (LATENCY_LIMIT, RED))),
         4,
     ),
     Panel(
@@ -73,11 +88,11 @@ _TICKS = (
     Panel(
         "timeseries",
         "Phases of a tick",
-        "Mean of each phase over a minute; `read` is the wait for the orbit and not drawn here.",
+        "Mean of each phase over two minutes; `read` is the wait for the orbit and not drawn here.",
         "s",
-        (Query(metric("orbitfb:tick_phase_seconds:mean1m", 'phase!="read"'), "{{phase}}"),),
+        (Query(metric("orbitfb:tick_phase_seconds:mean2m", 'phase!="read"'), "{{phase}}"),),
         8,
-        Steps(GREEN, ((0.02, YELLOW), (0.05, RED))),
+        INFORMATION,
         8,
         {"min": 0, "stack": True},
     ),
@@ -87,11 +102,11 @@ _TICKS = (
         "The phase `read`: the period less all others. Short: the loop has little time left.",
         "s",
         (
-            Query(metric("orbitfb:tick_phase_seconds:mean1m", 'phase="read"'), "read"),
-            Query(metric("tick_period_nominal_seconds"), "period, configured", "floor"),
+            Query(metric("orbitfb:tick_phase_seconds:mean2m", 'phase="read"'), "read"),
+            Query(PERIOD, "period, configured", "floor"),
         ),
         8,
-        Steps(RED, ((0.0001, GREEN),)),
+        INFORMATION,
         8,
         {"min": 0},
     ),
@@ -103,9 +118,10 @@ _TICKS = (
         (
             Query(metric("orbitfb:tick_latency_seconds:p50_5m"), "median"),
             Query(metric("orbitfb:tick_latency_seconds:p99_5m"), "p99"),
+            Query(f"{LATENCY_LIMIT} * {PERIOD}", "alert on p99 above", "limit"),
         ),
         8,
-        Steps(GREEN, ((0.02, YELLOW), (0.05, RED))),
+        INFORMATION,
         8,
         {"min": 0},
     ),
@@ -116,10 +132,11 @@ _TICKS = (
         "s",
         (
             Query(metric("tick_period_seconds"), "period"),
-            Query(metric("tick_period_nominal_seconds"), "configured", "floor"),
+            Query(PERIOD, "configured", "floor"),
+            Query(f"{PERIOD_LIMIT} * {PERIOD}", "alert above", "limit"),
         ),
         8,
-        Steps(GREEN, ((0.11, YELLOW), (0.2, RED))),
+        INFORMATION,
         8,
         {"min": 0},
     ),
@@ -130,7 +147,7 @@ _TICKS = (
         "s",
         (Query(metric("tick_jitter_seconds"), "jitter"),),
         8,
-        Steps(GREEN, ((0.01, YELLOW), (0.05, RED))),
+        INFORMATION,
         8,
         {"min": 0},
     ),
@@ -190,101 +207,8 @@ _TICKS = (
         "s",
         (Query(f"time() - {metric('orbit_timestamp_seconds')}", "age"),),
         8,
-        Steps(GREEN, ((10, YELLOW), (30, RED))),
+        INFORMATION,
         8,
-    ),
-)
-
-_ACCESS = (
-    Panel(
-        "stat",
-        "Channels away",
-        "Channels to the machine that are not connected now; the log names them.",
-        "none",
-        (Query(metric("orbitfb:channels_away:sum"), "away"),),
-        4,
-        Steps(GREEN, ((1, RED),)),
-        8,
-    ),
-    Panel(
-        "timeseries",
-        "Channels connected",
-        "By kind; a setpoint that is away lets nothing be written.",
-        "none",
-        (
-            Query(metric("channel_access_channels_connected"), "{{kind}}"),
-            Query(metric("channel_access_channels"), "{{kind}}, all", "floor"),
-        ),
-        10,
-        Steps(RED, ((1, GREEN),)),
-        8,
-        {"min": 0},
-    ),
-    Panel(
-        "timeseries",
-        "Channels lost, last 15 min",
-        "How often a channel went away: an IOC that restarts loses all of its own at once.",
-        "none",
-        (Query(f"increase({metric('channel_access_losses_total')}[15m])", "{{kind}}", "bars"),),
-        10,
-        Steps(GREEN, ((1, YELLOW), (100, RED))),
-        8,
-        {"min": 0, "decimals": 0},
-    ),
-)
-
-_ARCHIVE = (
-    Panel(
-        "stat",
-        "Disk",
-        "Whether the disk takes the archive.",
-        "none",
-        (Query(metric("archive_failing"), "disk"),),
-        4,
-        Steps(GREEN, ((1, RED),)),
-        7,
-        {"texts": {0: ("writes", GREEN), 1: ("refuses", RED)}},
-    ),
-    Panel(
-        "timeseries",
-        "Rows to disk",
-        "Per second; it follows the rate of the ticks.",
-        "hertz",
-        (
-            Query(metric("orbitfb:archive_rows:rate1m"), "rows"),
-            Query(metric("orbitfb:ticks:rate1m"), "ticks", "floor"),
-        ),
-        7,
-        Steps(RED, ((0.01, GREEN),)),
-        7,
-        {"min": 0},
-    ),
-    Panel(
-        "timeseries",
-        "Rows waiting, rows dropped in 5 min",
-        "Rows wait for the disk in memory; when `history.archive.queue` is full they are dropped.",
-        "none",
-        (
-            Query(metric("archive_rows_waiting"), "waiting"),
-            Query(f"increase({metric('archive_rows_dropped_total')}[5m])", "dropped", "bars"),
-        ),
-        7,
-        Steps(GREEN, ((100, YELLOW), (1000, RED))),
-        7,
-        {"min": 0, "decimals": 0},
-    ),
-    Panel(
-        "stat",
-        "Post-mortems since the start",
-        "Written: of trips or on request. Failed: lost.",
-        "none",
-        (
-            Query(metric("postmortems_written_total"), "written"),
-            Query(metric("postmortems_failed_total"), "failed"),
-        ),
-        6,
-        Steps(GREEN, ((1, YELLOW),)),
-        7,
     ),
 )
 
@@ -292,5 +216,5 @@ LOOP = Dashboard(
     "loop",
     "Orbit feedback: Loop",
     "Does the loop keep its pace, does the machine answer, does the archive write.",
-    (("Ticks", _TICKS), ("Channel Access", _ACCESS), ("Archive", _ARCHIVE)),
+    (("Ticks", _TICKS), ("Channel Access", ACCESS), ("Archive", ARCHIVE)),
 )

@@ -16,12 +16,15 @@ class Query:
     Args:
         expr: PromQL.
         legend: Name of each series.
-        axis: Draw it as `line`, `floor` (dashed, grey), `band` (thin) or `bars`.
+        axis: Draw it as `line`, `floor` (dashed, grey), `limit` (dashed, red: here an alert
+            fires), `band` (thin) or `bars`.
+        unit: Of its own instead of the panel's, in a `stat`; no colour judges such a figure.
     """
 
     expr: str
     legend: str = ""
     axis: str = "line"
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +178,10 @@ _STYLES = {
         {"id": "custom.lineStyle", "value": {"fill": "dash", "dash": [8, 6]}},
         {"id": "color", "value": {"mode": "fixed", "fixedColor": GREY}},
     ],
+    "limit": [
+        {"id": "custom.lineStyle", "value": {"fill": "dash", "dash": [4, 4]}},
+        {"id": "color", "value": {"mode": "fixed", "fixedColor": RED}},
+    ],
     "band": [{"id": "custom.lineWidth", "value": 0.5}],
     "bars": [
         {"id": "custom.drawStyle", "value": "bars"},
@@ -184,16 +191,19 @@ _STYLES = {
 
 
 def _overrides(panel: Panel) -> list[dict[str, Any]]:
-    if panel.kind != "timeseries":
-        return []
-    return [
-        {
-            "matcher": {"id": "byFrameRefID", "options": chr(ord("A") + place)},
-            "properties": _STYLES[query.axis],
-        }
-        for place, query in enumerate(panel.queries)
-        if query.axis != "line"
-    ]
+    found: list[dict[str, Any]] = []
+    for place, query in enumerate(panel.queries):
+        properties = _STYLES.get(query.axis, []) if panel.kind == "timeseries" else []
+        if query.unit:
+            plain = {"mode": "fixed", "fixedColor": BLUE}
+            properties = [
+                {"id": "unit", "value": query.unit},
+                {"id": "color", "value": plain},
+            ]
+        if properties:
+            matcher = {"id": "byFrameRefID", "options": chr(ord("A") + place)}
+            found.append({"matcher": matcher, "properties": properties})
+    return found
 
 
 def _options(panel: Panel) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """What the operator on shift looks at."""
 
+from dataclasses import replace
+
 from deploy.grafana.dashboard import Dashboard
 from deploy.grafana.panels import (
     BLUE,
@@ -23,8 +25,15 @@ STATES = {
     6: ("FAULT", "dark-red"),
 }
 """Codes of the recorded state, as deploy/prometheus/orbitfb-rules.yml makes them."""
+ALERTS = (
+    'ALERTS{job="orbitfb", instance=~"($instance)?", alertname=~"Orbit.+", alertstate="firing"}'
+)
+"""The one for an absent job has no instance."""
 STATE_STEPS = Steps("text", ((1, BLUE), (3, GREEN), (4, YELLOW), (5, RED)))
-ABOVE_NOISE = Steps(GREEN, ((2, YELLOW), (5, RED)))
+RMS_LIMIT = 5
+"""Orbit RMS as a multiple of the noise above which OrbitRmsHigh fires; a test compares."""
+TIMES_NOISE = "suffix: × noise"
+ABOVE_NOISE = Steps(GREEN, ((2, YELLOW), (RMS_LIMIT, RED)))
 
 _STATE = (
     Panel(
@@ -96,9 +105,9 @@ _STATE = (
     Panel(
         "stat",
         "Alerts",
-        "Alerts of this service that fire now.",
+        "Alerts of this service that fire now, and that there is no service at all.",
         "none",
-        (Query('count(ALERTS{alertname=~"Orbit.+", alertstate="firing"}) or vector(0)', "firing"),),
+        (Query(f"count({ALERTS}) or vector(0)", "firing"),),
         3,
         Steps(GREEN, ((1, RED),)),
         5,
@@ -127,32 +136,36 @@ _ORBIT = (
         (
             Query(metric("orbit_rms_window_meters"), "orbit {{plane}}"),
             Query(metric("bpm_noise_meters"), "noise floor ({{source}})", "floor"),
+            Query(f"{RMS_LIMIT} * {metric('bpm_noise_meters')}", "alert above", "limit"),
             Query(metric("true_orbit_rms_window_meters"), "true"),
         ),
         12,
-        Steps(GREEN, ((10e-6, YELLOW), (1e-3, RED))),
+        INFORMATION,
         9,
         {"log": True},
     ),
     Panel(
         "timeseries",
         "Orbit RMS over the noise floor",
-        "1 is the floor; above 5 for a minute the alert OrbitRmsHigh fires.",
-        "none",
+        f"1 is the floor; above {RMS_LIMIT} for a minute the alert OrbitRmsHigh fires.",
+        TIMES_NOISE,
         (Query(metric("orbitfb:orbit_rms:noise_ratio"), "{{plane}}"),),
         8,
-        Steps(GREEN, ((2, YELLOW), (5, RED)), shown=True),
+        replace(ABOVE_NOISE, shown=True),
         9,
         {"log": True},
     ),
     Panel(
         "stat",
         "Orbit RMS",
-        "The same, now.",
-        "lengthm",
-        (Query(metric("orbit_rms_window_meters"), "{{plane}}"),),
+        "The same, now. Red: above the limit of the alert OrbitRmsHigh.",
+        TIMES_NOISE,
+        (
+            Query(metric("orbitfb:orbit_rms:noise_ratio"), "{{plane}}"),
+            Query(metric("orbit_rms_window_meters"), "{{plane}} ", unit="lengthm"),
+        ),
         4,
-        Steps(GREEN, ((10e-6, YELLOW), (1e-3, RED))),
+        ABOVE_NOISE,
         9,
         {"decimals": 2},
     ),
@@ -162,14 +175,19 @@ _DEVICES = (
     Panel(
         "bargauge",
         "Worst BPMs",
-        "RMS of orbit − reference over 10 s of the five worst. One that stands out is a bad BPM or "
-        "a local kick; all alike is noise.",
-        "lengthm",
-        (Query(f"sort_desc({metric('bpm_error_rms_meters')})", "{{bpm}} {{plane}}"),),
+        "RMS of orbit − reference over 10 s of the five worst, as a multiple of the noise of one "
+        "reading. One that stands out is a bad BPM or a local kick; all alike is noise.",
+        TIMES_NOISE,
+        (
+            Query(
+                f"sort_desc({metric('orbitfb:bpm_error:noise_ratio')})",
+                "{{bpm}} {{plane}}",
+            ),
+        ),
         8,
-        Steps(GREEN, ((1e-6, YELLOW), (10e-6, RED))),
+        ABOVE_NOISE,
         8,
-        {"min": 0, "decimals": 2},
+        {"min": 0, "decimals": 1},
     ),
     Panel(
         "bargauge",

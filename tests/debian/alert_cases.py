@@ -93,6 +93,17 @@ def gap(resolved: str, stamp: str) -> Series:
     }
 
 
+def alive(last: str, ticks: str, period: str = "0.1x120") -> Series:
+    """Return the signs of life of a service that Prometheus reaches."""
+    return {
+        "up": "1x120",
+        "orbitfb_last_tick_timestamp_seconds": last,
+        "orbitfb_ticks_total": ticks,
+        "orbitfb_tick_period_nominal_seconds": period,
+        "orbitfb_uptime_seconds": "100+10x120",
+    }
+
+
 CASES = {
     "OrbitNotClosed": Case(
         {**state("HELD"), 'orbitfb_loop_state_reason_info{state="HELD", reason="away"}': "1x60"},
@@ -156,7 +167,12 @@ CASES = {
     ),
     "OrbitHeartbeatGone": Case(
         {"up": "0x60"},
-        ({"up": "1x60", "orbitfb_ticks_total": "0+100x60"},),
+        (
+            alive("0+10x60", "0+100x60"),
+            alive("-100+10x60", "0+100x60"),  # its clock is behind
+            alive("0+10x10 100+0x2 130+10x60", "0+100x10 1000x2 1100+100x60"),  # 30 s without
+            alive("0x5 60x5 120x5 180x5 240x5", "0x5 1x5 2x5 3x5 4x5", "60x60"),  # one a minute
+        ),
     ),
 }
 """By the name of the alert."""
@@ -168,7 +184,8 @@ ALSO_FIRES: tuple[tuple[str, Series], ...] = (
     ("OrbitTickLate", pace("0x60", "0.1x60", 0.09)),
     ("OrbitArchiveNotWriting", archive("5x60", "0x60", "0x60")),
     ("OrbitArchiveNotWriting", archive("0+100x60", "0+1x60", "0x60")),
-    ("OrbitHeartbeatGone", {"up": "1x60", "orbitfb_ticks_total": "70x60"}),
+    ("OrbitHeartbeatGone", alive("0+10x16 160x60", "0+100x16 1600x60")),  # hangs from 160 s on
+    ("OrbitHeartbeatGone", {**alive("_", "0x60"), "orbitfb_uptime_seconds": "5+10x60"}),
     ("OrbitHeartbeatGone", {"something_else": "1x60"}),
 )
 """Other ways in which one fires."""

@@ -1,12 +1,16 @@
 """Every rule and every alert under promtool: firing, and not firing when it comes near."""
 
+import json
+import re
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import yaml
-from alert_cases import ALSO_FIRES, CASES, OWN, Series
+from alert_cases import ALSO_FIRES, CASES, OWN, Series, state
+
+from deploy.grafana.generate import files
 
 DEPLOY = Path(__file__).parents[2] / "deploy/prometheus"
 RULES = [str(DEPLOY / name) for name in ("orbitfb-rules.yml", "orbitfb-alerts.yml")]
@@ -90,6 +94,56 @@ def test_an_alert_says_what_it_knows(promtool_program: str, tmp_path: Path):
     assert {alert: case.says for alert, case in CASES.items() if case.says not in told} == {}
     assert "error" not in told
     assert told.count("http://docs/runbooks/") == len(CASES)
+
+
+def foreign(selector: str, own: str) -> str:
+    """Give the same series of a service that is not asked about, with other words."""
+    words = re.sub(r'(reason|places|effect|stage)="[^"]*"', r'\1="foreign"', owned(selector))
+    return words.replace(OWN, own)
+
+
+def test_an_alert_says_nothing_of_another_service(promtool_program: str, tmp_path: Path):
+    tests = []
+    asked = ("_info", "_limit", "_probability")
+    for alert, case in CASES.items():
+        test = group(alert, alert, case.fires, case.at, 1)
+        for own in ('job="orbitfb", instance="another"', 'job="another", instance="ring"'):
+            said = {
+                name: "77x120"
+                for name in case.fires
+                if name.partition("{")[0].removesuffix("}").endswith(asked)
+            }
+            said |= (
+                state("FAULT")
+                if alert == "OrbitNotClosed" and own.startswith('job="another"')
+                else {}
+            )
+            test["input_series"] += [
+                {"series": foreign(name, own), "values": values} for name, values in said.items()
+            ]
+        test["alert_rule_test"] = [{"alertname": alert, "eval_time": case.at, "exp_alerts": []}]
+        tests.append(test)
+    told = " ".join(run_groups(promtool_program, tmp_path, tests).split())
+    assert {alert: case.says for alert, case in CASES.items() if case.says not in told} == {}
+    assert "foreign" not in told and "77" not in told and "It is FAULT" not in told
+
+
+def test_the_panel_counts_the_alerts_of_its_service(promtool_program: str, tmp_path: Path):
+    panels = json.loads(files()["shift.json"])["panels"]
+    (panel,) = [panel for panel in panels if panel["title"] == "Alerts"]
+    expression = panel["targets"][0]["expr"]
+    test = group("alerts", "OrbitBpmsMasked", {"orbitfb_bpms_invalid": "3x60"}, "5m", 1)
+    test["input_series"].append({"series": f"up{{{OWN}}}", "values": "1x60"})
+    gone = group("gone", "OrbitHeartbeatGone", {"something_else": "1x60"}, "5m", 1)
+    for one, instance, count in ((test, "ring", 1), (test, "another", 0), (gone, "ring", 1)):
+        one["promql_expr_test"].append(
+            {
+                "expr": expression.replace("$instance", instance),
+                "eval_time": "5m",
+                "exp_samples": [{"labels": "{}", "value": count}],
+            }
+        )
+    assert run_groups(promtool_program, tmp_path, [test, gone]) == ""
 
 
 def test_a_wrong_expectation_is_seen(promtool_program: str, tmp_path: Path):

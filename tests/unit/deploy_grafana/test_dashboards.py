@@ -10,7 +10,9 @@ import yaml
 
 from deploy.grafana.dashboard import Dashboard, dashboard_json
 from deploy.grafana.generate import DASHBOARDS, TARGET, files
+from deploy.grafana.loop import LATENCY_LIMIT, PERIOD_LIMIT
 from deploy.grafana.panels import COLUMNS, INFORMATION, Panel, Query
+from deploy.grafana.shift import RMS_LIMIT
 from orbitfb.observe.metrics_list import METRICS
 
 ROOT = Path(__file__).parents[3]
@@ -82,7 +84,7 @@ def test_every_panel_has_unit_description_thresholds_and_the_variable_datasource
             assert panel["datasource"]["uid"] == "${datasource}"
             for target in panel["targets"]:
                 assert target["datasource"] == panel["datasource"]
-                assert "$instance" in target["expr"] or "ALERTS" in target["expr"]
+                assert "$instance" in target["expr"]
 
 
 def test_no_dashboard_or_rule_asks_for_what_is_not_exported():
@@ -147,6 +149,59 @@ def test_every_alert_has_meaning_first_action_and_a_runbook_of_its_own():
     assert len(pages) == len(alerts) == 11
     there = {path.name for path in (ROOT / "docs/runbooks").glob("*.md")}
     assert there - {"index.md"} == pages
+
+
+def test_every_query_of_an_alert_s_text_asks_for_its_own_service():
+    queries = 0
+    for alert in rules(ALERTS):
+        text = " ".join(alert["annotations"].values())
+        own = re.findall(
+            r"""printf "\w+\{job='%s', instance='%s'[^"]*" """
+            r"""\$labels\.job \$labels\.instance \| query""",
+            text,
+        )
+        assert len(own) == len(re.findall(r"\bquery\b", text)), alert["alert"]
+        queries += len(own)
+    assert queries == 7
+
+
+def test_colours_and_lines_of_the_panels_are_those_of_the_alerts():
+    limits = {alert["alert"]: alert["expr"] for alert in rules(ALERTS)}
+    assert f'noise_ratio{{job="orbitfb"}} > {RMS_LIMIT} ' in limits["OrbitRmsHigh"] + " "
+    late = limits["OrbitTickLate"]
+    for limit in (PERIOD_LIMIT, LATENCY_LIMIT):
+        assert f"> {limit} * orbitfb_tick_period_nominal_seconds" in late
+    panels = {(one["uid"], panel["title"]): panel for one in loaded() for panel in drawn(one)}
+    for title in ("Orbit RMS", "Orbit RMS over the noise floor", "Worst BPMs"):
+        panel = panels["orbitfb-shift", title]
+        assert "noise_ratio" in panel["targets"][0]["expr"]
+        assert panel["fieldConfig"]["defaults"]["thresholds"]["steps"][-1]["value"] == RMS_LIMIT
+
+
+def test_no_colour_judges_a_length_or_a_time():
+    """Noise and rate differ from ring to ring: only ratios to them are good or bad."""
+    for one in loaded():
+        for panel in drawn(one):
+            defaults = panel["fieldConfig"]["defaults"]
+            if one["uid"] in ("orbitfb-shift", "orbitfb-loop") and defaults["unit"] in (
+                "lengthm",
+                "s",
+                "hertz",
+            ):
+                assert len(defaults["thresholds"]["steps"]) == 1, panel["title"]
+
+
+def test_windows_hold_two_samples_of_the_longest_scrape_interval():
+    expressions = [rule["expr"] for path in (RULES, ALERTS) for rule in rules(path)]
+    expressions += [
+        target["expr"] for one in loaded() for p in drawn(one) for target in p["targets"]
+    ]
+    expressions += [note["expr"] for one in loaded() for note in one["annotations"]["list"]]
+    windows = {window for text in expressions for window in re.findall(r"\[(\w+)\]", text)}
+    seconds = {
+        window: int(window[:-1]) * {"s": 1, "m": 60, "d": 86400}[window[-1]] for window in windows
+    }
+    assert min(seconds.values()) == 120, seconds
 
 
 def test_provisioning_leads_to_the_dashboards():

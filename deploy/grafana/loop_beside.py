@@ -1,0 +1,96 @@
+"""Rows of the dashboard Loop beside the ticks: Channel Access and the archive."""
+
+from deploy.grafana.panels import GREEN, INFORMATION, RED, YELLOW, Panel, Query, Steps, metric
+
+ACCESS = (
+    Panel(
+        "stat",
+        "Channels away",
+        "Channels to the machine that are not connected now; the log names them.",
+        "none",
+        (Query(metric("orbitfb:channels_away:sum"), "away"),),
+        4,
+        Steps(GREEN, ((1, RED),)),
+        8,
+    ),
+    Panel(
+        "timeseries",
+        "Channels connected",
+        "By kind; a setpoint that is away lets nothing be written.",
+        "none",
+        (
+            Query(metric("channel_access_channels_connected"), "{{kind}}"),
+            Query(metric("channel_access_channels"), "{{kind}}, all", "floor"),
+        ),
+        10,
+        Steps(RED, ((1, GREEN),)),
+        8,
+        {"min": 0},
+    ),
+    Panel(
+        "timeseries",
+        "Channels lost, last 15 min",
+        "How often a channel went away: an IOC that restarts loses all of its own at once.",
+        "none",
+        (Query(f"increase({metric('channel_access_losses_total')}[15m])", "{{kind}}", "bars"),),
+        10,
+        Steps(GREEN, ((1, YELLOW), (100, RED))),
+        8,
+        {"min": 0, "decimals": 0},
+    ),
+)
+
+ARCHIVE = (
+    Panel(
+        "stat",
+        "Disk",
+        "Whether the disk takes the archive.",
+        "none",
+        (Query(metric("archive_failing"), "disk"),),
+        4,
+        Steps(GREEN, ((1, RED),)),
+        7,
+        {"texts": {0: ("writes", GREEN), 1: ("refuses", RED)}},
+    ),
+    Panel(
+        "timeseries",
+        "Rows to disk",
+        "Per second; it follows the rate of the ticks.",
+        "hertz",
+        (
+            Query(metric("orbitfb:archive_rows:rate2m"), "rows"),
+            Query(metric("orbitfb:ticks:rate2m"), "ticks", "floor"),
+        ),
+        7,
+        INFORMATION,
+        7,
+        {"min": 0},
+    ),
+    Panel(
+        "timeseries",
+        "Rows waiting, rows dropped in 5 min",
+        "Rows wait for the disk in memory; when `history.archive.queue` is full they are dropped.",
+        "none",
+        (
+            Query(metric("archive_rows_waiting"), "waiting"),
+            Query(f"increase({metric('archive_rows_dropped_total')}[5m])", "dropped", "bars"),
+        ),
+        7,
+        Steps(GREEN, ((100, YELLOW), (1000, RED))),
+        7,
+        {"min": 0, "decimals": 0},
+    ),
+    Panel(
+        "stat",
+        "Post-mortems since the start",
+        "Written: of trips or on request. Failed: lost.",
+        "none",
+        (
+            Query(metric("postmortems_written_total"), "written"),
+            Query(metric("postmortems_failed_total"), "failed"),
+        ),
+        6,
+        Steps(GREEN, ((1, YELLOW),)),
+        7,
+    ),
+)
