@@ -236,6 +236,8 @@ def test_the_manifests_belong_together(tmp_path: Path):
     for name, text in files["data"].items():
         (tmp_path / name).write_text(text)
     config = load_config(tmp_path / "orbitfb.toml", environment={})
+    copied = tomllib.loads(files["data"]["orbitfb.toml"])
+    assert copied == tomllib.loads((DEPLOY / "orbitfb.toml").read_text())
     assert config.observe.port == probe("livenessProbe")["httpGet"]["port"]
     assert str(config.observe.port) in probe("startupProbe")["exec"]["command"]
     assert read_access(tmp_path / "access.toml", "127.0.0.1", WRITABLE).rules
