@@ -45,7 +45,7 @@ _TICKS = (
             Query(metric("orbitfb:ticks:rate2m"), "rate", unit="hertz"),
         ),
         4,
-        Steps(RED, ((0.5, YELLOW), (0.9, GREEN))),
+        Steps(RED, ((0.01, GREEN),)),
         4,
         {"decimals": 2},
     ),
