@@ -103,6 +103,7 @@ def open_doors(
     directory = config.data_directory
     base = Base(channels, parts.counting, parts.movable, config.panel, directory)
     adjuster = Adjuster(base, parts.runner, slot, parts.dither)
+    statistics.enabled = lambda: parts.runner.adjustments.enabled
     if adjuster.restore():
         _log.info("operator_settings_restored", file=str(directory / FILE))
         statistics.happened("command", f"settings of operators restored from {FILE}")

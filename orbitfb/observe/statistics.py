@@ -3,6 +3,7 @@
 import math
 import threading
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +40,10 @@ TRUE_RMS = "true_orbit_rms"
 """Auxiliary channel in which a simulated ring tells its orbit RMS without BPM noise [m]."""
 
 
+_ANSWERED = 1.0
+"""Time from the closing of the loop within which the command for it is told [s]."""
+
+
 class LoopStatistics:
     """Keep the running figures of the loop.
 
@@ -51,6 +56,10 @@ class LoopStatistics:
         limit: Limit of |setpoint|, one for all or shape (m,) [A].
         clock: The loop's clock.
         counting: BPMs that are not masked by configuration, shape (n,); None: all.
+
+    Attributes:
+        enabled: Tells which BPMs operators have not disabled, shape (n,): the others are left out
+            on purpose, and not invalid.
     """
 
     def __init__(
@@ -66,7 +75,9 @@ class LoopStatistics:
         )
         self._clock = clock
         count = len(channels.bpms)
-        self._counting = np.ones(count, dtype=np.bool_) if counting is None else counting.copy()
+        all_bpms: Mask = np.ones(count, dtype=np.bool_)
+        self.enabled: Callable[[], Mask] = lambda: all_bpms
+        self._counting = all_bpms if counting is None else counting.copy()
         if channels.planes == "xy":
             self._planes = {"x": slice(0, count // 2), "y": slice(count // 2, count)}
         else:
@@ -139,7 +150,9 @@ class LoopStatistics:
             refusal: Why it was refused; empty when it was carried out.
         """
         with self._lock:
-            self._tallies.commanded(name, user, host, refusal)
+            last, since = self._last, self._clock.monotonic() - self._state_since
+            idle = last is not None and last.state is LoopState.CLOSED and since > _ANSWERED
+            self._tallies.commanded(name, user, host, refusal, idle=idle and name == "close")
 
     def happened(self, kind: str, text: str) -> None:
         """Note something that people want to know; called from any thread.
@@ -204,7 +217,7 @@ class LoopStatistics:
                 masked=int(np.count_nonzero(~self._counting)),
                 invalid=0
                 if orbit is None
-                else int(np.count_nonzero(self._counting & ~orbit.valid)),
+                else int(np.count_nonzero(self._counting & self.enabled() & ~orbit.valid)),
                 bpms=len(self._channels.bpms),
                 time=stamp,
                 worst_bpms=worst(errors, self._channels.bpms, self._channels.planes),

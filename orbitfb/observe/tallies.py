@@ -63,10 +63,12 @@ class Tallies:
         if sight.resolved and not (before is not None and before.resolved):
             self.note("gap", f"{sight.nats:.3g} nats/tick, {sight.effect} suspected")
 
-    def commanded(self, name: str, user: str, host: str, refusal: str = "") -> None:
-        """Count a command; see `LoopStatistics.commanded`."""
+    def commanded(
+        self, name: str, user: str, host: str, refusal: str = "", *, idle: bool = False
+    ) -> None:
+        """Count a command; see `LoopStatistics.commanded`. One that is `idle` changed nothing."""
         self.commands["refused" if refusal else "given"] += 1
-        if name == "close" and not refusal:
+        if name == "close" and not refusal and not idle:
             self.closed_by(user, host)
         self.note("command", f"{name} by {user}@{host}{f' refused: {refusal}' if refusal else ''}")
 

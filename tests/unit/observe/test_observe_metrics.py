@@ -254,6 +254,9 @@ def test_who_closed_the_loop_is_told(statistics, clock):
     assert values["orbitfb_loop_closed_by_info", (("host", "10.0.5.9"), ("user", "jane"))] == 1
     assert values["orbitfb_commands_total", (("outcome", "given"),)] == 2
     assert values["orbitfb_commands_total", (("outcome", "refused"),)] == 1
+    clock.advance(30.0)
+    statistics.commanded("close", "late", "10.0.5.8")  # it was closed already
+    assert statistics.snapshot().closing.user == "jane"
 
 
 def test_refusals_are_counted_by_reason_without_its_figures(statistics):

@@ -48,6 +48,8 @@ def test_a_bpm_that_is_masked_by_configuration_is_not_invalid(clock):
     statistics(record(valid=(True, False, False, True)))
     orbit = statistics.snapshot().orbit
     assert (orbit.masked, orbit.invalid, orbit.bpms) == (1, 1, 4)
+    statistics.enabled = lambda: np.array([True, True, False, True])  # nor one that is disabled
+    assert statistics.snapshot().orbit.invalid == 0
 
 
 def test_planes_are_told_apart(clock):
