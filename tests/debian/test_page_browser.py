@@ -266,6 +266,7 @@ def test_an_old_picture_never_looks_live_and_the_page_comes_back(loop: Loop, chr
         sync_api.expect(page.locator("#state-for")).to_contain_text("was ")
         sync_api.expect(page.locator("#notice")).to_contain_text("NOT LIVE")
         assert page.title().startswith("NOT LIVE")
+        sync_api.expect(page.locator("#tick-age")).to_have_text(re.compile(r"^\d+ s ago$"))
         main = page.locator("main")
         sync_api.expect(main).to_have_css("filter", "grayscale(1)")
         try:
