@@ -116,7 +116,7 @@ def measure_response(
         journal = Journal(directory, channels, where)
         timeout = max(1.0, 5.0 * config.loop.period)
         watch = Watch(machine, config.measure, config.interlocks, counting, timeout, stop.asked)
-        put_back(machine, journal, where, watch, config, request.restore, say, confirm)
+        put_back(machine, nominal, journal, where, watch, config, request.restore, say, confirm)
         table = taken_up(journal, channels, config, request.fresh, begin, say)
         measurement = Measurement(
             machine,

@@ -15,12 +15,14 @@ from orbitfb.measure.journal import Journal
 from orbitfb.measure.measurement import conditions
 from orbitfb.measure.mover import Mover, restore_persistently
 from orbitfb.measure.watch import Watch
+from orbitfb.physics.optics import Matrix
 
 Say = Callable[[str], None]
 
 
 def put_back(
     machine: Machine,
+    nominal: Matrix,
     journal: Journal,
     where: str,
     watch: Watch,
@@ -29,7 +31,11 @@ def put_back(
     say: Say,
     confirm: Callable[[str], bool] | None,
 ) -> None:
-    """Offer to put back what a killed measurement left astray."""
+    """Offer to put back what a killed measurement left astray.
+
+    Setpoints that would move the orbit farther than a measurement may are not put back: somebody
+    has set others since, or the record of them is wrong.
+    """
     moved = journal.moved()
     if moved is None:
         return
@@ -68,6 +74,16 @@ def put_back(
                 f"({limit:g} A), so that nothing is moved; put the setpoints back by hand and say "
                 "--leave"
             )
+        step = moved.setpoints - mover.base[mine]
+        far = float(np.sqrt(np.mean((nominal[:, mine] @ step) ** 2)))
+        if not far <= config.measure.excursion_rms:
+            raise MeasurementError(
+                f"{found}\nto put them back would move the orbit by {far * 1e6:.4g} µm rms by the "
+                f"optics, farther than a measurement may (measure.excursion_rms, "
+                f"{config.measure.excursion_rms * 1e6:g} µm), so that nothing is moved; put the "
+                "setpoints back by hand and say --leave"
+            )
+        say(found)
         mover.base[mine] = moved.setpoints
         patience = config.measure.restore_timeout
         restore_persistently(mover, mine.tolist(), machine, SystemClock(), patience)

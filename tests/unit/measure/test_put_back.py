@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from measured_ring import Bench
+from measured_ring import NOMINAL, Bench
 from numpy.testing import assert_array_equal
 
 from orbitfb.config import AppConfig
@@ -18,7 +18,7 @@ def restore(bench: Bench, found: float) -> None:
     watch = Watch(
         bench.machine, bench.settings, bench.interlocks, bench.counting, 0.5, lambda: False
     )
-    put_back(bench.machine, bench.journal, "here", watch, AppConfig(), True, print, None)
+    put_back(bench.machine, NOMINAL, bench.journal, "here", watch, AppConfig(), True, print, None)
 
 
 def test_it_is_put_back(tmp_path):
@@ -33,5 +33,13 @@ def test_what_says_it_was_beyond_the_limit_moves_nothing(tmp_path):
     bench = Bench(tmp_path)
     with pytest.raises(MeasurementError, match=r"beyond limits\.setpoint .* nothing is moved"):
         restore(bench, 500.0)
+    assert_array_equal(bench.machine.setpoints(), bench.base)
+    assert bench.journal.moved() is not None
+
+
+def test_what_would_throw_the_orbit_out_moves_nothing(tmp_path):
+    bench = Bench(tmp_path)
+    with pytest.raises(MeasurementError, match=r"would move the orbit by .* µm rms"):
+        restore(bench, 9.0)
     assert_array_equal(bench.machine.setpoints(), bench.base)
     assert bench.journal.moved() is not None
