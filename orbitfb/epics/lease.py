@@ -172,7 +172,10 @@ class Lease:
     def refusal(self) -> str:
         """Say why the machine must not be written to now; empty when it may."""
         if self._taken_by:
-            return f"the lease of the machine was taken by {self._taken_by}"
+            return (
+                f"the lease of the machine was taken by {self._taken_by}; this controller does not "
+                "take it back: end the other one, then start this one again"
+            )
         age = self._clock.monotonic() - self._confirmed
         if age < self._time:
             return ""

@@ -138,7 +138,7 @@ def test_who_was_asleep_does_not_write_before_it_has_looked(texts: Texts):
     texts.texts[0] = "ws7:12:ab:5"
     lease.beat()
     assert lost == ["ws7:12:ab"]
-    assert lease.refusal() == "the lease of the machine was taken by ws7:12:ab"
+    assert lease.refusal().startswith("the lease of the machine was taken by ws7:12:ab; ")
     lease.beat()
     lease.release()
     assert lost == ["ws7:12:ab"] and texts.texts == ["ws7:12:ab:5"]
@@ -233,7 +233,7 @@ def test_a_lease_that_comes_late_and_is_held_ends_the_control(texts: Texts):
     texts.at(1.5, "other:1:ab:8")
     late.lease.beat()
     assert late.lost == ["other:1:ab"] and not late.taken and not texts.written
-    assert late.lease.refusal() == "the lease of the machine was taken by other:1:ab"
+    assert late.lease.refusal().startswith("the lease of the machine was taken by other:1:ab; ")
     late.lease.release()
     assert texts.texts == ["other:1:ab:8"]
 
