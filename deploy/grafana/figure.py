@@ -18,7 +18,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deploy.grafana.panels import Panel
+from deploy.grafana.panels import Panel, Steps
 from deploy.grafana.shift import SHIFT, STATES, TIMES_NOISE
 
 OUT = Path("docs/how-to/dashboard-shift.png")
@@ -161,10 +161,15 @@ def _bars(axes: Axes, panel: Panel, series: Sequence[Series], begin: float) -> N
     last = sorted(
         ((one.values[-1], one.name) for one in series if one.times[-1] == newest), reverse=True
     )
-    axes.barh([name for _, name in last], [factor * value for value, _ in last], color="tab:green")
+    colours = [_COLOURS[_colour(panel.steps, value)] for value, _ in last]
+    axes.barh([name for _, name in last], [factor * value for value, _ in last], color=colours)
     axes.invert_yaxis()
     axes.tick_params(labelsize=8)
     axes.set_xlabel(f"[{unit}]")
+
+
+def _colour(steps: Steps, value: float) -> str:
+    return [steps.base, *(colour for bound, colour in steps.steps if value >= bound)][-1]
 
 
 def main() -> None:

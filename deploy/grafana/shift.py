@@ -136,7 +136,11 @@ _ORBIT = (
         (
             Query(metric("orbit_rms_window_meters"), "orbit {{plane}}"),
             Query(metric("bpm_noise_meters"), "noise floor ({{source}})", "floor"),
-            Query(f"{RMS_LIMIT} * {metric('bpm_noise_meters')}", "alert above", "limit"),
+            Query(
+                f"{RMS_LIMIT} * max without (source) ({metric('bpm_noise_meters')})",
+                "alert above",
+                "limit",
+            ),
             Query(metric("true_orbit_rms_window_meters"), "true"),
         ),
         12,
