@@ -93,7 +93,7 @@ def read_card(directory: Path) -> PolicyCard:
         StoreError: The card is missing, damaged, of another version or of another policy.
     """
     path = directory / "card.json"
-    advice = f"remove {directory} and refit, or activate another policy (orbitfb policies activate ID)"
+    advice = f"remove {directory} and refit, or activate another policy"
     content = read_json(path, _LARGEST_CARD, advice)
     try:
         card = PolicyCard.model_validate(content)

@@ -32,7 +32,7 @@ def decode(path: Path, card: PolicyCard) -> StoredPolicy:
     Raises:
         StoreError: The file is missing, damaged, exchanged, or not what the card says.
     """
-    advice = f"remove {path.parent} and refit, or activate another policy (orbitfb policies activate ID)"
+    advice = f"remove {path.parent} and refit, or activate another policy"
     kind = kind_named(card.kind)
     if kind is None:
         raise StoreError(f"{path} is of kind {card.kind!r}, unknown to this version; {advice}")
