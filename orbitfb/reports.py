@@ -70,7 +70,8 @@ class Reports:
     def archive_resumed(self, lost: int) -> None:
         """Take that the archive writes again, and how many ticks it lost since the start."""
         _log.info("archive_resumed", lost=lost)
-        self._statistics.happened("archive", f"written again; {lost} ticks lost since the start")
+        told = f"written again; {lost} ticks since the start were not written"
+        self._statistics.happened("archive", told)
 
     def clock_set(self, text: str) -> None:
         """Take that somebody set a clock."""

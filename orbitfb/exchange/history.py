@@ -122,7 +122,7 @@ def _kept(history: History) -> tuple[Mask, Mask]:
     """Choose the BPMs that are mostly valid, the correctors that are ever known."""
     bpms: Mask = np.isnan(history.orbit).mean(axis=0) <= MOST_INVALID
     correctors: Mask = np.asarray(np.isfinite(history.setpoints).any(axis=0))
-    known = np.isfinite(history.orbit).any(axis=0)
+    known: Mask = np.asarray(np.isfinite(history.orbit).any(axis=0))
     if not bpms.any():
         most = f"{100 * MOST_INVALID:.0f} % of the time"
         raise ExchangeError(
