@@ -24,11 +24,16 @@ def configshow(config_file: ConfigFile = None) -> None:
 
 @config.command("check")
 def config_check(path: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
-    """Say whether a configuration file is good, its ring and the names of masks included."""
+    """Say whether a configuration file is good, with the files that it names."""
+    from orbitfb.doors import check_panel
+    from orbitfb.measure.response_file import nominal_response
     from orbitfb.policies.masking import mask_of
 
     settings = configure(path)
-    mask_of(settings.ring.load().channels(settings.ring.planes), settings.masks)
+    ring, planes = settings.ring.load(), settings.ring.planes
+    mask_of(ring.channels(planes), settings.masks)
+    nominal_response(ring, planes, settings.ring.response, settings.masks)
+    check_panel(settings, ring.channels(planes))
     print(f"{path}: good")
 
 

@@ -270,3 +270,18 @@ def test_command_line_accepts_what_it_shows(tmp_path: Path):
     file.write_text(cli("config", "show").stdout)
     done = cli("config", "check", file)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"{file}: good\n", "")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[panel]\nenabled = true\nrules = "nowhere.toml"\n', "nowhere.toml"),
+        ('[ring]\nresponse = "nowhere.safetensors"\n', "nowhere.safetensors"),
+    ],
+)
+def test_the_check_opens_the_files_that_are_named(tmp_path: Path, text: str, words: str):
+    file = tmp_path / "named.toml"
+    file.write_text(text)
+    done = cli("config", "check", file)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert words in done.stderr
