@@ -38,8 +38,6 @@ LATENCY_WINDOW = 60.0
 
 TRUE_RMS = "true_orbit_rms"
 """Auxiliary channel in which a simulated ring tells its orbit RMS without BPM noise [m]."""
-
-
 _ANSWERED = 1.0
 """Time from the closing of the loop within which the command for it is told [s]."""
 

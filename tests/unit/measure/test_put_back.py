@@ -29,17 +29,16 @@ def test_it_is_put_back(tmp_path):
     assert bench.journal.moved() is None
 
 
-def test_what_says_it_was_beyond_the_limit_moves_nothing(tmp_path):
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (500.0, r"beyond limits\.setpoint .* nothing is moved"),
+        (9.0, r"would move the orbit by .* µm rms"),
+    ],
+)
+def test_what_cannot_be_right_moves_nothing(tmp_path, found, words):
     bench = Bench(tmp_path)
-    with pytest.raises(MeasurementError, match=r"beyond limits\.setpoint .* nothing is moved"):
-        restore(bench, 500.0)
-    assert_array_equal(bench.machine.setpoints(), bench.base)
-    assert bench.journal.moved() is not None
-
-
-def test_what_would_throw_the_orbit_out_moves_nothing(tmp_path):
-    bench = Bench(tmp_path)
-    with pytest.raises(MeasurementError, match=r"would move the orbit by .* µm rms"):
-        restore(bench, 9.0)
+    with pytest.raises(MeasurementError, match=words):
+        restore(bench, found)
     assert_array_equal(bench.machine.setpoints(), bench.base)
     assert bench.journal.moved() is not None
