@@ -4,6 +4,10 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
+# Tests that start services, on a computer busy with others: what failed is tried once more, alone.
+# Both results are printed; one that failed once is a bug of the test or of the program.
+twice = $(PYTEST) $(1) || { test $$? -eq 1 && echo "once more, alone:" && $(PYTEST) --last-failed $(1); }
+
 # make docs: the pages as a site in site/.
 .PHONY: run test test-system test-docs docs newcomer venv lint types layers audit format bench clean blind chaos soak
 
@@ -14,7 +18,7 @@ run: venv
 # on two cores several at once take as long, and what they say about time is no longer true.
 test: venv
 	$(PYTEST) tests/unit -n logical --maxprocesses 8 --dist loadscope --no-loadscope-reorder
-	$(PYTEST) --ignore tests/unit
+	$(call twice,--ignore tests/unit)
 
 venv: $(STAMP)
 
@@ -67,7 +71,7 @@ soak: venv
 # What needs programs of Debian, and every page: some minutes.
 test-system: venv
 	@tests/debian/install
-	$(PYTEST) -m "slow or debian" tests/debian tests/system/test_docs_snippets.py
+	$(call twice,-m "slow or debian" tests/debian tests/system/test_docs_snippets.py)
 
 clean:
 	rm -rf .venv build dist

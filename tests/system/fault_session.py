@@ -57,7 +57,7 @@ class Session:
 
     def wait(self, state: str, words: str, timeout: float = 20.0) -> dict[str, Any]:
         return self.service.wait_status(
-            f"{state} with {words!r}: {self.service.status()['reason']}",
+            f"{state} with {words!r}",
             lambda status: status["state"] == state and words in status["reason"],
             timeout,
         )

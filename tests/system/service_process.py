@@ -232,16 +232,21 @@ class Service(Process):
 
     def wait_status(self, what: str, look: Callable[[dict[str, Any]], Any], timeout: float) -> Any:
         """Wait until its status shows something; gives that status."""
+        last: dict[str, Any] = {}
 
         def once() -> dict[str, Any] | None:
+            nonlocal last
             self.check_alive()
             try:
-                status = self.status()
+                last = self.status()
             except ControlError:
                 return None
-            return status if look(status) else None
+            return last if look(last) else None
 
-        return wait_for(what, once, timeout)
+        try:
+            return wait_for(what, once, timeout)
+        except AssertionError as error:
+            raise AssertionError(f"{error}, but {last}") from None
 
     def wait_state(self, state: str, timeout: float = START) -> Any:
         """Wait until it is in a state."""

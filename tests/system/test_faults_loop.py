@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_session import RATE, Session, fault_session
-from service_process import CHANNELS, transitions, wait_for
+from service_process import CHANNELS, START, transitions, wait_for
 
 from orbitfb.control import ask
 from orbitfb.core.errors import ControlError
@@ -122,7 +122,16 @@ def test_the_clock_of_the_ioc_is_set_and_the_loop_goes_on_once_it_is_right(sessi
 
 
 def test_an_orbit_that_leaves_too_fast_trips_and_the_setpoints_stay(session: Session):
-    session.kick(0.7)
+    def settled(status: dict[str, Any]) -> bool:
+        good = status["state"] == "CLOSED" and not status["reason"]
+        return status["state"] == "TRIPPED" or (good and session.service.orbit_rms() < 1.0)
+
+    for _ in range(4):  # one that a busy computer sees after half a second is slow, and corrected
+        session.kick(0.8)
+        time.sleep(1.0)
+        status = session.service.wait_status("trip or recovery", settled, START)
+        if status["state"] == "TRIPPED":
+            break
     session.wait("TRIPPED", "allowed: 500 µm/s")
     left = session.setpoints()
     time.sleep(5 / RATE)
