@@ -23,12 +23,14 @@ class Cause:
         places: Columns, pairs (of a `PairKind`) or places (of a `SourceKind`); empty for a ring.
         values: All parameters, SI.
         onset: Row from which on it acts.
+        free: Whether its step at the onset says nothing: it acts on what changes from then on.
     """
 
     kind: EffectKind
     places: tuple[int, ...]
     values: Values
     onset: int = 0
+    free: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

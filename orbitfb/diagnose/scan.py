@@ -61,9 +61,10 @@ class Scanner:
             found = list(self._placed(kind))
         if isinstance(kind, SensorKind) and kind.colours:
             found += of_colour(self._bench, kind)
-        best: dict[tuple[tuple[int, ...], bool], Candidate] = {}
+        best: dict[tuple[tuple[int, ...], bool, bool], Candidate] = {}
         for candidate in found:
-            key = (candidate.cause.places, candidate.cause.onset > 0)
+            cause = candidate.cause
+            key = (cause.places, cause.onset > 0, cause.free)
             if key not in best or candidate.gain > best[key].gain:
                 best[key] = candidate
         ranked = sorted(best.values(), key=lambda c: c.gain - np.log(c.choices), reverse=True)
@@ -101,6 +102,8 @@ class Scanner:
             yield from self._growing(kind, grid)
         elif kind.sudden and "single" in closer:
             yield from self._onsets(kind, *closer["single"][1:])
+            if isinstance(kind, ActuatorKind) and kind.linear is not None:
+                yield from self._onsets(kind, *closer["single"][1:], free=True)
 
     def _cell(self, kind: ActuatorKind | SensorKind, changes: Changes) -> float:
         """Best gain, roughly, if every place of one cell were struck alike."""
@@ -164,14 +167,16 @@ class Scanner:
                     name,
                 )
 
-    def _onsets(self, kind: EffectKind, values: Values, changes: Changes) -> Iterator[Candidate]:
-        """Try every row as the beginning, place by place."""
+    def _onsets(
+        self, kind: EffectKind, values: Values, changes: Changes, *, free: bool = False
+    ) -> Iterator[Candidate]:
+        """Try every row as the beginning, place by place; with a free first step if so asked."""
         score = _sum(shapes.pull * drivers for shapes, drivers in changes.parts)
         later_score = np.cumsum(score[::-1], axis=0)[::-1]
         later = np.zeros_like(later_score)
         row = np.arange(len(score), dtype=np.float64)
         short = 1.0 / np.maximum(row, 1.0) + 1.0 / (len(row) - row)
-        holds = holding(kind)
+        holds = free or holding(kind)
         if holds:
             for shapes, drivers in changes.parts:
                 pull = np.cumsum(shapes.pull[::-1], axis=0)[::-1]
@@ -199,7 +204,7 @@ class Scanner:
             if height[place] > 0:
                 scaled = sized(kind, values, float(strength[row, place]))
                 yield Candidate(
-                    Cause(kind, (int(place),), scaled, row),
+                    Cause(kind, (int(place),), scaled, row, free),
                     float(height[place]),
                     float(gain.size),
                 )

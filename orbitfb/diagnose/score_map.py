@@ -102,7 +102,7 @@ def _since(cause: Cause, drivers: Matrix) -> Matrix:
     onset, rows = cause.onset, len(drivers)
     if cause.kind.grows:
         later[onset:] = drivers[: rows - onset]
-    elif holding(cause.kind):
+    elif cause.free or holding(cause.kind):
         later[onset:] = drivers[onset:] - drivers[onset]
     else:
         later[onset:] = drivers[onset:]

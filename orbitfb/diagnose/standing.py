@@ -4,6 +4,9 @@ The error of a magnet kicks by the orbit in it. How that changes, the correctors
 its centre the beam stood when the error began they do not: they hold what they had made up for. So
 the step at the onset says nothing of the size of the error: it is left free, one amplitude per
 place and plane, and the record is looked at across it.
+
+A corrector whose calibration is wrong from some row on may make a step, by what it holds, or none,
+if the calibration is that of the changes (a driver that sends increments). Both are tried.
 """
 
 from collections.abc import Sequence
@@ -21,6 +24,8 @@ from orbitfb.physics.optics import Matrix
 
 _KICK = 0.5e-6
 """Scatter of such a first kick before the data: an error of 0.005 1/m times 100 µm [rad]."""
+_CURRENT = 0.02
+"""The same of a corrector: a tenth of 0.2 A [A]."""
 _BLIND = 1e-6
 """Share of a step below which another one has all of it."""
 
@@ -33,7 +38,8 @@ _Key = tuple[tuple[str, tuple[int, ...], int], ...]
 
 def is_standing(cause: Cause) -> bool:
     """Whether the first kick of a cause is free."""
-    return cause.onset > 0 and isinstance(cause.kind, SourceKind) and cause.kind.standing
+    kind = cause.kind
+    return cause.onset > 0 and (cause.free or (isinstance(kind, SourceKind) and kind.standing))
 
 
 def stretches_across(record: Record, causes: Sequence[Cause]) -> Mask:
@@ -107,7 +113,11 @@ class FreeSteps:
     def _steps(self, cause: Cause) -> list[Matrix]:
         """The orbit of a kick of 1 rad since the onset, for every place and plane."""
         layout, kind, found = self._record.layout, cause.kind, list[Matrix]()
-        patterns = kind.patterns(layout) if isinstance(kind, SourceKind) else np.zeros((0, 0))
+        patterns = (
+            kind.patterns(layout)
+            if isinstance(kind, SourceKind)
+            else layout.response * (_CURRENT / _KICK)
+        )
         for place in cause.places:
             pattern = patterns[:, place]
             for plane in layout.planes:

@@ -107,10 +107,10 @@ def _rank(entry: Entry) -> float:
 
 def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Leave out what was proposed twice."""
-    kept: dict[tuple[str, tuple[int, ...], bool], Candidate] = {}
+    kept: dict[tuple[str, tuple[int, ...], bool, bool], Candidate] = {}
     for candidate in candidates:
         cause = candidate.cause
-        kept.setdefault((cause.kind.id, cause.places, cause.onset > 0), candidate)
+        kept.setdefault((cause.kind.id, cause.places, cause.onset > 0, cause.free), candidate)
     return list(kept.values())
 
 
@@ -170,17 +170,19 @@ def _chosen(found: Sequence[Candidate]) -> list[Candidate]:
     """Take the best of the best kinds, every one without a size, and the best of the rest.
 
     One that begins late is there with the one that was always there: that is the simpler law,
-    and the scan tells the two apart roughly.
+    and the scan tells the two apart roughly. So it does for one with a free first step.
     """
     firsts: dict[str, Candidate] = {}
-    always: dict[str, Candidate] = {}
+    twins: dict[tuple[str, bool, bool], Candidate] = {}
     for candidate in found:
-        kind = candidate.cause.kind.id
-        firsts.setdefault(kind, candidate)
-        if not candidate.cause.onset and net(candidate) > _RIVAL * net(firsts[kind]):
-            always.setdefault(kind, candidate)
+        cause = candidate.cause
+        first = firsts.setdefault(cause.kind.id, candidate)
+        if net(candidate) > _RIVAL * net(first):
+            twins.setdefault((cause.kind.id, cause.onset > 0, cause.free), candidate)
     kept = [*firsts.values()][:_KINDS]
-    kept += [always[kind] for kind in firsts if kind in always and always[kind] not in kept]
+    kept += [
+        twin for (_, late, free), twin in twins.items() if (free or not late) and twin not in kept
+    ]
     kept += [one for one in firsts.values() if not one.cause.kind.parameters and one not in kept]
     kept += [one for one in found if one not in kept][: max(FINALISTS - len(kept), 0)]
     return sorted(kept, key=net, reverse=True)

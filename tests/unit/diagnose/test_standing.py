@@ -77,3 +77,23 @@ def test_the_twin_that_was_always_there_is_fitted_beside_one_that_begins_late():
     chosen = _chosen(found)
     assert late in chosen and always in chosen
     assert weak[0] in chosen and weak[1] not in chosen
+
+
+@pytest.mark.parametrize("increments", [True, False])
+def test_a_calibration_may_change_with_a_step_or_without(increments):
+    """By what the corrector holds, or of its changes alone: the record says which."""
+    column, onset = 50, 200
+    record = simulate_record(RING, "x", 450, 5, dither=3e-3, period=LAYOUT.period)
+    held = 0.02 * np.random.default_rng(3).standard_normal(len(LAYOUT.correctors))
+    record = replace(record, setpoints=record.setpoints + held)
+    own = record.setpoints[onset:, column]
+    acting = own - own[0] if increments else own
+    readings = record.readings.copy()
+    readings[onset:] += 0.3 * np.outer(acting, LAYOUT.response[:, column])
+    kinds = [KINDS["corrector-gain"], KINDS["local-kick"], KINDS["telegraph"]]
+    best = tournament(Bench(replace(record, readings=readings)), kinds)[0]
+    assert (best.kind.id, best.cause.places) == ("corrector-gain", (column,))
+    assert abs(best.cause.onset - onset) < 4
+    assert best.fit is not None
+    low, high = best.fit.interval(0)
+    assert low < 0.3 < high
