@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.diagnose.recursion import steady
+from orbitfb.diagnose.recursion import Feedback
 from orbitfb.physics.optics import Matrix
 
 _OLDEST = 3000
@@ -167,7 +167,8 @@ class Ladder:
     between two levels instead: right for the size of single changes, but no longer one filter
     that all changes share, so that what is alike in two changes comes out too small.
 
-    The beginnings of stretches, where gains are not yet steady, are treated as if they were.
+    Every stretch begins with an orbit that is not known, as for the modes themselves: without
+    drift no gain is ever steady, and an orbit that is steered away at once shows in the first rows.
 
     Args:
         floor: The noise.
@@ -192,18 +193,31 @@ class Ladder:
             steps = np.array([np.exp(np.mean(size[share > 0])) for share in self._share])
         self.feedback = [1.0 - float(step) for step in steps]
         self._floor = floor
+        # A random walk of q = r² L² / (1 − L) has the steady gain L.
+        self._filters = NoiseFloor(np.eye(len(steps)), 1.0, steps**2 / (1.0 - steps))
 
     def filtered(self, drivers: NDArray[np.floating], starts: Mask) -> list[Matrix]:
-        """Filter courses in time with every level, each of shape (N, P), in single precision."""
+        """Filter courses in time with every level, each of shape (N, P), in single precision.
+
+        They are over √S of their row, times the steady √S that `shapes` are over.
+        """
         # Differences of large numbers need double precision, what is made of them does not.
         steps = np.zeros(drivers.shape, dtype=np.float32)
         np.subtract(drivers[1:], drivers[:-1], out=steps[1:], casting="same_kind")
         steps[starts] = 0.0
+        pieces = stretches(starts)
+        longest = max((own.stop - own.start for own in pieces), default=0)
+        feedback = self._filters.feedback_of(longest)
+        deviation = self._filters.deviation_of(longest)
+        sizes = (self._filters.deviation_of(_OLDEST)[-1] / deviation).astype(np.float32)
         done: list[Matrix] = []
-        for feedback in self.feedback:
-            pieces = [steady(steps[own], feedback) for own in stretches(starts)]
-            whole = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-            done.append(cast("Matrix", whole))  # what it is multiplied with is double
+        for level in range(len(self.feedback)):
+            recursion = Feedback.of(feedback[:, [level]], np.float32)
+            course = steps.copy()
+            for own in pieces:
+                recursion.forward(course[own])
+                course[own] *= sizes[: own.stop - own.start, [level]]
+            done.append(cast("Matrix", course))  # what it is multiplied with is double
         return done
 
     def shapes(self, patterns: Matrix) -> list[Matrix]:

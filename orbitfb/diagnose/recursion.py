@@ -101,31 +101,5 @@ class Feedback:
         x += until * carries[:, None]
 
 
-def steady(steps: _Array, feedback: float) -> _Array:
-    """Give x_k = s_k + f x_{k−1} of rows that share one f.
-
-    Args:
-        steps: s, shape (N, P).
-        feedback: f.
-
-    Returns:
-        Of the precision of the steps, shape (N, P).
-    """
-    rows, width = steps.shape
-    blocks = -(-rows // _ROWS)
-    powers = float(feedback) ** np.arange(_ROWS + 1)
-    powers[np.abs(powers) < np.finfo(steps.dtype).tiny] = 0.0
-    within = np.tril(powers[np.abs(np.subtract.outer(np.arange(_ROWS), np.arange(_ROWS)))])
-    within = within.astype(steps.dtype)
-    x = np.zeros((blocks, _ROWS, width), dtype=steps.dtype)
-    x.reshape(-1, width)[:rows] = steps
-    ends = within[-1] @ x
-    last = steps.dtype.type(powers[_ROWS])
-    for block in range(1, blocks):
-        ends[block] += last * ends[block - 1]
-    x[1:, 0] += steps.dtype.type(powers[1]) * ends[:-1]
-    return (within @ x).reshape(-1, width)[:rows]
-
-
 def _blocks(rows: _Array, count: int) -> _Array:
     return rows[: count * _ROWS].reshape(count, _ROWS, -1)

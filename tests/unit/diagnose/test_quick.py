@@ -6,7 +6,7 @@ import pytest
 from orbitfb.diagnose.healing import Errors
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.quick import Quick
-from orbitfb.diagnose.recursion import Feedback, steady
+from orbitfb.diagnose.recursion import Feedback
 from orbitfb.diagnose.uncoupled import Product, components
 from orbitfb.physics.optics import Matrix
 
@@ -32,14 +32,6 @@ def test_recursions_of_blocks_are_those_of_rows(rows: int) -> None:
     feedback.backward(other)
     np.testing.assert_allclose(found, forth, atol=1e-12)
     np.testing.assert_allclose(other, back, atol=1e-12)
-
-
-def test_a_steady_recursion_is_that_of_rows() -> None:
-    steps = np.random.default_rng(3).normal(size=(77, 3))
-    wanted = steps.copy()
-    for row in range(1, len(steps)):
-        wanted[row] += 0.97 * wanted[row - 1]
-    np.testing.assert_allclose(steady(steps, 0.97), wanted, atol=1e-12)
 
 
 def test_a_product_of_blocks_is_that_of_the_matrix() -> None:
