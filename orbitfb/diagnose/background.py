@@ -21,7 +21,10 @@ from orbitfb.physics.optics import Matrix
 GAIN_RMS = 0.01
 """Scatter of the gains of BPMs and correctors that is taken as healthy [1]."""
 BEAT_RMS = 0.015
-"""Beta-beat of gradient errors that is taken as healthy [1]."""
+"""Beta-beat of gradient errors that is taken as healthy, rms over both planes [1]."""
+
+TUNE_RMS = 0.002
+"""By how much a tune may be off: it is measured, and quadrupoles are trimmed until it is right."""
 
 Healthy = Literal["correctors", "bpms", "x", "y"]
 """What has small errors: gains of correctors, of BPMs, gradients as seen in a plane."""
@@ -39,12 +42,15 @@ class _Part:
         patterns: Shape (n, P).
         drivers: Shape (N, P).
         scatter: Standard deviation of every size, shape (P,).
+        held: What sizes of one scatter change in units of its tolerance, a sum that is known to be
+            nothing, shape (P,); None where there is none.
     """
 
     name: Healthy
     patterns: Matrix
     drivers: Matrix
     scatter: Vector
+    held: Vector | None = None
 
 
 class Background:
@@ -70,16 +76,19 @@ class Background:
             _Part("bpms", np.eye(n), orbit, np.full(n, gain)),
         ]
         if layout.ring is not None and len(layout.ring.places("QUAD")):
+            gradients = _gradient_scatters(layout)
             for plane in layout.planes:
                 to_bpms = layout.orbit_per_kick("QUAD", plane)
                 at_quads = currents @ layout.orbit_at("QUAD", plane).T
-                scatter = np.full(to_bpms.shape[1], scale * _gradient_scatter(layout, plane))
-                self._parts.append(_Part(plane, to_bpms, at_quads, scatter))
+                scatter = scale * gradients
+                held = _tune_changes(layout, plane) * scatter / TUNE_RMS
+                self._parts.append(_Part(plane, to_bpms, at_quads, scatter, held))
         # Single precision is enough for errors of one per cent, and half the work.
         patterns = np.concatenate([p.patterns for p in self._parts], axis=1)
         drivers = np.concatenate([p.drivers * p.scatter for p in self._parts], axis=1)
         drivers -= drivers.mean(axis=0)
         self._errors = Errors(patterns, drivers.astype(np.float32))
+        self._held = self._sums()
         self._solver: Preconditioner | None = None
 
     def prepare(self, floor: NoiseFloor, levels: int = _LEVELS) -> None:
@@ -90,7 +99,8 @@ class Background:
             levels: Of the ladder of filters; a few do to find the sizes by, in more steps.
         """
         if self._scale:
-            self._solver = Preconditioner(self._errors, floor, self._starts, levels)
+            held = self._held
+            self._solver = Preconditioner(self._errors, floor, self._starts, levels, held)
 
     def absorbed(self, name: Healthy) -> Vector:
         """Share of the information on an error that the background takes away, shape (P,).
@@ -125,11 +135,14 @@ class Background:
         """
         if self._solver is None:
             return np.zeros(0)
-        return self._errors.score(slope.astype(np.float32, copy=False)) - sizes
+        score = self._errors.score(slope.astype(np.float32, copy=False))
+        return self._within(score, -0.5) - sizes
 
     def step(self, gradient: Vector) -> Vector:
         """Precondition a gradient by the ladder's information, shape (P,)."""
-        return gradient if self._solver is None else self._solver.solve(gradient)
+        if self._solver is None:
+            return gradient
+        return self._within(self._solver.solve(self._within(gradient, 0.5)), 0.5)
 
     def orbit(self, sizes: Vector) -> Matrix:
         """Tell what errors of these sizes add to the orbit, shape (N, n) [m]."""
@@ -139,17 +152,51 @@ class Background:
         """The same in single precision, which is all that there is of it."""
         if not len(sizes):
             return np.zeros((len(self._starts), self._errors.bpms), dtype=np.float32)
-        return self._errors.orbit(sizes)
+        return self._errors.orbit(self._within(sizes, -0.5))
+
+    def _sums(self) -> Matrix:
+        """Sums of the errors that are known to be nothing, shape (P, planes)."""
+        held = [(part.held, len(part.scatter)) for part in self._parts]
+        known = [index for index, (its, _) in enumerate(held) if its is not None]
+        sums = np.zeros((sum(length for _, length in held), len(known)))
+        ends = np.cumsum([length for _, length in held])
+        for column, index in enumerate(known):
+            its, length = held[index]
+            sums[ends[index] - length : ends[index], column] = its
+        return sums
+
+    def _within(self, sizes: Vector, power: float) -> Vector:
+        """Multiply with a power of 1 + Σ s sᵀ, the precision of all errors, sums s included.
+
+        Sizes are those that scatter by one each, independently; errors are this to the power −½ of
+        them. The sums have no error in common.
+        """
+        for sum_ in self._held.T:
+            norm = float(sum_ @ sum_)
+            if norm:
+                share = ((1.0 + norm) ** power - 1.0) / norm
+                sizes = sizes + (share * float(sum_ @ sizes)) * sum_
+        return sizes
 
 
-def _gradient_scatter(layout: Layout, plane: ChannelPlane) -> float:
-    """Scatter of integrated gradients that beats beta at the BPMs by `BEAT_RMS` [1/m].
+def _gradient_scatters(layout: Layout) -> Vector:
+    """Scatter of the integrated gradient of every quadrupole, shape (P,) [1/m].
 
-    Δβ/β of one error Δk is −Δk β cos(…)/(2 sin 2πν): its mean square over places is
-    (Δk β)²/(8 sin² 2πν), and independent errors add up.
+    Errors are a share of the strength, the same in both planes. Δβ/β of one error Δk is
+    −Δk β cos(…)/(2 sin 2πν): its mean square over places is (Δk β)²/(8 sin² 2πν), and independent
+    errors add up. The share is that which beats by `BEAT_RMS` over both planes.
     """
     ring = layout.known_ring
-    row = 0 if plane == "x" else 1
-    beta = ring.table.beta[row, ring.places("QUAD")]
-    per_error = np.sqrt(np.sum(beta**2) / 8.0) / abs(np.sin(2 * np.pi * ring.tune(plane)))
-    return BEAT_RMS / float(per_error)
+    strength = np.abs(ring.strength("QUAD"))
+    if not strength.any():
+        strength = np.ones_like(strength)  # magnets of no stated strength are all alike
+    beta = ring.table.beta[:, ring.places("QUAD")]
+    tunes = np.array([[ring.tune("x")], [ring.tune("y")]])
+    beats = (strength * beta / np.sin(2 * np.pi * tunes)) ** 2 / 8.0
+    return strength * (BEAT_RMS / np.sqrt(np.sum(beats) / len(beats)))
+
+
+def _tune_changes(layout: Layout, plane: ChannelPlane) -> Vector:
+    """Change of a plane's tune by every integrated gradient, |Δν / Δk| = β / 4π, shape (P,) [m]."""
+    ring = layout.known_ring
+    return ring.table.beta[0 if plane == "x" else 1, ring.places("QUAD")] / (4.0 * np.pi)

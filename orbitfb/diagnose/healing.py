@@ -80,12 +80,15 @@ class Preconditioner:
         floor: The noise.
         starts: Where stretches begin, shape (N,).
         levels: Of the ladder of filters.
+        held: Sums of errors that are known to be nothing within ±1, shape (P, sums).
 
     Attributes:
         absorbed: Share of the information on every error that all of them take away, shape (P,).
     """
 
-    def __init__(self, errors: Errors, floor: NoiseFloor, starts: Mask, levels: int) -> None:
+    def __init__(
+        self, errors: Errors, floor: NoiseFloor, starts: Mask, levels: int, held: Matrix
+    ) -> None:
         ladder = Ladder(floor, levels)
         shapes = [shape.astype(np.float32) for shape in ladder.shapes(errors.patterns)]
         courses = [
@@ -98,10 +101,15 @@ class Preconditioner:
         for _, its in components(both):
             columns = its[its < errors.count]
             if len(columns):
-                self._blocks.append((columns, self._solved(shapes, courses, columns)))
+                solver = self._solved(shapes, courses, columns, held[columns])
+                self._blocks.append((columns, solver))
 
     def _solved(
-        self, shapes: Sequence[Single], courses: Sequence[Single], columns: Indices
+        self,
+        shapes: Sequence[Single],
+        courses: Sequence[Single],
+        columns: Indices,
+        held: Matrix,
     ) -> tuple[Matrix, bool]:
         matrix = np.zeros((len(columns), len(columns)))
         for shape, course in zip(shapes, courses, strict=True):
@@ -109,14 +117,15 @@ class Preconditioner:
             other = np.ascontiguousarray(course[:, columns])
             matrix += (one.T @ one) * (other.T @ other)
         known = np.diagonal(matrix).copy()
-        matrix[np.diag_indices_from(matrix)] += 1.0
+        prior = np.eye(len(columns)) + held @ held.T
+        matrix += prior
         try:
             solver = cho_factor(matrix, lower=True)
         except LinAlgError:  # rounding: what is known best is known a little less
             matrix[np.diag_indices_from(matrix)] += 1e-4 * known
             solver = cho_factor(matrix, lower=True)
-        # J − J (J + 1)⁻¹ J = 1 − (J + 1)⁻¹ is what is left of the information on every size.
-        left = 1.0 - np.diagonal(cho_solve(solver, np.eye(len(matrix))))
+        # J − J (J + Q)⁻¹ J = Q − Q (J + Q)⁻¹ Q is what is left of the information on every error.
+        left = np.diagonal(prior) - np.einsum("ij,ij->j", prior, cho_solve(solver, prior))
         self.absorbed[columns] = np.clip(1.0 - left / np.maximum(known, 1e-12), 0.0, 1.0)
         return solver
 

@@ -1,0 +1,75 @@
+"""Healthy errors against dense linear algebra, and the ladder against the filters it stands for."""
+
+import numpy as np
+import pytest
+
+from orbitfb.diagnose.background import BEAT_RMS, GAIN_RMS, TUNE_RMS
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.innovation import Ladder, NoiseFloor, information
+from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Ring
+
+RING = Ring.load()
+QUADS = RING.places("QUAD")
+STRENGTH, BETA = np.abs(RING.strength("QUAD")), RING.table.beta[:, QUADS]
+
+
+def healthy(bench: Bench) -> tuple[Matrix, Matrix, Matrix]:
+    """Every healthy error as orbit = size · pattern · driver, and the precision of the sizes."""
+    layout = bench.record.layout
+    beats = [
+        np.sqrt(np.sum((STRENGTH * BETA[row]) ** 2) / 8) / abs(np.sin(2 * np.pi * RING.tune(plane)))
+        for row, plane in enumerate(("x", "y"))
+    ]
+    scatter = STRENGTH * BEAT_RMS / np.sqrt(np.mean(np.square(beats)))
+    n, m = layout.response.shape
+    patterns = np.hstack([layout.response, np.eye(n), layout.orbit_per_kick("QUAD", "x")])
+    at_quads = bench.currents @ layout.orbit_at("QUAD", "x").T
+    drivers = np.hstack([GAIN_RMS * bench.currents, GAIN_RMS * bench.orbit, scatter * at_quads])
+    tune = np.concatenate([np.zeros(n + m), BETA[0] * scatter / (4 * np.pi)])
+    precision = np.eye(len(tune)) + np.outer(tune, tune) / TUNE_RMS**2
+    return patterns, drivers - drivers.mean(axis=0), precision
+
+
+def test_what_healthy_errors_leave_of_a_change_is_that_of_the_dense_regression() -> None:
+    """They leave the tune, so that they do not hide a shift of it."""
+    bench = Bench(simulate_record(RING, ticks=120, seed=4))
+    layout, starts = bench.record.layout, bench.record.starts
+    patterns, drivers, precision = healthy(bench)
+    seen = np.array(
+        [
+            bench.floor.whiten(np.outer(driver, pattern), starts).ravel()
+            for pattern, driver in zip(patterns.T, drivers.T, strict=True)
+        ]
+    )
+    shift = STRENGTH * BETA[0]  # all gradients together
+    shift *= 0.02 * 4 * np.pi / float(shift @ BETA[0])
+    at_quads = bench.currents @ layout.orbit_at("QUAD", "x").T
+    change = (shift * at_quads) @ layout.orbit_per_kick("QUAD", "x").T
+    white = bench.floor.whiten(change, starts).ravel()
+    known, pull = seen @ seen.T, seen @ white
+
+    def left(prior: Matrix) -> float:
+        return float(white @ white - pull @ np.linalg.solve(known + prior, pull))
+
+    assert bench.information(change) == pytest.approx(left(precision), rel=0.01)
+    assert left(precision) > 1.2 * left(np.eye(len(pull)))
+
+
+@pytest.mark.parametrize("drift", [0.0, 1e-6, 0.1])
+def test_a_ladder_sees_what_the_first_rows_show(drift: float) -> None:
+    """Without drift the gain is never steady, and an orbit that is steered away shows at once."""
+    rng = np.random.default_rng(3)
+    floor = NoiseFloor(np.eye(4), 2.0, np.full(4, 2.0 * drift))
+    starts = np.zeros(300, dtype=bool)
+    starts[[0, 120]] = True
+    patterns = rng.normal(size=(4, 3))
+    drivers = rng.normal(size=(300, 3)) + 50.0 * np.exp(-np.arange(300) / 8.0)[:, None]
+    whitened = [
+        floor.whiten(np.outer(driver, pattern), starts).ravel()
+        for pattern, driver in zip(patterns.T, drivers.T, strict=True)
+    ]
+    ladder = Ladder(floor)
+    found = information(ladder.shapes(patterns), ladder.filtered(drivers, starts))
+    np.testing.assert_allclose(found, np.array(whitened) @ np.array(whitened).T, rtol=1e-3)
