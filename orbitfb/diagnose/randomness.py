@@ -141,6 +141,8 @@ def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
         typical = float(np.mean(seen[members]))
         gain = 0.5 * len(members) * (typical / deviation) ** 2
         alone = 0.5 * len(members) * (typical / chance) ** 2
+        if not kind.lag:  # a variance that is no little off: the lemma above
+            alone = 0.5 * len(members) * rows * float(np.expm1(typical) - typical)
         values = _values(kind, float(np.mean(strength[members])), reading)
         if values is not None:
             places = tuple(int(i) for i in members)

@@ -131,3 +131,13 @@ def test_an_energy_that_wanders_is_not_taken_for_ground_motion(step, seen):
         told = state(bench, noise_candidates(bench, kind)[0].cause)
         low, high = told.intervals["step"]
         assert low < step < high < 2.0 * low
+
+
+def test_a_doubled_noise_is_worth_its_likelihood():
+    """A gain of 1 doubles the noise too: N (ρ − 1 − log ρ) / 2 has to decide, not ¼ N log² ρ."""
+    record = record_with(f"noise-level:factor=2,names={BPMS[20]}", dither=0.0)
+    found = noise_candidates(Bench(record), all_effects()["noise-level"])[0]
+    assert found.cause.places == (20,)
+    assert found.alone is not None
+    ratio = found.cause.values["factor"] ** 2
+    assert found.alone == pytest.approx(700 * (ratio - 1 - np.log(ratio)) / 2, rel=0.1)
