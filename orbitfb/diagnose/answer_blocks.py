@@ -110,7 +110,9 @@ class GoodnessTest(Part):
 class AmbiguousSet(Part):
     """Effects that this record cannot tell apart."""
 
-    effects: tuple[str, ...]
+    effects: tuple[str, ...] = Field(
+        description="`no_gap` among them: there may be none of them either"
+    )
     why: str = ""
     splits: str = Field(default="", description="what would tell them apart")
 

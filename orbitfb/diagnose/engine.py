@@ -17,7 +17,7 @@ from orbitfb.diagnose.judgement import judge
 from orbitfb.diagnose.parts import Parts
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
-from orbitfb.diagnose.search import CLOSE, SURE, Outcome, search
+from orbitfb.diagnose.search import CLOSE, LIKELY, SURE, Outcome, search
 from orbitfb.diagnose.shrink import put_aside
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.record import Record
@@ -71,11 +71,11 @@ def diagnose(
         free = search(first, kinds, floor, (), budget=budget)
         if free.bench.full_log_likelihood > outcome.bench.full_log_likelihood:
             certain, outcome = certain.without_given(), free
-    if not outcome.winners and first is not whole and not budget.over():
-        # Nothing yet: the end of the record may show what its beginning does not.
+    if not outcome.sure and first is not whole and not budget.over():
+        # Nothing sure yet: the end of the record may show what its beginning does not.
         given = certain.given
         again = look(whole, 0.7, 0.85)
-        if again.winners or not given:
+        if again.sure or (not outcome.winners and (again.winners or not given)):
             outcome, later = again, None
     judged = judge(outcome, certain, seed)
     progress("taking the gap apart", 0.85)
@@ -149,6 +149,6 @@ def _provenance(
         reading_noise_um=1e6 * float(np.sqrt(floor.reading)),
         drift_um_per_tick=1e6 * steps,
         gauge="the healthy scatter of all gains, with mean zero",
-        thresholds={"probability": SURE, "rivals_nats": CLOSE},
+        thresholds={"probability": SURE, "likely": LIKELY, "rivals_nats": CLOSE},
         seconds=seconds,
     )

@@ -119,11 +119,14 @@ def _state(
         if certain.causes:
             return "named_plus_remainder" if remains else "named"
         return "unknown" if remains or _of_no_kind(outcome.rounds[0]) else "no_gap"
-    if _stand_in(outcome.winners[0]) or departures[0].stand_in or explained < _HALF:
+    first = outcome.winners[0]
+    if _stand_in(first) or departures[0].stand_in or explained < _HALF:
         return "unknown"
+    if not first.sure:
+        return "unknown" if remains or _of_no_kind(first) else "ambiguous"
     if remains:
         return "named_plus_remainder"
-    return "ambiguous" if outcome.winners[0].rivals() else "named"
+    return "ambiguous" if first.rivals() else "named"
 
 
 def _stand_in(one: Round) -> bool:

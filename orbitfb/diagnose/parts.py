@@ -32,6 +32,8 @@ from orbitfb.effects.record import Record
 _RIVALS = 4
 _PLANNED = 3
 """Rivals at most from which an experiment has to split the best cause."""
+_FAINT = "what speaks for an effect is short of a certainty of 0.99"
+_MORE = "a longer record, or the recommended experiment"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,9 +162,12 @@ class Parts:
         rivals = [entry.kind for entry in self.outcome.winners[0].rivals()]
         winner = self.outcome.winners[0].accepted
         ids = ([] if winner is None else [winner.kind.id]) + [kind.id for kind in rivals]
-        every = tuple(dict.fromkeys((*ids, *first.kinds)))
+        every = dict.fromkeys((*ids, *first.kinds))
         splits = first.splits or next((kind.splits for kind in rivals if kind.splits), "")
-        return (AmbiguousSet(effects=every, why=first.why, splits=splits),)
+        if self.outcome.sure:
+            return (AmbiguousSet(effects=tuple(every), why=first.why, splits=splits),)
+        why = "; ".join(filter(None, (_FAINT, first.why)))
+        return (AmbiguousSet(effects=(*every, "no_gap"), why=why, splits=splits or _MORE),)
 
     def _experiment(self) -> Experiment | None:
         if self.judged.state != "ambiguous":

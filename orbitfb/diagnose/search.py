@@ -27,6 +27,8 @@ SURE = 0.99
 On a record without a gap a Bayes factor of 99 comes up at most once in a hundred times (Markov's
 inequality), whatever the prior is worth.
 """
+LIKELY = 0.9
+"""The same at which the record is said to show it or nothing: `ambiguous`, never a name."""
 CLOSE = 5.0
 """Kinds whose weights differ by less cannot be told apart [nats] (evidence 150 to 1)."""
 
@@ -72,6 +74,11 @@ class Round:
         logs = np.array([0.0, *(weights[name] - np.log(self.kinds) for name in ids)])
         shares = np.exp(logs - np.logaddexp.reduce(logs))
         return dict(zip(ids, shares[1:].tolist(), strict=True))
+
+    @property
+    def sure(self) -> bool:
+        """Whether something is surely there."""
+        return sum(self.probabilities().values()) >= SURE
 
     def rivals(self) -> list[Entry]:
         """Best entries of the other kinds that the record cannot tell from the winner."""
@@ -122,6 +129,11 @@ class Outcome:
     def winners(self) -> tuple[Round, ...]:
         """Rounds that accepted a cause."""
         return tuple(one for one in self.rounds if one.accepted is not None)
+
+    @property
+    def sure(self) -> bool:
+        """Whether the first cause is surely there."""
+        return bool(self.winners) and self.winners[0].sure
 
     def final(self, entry: Entry) -> tuple[Cause, Fit | None]:
         """Give an accepted cause with its values of the joint fit, if it has a course in time."""
@@ -218,15 +230,17 @@ def _moving(causes: Sequence[Cause]) -> tuple[Cause, ...]:
 
 
 def _winner(one: Round, before: Sequence[Round]) -> Entry | None:
-    """The best entry, if something of its kind (or of a close one) is sure to be there.
+    """The best entry, if something of its kind (or of a close one) is likely to be there.
 
-    A further cause must not be what the first ones left because they are not quite right: it has
-    to be worth a share of what they are, and its scores must scatter as the noise model says.
+    A further cause must be sure. It must not be what the first ones left because they are not
+    quite right: it has to be worth a share of what they are, and its scores must scatter as the
+    noise model says.
     """
     if not one.entries:
         return None
     best = one.entries[0]
-    if best.held_out <= 0.0 or sum(one.probabilities().values()) < SURE:
+    least = SURE if before else LIKELY
+    if best.held_out <= 0.0 or sum(one.probabilities().values()) < least:
         return None
     gained = sum(r.accepted.weight for r in before if r.accepted is not None)
     scatter = 1.0 if best.fit is None else best.fit.inflation

@@ -102,7 +102,8 @@ def look(record: Record, stamp: float, kinds: Sequence[EffectKind] | None = None
     if not judged or judged[0][0] <= 0.0:
         return _timed(nothing, began)
     alike = [index for index, one in enumerate(judged) if _broken_alike(judged[0], one)]
-    leader = min(alike, key=lambda index: (judged[index][1].kind.id not in _SIMPLE, index))
+    as_good = [index for index in alike if judged[0][0] - judged[index][0] <= NESTED]
+    leader = min(as_good, key=lambda index: (judged[index][1].kind.id not in _SIMPLE, index))
     _, cause, by_row, _ = judged[leader]
     size = interval(Draws.of(~record.starts, 0).means(by_row))
     onset = stamp - (record.time[-1] - record.time[cause.onset])
@@ -165,10 +166,10 @@ def _harder(record: Record, kinds: Sequence[EffectKind], found: _Judged) -> list
 
 
 def _broken_alike(best: _Judged, other: _Judged) -> bool:
-    """Whether both say that the same device is broken, and about as well."""
+    """Whether both say that the same device is broken."""
     if best is other:
         return True
-    same = best[1].places == other[1].places and best[0] - other[0] <= NESTED
+    same = best[1].places == other[1].places
     return same and {best[1].kind.id, other[1].kind.id} <= BREAKING
 
 

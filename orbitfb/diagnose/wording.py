@@ -44,8 +44,10 @@ def headline(
             parts.append("A part of the gap remains that no known effect explains.")
             parts.append(unknown.text if unknown is not None else "")
     elif state == "ambiguous":
-        sets = ", and ".join(" or ".join(one.effects) for one in ambiguous)
+        sets = ", and ".join(" or ".join(map(_member, one.effects)) for one in ambiguous)
         parts.append(f"The record cannot decide: {sets}.")
+        if any("no_gap" in one.effects for one in ambiguous):
+            parts.append(f"The likeliest is {describe(causes[0])}." if causes else "")
     else:
         parts.append(_unknown(unknown, effects))
     if causes and shrink is not None:
@@ -56,6 +58,10 @@ def headline(
             f"{_plain(closed_loop.measured_um)}."
         )
     return " ".join(part for part in parts if part)
+
+
+def _member(effect: str) -> str:
+    return "nothing at all" if effect == "no_gap" else effect
 
 
 def _plain(value: float | None, digits: int = 3) -> str:

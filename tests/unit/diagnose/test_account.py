@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from orbitfb.diagnose.answer_blocks import Audit
-from orbitfb.diagnose.answer_parts import Shrink
+from orbitfb.diagnose.answer_blocks import AmbiguousSet, Audit
+from orbitfb.diagnose.answer_parts import Cause, Shrink
 from orbitfb.diagnose.judgement import Judgement, _state, held_to_account
+from orbitfb.diagnose.wording import headline
 
 OUTCOME = SimpleNamespace(
     rounds=(SimpleNamespace(entries=()),),
@@ -46,3 +47,35 @@ def test_what_has_only_stand_ins_is_no_quiet_record(gain, scatter, state):
     certain = SimpleNamespace(causes=())
     told = _state(outcome, certain, (), remains=False, explained=1.0)  # type: ignore[arg-type]
     assert told == state
+
+
+@pytest.mark.parametrize(
+    ("sure", "rivals", "remains", "state"),
+    [
+        (True, (), False, "named"),
+        (True, ("another",), False, "ambiguous"),
+        (True, (), True, "named_plus_remainder"),
+        (False, (), False, "ambiguous"),  # with nothing at all
+        (False, (), True, "unknown"),
+    ],
+)
+def test_a_name_needs_certainty(sure, rivals, remains, state):
+    fit = SimpleNamespace(gain=20.0, inflation=1.0)
+    entry = SimpleNamespace(fit=fit, weight=7.0, held_out=19.0)
+    first = SimpleNamespace(
+        sure=sure, rivals=lambda: rivals, accepted=entry, entries=(entry,), kinds=45
+    )
+    outcome = SimpleNamespace(rounds=(first,), winners=(first,))
+    departures = (SimpleNamespace(stand_in=False),)
+    told = _state(outcome, None, departures, remains=remains, explained=1.0)  # type: ignore[arg-type]
+    assert told == state
+
+
+def test_what_may_be_nothing_is_told_so():
+    cause = Cause(
+        effect="thermal-drift", stage="disturbance", places=("QM2B_C11",), probability=0.9
+    )
+    sets = (AmbiguousSet(effects=("thermal-drift", "no_gap")),)
+    said = headline("ambiguous", causes=(cause,), ambiguous=sets)
+    assert "thermal-drift or nothing at all" in said
+    assert "The likeliest is thermal-drift on QM2B_C11, P = 0.9." in said
