@@ -170,18 +170,22 @@ def _chosen(found: Sequence[Candidate]) -> list[Candidate]:
     """Take the best of the best kinds, every one without a size, and the best of the rest.
 
     One that begins late is there with the one that was always there: that is the simpler law,
-    and the scan tells the two apart roughly. So it does for one with a free first step.
+    and the scan tells the two apart roughly. So it does for one with a free first step, and for
+    one device and a group of them.
     """
     firsts: dict[str, Candidate] = {}
-    twins: dict[tuple[str, bool, bool], Candidate] = {}
+    twins: dict[tuple[str, bool, bool, bool], Candidate] = {}
     for candidate in found:
         cause = candidate.cause
         first = firsts.setdefault(cause.kind.id, candidate)
         if net(candidate) > _RIVAL * net(first):
-            twins.setdefault((cause.kind.id, cause.onset > 0, cause.free), candidate)
+            group = len(cause.places) > 1
+            twins.setdefault((cause.kind.id, cause.onset > 0, cause.free, group), candidate)
     kept = [*firsts.values()][:_KINDS]
     kept += [
-        twin for (_, late, free), twin in twins.items() if (free or not late) and twin not in kept
+        twin
+        for (_, late, free, _), twin in twins.items()
+        if (free or not late) and twin not in kept
     ]
     kept += [one for one in firsts.values() if not one.cause.kind.parameters and one not in kept]
     kept += [one for one in found if one not in kept][: max(FINALISTS - len(kept), 0)]
