@@ -10,7 +10,7 @@ from orbitfb.diagnose.explain import Cause as Explaining
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.naming import devices_and_planes
 from orbitfb.effects.device_kinds import PairKind
-from orbitfb.effects.layout import Devices, Layout
+from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Indices
@@ -132,12 +132,7 @@ def beside(other: Record, record: Record) -> Record:
 def with_bpms(record: Record, keep: Indices) -> Record:
     """The record of some of its BPMs."""
     layout = record.layout
-    bpms = Devices(
-        tuple(layout.bpms.names[int(i)] for i in keep),
-        tuple(layout.bpms.planes[int(i)] for i in keep),
-        tuple(layout.bpms.cells[int(i)] for i in keep),
-    )
-    smaller = Layout(bpms, layout.correctors, layout.response[keep], layout.period, layout.ring)
+    smaller = replace(layout, bpms=layout.bpms.only(keep), response=layout.response[keep])
     return replace(
         record,
         layout=smaller,

@@ -14,6 +14,7 @@ from orbitfb.diagnose.budget import SEARCH_SECONDS, Budget
 from orbitfb.diagnose.certain import beside, certain_causes
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.judgement import judge
+from orbitfb.diagnose.naming import as_in_record
 from orbitfb.diagnose.parts import Parts
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
@@ -83,6 +84,7 @@ def diagnose(
     answer = parts.answer(certain, (*not_tested, *_unseen(budget)))
     return answer.model_copy(
         update={
+            "causes": as_in_record(answer.causes, record.layout),
             "findings": (*answer.findings, *_cut(outcome)),
             "provenance": _provenance(
                 record, reference, holdout, outcome, seed, time.monotonic() - began

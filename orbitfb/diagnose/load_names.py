@@ -11,12 +11,14 @@ import numpy as np
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.load_meta import Meta
 from orbitfb.diagnose.load_raw import Raw
-from orbitfb.effects.layout import ChannelPlane
+from orbitfb.effects.build import devices_of
+from orbitfb.effects.layout import ChannelPlane, Devices
 from orbitfb.physics.optics import Matrix, green
-from orbitfb.physics.places import Kind, Plane, Planes, Ring
+from orbitfb.physics.places import Indices, Kind, Plane, Planes, Ring
 
 _SUFFIX = re.compile(r"(.*[^:_./\s-])[:_./\s-]([xyhv])", re.IGNORECASE)
 _PLANE_OF_LETTER: dict[str, ChannelPlane] = {"x": "x", "h": "x", "y": "y", "v": "y"}
+_KINDS: dict[str, Kind] = {"bpm_names": "BPM", "corr_names": "COR"}
 _MOSTLY = 0.5
 
 
@@ -28,16 +30,22 @@ class Named:
         array: Name of the array that they came in.
         names: Without a plane's suffix.
         planes: Of every column; empty while nobody knows.
+        channels: PVs that stood there instead of the names; empty otherwise.
     """
 
     array: str
     names: tuple[str, ...]
     planes: tuple[ChannelPlane, ...]
+    channels: tuple[str, ...] = ()
 
     def only(self, plane: ChannelPlane) -> "Named":
         """Keep the columns of one plane."""
         kept = [i for i, its in enumerate(self.planes) if its == plane]
         return Named(self.array, tuple(self.names[i] for i in kept), (plane,) * len(kept))
+
+    def devices(self, columns: Indices) -> Devices:
+        """The devices behind some columns, once their planes are known."""
+        return devices_of(self.names, self.planes, self.channels).only(columns)
 
 
 def plain_names(raw: Raw, array: str, count: int, told: tuple[str, ...], ring: Ring) -> Named:
@@ -63,6 +71,8 @@ def plain_names(raw: Raw, array: str, count: int, told: tuple[str, ...], ring: R
         raise raw.wrong(
             "meta", f"gives {len(told)} planes for the {count} {array}", "give one per column"
         )
+    if pvs := _behind_pvs(raw, array, names, ring):
+        return Named(array, tuple(name for name, _ in pvs), tuple(p for _, p in pvs), names)
     known = set(ring.table.name)
     taken = [_SUFFIX.fullmatch(name) for name in names]
     if not all(name in known for name in names) and all(taken):
@@ -76,6 +86,27 @@ def plain_names(raw: Raw, array: str, count: int, told: tuple[str, ...], ring: R
     if told:
         return Named(array, names, tuple(_PLANE_OF_LETTER[plane] for plane in told))
     return Named(array, names, _repeated(raw, array, names, ring))
+
+
+def _behind_pvs(
+    raw: Raw, array: str, names: tuple[str, ...], ring: Ring
+) -> list[tuple[str, ChannelPlane]]:
+    """Devices and planes of names that are PVs of the ring; none if they are not."""
+    behind = ring.devices_of_pvs(_KINDS[array])
+    strange = [row for row, name in enumerate(names) if name not in behind]
+    if len(strange) > (1.0 - _MOSTLY) * len(names):
+        return []
+    if strange:
+        row = strange[0]
+        near = difflib.get_close_matches(names[row], behind, 1)
+        hint = f" (do you mean {near[0]}?)" if near else ""
+        raise raw.wrong(
+            array,
+            f"has {names[row]!r} in row {row}, which is no PV of a {_KINDS[array]} of the places "
+            f"table{hint}; {len(strange)} of {len(names)} names are not known",
+            "correct the name, leave its column out, or give the places table of your ring",
+        )
+    return [behind[name] for name in names]
 
 
 def _repeated(raw: Raw, array: str, names: tuple[str, ...], ring: Ring) -> tuple[ChannelPlane, ...]:
@@ -127,22 +158,21 @@ def known_ring(raw: Raw, named: Sequence[Named], ring: Ring) -> tuple[Ring | Non
     Raises:
         RecordError: Most names are the ring's, but some are not.
     """
-    kinds: dict[str, Kind] = {"bpm_names": "BPM", "corr_names": "COR"}
     strange: list[tuple[Named, int]] = []
     total = 0
     for each in named:
-        known = set(ring.names(kinds[each.array]))
+        known = set(ring.names(_KINDS[each.array]))
         strange += [(each, row) for row, name in enumerate(each.names) if name not in known]
         total += len(each.names)
     if not strange:
         return ring, []
     each, row = strange[0]
     if total - len(strange) >= _MOSTLY * total:
-        near = difflib.get_close_matches(each.names[row], ring.names(kinds[each.array]), 1)
+        near = difflib.get_close_matches(each.names[row], ring.names(_KINDS[each.array]), 1)
         hint = f" (do you mean {near[0]}?)" if near else ""
         raise raw.wrong(
             each.array,
-            f"has {each.names[row]!r} in row {row}, which is no {kinds[each.array]} of the places "
+            f"has {each.names[row]!r} in row {row}, which is no {_KINDS[each.array]} of the places "
             f"table{hint}; {len(strange)} of {total} names are not known",
             "correct the name, leave its column out, or give the places table of your ring",
         )

@@ -21,7 +21,6 @@ from orbitfb.diagnose.load_names import (
 )
 from orbitfb.diagnose.load_raw import Raw
 from orbitfb.diagnose.load_rows import Transition, join
-from orbitfb.effects.build import devices_of
 from orbitfb.effects.layout import ChannelPlane, Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -222,11 +221,8 @@ def _assemble(
     kept_bpms = np.flatnonzero(in_bpms)
     kept_correctors = np.flatnonzero(in_correctors)
     layout = Layout(
-        bpms=devices_of([bpms.names[i] for i in kept_bpms], [bpms.planes[i] for i in kept_bpms]),
-        correctors=devices_of(
-            [correctors.names[i] for i in kept_correctors],
-            [correctors.planes[i] for i in kept_correctors],
-        ),
+        bpms=bpms.devices(kept_bpms),
+        correctors=correctors.devices(kept_correctors),
         response=np.ascontiguousarray(model.response[np.ix_(kept_bpms, kept_correctors)]),
         period=period,
         ring=model.ring,

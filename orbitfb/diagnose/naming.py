@@ -5,7 +5,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from orbitfb.diagnose.answer_blocks import Geometry
+from orbitfb.diagnose.answer_parts import Cause
 from orbitfb.effects.layout import Devices, Layout
+from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Planes
 
 
@@ -41,6 +43,36 @@ def devices_and_planes(labels: Sequence[str]) -> tuple[tuple[str, ...], Planes]:
     if not y:
         return tuple(x), "x"
     return (tuple(labels), "xy") if x else (tuple(y), "y")
+
+
+def as_in_record(causes: Sequence[Cause], layout: Layout) -> tuple[Cause, ...]:
+    """Give the places of causes the names that the record has for them.
+
+    Args:
+        causes: On devices by their names in the places table.
+        layout: Of the record.
+    """
+    return tuple(_as_in_record(cause, layout) for cause in causes)
+
+
+def _as_in_record(cause: Cause, layout: Layout) -> Cause:
+    target = all_effects()[cause.effect].target
+    devices = {"bpm": layout.bpms, "corrector": layout.correctors}.get(target)
+    if devices is None or not devices.channels:
+        return cause
+    its = devices
+
+    def channels(places: Sequence[str]) -> tuple[str, ...]:
+        return tuple(
+            its.channels[column]
+            for place in places
+            for column in range(len(its))
+            if place == its.label(column)
+            or (place == its.names[column] and its.planes[column] in cause.planes)
+        )
+
+    within = channels(cause.places_within)
+    return cause.model_copy(update={"places": channels(cause.places), "places_within": within})
 
 
 def geometry(layout: Layout) -> Geometry:

@@ -55,14 +55,17 @@ class Since(Effect):
         return self._effect.sense(orbit, tick - self._zero)
 
 
-def devices_of(names: Sequence[str], planes: Sequence[ChannelPlane]) -> Devices:
+def devices_of(
+    names: Sequence[str], planes: Sequence[ChannelPlane], channels: Sequence[str] = ()
+) -> Devices:
     """Describe the devices behind columns; their cells come from their names.
 
     Args:
         names: k names.
         planes: k planes.
+        channels: What a record calls them, if not so.
     """
-    return Devices(tuple(names), tuple(planes), tuple(map(cell_of, names)))
+    return Devices(tuple(names), tuple(planes), tuple(map(cell_of, names)), tuple(channels))
 
 
 def layout_of(ring: Ring, planes: Planes, period: float, response: Matrix | None = None) -> Layout:

@@ -23,11 +23,13 @@ class Devices:
         names: k names; a device that acts in both planes has one column in each.
         planes: k planes.
         cells: k cells (`C30`, …) or crates, whatever groups them; empty text where not known.
+        channels: What a record calls the columns if not by these names (PVs); empty otherwise.
     """
 
     names: tuple[str, ...]
     planes: tuple[ChannelPlane, ...]
     cells: tuple[str, ...]
+    channels: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.names)
@@ -43,6 +45,16 @@ class Devices:
             if cell:
                 members.setdefault(cell, []).append(column)
         return {cell: np.array(columns, dtype=np.intp) for cell, columns in members.items()}
+
+    def only(self, columns: Indices) -> "Devices":
+        """Some of the columns."""
+        kept = [int(i) for i in columns]
+        return Devices(
+            tuple(self.names[i] for i in kept),
+            tuple(self.planes[i] for i in kept),
+            tuple(self.cells[i] for i in kept),
+            tuple(self.channels[i] for i in kept) if self.channels else (),
+        )
 
     def label(self, column: int) -> str:
         """Name of a column for people: the device's, with its plane."""

@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from orbitfb.effects.layout import Devices, Layout
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.settings import EffectSettings
-from orbitfb.physics.places import Indices
+from orbitfb.physics.places import Indices, Plane
 
 _CELL = re.compile(r"(?:^|[^A-Za-z0-9])(C\d{1,3})(?=$|[^A-Za-z0-9])")
 _WITH_PLANE = re.compile(r"(.*?)\s*\(([xy])\)")
@@ -66,7 +66,7 @@ def resolve(settings: EffectSettings, layout: Layout) -> Indices:
     if settings.planes != "xy" and not any(there.planes):
         raise ConfigError(f"effect {kind.id}: {there.what} are in no plane; leave out planes")
     if settings.names:
-        found = _by_names(settings, there)
+        found = _by_names(settings, there, _devices_of_pvs(kind, layout))
     elif settings.cells:
         found = _by_cells(settings, there)
     else:
@@ -104,6 +104,12 @@ def _candidates(kind: EffectKind, layout: Layout) -> _Candidates:
     raise ConfigError(f"effect {kind.id}: it does not tell which places it may have")
 
 
+def _devices_of_pvs(kind: EffectKind, layout: Layout) -> dict[str, tuple[str, Plane]]:
+    if layout.ring is None or kind.target not in ("bpm", "corrector"):
+        return {}
+    return layout.ring.devices_of_pvs("BPM" if kind.target == "bpm" else "COR")
+
+
 def _of_devices(what: str, devices: Devices) -> _Candidates:
     return _Candidates(what, devices.names, devices.planes, devices.cells)
 
@@ -115,11 +121,13 @@ def _of_names(what: str, labels: Sequence[str]) -> _Candidates:
     return _Candidates(what, names, planes, tuple(map(cell_of, names)))
 
 
-def _by_names(settings: EffectSettings, there: _Candidates) -> Indices:
+def _by_names(
+    settings: EffectSettings, there: _Candidates, pvs: Mapping[str, tuple[str, Plane]]
+) -> Indices:
     found: list[int] = []
     for name in settings.names:
         part = _WITH_PLANE.fullmatch(name)
-        device, plane = (part[1], part[2]) if part else (name, "")
+        device, plane = pvs.get(name) or ((part[1], part[2]) if part else (name, ""))
         hits = [
             index
             for index, its in enumerate(there.names)

@@ -88,6 +88,17 @@ class Ring:
         """Nominal RF frequency of the ultra-relativistic beam [Hz]."""
         return self.parameters.rf_frequency
 
+    def devices_of_pvs(self, kind: Kind) -> dict[str, tuple[str, Plane]]:
+        """Device and plane behind the PV of every reading, setpoint and readback of one kind."""
+        table = self.table
+        return {
+            pvs[row][int(index)]: (table.name[int(index)], plane)
+            for pvs in (table.readback, table.pv)
+            for row, plane in enumerate(split("xy"))
+            for index in self.places(kind)
+            if pvs[row][int(index)]
+        }
+
     def channels(self, planes: Planes) -> Channels:
         """Names behind the orbit and the setpoints, x first and then y."""
         bpms, correctors = self.places("BPM"), self.places("COR")

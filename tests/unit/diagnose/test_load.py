@@ -9,9 +9,12 @@ import pytest
 from record_files import arrays, record, ring, save, small
 
 from orbitfb.core.clock import ManualClock
+from orbitfb.core.errors import RecordError
 from orbitfb.core.signals import LoopState, Orbit, Phases, Reading, TickRecord
+from orbitfb.diagnose.answer_parts import Cause
 from orbitfb.diagnose.load import load, load_record
 from orbitfb.diagnose.load_rows import time_jumps
+from orbitfb.diagnose.naming import as_in_record
 from orbitfb.diagnose.save import save_npz
 from orbitfb.history.archive import ArchiveSettings
 from orbitfb.history.recorder import Recorder
@@ -114,6 +117,41 @@ def test_more_bpms_in_x_than_in_y(tmp_path):
     made["model_R"], made["bpm_names"] = made["model_R"][keep], made["bpm_names"][keep]
     layout = load_record(save(tmp_path / "record.npz", made)).layout
     assert layout.bpms.planes == ("x",) * 11 + ("y",) * 9
+
+
+@pytest.mark.parametrize("planes", ["x", "y", "xy"])
+def test_pvs_of_the_ring_are_its_devices(tmp_path, planes):
+    made = small(planes)
+    names = made["bpm_names"], made["corr_names"]
+    pvs = []
+    for each, kind in zip(names, ("BPM", "COR"), strict=True):
+        behind = {device: pv for pv, device in ring().devices_of_pvs(kind).items()}
+        half = len(each) // len(planes)
+        pvs.append([behind[str(name), planes[i // half]] for i, name in enumerate(each)])
+    made["bpm_names"], made["corr_names"] = map(np.array, pvs)
+    loaded = load(save(tmp_path / "record.npz", made))
+    layout = loaded.record.layout
+    assert layout.ring is not None and "".join(layout.planes) == planes
+    assert layout.bpms.names == tuple(names[0]) and layout.correctors.names == tuple(names[1])
+    assert layout.bpms.channels == tuple(pvs[0]) and layout.correctors.channels == tuple(pvs[1])
+    where = {"places": (names[0][3],), "planes": planes[0]}
+    cause = Cause(effect="bpm-gain", stage="sensor", probability=0.9, **where)
+    assert as_in_record([cause], layout)[0].places == (pvs[0][3],)
+    elsewhere = cause.model_copy(update={"effect": "local-kick"})
+    assert as_in_record([elsewhere], layout) == (elsewhere,)
+
+
+def test_a_pv_that_is_none_is_named(tmp_path):
+    made = small()
+    behind = {
+        name: pv for pv, (name, plane) in ring().devices_of_pvs("BPM").items() if plane == "x"
+    }
+    pvs = [behind[str(name)] for name in made["bpm_names"]]
+    made["bpm_names"] = np.array([pvs[0], f"{pvs[1]}x", *pvs[2:]])
+    with pytest.raises(
+        RecordError, match=r"array 'bpm_names' has .* in row 1, which is no PV of a"
+    ):
+        load(save(tmp_path / "record.npz", made))
 
 
 def test_names_of_nowhere_are_gone_on_with(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from orbitfb.effects.build import build, measured_response, plant_with
-from orbitfb.effects.settings import parse_effect
+from orbitfb.effects.settings import EffectSettings, parse_effect
 from orbitfb.physics.plant import Plant, PlantSettings
 
 pytestmark = pytest.mark.usefixtures("examples")
@@ -24,6 +24,14 @@ def test_an_effect_begins_at_its_time_and_on_its_devices(ring):
     changed = np.flatnonzero(then != setpoints)
     assert len(changed) == 6
     np.testing.assert_allclose(then[changed], 0.011)
+
+
+def test_a_device_is_known_by_its_pv_too(ring):
+    pv = next(pv for pv, its in ring.devices_of_pvs("COR").items() if its == ("CL1A_C01", "x"))
+    settings = EffectSettings(id="example-gain", values={"gain": 0.1}, names=(pv,))
+    plant = plant_with(ring, "x", QUIET, 1, [settings], 0.1)
+    moved = plant.step(np.full(180, 0.01)).readback
+    assert [ring.names("COR")[i] for i in np.flatnonzero(moved != 0.01)] == ["CL1A_C01"]
 
 
 def test_what_grows_grows_from_nothing_at_its_beginning(ring):
