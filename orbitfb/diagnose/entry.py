@@ -76,10 +76,10 @@ def enter(bench: Bench, candidate: Candidate) -> Entry:
 
 def _fitted(bench: Bench, candidate: Candidate) -> Entry:
     found = fit(bench, (candidate.cause,))
-    return Entry(candidate, found, found.evidence - _price(candidate))
+    return Entry(candidate, found, found.evidence - price(candidate))
 
 
-def _price(candidate: Candidate) -> float:
+def price(candidate: Candidate) -> float:
     """What the choice costs, and what of the gain healthy devices may scatter [nats]."""
     spare = 0.0 if candidate.alone is None else candidate.alone - candidate.gain
     return float(np.log(candidate.choices)) + spare
@@ -158,7 +158,7 @@ def profiled(bench: Bench, entry: Entry, best: float) -> Entry:
     found = fit(own, entry.fit.causes)
     lost = own.full_log_likelihood - bench.full_log_likelihood  # by the other floor alone
     gain = found.gain + lost
-    weight = gain / found.inflation - found.occam - _price(entry.candidate)
+    weight = gain / found.inflation - found.occam - price(entry.candidate)
     if weight <= entry.weight:
         return entry
     judged = replace(

@@ -121,7 +121,27 @@ def projections(bench: Bench, patterns: Matrix) -> tuple[Matrix, Vector]:
     return bench.white @ modal, np.sum(modal**2, axis=0)
 
 
-def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candidate]:
+def level_spares(bench: Bench, kind: NoiseKind) -> Vector:
+    """Give what another level of the noise of each place is worth beyond what counts [nats].
+
+    Healthy devices scatter: so much of the gain of whatever changes the level is no evidence.
+
+    Args:
+        bench: The record under the causes accepted so far.
+        kind: The level of the noise.
+
+    Returns:
+        Shape (places,), at least 0.
+    """
+    seen, _, _, deviation = _scattered(bench, kind, kind.patterns(bench.record.layout))
+    alone = 0.5 * len(bench.record) * (np.expm1(seen) - seen)
+    return np.maximum(alone - 0.5 * (seen / deviation) ** 2, 0.0)
+
+
+def _scattered(
+    bench: Bench, kind: NoiseKind, patterns: Matrix
+) -> tuple[Vector, Vector, float, float]:
+    """How far every place is from the others, by how much, by chance, and healthy ones too."""
     course, size = projections(bench, patterns)
     rows = len(course)
     if kind.lag:
@@ -134,7 +154,12 @@ def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
         chance, strength = np.sqrt(2.0 / rows), (ratio - 1.0) / size
     seen = seen - (np.median(seen) if len(seen) > _MANY else 0.0)
     least = _LEAST_COLOUR if kind.lag else _LEAST_SCATTER
-    deviation = np.hypot(chance, _scatter(seen, chance, least))
+    return seen, strength, chance, float(np.hypot(chance, _scatter(seen, chance, least)))
+
+
+def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candidate]:
+    seen, strength, chance, deviation = _scattered(bench, kind, patterns)
+    rows = len(bench.record)
     reading = float(np.sqrt(bench.floor.reading))
     for members, name, choices in _sets(bench, kind, seen):
         # Healthy devices scatter each for itself: what a group has in common shows the better.

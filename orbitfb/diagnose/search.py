@@ -8,7 +8,7 @@ import numpy as np
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import Budget
 from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.entry import Entry
+from orbitfb.diagnose.entry import Entry, price
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.innovation import NoiseFloor
@@ -198,7 +198,8 @@ def search(
             nominal = Bench(record, given, floor, nominal.floor.modes)
             left = [kind for kind in left if not _kin(kind, winner.kind)]
         bench = Bench(record, (*given, *_moving(causes)), floor, nominal.floor.modes)
-    joint, moving = _together(nominal, bench, _moving(causes))
+    rounds, joint, moving = _without_void(nominal, bench, rounds)
+    causes = tuple(one.accepted.cause for one in rounds if one.accepted is not None)
     final = bench
     if joint is not None:
         final = Bench(record, (*given, *moving), floor, nominal.floor.modes)
@@ -247,6 +248,41 @@ def _winner(one: Round, before: Sequence[Round]) -> Entry | None:
     if before and (best.weight < max(_FURTHER * gained, _LEAST_FURTHER) or scatter > _TIDY):
         return None
     return best
+
+
+def _without_void(
+    nominal: Bench, last: Bench, rounds: Sequence[Round]
+) -> tuple[list[Round], Fit | None, tuple[Cause, ...]]:
+    """Fit all causes jointly, and drop those that the others have made void.
+
+    What came first may have stood in for what came later: each must be worth its price beside all
+    others, which are fitted anew without it.
+
+    Returns:
+        The rounds, those of dropped causes without a winner; the joint fit and its causes.
+    """
+    kept = list(rounds)
+    while True:
+        own = [
+            (index, one.accepted)
+            for index, one in enumerate(kept)
+            if one.accepted is not None and one.accepted.fit is not None
+        ]
+        joint, moving = _together(nominal, last, tuple(entry.cause for _, entry in own))
+        if joint is None or len(moving) < 2:
+            return kept, joint, moving
+        base = nominal.with_floor(last.floor)
+        worths: list[float] = []
+        for place, (_, entry) in enumerate(own):
+            rest = fit(base, (*moving[:place], *moving[place + 1 :]))
+            occam = 0.0 if entry.fit is None else entry.fit.occam
+            lost = (joint.gain - rest.gain) / joint.inflation
+            worths.append(lost - occam - price(entry.candidate))
+        void = int(np.argmin(worths))
+        if worths[void] >= 0.0:
+            return kept, joint, moving
+        index = own[void][0]
+        kept[index] = replace(kept[index], accepted=None)
 
 
 def _together(

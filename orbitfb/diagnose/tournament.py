@@ -16,7 +16,7 @@ from orbitfb.diagnose.budget import SCAN_SHARE, Budget
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.entry import HOPELESS, Entry, alike_alike, enter, net, profiled
 from orbitfb.diagnose.progress import Progress
-from orbitfb.diagnose.randomness import level_candidates, noise_candidates
+from orbitfb.diagnose.randomness import level_candidates, level_spares, noise_candidates
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.strike_scan import latent_candidates
 from orbitfb.effects.device_kinds import SensorKind
@@ -146,10 +146,25 @@ def propose(
             found += scanner.candidates(kind)
         if progress is not None:
             progress(kind.id, (index + 1) / len(kinds))
-    found += [*_scaled_noise(found, kinds)]
+    found = [*_without_levels(bench, found, kinds), *_scaled_noise(found, kinds)]
     found.sort(key=net, reverse=True)
     worth = sum(net(candidate) > 0.0 for candidate in found)
     return _chosen(found[: max(worth, _LEAST_FINALISTS)])
+
+
+def _without_levels(
+    bench: Bench, found: Sequence[Candidate], kinds: Sequence[EffectKind]
+) -> Iterator[Candidate]:
+    """Charge what changes the noise of a BPM with what healthy noise may differ."""
+    noise = next((kind for kind in kinds if kind.id == "noise-level"), None)
+    spares = level_spares(bench, noise) if isinstance(noise, NoiseKind) else None
+    for one in found:
+        kind, places = one.cause.kind, one.cause.places
+        noisy = isinstance(kind, SensorKind) and (kind.colours or kind.scales)
+        if spares is not None and noisy and len(places) == 1:
+            yield replace(one, alone=one.gain + float(spares[places[0]]))
+        else:
+            yield one
 
 
 def _scaled_noise(found: Sequence[Candidate], kinds: Sequence[EffectKind]) -> Iterator[Candidate]:
