@@ -22,6 +22,9 @@ from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
+_NORMAL = 1.4826
+"""Standard deviation of normal numbers over the median of their sizes."""
+
 
 class ColumnsEffect(Effect, ABC):
     """An effect on some correctors, each for itself; its memory begins at its first tick.
@@ -140,8 +143,25 @@ def largest_change(record: Record) -> float:
 
 
 def usual_change(record: Record) -> float:
-    """Rms of the changes of the setpoints between two rows [A]; 1 mA when none changes."""
-    return float(np.sqrt(np.mean(changes(record.setpoints, record) ** 2))) or 1e-3
+    """Size of the changes of the setpoints between two rows [A]; 1 mA when none changes.
+
+    Their rms, if they are normal; few large ones, as when an orbit is steered away, do not count.
+    """
+    size = np.abs(changes(record.setpoints, record))
+    return _NORMAL * float(np.median(size[size > 0.0])) if size.any() else 1e-3
+
+
+def widths(record: Record, top: float) -> Vector:
+    """Widths of a dead zone to scan, each half as wide again as the one before [A].
+
+    One that is narrow beside the changes shows by its width alone, however large these are.
+
+    Args:
+        record: Its changes tell the narrowest.
+        top: The widest [A].
+    """
+    bottom = min(0.02 * largest_change(record), 0.005 * usual_change(record))
+    return np.geomspace(bottom, top, 1 + max(1, round(np.log(top / bottom) / np.log(1.5))))
 
 
 def largest_setpoint(record: Record) -> float:

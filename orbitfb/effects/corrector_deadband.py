@@ -3,7 +3,7 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.actuating import ColumnsEffect, followed, ladder, largest_change
+from orbitfb.effects.actuating import ColumnsEffect, followed, ladder, largest_change, widths
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
@@ -61,8 +61,8 @@ class CorrectorDeadband(ActuatorKind):
         return followed(setpoints, record, step)
 
     def grid(self, record: Record) -> tuple[Values, ...]:
-        """24 widths around the largest change of the record: it is dead to them or not."""
-        return ladder("width", {}, largest_change(record) * np.geomspace(0.02, 6.0, 15))
+        """Widths up to several times the largest change: it is dead to them or not."""
+        return ladder("width", {}, widths(record, 6.0 * largest_change(record)))
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -3,7 +3,14 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.actuating import ColumnsEffect, followed, largest_change, widest_range
+from orbitfb.effects.actuating import (
+    ColumnsEffect,
+    followed,
+    ladder,
+    largest_change,
+    widest_range,
+    widths,
+)
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
@@ -72,12 +79,10 @@ class CorrectorHysteresis(ActuatorKind):
         return setpoints + share * (dragged - setpoints)
 
     def grid(self, record: Record) -> tuple[Values, ...]:
-        """24 widths from a fraction of the largest change to the range, and 6 for a part of it."""
-        top = max(widest_range(record), largest_change(record))
-        bottom = 0.02 * largest_change(record)
-        whole = [{"width": float(w), "share": 1.0} for w in np.geomspace(bottom, top, 15)]
-        part = [{"width": float(w), "share": 0.3} for w in np.geomspace(bottom, top, 6)]
-        return (*whole, *part)
+        """Widths up to the range, for the whole current and some for a part of it."""
+        steps = widths(record, max(widest_range(record), largest_change(record)))
+        whole, part = ladder("width", {"share": 1.0}, steps), steps[:: len(steps) // 6 + 1]
+        return (*whole, *ladder("width", {"share": 0.3}, part))
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

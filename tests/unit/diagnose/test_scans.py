@@ -141,3 +141,16 @@ def test_a_doubled_noise_is_worth_its_likelihood():
     assert found.alone is not None
     ratio = found.cause.values["factor"] ** 2
     assert found.alone == pytest.approx(700 * (ratio - 1 - np.log(ratio)) / 2, rel=0.1)
+
+
+def test_a_dead_zone_is_found_however_far_the_orbit_was_steered_away():
+    """Its width alone shows, and one large step at the beginning says nothing of the others."""
+    record = record_with("corrector-deadband:width=0.05mA", dither=1e-3)
+    setpoints = record.setpoints.copy()
+    jump = 0.2 * np.sin(np.arange(len(CORRECTORS)))
+    setpoints[20:] += jump
+    readings = record.readings.copy()
+    readings[20:] += LAYOUT.response @ jump
+    found = best(replace(record, setpoints=setpoints, readings=readings), "corrector-deadband")
+    assert len(found.cause.places) == len(CORRECTORS)
+    assert found.cause.values["width"] == pytest.approx(0.05e-3, rel=0.25)
