@@ -6,6 +6,7 @@ largest where 1 + κ a is the mean of (bᵀ g)² / a.
 """
 
 from collections.abc import Iterator
+from math import comb
 
 import numpy as np
 
@@ -33,6 +34,10 @@ _KEPT = 3
 _MANY = 8
 """Places from which on a typical one can be told."""
 _EDGE = 60
+_STRIKING = 5.0
+"""Standard deviations from which a place is struck for itself, wherever the others stand."""
+_MANY_STRIKE = 0.25
+"""Share of all places beyond which they are no exceptions."""
 
 
 def noise_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
@@ -161,7 +166,7 @@ def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
     seen, strength, chance, deviation = _scattered(bench, kind, patterns)
     rows = len(bench.record)
     reading = float(np.sqrt(bench.floor.reading))
-    for members, name, choices in _sets(bench, kind, seen):
+    for members, name, choices in _sets(bench, kind, seen, deviation):
         # Healthy devices scatter each for itself: what a group has in common shows the better.
         typical = float(np.mean(seen[members]))
         gain = 0.5 * len(members) * (typical / deviation) ** 2
@@ -174,13 +179,18 @@ def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
             yield Candidate(Cause(kind, places, values), gain, choices, name, alone)
 
 
-def _sets(bench: Bench, kind: NoiseKind, seen: Vector) -> Iterator[tuple[Indices, str, float]]:
+def _sets(
+    bench: Bench, kind: NoiseKind, seen: Vector, deviation: float
+) -> Iterator[tuple[Indices, str, float]]:
     """The most conspicuous places, and groups of BPMs; with their names, and out of how many."""
     for place in np.argsort(np.abs(seen))[::-1][:_KEPT]:
         yield np.array([place]), "", float(len(seen))
     bpms = bench.record.layout.bpms
     if not (kind.collective and kind.target == "bpm" and len(seen) == len(bpms)):
         return
+    for members in (np.flatnonzero(seen * sign > _STRIKING * deviation) for sign in (1.0, -1.0)):
+        if 2 <= len(members) <= _MANY_STRIKE * len(seen):
+            yield members, "", float(comb(len(seen), len(members)))
     # All of them are what the floor is made of.
     groups = [
         (name, members)

@@ -154,3 +154,12 @@ def test_a_dead_zone_is_found_however_far_the_orbit_was_steered_away():
     found = best(replace(record, setpoints=setpoints, readings=readings), "corrector-deadband")
     assert len(found.cause.places) == len(CORRECTORS)
     assert found.cause.values["width"] == pytest.approx(0.05e-3, rel=0.25)
+
+
+def test_noise_of_a_few_bpms_here_and_there_is_one_cause():
+    struck = (5, 40, 77, 90, 133, 170)
+    names = "+".join(BPMS[place] for place in struck)
+    record = record_with(f"noise-level:factor=2,names={names}", dither=0.0)
+    found = noise_candidates(Bench(record), all_effects()["noise-level"])[0]
+    assert found.cause.places == struck
+    assert found.cause.values["factor"] == pytest.approx(2.0, rel=0.1)
