@@ -92,17 +92,28 @@ def tournament(
             again.append(profiled(bench, entry, entries[0].weight))
     tell("fitting", 1.0)
     again = alike_alike(again)
-    return sorted((*again, *entries[REFITTED:]), key=_rank, reverse=True)
+    every = (*again, *entries[REFITTED:])
+    return sorted(every, key=lambda entry: _rank(entry, every), reverse=True)
 
 
-def _rank(entry: Entry) -> float:
+def _rank(entry: Entry, every: Sequence[Entry]) -> float:
     """Weight among the others: noise that healthy devices would not have comes before causes.
 
     How sure a noise is depends on how much healthy devices scatter; how well it explains the
-    record does not, and what it leaves in the innovations looks like many other causes.
+    record does not, and what it leaves in the innovations looks like many other causes. But what
+    the readings of the same BPM do in time is no noise.
     """
-    spare = 0.0 if entry.candidate.alone is None else entry.candidate.alone - entry.candidate.gain
-    return entry.weight + (spare if entry.weight > _SURE_NOISE else 0.0)
+    if entry.candidate.alone is None or entry.weight <= _SURE_NOISE:
+        return entry.weight
+    if any(
+        isinstance(other.kind, SensorKind)
+        and other.candidate.alone is None
+        and other.cause.places == entry.cause.places
+        and other.weight > entry.weight
+        for other in every
+    ):
+        return entry.weight
+    return entry.weight + entry.candidate.alone - entry.candidate.gain
 
 
 def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
