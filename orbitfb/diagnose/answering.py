@@ -28,18 +28,21 @@ from orbitfb.effects.random_kinds import NoiseKind
 def named_causes(
     outcome: Outcome, departures: Sequence[Departure], worths: Worths
 ) -> tuple[NamedCause, ...]:
-    """Write the causes of a search, in the order in which they were found.
+    """Write the causes of a search, those that explain most first.
 
     Args:
         outcome: Of the search.
         departures: Of the causes from their laws.
         worths: What each of them is worth.
     """
-    return tuple(
+    causes = [
         _named(outcome, one, one.accepted, its, worths)
         for one, its in zip(outcome.winners, departures, strict=True)
         if one.accepted is not None
-    )
+    ]
+    if not outcome.winners[0].rivals():  # else the first one stands for its class
+        causes.sort(key=lambda cause: cause.drop_one_nats or 0.0, reverse=True)
+    return tuple(causes)
 
 
 def _named(

@@ -5,7 +5,7 @@ With g = S⁻¹ e, adding κ b bᵀ to the covariance of the innovations changes
 largest where 1 + κ a is the mean of (bᵀ g)² / a.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import comb
 
 import numpy as np
@@ -17,7 +17,7 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan import groups_of
 from orbitfb.diagnose.switching import switching_candidates
 from orbitfb.diagnose.wandering import Wandering
-from orbitfb.effects.kinds import Values
+from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
@@ -30,6 +30,8 @@ _LEVELS = ("noise-level", "ground-motion-level")
 """Kinds that may strike every place alike."""
 _LEVEL_SCATTER = 0.1
 """Scatter of the logarithm of a healthy level between times of a record, or records."""
+_AS_GOOD = 5.0
+"""Gains that differ by less say nothing of which level it is [nats]."""
 _KEPT = 3
 _MANY = 8
 """Places from which on a typical one can be told."""
@@ -76,15 +78,29 @@ def _wandering(bench: Bench, kind: NoiseKind, shape: Vector) -> list[Candidate] 
     return [Candidate(Cause(kind, (0,), values), gain, 1.0)]
 
 
-def level_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
+def level_candidates(bench: Bench, kinds: Sequence[EffectKind]) -> list[Candidate]:
     """Try another level of all the reading noise, or of all the walk, from some row on.
+
+    What a level explains best decides between them; how far it is from healthy ones only says how
+    sure it is.
+
+    Args:
+        bench: The record under the causes accepted so far.
+        kinds: Those that the record can show.
+    """
+    levels = [kind for kind in kinds if isinstance(kind, NoiseKind) and kind.id in _LEVELS]
+    found = [one for kind in levels if (one := _level(bench, kind)) is not None]
+    best = max((gain for gain, _ in found), default=0.0)
+    return [candidate for gain, candidate in found if gain > best - _AS_GOOD]
+
+
+def _level(bench: Bench, kind: NoiseKind) -> tuple[float, Candidate] | None:
+    """Another level of one noise: its gain, and the candidate that it makes.
 
     The variance of a mode's innovation goes with q as its share L / (2 − L), and with r² as the
     rest. Without a reference the level of the whole record is what the floor was fitted to; a
     change within it is judged against the record's own other part.
     """
-    if kind.id not in _LEVELS:
-        return []
     record = bench.record
     share = bench.floor.gains / (2.0 - bench.floor.gains)
     share = share if kind.colour == "walk" else 1.0 - share
@@ -109,14 +125,23 @@ def level_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
         gain, choices = float(steps[row]), float(len(steps))
         early, late = int(np.argmax(before[:, row])), int(np.argmax(after[:, row]))
         ratio = float(factors[late] / factors[early])
-    # Levels of healthy rings wander: a factor is judged against their usual scatter too.
-    tolerance = 0.5 * (np.log(ratio) / _LEVEL_SCATTER) ** 2
-    gain = gain * tolerance / (gain + tolerance) if gain + tolerance > 0 else 0.0
+    sure = float(_beyond_healthy(np.array([gain]), np.array([ratio]))[0])
     places: tuple[int, ...] = () if kind.target == "ring" else tuple(range(len(record.layout.bpms)))
     values = {p.name: p.typical for p in kind.parameters}
     values[kind.parameters[0].name] = float(np.sqrt(ratio))
     cause = Cause(kind, places, values, row + 1 if row else 0)
-    return [Candidate(cause, gain, choices, "all")] if gain > 0 else []
+    return (gain, Candidate(cause, sure, choices, "all", gain)) if sure > 0 else None
+
+
+def _beyond_healthy(gain: Vector, ratio: Vector) -> Vector:
+    """Judge a change of a variance against the wandering of healthy levels too.
+
+    Args:
+        gain: Of the changes, at least 0 [nats].
+        ratio: Variance after over variance before.
+    """
+    tolerance = 0.5 * (np.log(ratio) / _LEVEL_SCATTER) ** 2
+    return gain * tolerance / np.maximum(gain + tolerance, 1e-300)
 
 
 def projections(bench: Bench, patterns: Matrix) -> tuple[Matrix, Vector]:
@@ -227,7 +252,8 @@ def _sudden(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
     gain[:_EDGE] = 0.0
     gain[-_EDGE:] = 0.0
     best = np.argmax(gain, axis=0)
-    height = gain[best, np.arange(gain.shape[1])]
+    every = np.arange(gain.shape[1])
+    height = _beyond_healthy(gain[best, every], (late / early)[best, every])
     reading = float(np.sqrt(bench.floor.reading))
     for place in np.argsort(height)[::-1][:_KEPT]:
         row = int(best[place])

@@ -150,13 +150,13 @@ def propose(
             break
         if isinstance(kind, NoiseKind):
             found += noise_candidates(bench, kind)
-            found += level_candidates(bench, kind)
         elif isinstance(kind, LatentKind):
             found += latent_candidates(bench, kind)
         else:
             found += scanner.candidates(kind)
         if progress is not None:
             progress(kind.id, (index + 1) / len(kinds))
+    found += level_candidates(bench, kinds)
     found = [*_without_levels(bench, found, kinds), *_scaled_noise(found, kinds)]
     found.sort(key=net, reverse=True)
     worth = sum(net(candidate) > 0.0 for candidate in found)
