@@ -195,7 +195,7 @@ def record_of(case: Case, ticks: int) -> Record:
 
 def propose(bench: Bench, kind: EffectKind) -> list[Candidate]:
     if isinstance(kind, NoiseKind):
-        found = [*noise_candidates(bench, kind), *level_candidates(bench, kind)]
+        found = [*noise_candidates(bench, kind), *level_candidates(bench, [kind])]
         return sorted(found, key=lambda c: c.gain - np.log(c.choices), reverse=True)
     if isinstance(kind, LatentKind):
         return latent_candidates(bench, kind)

@@ -40,7 +40,7 @@ def named_causes(
         for one, its in zip(outcome.winners, departures, strict=True)
         if one.accepted is not None
     ]
-    if not outcome.winners[0].rivals():  # else the first one stands for its class
+    if causes and not causes[0].alternatives:  # else the first one stands for its class
         causes.sort(key=lambda cause: cause.drop_one_nats or 0.0, reverse=True)
     return tuple(causes)
 

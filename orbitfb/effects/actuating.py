@@ -22,6 +22,8 @@ from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
+_FEW_LARGE = 0.3
+"""Usual size of changes over their rms below which few large ones make the rms."""
 _NORMAL = 1.4826
 """Standard deviation of normal numbers over the median of their sizes."""
 
@@ -149,6 +151,13 @@ def usual_change(record: Record) -> float:
     """
     size = np.abs(changes(record.setpoints, record))
     return _NORMAL * float(np.median(size[size > 0.0])) if size.any() else 1e-3
+
+
+def scales_of_change(record: Record) -> tuple[float, ...]:
+    """Rms of the changes of the setpoints [A], and their usual size if few large ones make it."""
+    rms = float(np.sqrt(np.mean(changes(record.setpoints, record) ** 2))) or 1e-3
+    usual = usual_change(record)
+    return (rms, usual) if usual < _FEW_LARGE * rms else (rms,)
 
 
 def widths(record: Record, top: float) -> Vector:

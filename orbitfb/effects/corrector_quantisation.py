@@ -3,7 +3,7 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.actuating import ColumnsEffect, ladder, usual_change
+from orbitfb.effects.actuating import ColumnsEffect, ladder, scales_of_change
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
@@ -53,18 +53,19 @@ class CorrectorQuantisation(ActuatorKind):
         return np.round(setpoints / step) * step if step > 0 else setpoints.copy()
 
     def grid(self, record: Record) -> tuple[Values, ...]:
-        """14 steps around the usual change of the setpoints, and those that readbacks show."""
-        steps = usual_change(record) * np.geomspace(0.3, 60.0, 14)
+        """14 steps around the change of the setpoints, and those that readbacks show."""
+        scales = np.array(scales_of_change(record))
+        steps = np.outer(scales, np.geomspace(0.3, 60.0, 14)).ravel()
         steps = steps[steps <= self.parameters[0].high]
         return ladder("step", {}, [*read_back_steps(record, 4), *steps])
 
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:
         """Find the needles that the grid steps over, coarse ones and those below a dither."""
         steps: list[float] = []
-        for share in _FINEST:
-            finest = share * usual_change(record)
-            steps += common_steps(setpoints, pull, finest, 5)
-            steps += single_steps(setpoints, pull, finest, 5)
+        for scale in scales_of_change(record):
+            for share in _FINEST:
+                steps += common_steps(setpoints, pull, share * scale, 5)
+                steps += single_steps(setpoints, pull, share * scale, 5)
         return ladder("step", {}, steps)
 
     def simulate(
