@@ -24,6 +24,7 @@ _SURE = 50.0
 _EXPLAINED = 0.7
 _MOST = 0.8
 _MANY = 0.2
+_HARDLY = 0.9
 _LIKE_OTHERS = 3.0
 _FEWEST = 30
 _FEWEST_CHANNELS = 4
@@ -116,6 +117,7 @@ def _whole(steps: Steps) -> list[Finding]:
     own = np.diag(likeness)
     best = likeness.max(axis=1)
     elsewhere = _gain(count, 1 - own * np.abs(own), 1 - np.minimum(best, 0.999999) ** 2) > _SURE
+    elsewhere &= own < _HARDLY * best  # one large error makes BPMs follow others a little better
     n = len(own)
     if n >= _FEWEST_CHANNELS and elsewhere.sum() >= max(3, _MANY * n):
         targets = likeness.argmax(axis=1)[elsewhere]

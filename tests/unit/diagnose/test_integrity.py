@@ -7,6 +7,8 @@ import pytest
 from record_files import record, ring
 
 from orbitfb.diagnose.integrity import is_hopeless, screen
+from orbitfb.diagnose.integrity_channels import _whole
+from orbitfb.diagnose.integrity_steps import Steps
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.plant import PlantSettings
@@ -332,3 +334,16 @@ def test_setpoints_that_never_move():
         requested=np.zeros_like(made.requested),
     )
     assert only(still, "no-action").severity == "warning"
+
+
+@pytest.mark.parametrize(("turn", "told"), [(0.12, []), (1.0, ["permuted-channels"])])
+def test_bpms_that_follow_their_neighbours_a_little_better_are_in_order(turn, told):
+    """One corrector that is stuck turns the steps of all BPMs alike while an orbit is corrected."""
+    rng = np.random.default_rng(4)
+    courses, phase = rng.normal(size=(400, 2)), np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
+
+    def orbit(phases):
+        return courses @ np.array([np.cos(phases), np.sin(phases)])
+
+    made = Steps(np.arange(400), orbit(phase + turn), courses, orbit(phase))
+    assert [finding.check for finding in _whole(made)] == told
