@@ -44,7 +44,7 @@ def headline(
             parts.append("A part of the gap remains that no known effect explains.")
             parts.append(unknown.text if unknown is not None else "")
     elif state == "ambiguous":
-        sets = ", and ".join(" or ".join(map(_member, one.effects)) for one in ambiguous)
+        sets = ", and ".join(" or ".join(map(member, one.effects)) for one in ambiguous)
         parts.append(f"The record cannot decide: {sets}.")
         if any("no_gap" in one.effects for one in ambiguous):
             parts.append(f"The likeliest is {describe(causes[0])}." if causes else "")
@@ -60,7 +60,8 @@ def headline(
     return " ".join(part for part in parts if part)
 
 
-def _member(effect: str) -> str:
+def member(effect: str) -> str:
+    """Name a member of an ambiguous set for people."""
     return "nothing at all" if effect == "no_gap" else effect
 
 

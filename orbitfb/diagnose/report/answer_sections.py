@@ -16,6 +16,7 @@ from orbitfb.diagnose.report.html import (
     table,
     text,
 )
+from orbitfb.diagnose.wording import member
 
 _STATES = {
     "no_gap": ("no gap", "#00724f"),
@@ -92,7 +93,7 @@ def causes(its: Diagnosis) -> str:
         why = f" because: {text(one.why)}" if one.why else ""
         pieces.append(
             paragraph(
-                f"<b>Cannot be told apart:</b> {listed(one.effects)}{why}. "
+                f"<b>Cannot be told apart:</b> {listed(tuple(map(member, one.effects)))}{why}. "
                 + (f"What would split them: {text(one.splits)}." if one.splits else "")
             )
         )
