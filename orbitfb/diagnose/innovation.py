@@ -25,6 +25,8 @@ from orbitfb.physics.optics import Matrix
 
 _OLDEST = 3000
 """Rows after which the gain of every mode is taken as steady."""
+_LEAST_MEMORY = 1e-9
+"""Share of the row before that a filter keeps at least, however still its readings are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,7 +196,8 @@ class Ladder:
         self.feedback = [1.0 - float(step) for step in steps]
         self._floor = floor
         # A random walk of q = r² L² / (1 − L) has the steady gain L.
-        self._filters = NoiseFloor(np.eye(len(steps)), 1.0, steps**2 / (1.0 - steps))
+        walk = steps**2 / np.maximum(1.0 - steps, _LEAST_MEMORY)
+        self._filters = NoiseFloor(np.eye(len(steps)), 1.0, walk)
 
     def filtered(self, drivers: NDArray[np.floating], starts: Mask) -> list[Matrix]:
         """Filter courses in time with every level, each of shape (N, P), in single precision.
