@@ -17,6 +17,7 @@ from orbitfb.diagnose.healing import Errors, Preconditioner, Single
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.layout import ChannelPlane, Layout
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import plane_row
 
 GAIN_RMS = 0.01
 """Scatter of the gains of BPMs and correctors that is taken as healthy [1]."""
@@ -154,16 +155,15 @@ class Background:
             return np.zeros((len(self._starts), self._errors.bpms), dtype=np.float32)
         return self._errors.orbit(self._within(sizes, -0.5))
 
-    def _sums(self) -> Matrix:
-        """Sums of the errors that are known to be nothing, shape (P, planes)."""
-        held = [(part.held, len(part.scatter)) for part in self._parts]
-        known = [index for index, (its, _) in enumerate(held) if its is not None]
-        sums = np.zeros((sum(length for _, length in held), len(known)))
-        ends = np.cumsum([length for _, length in held])
-        for column, index in enumerate(known):
-            its, length = held[index]
-            sums[ends[index] - length : ends[index], column] = its
-        return sums
+    def _sums(self) -> list[Vector]:
+        """Sums of the errors that are known to be nothing, each of shape (P,)."""
+        return [
+            np.concatenate(
+                [part.held if its is part else np.zeros(len(its.scatter)) for its in self._parts]
+            )
+            for part in self._parts
+            if part.held is not None
+        ]
 
     def _within(self, sizes: Vector, power: float) -> Vector:
         """Multiply with a power of 1 + Σ s sᵀ, the precision of all errors, sums s included.
@@ -171,7 +171,7 @@ class Background:
         Sizes are those that scatter by one each, independently; errors are this to the power −½ of
         them. The sums have no error in common.
         """
-        for sum_ in self._held.T:
+        for sum_ in self._held:
             norm = float(sum_ @ sum_)
             if norm:
                 share = ((1.0 + norm) ** power - 1.0) / norm
@@ -199,4 +199,4 @@ def _gradient_scatters(layout: Layout) -> Vector:
 def _tune_changes(layout: Layout, plane: ChannelPlane) -> Vector:
     """Change of a plane's tune by every integrated gradient, |Δν / Δk| = β / 4π, shape (P,) [m]."""
     ring = layout.known_ring
-    return ring.table.beta[0 if plane == "x" else 1, ring.places("QUAD")] / (4.0 * np.pi)
+    return ring.table.beta[plane_row(plane), ring.places("QUAD")] / (4.0 * np.pi)

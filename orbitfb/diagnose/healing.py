@@ -80,14 +80,19 @@ class Preconditioner:
         floor: The noise.
         starts: Where stretches begin, shape (N,).
         levels: Of the ladder of filters.
-        held: Sums of errors that are known to be nothing within ±1, shape (P, sums).
+        held: Sums of errors that are known to be nothing within ±1, each of shape (P,).
 
     Attributes:
         absorbed: Share of the information on every error that all of them take away, shape (P,).
     """
 
     def __init__(
-        self, errors: Errors, floor: NoiseFloor, starts: Mask, levels: int, held: Matrix
+        self,
+        errors: Errors,
+        floor: NoiseFloor,
+        starts: Mask,
+        levels: int,
+        held: Sequence[Vector] = (),
     ) -> None:
         ladder = Ladder(floor, levels)
         shapes = [shape.astype(np.float32) for shape in ladder.shapes(errors.patterns)]
@@ -101,7 +106,7 @@ class Preconditioner:
         for _, its in components(both):
             columns = its[its < errors.count]
             if len(columns):
-                solver = self._solved(shapes, courses, columns, held[columns])
+                solver = self._solved(shapes, courses, columns, held)
                 self._blocks.append((columns, solver))
 
     def _solved(
@@ -109,7 +114,7 @@ class Preconditioner:
         shapes: Sequence[Single],
         courses: Sequence[Single],
         columns: Indices,
-        held: Matrix,
+        held: Sequence[Vector],
     ) -> tuple[Matrix, bool]:
         matrix = np.zeros((len(columns), len(columns)))
         for shape, course in zip(shapes, courses, strict=True):
@@ -117,7 +122,7 @@ class Preconditioner:
             other = np.ascontiguousarray(course[:, columns])
             matrix += (one.T @ one) * (other.T @ other)
         known = np.diagonal(matrix).copy()
-        prior = np.eye(len(columns)) + held @ held.T
+        prior = np.eye(len(columns)) + sum(np.outer(one[columns], one[columns]) for one in held)
         matrix += prior
         try:
             solver = cho_factor(matrix, lower=True)

@@ -164,8 +164,13 @@ def level_spares(bench: Bench, kind: NoiseKind) -> Vector:
         Shape (places,), at least 0.
     """
     seen, _, _, deviation = _scattered(bench, kind, kind.patterns(bench.record.layout))
-    alone = 0.5 * len(bench.record) * (np.expm1(seen) - seen)
+    alone = len(bench.record) * _per_row(seen)
     return np.maximum(alone - 0.5 * (seen / deviation) ** 2, 0.0)
+
+
+def _per_row(seen: Vector) -> Vector:
+    """Gain of a row by a variance of its own, from the logarithm of its ratio to the floor's."""
+    return 0.5 * (np.expm1(seen) - seen)
 
 
 def _scattered(
@@ -197,7 +202,7 @@ def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
         gain = 0.5 * len(members) * (typical / deviation) ** 2
         alone = 0.5 * len(members) * (typical / chance) ** 2
         if not kind.lag:  # a variance that is no little off: the lemma above
-            alone = 0.5 * len(members) * rows * float(np.expm1(typical) - typical)
+            alone = len(members) * rows * float(_per_row(np.array(typical)))
         values = _values(kind, float(np.mean(strength[members])), reading)
         if values is not None:
             places = tuple(int(i) for i in members)

@@ -1,0 +1,31 @@
+"""A cause that another one has made void is no cause."""
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.entry import enter
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.search import Round, _without_void
+from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.effects.build import build, layout_of
+from orbitfb.effects.registry import effect
+from orbitfb.effects.settings import parse_effect
+from orbitfb.physics.places import Ring
+
+RING = Ring.load()
+LAYOUT = layout_of(RING, "x", 0.1)
+
+
+def test_what_stood_in_for_a_later_cause_is_dropped():
+    texts = [f"corrector-gain:gain=0.3,names={LAYOUT.correctors.names[i]}" for i in (40, 90)]
+    effects = build([parse_effect(text) for text in texts], LAYOUT, 1)
+    bench = Bench(simulate_record(RING, "x", 500, 5, effects, dither=1e-3, period=0.1))
+    kind = effect("corrector-gain")
+    entries = [
+        enter(bench, Candidate(Cause(kind, (place,), {"gain": 0.1}), 50.0, 180.0))
+        for place in (41, 40, 90)
+    ]
+    rounds = [Round(bench, (entry,), 40, entry) for entry in entries]
+    kept, joint, causes = _without_void(bench, bench, rounds)
+    assert [one.accepted is not None for one in kept] == [False, True, True]
+    assert [cause.places for cause in causes] == [(40,), (90,)]
+    assert joint is not None and joint.causes == causes
