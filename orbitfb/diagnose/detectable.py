@@ -92,19 +92,20 @@ class _Measure:
         }
 
     def size(self, kind: EffectKind) -> Detectable:
+        record = self._bench.record
         if isinstance(kind, NoiseKind):
-            middle, best = within(kind, smallest_noise(self._bench, kind))
+            middle, best = within(kind, record, smallest_noise(self._bench, kind))
         elif isinstance(kind, LatentKind):
-            middle, best = within(kind, np.array([smallest_strike(self._bench, kind)]))
+            middle, best = within(kind, record, np.array([smallest_strike(self._bench, kind)]))
         elif getattr(kind, "periodic", False) and isinstance(kind, SourceKind):
-            middle, best = within(kind, smallest_line(self._bench, kind))
+            middle, best = within(kind, record, smallest_line(self._bench, kind))
         else:
             seen = [self._seen(kind, values) for values in tried(kind, self._bench)]
             if kind.sudden and max(float(np.max(s.gain, initial=0.0)) for s in seen) < _INVISIBLE:
                 seen = [self._seen(kind, values, late=True) for values in tried(kind, self._bench)]
-            middle = smallest(kind, seen, [median(s.gain) for s in seen])
-            best = smallest(kind, seen, [float(np.max(s.gain, initial=0.0)) for s in seen])
-        spec = size_parameter(kind)
+            middle = smallest(kind, record, seen, [median(s.gain) for s in seen])
+            best = smallest(kind, record, seen, [float(np.max(s.gain, initial=0.0)) for s in seen])
+        spec = size_parameter(kind, record)
         return Detectable(
             effect=kind.id,
             parameter=spec.name if spec else THERE,

@@ -9,6 +9,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.detectable_random import ENOUGH
 from orbitfb.effects.kinds import EffectKind, Parameter, Values
+from orbitfb.effects.record import Record
 
 _STEPS = 14
 _STEPS_OF_RING = 5
@@ -28,18 +29,24 @@ class Seen:
     gain: Vector
 
 
-def size_parameter(kind: EffectKind) -> Parameter | None:
-    """Tell which parameter is the size of an effect; None for one without parameters."""
-    if not kind.parameters:
+def size_parameter(kind: EffectKind, record: Record) -> Parameter | None:
+    """Tell which parameter is the size of an effect; None for one without parameters.
+
+    Args:
+        kind: The effect.
+        record: That bears on it, perhaps in one plane only.
+    """
+    shown = kind.fitted(record)
+    if not shown:
         return None
-    name = kind.linear or kind.parameters[0].name
+    name = kind.linear or shown[0].name
     return next(p for p in kind.parameters if p.name == name)
 
 
 def tried(kind: EffectKind, bench: Bench) -> list[Values]:
     """Values of the grid in which its size is not nothing, thinned, from small to large."""
     grid = list(kind.grid(bench.record))
-    spec = size_parameter(kind)
+    spec = size_parameter(kind, bench.record)
     if spec is None:
         return grid[:1]
     grid = [values for values in grid if values[spec.name] != spec.nominal] or grid
@@ -48,9 +55,11 @@ def tried(kind: EffectKind, bench: Bench) -> list[Values]:
     return [grid[i] for i in np.unique(np.linspace(0, len(grid) - 1, steps).astype(np.intp))]
 
 
-def smallest(kind: EffectKind, seen: Sequence[Seen], gains: Sequence[float]) -> float | None:
+def smallest(
+    kind: EffectKind, record: Record, seen: Sequence[Seen], gains: Sequence[float]
+) -> float | None:
     """Find the size at which the expected gain is enough, by the gains at the sizes tried."""
-    spec = size_parameter(kind)
+    spec = size_parameter(kind, record)
     if spec is None:
         return 1.0 if max(gains, default=0.0) > ENOUGH else None
     enough = np.flatnonzero(np.asarray(gains) > ENOUGH)
@@ -78,9 +87,9 @@ def _distance(spec: Parameter, value: float) -> float:
     return -value if spec.nominal >= spec.high else abs(value - spec.nominal)
 
 
-def within(kind: EffectKind, sizes: Vector) -> tuple[float | None, float | None]:
+def within(kind: EffectKind, record: Record, sizes: Vector) -> tuple[float | None, float | None]:
     """Give median and smallest of the sizes of all places, where they make sense."""
-    spec = size_parameter(kind)
+    spec = size_parameter(kind, record)
     if spec is None or not len(sizes):
         return None, None
     return _sensible(spec, float(np.median(sizes))), _sensible(spec, float(np.min(sizes)))

@@ -7,7 +7,6 @@ import numpy as np
 
 from orbitfb.diagnose.ambiguity import declared
 from orbitfb.diagnose.answer_parts import Experiment
-from orbitfb.diagnose.detectable_sizes import size_parameter
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.plan_candidates import Limits, Proposal
 from orbitfb.diagnose.plan_file import Plan
@@ -137,8 +136,10 @@ def _otherwise(first: Cause, second: Cause) -> str:
 
 def _names(causes: Sequence[Cause]) -> str:
     if len(causes) == 1:
-        spec = size_parameter(causes[0].kind)
-        size = f" of {causes[0].values[spec.name]:.3g} {spec.unit}" if spec else ""
-        return f"see {causes[0].kind.id}{size} better"
+        kind, values = causes[0].kind, causes[0].values
+        own = (p for p in kind.parameters if p.name == (kind.linear or p.name))
+        moved = next((p for p in own if values[p.name] != p.nominal), None)
+        size = f" of {values[moved.name]:.3g} {moved.unit}" if moved else ""
+        return f"see {kind.id}{size} better"
     *others, last = [cause.kind.id for cause in causes[1:]]
     return f"tell {causes[0].kind.id} from {', '.join(others) + ' and ' if others else ''}{last}"

@@ -9,7 +9,7 @@ from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.orbit_kinds import RingKind
 from orbitfb.effects.record import Record
-from orbitfb.effects.tunes import ChangedTunes, tune_change
+from orbitfb.effects.tunes import ChangedTunes, steering, tune_change
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
@@ -42,6 +42,10 @@ class TuneDrift(RingKind):
         """It needs the optics."""
         return needs_ring(record)
 
+    def fitted(self, record: Record) -> tuple[Parameter, ...]:
+        """Those of the planes that the record has."""
+        return tuple(p for p in self.parameters if p.name[-1] in record.layout.planes)
+
     def grid(self, record: Record) -> Sequence[Values]:
         """Shifts up to 0.03 by the end of the record, either sign, plane by plane."""
         length = max(float(record.time[-1]), record.layout.period)
@@ -58,8 +62,9 @@ class TuneDrift(RingKind):
         return ChangedTunes(_slope(layout, values), layout.period)
 
     def deflect(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
-        """What the changed response makes of the currents."""
-        return record.time[:, None] * (currents @ _slope(record.layout, values).T)
+        """What the changed response makes of what steers the beam."""
+        layout = record.layout
+        return record.time[:, None] * (steering(layout, currents, orbit) @ _slope(layout, values).T)
 
 
 def _slope(layout: Layout, values: Values) -> Matrix:

@@ -10,7 +10,7 @@ from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.orbit_kinds import RingKind
 from orbitfb.effects.record import Record
-from orbitfb.effects.tunes import ChangedTunes, tune_change
+from orbitfb.effects.tunes import ChangedTunes, steering, tune_change
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
@@ -47,6 +47,10 @@ class TuneShift(RingKind):
         """It needs the optics."""
         return needs_ring(record)
 
+    def fitted(self, record: Record) -> tuple[Parameter, ...]:
+        """Those of the planes that the record has."""
+        return tuple(p for p in self.parameters if p.name[-1] in record.layout.planes)
+
     def grid(self, record: Record) -> Sequence[Values]:
         """Sizes of either sign, plane by plane."""
         planes = record.layout.planes
@@ -62,5 +66,7 @@ class TuneShift(RingKind):
         return ChangedTunes(tune_change(layout, values["dnu_x"], values["dnu_y"]))
 
     def deflect(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
-        """What the changed response makes of the currents."""
-        return currents @ tune_change(record.layout, values["dnu_x"], values["dnu_y"]).T
+        """What the changed response makes of what steers the beam."""
+        layout = record.layout
+        change = tune_change(layout, values["dnu_x"], values["dnu_y"])
+        return steering(layout, currents, orbit) @ change.T

@@ -8,6 +8,9 @@ from orbitfb.effects.layout import Layout
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 
+_WEAKEST = 0.01
+"""Share of the strongest mode of the response from which a standing orbit is told by currents."""
+
 
 def tune_gradients(layout: Layout, dnu_x: float, dnu_y: float) -> Vector:
     """Gradient errors that shift the tunes, the smallest relative to the strengths.
@@ -39,6 +42,21 @@ def tune_change(layout: Layout, dnu_x: float, dnu_y: float) -> Matrix:
         return np.zeros_like(layout.response)
     nominal = response_with(layout, np.zeros(len(layout.known_ring.places("QUAD"))))
     return response_with(layout, tune_gradients(layout, dnu_x, dnu_y)) - nominal
+
+
+def steering(layout: Layout, currents: Matrix, orbit: Matrix) -> Matrix:
+    """Currents that would make the whole orbit, not only how it changes, shape (N, m) [A].
+
+    Gradients kick by the orbit in them, whoever makes it. The correctors hold what misaligned
+    magnets do to it, so their currents alone tell a standing orbit that is not there.
+
+    Args:
+        layout: Devices and model.
+        currents: That act on the beam, shape (N, m) [A].
+        orbit: At the BPMs, shape (N, n) [m].
+    """
+    besides = np.mean(orbit - currents @ layout.response.T, axis=0)
+    return currents + np.linalg.lstsq(layout.response, besides, rcond=_WEAKEST)[0]
 
 
 class ChangedTunes(Effect):
