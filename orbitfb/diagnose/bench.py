@@ -10,10 +10,12 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import Background
 from orbitfb.diagnose.changed import Change, Explained
 from orbitfb.diagnose.explain import Cause, actuated, explain, restored
-from orbitfb.diagnose.floor import estimate_floor, noise_modes
+from orbitfb.diagnose.floor import estimate_floor
 from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.quick import Quick, Single
 from orbitfb.diagnose.standing import FreeSteps, Innovations, stretches_across
+from orbitfb.diagnose.uneven import uneven
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 
@@ -45,7 +47,7 @@ class Bench:
         record: What happened.
         causes: Accepted so far.
         floor: The noise, if a reference record tells it; estimated with the record otherwise.
-        modes: Of the noise; computed when None.
+        modes: Of the noise; None: found with the record, BPMs that differ in noise included.
         background: Scale of the healthy scatter of gains and gradients; 0: the model is exact.
 
     Attributes:
@@ -60,14 +62,15 @@ class Bench:
         record: Record,
         causes: Sequence[Cause] = (),
         floor: NoiseFloor | None = None,
-        modes: Matrix | None = None,
+        modes: NoiseModes | None = None,
         background: float = 1.0,
     ) -> None:
         self.record = record
         self.causes = tuple(causes)
         self.scale = background
         self.told_floor = floor is not None
-        modes = noise_modes(record.layout) if modes is None else modes
+        alike = modes is None and floor is None
+        modes = NoiseModes.of(record.layout) if modes is None else modes
         self._nearby: tuple[Vector, Single] = (np.zeros(0), np.zeros((0, 0), np.float32))
         self._base: _Base | None = None
         self._in_single: Quick | None = None
@@ -87,6 +90,8 @@ class Bench:
             self.background.prepare(self.floor, _FEW_LEVELS)
             self.sizes = self._healed(self.floor.whiten(leftover.left, record.starts))[1]
             healthy = self.background.orbit(self.sizes)
+            if alike:
+                modes = uneven(leftover.left - healthy, starts, record.layout, self.floor)
         self.floor = floor or estimate_floor(leftover.left - healthy, starts, modes)
         self.background.prepare(self.floor)
         self.remember(self.sizes)
@@ -185,7 +190,7 @@ class Bench:
         quick, response = self._quick, self.record.layout.response
         if change.orbit is not None or 2 * len(change.bpms) > response.shape[0]:
             return quick.whiten(change.whole(response).astype(np.float32))
-        modes = self.floor.modes
+        modes = self.floor.modes.directions
         z = change.readings.astype(np.float32) @ modes[change.bpms].astype(np.float32)
         if len(change.correctors):
             made = (response[:, change.correctors].T @ modes).astype(np.float32)

@@ -41,7 +41,7 @@ def refitted_response(replay: Replay) -> Matrix:
         if len(members):
             kept = course[counted]
             modal[members] = _ridge(kept, white[:, members], deviation[members], rms)
-    return floor.modes @ modal
+    return floor.to_bpms(modal.T).T
 
 
 def _ridge(course: Matrix, white: Matrix, deviation: Vector, rms: float) -> Matrix:

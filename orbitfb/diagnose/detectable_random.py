@@ -30,7 +30,7 @@ def smallest_line(bench: Bench, kind: SourceKind) -> Vector:
     frequency = np.linspace(0.02, 0.5, 25)
     turn = np.exp(-2j * np.pi * frequency)[:, None]
     response = np.abs((1.0 - turn) / (1.0 - (1.0 - floor.gains) * turn)) ** 2
-    modal = (floor.modes.T @ kind.patterns(record.layout)) ** 2
+    modal = (floor.modes.directions.T @ kind.patterns(record.layout)) ** 2
     info = (response / floor.innovation_variance) @ modal * (len(record) / 2.0)
     return np.ravel(SIGMA / np.sqrt(np.maximum(info, 1e-300)))
 
@@ -58,7 +58,7 @@ def smallest_strike(bench: Bench, kind: LatentKind) -> float:
     shapes = kind.shapes(bench.record, bench.currents, bench.orbit)
     echo = (1.0 + floor.gains / (2.0 - floor.gains)) / floor.innovation_variance
     if kind.per_bpm:
-        info = np.ravel(shapes**2 * (floor.modes**2 @ echo))
+        info = np.ravel(shapes**2 * (floor.modes.directions**2 @ echo))
     else:
         info = floor.to_modes(shapes) ** 2 @ echo
     weight = len(info) / _ROWS
@@ -95,7 +95,7 @@ def _walk(bench: Bench, kind: NoiseKind, patterns: Matrix) -> tuple[Vector, floa
     floor, rows = bench.floor, len(bench.record)
     wave = 2.0 - 2.0 * np.cos(np.linspace(0.01, np.pi, 200))
     spectrum = floor.walk[:, None] + floor.reading * wave
-    modal = (floor.modes.T @ patterns) ** 2
+    modal = (floor.modes.directions.T @ patterns) ** 2
     usual = float(np.sqrt(np.sum(floor.walk) / np.sum(modal)))
     if kind.target == "ring":
         modal = modal.sum(axis=1, keepdims=True)

@@ -130,7 +130,7 @@ def _provenance(
     seconds: float,
 ) -> Provenance:
     floor = outcome.bench.floor
-    steps = float(np.sqrt(np.mean(floor.walk)))
+    steps = float(np.sqrt(floor.mean_square(floor.walk)))
     model = np.ascontiguousarray(record.layout.response)
     return Provenance(
         data_sha256=record.digest,
@@ -148,7 +148,7 @@ def _provenance(
         correctors=len(record.layout.correctors),
         planes="".join(record.layout.planes),
         period_s=record.layout.period,
-        reading_noise_um=1e6 * float(np.sqrt(floor.reading)),
+        reading_noise_um=1e6 * float(np.sqrt(np.mean(floor.readings))),
         drift_um_per_tick=1e6 * steps,
         gauge="the healthy scatter of all gains, with mean zero",
         thresholds={"probability": SURE, "likely": LIKELY, "rivals_nats": CLOSE},

@@ -9,6 +9,7 @@ from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.candidate import FIRST_ONSET, LAST_ONSET, Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
+from orbitfb.diagnose.noise_onset import begun_noise
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
@@ -16,7 +17,7 @@ HOPELESS = 0.25
 """Share of the best weight so far that a candidate has to promise to be fitted."""
 _ONSET_WORTH = 4.0
 """Rows before an onset must speak against the effect by this much [nats]."""
-_THROWN_OFF = 1000.0
+_THROWN_OFF = 50.0
 """Weight of a cause beyond which orbit and healthy errors are wrong without it [nats]."""
 _STRIDES = (16, 8, 4, 2, 1, 1)
 """Rows by which a beginning is moved, one after the other."""
@@ -69,7 +70,8 @@ def enter(bench: Bench, candidate: Candidate) -> Entry:
     """Fit a candidate, from the beginning on that explains the record best."""
     kind = candidate.cause.kind
     if isinstance(kind, NoiseKind | LatentKind):
-        return Entry(candidate, None, net(candidate) - len(kind.parameters))
+        begun = begun_noise(bench, candidate)
+        return Entry(begun, None, net(begun) - len(kind.parameters))
     entry = _begun(bench, _fitted(bench, candidate))
     return max((entry, *_later(bench, entry)), key=lambda one: one.weight)
 

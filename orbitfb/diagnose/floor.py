@@ -1,15 +1,15 @@
 """Estimate the noise floor of a record: one reading noise, a random walk per mode.
 
-Reading noise is white over the BPMs, so every mode has the same r² of it; the ground moves
-magnets, so every mode has its own q. How the magnets move (alone, in girders, with a memory) is a
-nuisance: it only sets the q of the modes, which are estimated with the record.
+Reading noise, over that of its BPM, is white over the BPMs, so every mode has the same r² of it;
+the ground moves magnets, so every mode has its own q. How the magnets move (alone, in girders, with
+a memory) is a nuisance: it only sets the q of the modes, which are estimated with the record.
 """
 
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.innovation import NoiseFloor
-from orbitfb.effects.layout import Layout
+from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
@@ -24,25 +24,7 @@ _MOST_SHARED = 3.0
 """Most that a neighbour can say against a level [nats]."""
 
 
-def noise_modes(layout: Layout) -> Matrix:
-    """Modes in which ground motion and reading noise are both (nearly) uncorrelated.
-
-    Those of the orbits that quadrupoles make, each moving alone; without a ring those of the
-    response.
-
-    Returns:
-        Orthonormal columns, shape (n, n).
-    """
-    if layout.ring is None or not len(layout.ring.places("QUAD")):
-        covariance = layout.response @ layout.response.T
-    else:
-        strength = layout.ring.strength("QUAD")
-        moved = [layout.orbit_per_kick("QUAD", plane) * strength for plane in layout.planes]
-        covariance = np.sum([orbit @ orbit.T for orbit in moved], axis=0)
-    return np.linalg.eigh(covariance)[1][:, ::-1]
-
-
-def estimate_floor(left: Matrix, starts: Mask, modes: Matrix) -> NoiseFloor:
+def estimate_floor(left: Matrix, starts: Mask, modes: NoiseModes) -> NoiseFloor:
     """Fit r² and every mode's q by maximum likelihood.
 
     What moves magnets moves the orbit in modes of like size alike, so a mode also learns from its
@@ -51,11 +33,11 @@ def estimate_floor(left: Matrix, starts: Mask, modes: Matrix) -> NoiseFloor:
     Args:
         left: What the model leaves, rows of the BPMs' space, shape (N, n) [m].
         starts: Where stretches begin, shape (N,).
-        modes: Orthonormal columns, in falling order of what the ground makes of them, (n, n).
+        modes: In which noise and drift are uncorrelated.
     """
-    squares, logs, rows = evidence(left @ modes, starts)
+    squares, logs, rows = evidence(left @ modes.directions, starts)
     reading = float(np.quantile(squares[0], 0.25)) / max(rows, 1)  # modes that hardly walk
-    level = np.zeros(len(modes), dtype=np.intp)
+    level = np.zeros(squares.shape[1], dtype=np.intp)
     cost = squares
     for _ in range(_PASSES):
         cost = _with_neighbours(logs[:, None] + squares / reading)

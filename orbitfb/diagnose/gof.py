@@ -51,7 +51,7 @@ def audit(bench: Bench) -> Audit:
     names = column_names(bench.record.layout.bpms)
     if len(white) < _FEWEST:
         return Audit()
-    channels = bench.floor.to_bpms(white)
+    channels = bench.floor.by_bpm(white)
     tests = (
         _level, _by_bpm, _by_mode, _mean, _colour, _own_colour, _steered, _tails, _own_tails,
         _tick, _reading, _stationary,

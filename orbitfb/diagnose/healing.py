@@ -100,7 +100,7 @@ class Preconditioner:
             course.astype(np.float32, copy=False)
             for course in ladder.filtered(errors.drivers, starts)
         ]
-        both = np.hstack([errors.patterns, floor.modes])
+        both = np.hstack([errors.patterns, floor.modes.axes])
         self.absorbed = np.zeros(errors.count)
         self._blocks: list[tuple[Indices, tuple[Matrix, bool]]] = []
         for _, its in components(both):

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.recursion import Feedback
 from orbitfb.physics.optics import Matrix
 
@@ -34,12 +35,12 @@ class NoiseFloor:
     """The noise that is nobody's fault.
 
     Args:
-        modes: Orthonormal columns, shape (n, n).
-        reading: Variance of the reading noise, r² [m²].
+        modes: In which it is uncorrelated.
+        reading: Variance of the usual BPM's reading noise, r² [m²].
         walk: Variance q of the random walk's step in every mode, shape (n,) [m²].
     """
 
-    modes: Matrix
+    modes: NoiseModes
     reading: float
     walk: Vector
     _feedback: Matrix = field(init=False, repr=False)
@@ -77,12 +78,25 @@ class NoiseFloor:
         return self._deviation[np.minimum(np.arange(rows), _OLDEST - 1)]
 
     def to_modes(self, columns: Matrix) -> Matrix:
-        """Rotate rows of the BPMs' space into modes, shape (…, n)."""
-        return columns @ self.modes
+        """Turn orbits [m] into modes [m], shape (…, n)."""
+        return columns @ self.modes.directions
 
     def to_bpms(self, columns: Matrix) -> Matrix:
-        """Rotate rows of modes into the BPMs' space, shape (…, n)."""
-        return columns @ self.modes.T
+        """Turn modes [m] into orbits [m], the inverse of `to_modes`, shape (…, n)."""
+        return (columns @ self.modes.axes.T) * self.modes.spread
+
+    def by_bpm(self, white: Matrix) -> Matrix:
+        """Rotate rows of unit variance from modes to BPMs, of unit variance too, shape (…, n)."""
+        return white @ self.modes.axes.T
+
+    @property
+    def readings(self) -> Vector:
+        """Variance of every BPM's reading noise, shape (n,) [m²]."""
+        return self.reading * self.modes.spread**2
+
+    def mean_square(self, variances: Vector) -> float:
+        """Mean square over the BPMs of an orbit whose modes have these variances [m²]."""
+        return float(np.mean((self.modes.axes**2 @ variances) * self.modes.spread**2))
 
     def innovations(self, left: Matrix, starts: Mask) -> tuple[Matrix, Matrix]:
         """Predict every row from those before it.
@@ -145,13 +159,13 @@ class NoiseFloor:
                 piece[row] += self._feedback[min(row, _OLDEST - 1)] * piece[row + 1]
             total[stretch] = piece
             total[stretch.start : stretch.stop - 1] -= piece[1:]
-        return self.to_bpms(total)
+        return total @ self.modes.directions.T
 
     def log_density_terms(self, starts: Mask) -> Vector:
         """Give −Σ log √(2π S) over the modes, of every row, shape (N,); zero where none counts."""
-        constant = -np.sum(np.log(self._deviation), axis=1) - 0.5 * self.modes.shape[0] * np.log(
-            2 * np.pi
-        )
+        count = len(self.modes.spread)
+        constant = -np.sum(np.log(self._deviation), axis=1) - 0.5 * count * np.log(2 * np.pi)
+        constant -= np.sum(np.log(self.modes.spread))
         terms = np.empty(len(starts))
         for stretch in stretches(starts):
             ages = np.minimum(np.arange(stretch.stop - stretch.start), _OLDEST - 1)
@@ -197,7 +211,7 @@ class Ladder:
         self._floor = floor
         # A random walk of q = r² L² / (1 − L) has the steady gain L.
         walk = steps**2 / np.maximum(1.0 - steps, _LEAST_MEMORY)
-        self._filters = NoiseFloor(np.eye(len(steps)), 1.0, walk)
+        self._filters = NoiseFloor(NoiseModes.even(np.eye(len(steps))), 1.0, walk)
 
     def filtered(self, drivers: NDArray[np.floating], starts: Mask) -> list[Matrix]:
         """Filter courses in time with every level, each of shape (N, P), in single precision.
@@ -225,7 +239,7 @@ class Ladder:
 
     def shapes(self, patterns: Matrix) -> list[Matrix]:
         """Rotate patterns (n, P) into the modes of every level, over √S, each (k, P) [1/m]."""
-        modal = self._floor.modes.T @ patterns
+        modal = self._floor.modes.directions.T @ patterns
         modal /= np.sqrt(self._floor.innovation_variance)[:, None]
         return [modal[share > 0] * np.sqrt(share[share > 0])[:, None] for share in self._share]
 

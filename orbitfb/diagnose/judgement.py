@@ -181,6 +181,6 @@ def stage_shares(one: Round) -> dict[str, float | None]:
 def _places(bench: Bench, most: int = 5) -> tuple[str, ...]:
     """BPMs whose innovations scatter most."""
     counted = ~bench.record.starts
-    scatter = np.mean(bench.floor.to_bpms(bench.white[counted]) ** 2, axis=0)
+    scatter = np.mean(bench.floor.by_bpm(bench.white[counted]) ** 2, axis=0)
     names = column_names(bench.record.layout.bpms)
     return tuple(names[int(i)] for i in np.argsort(scatter)[::-1][:most])

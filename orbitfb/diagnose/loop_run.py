@@ -98,7 +98,7 @@ def run_loop(its: Runs) -> Matrix | None:
             step = rng.standard_normal(ground.shape) * np.sqrt(floor.walk)
             ground += floor.to_bpms(step)
         readings = _read(its.effects, response, setpoints, ground, row)
-        readings += np.sqrt(floor.reading) * rng.standard_normal(ground.shape)
+        readings += np.sqrt(floor.readings) * rng.standard_normal(ground.shape)
         off[:, row] = readings - reference[row]
         if not np.max(np.abs(off[:, row])) < _BROKEN:
             return None

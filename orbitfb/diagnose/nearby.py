@@ -71,7 +71,7 @@ def nearby(bench: Bench, entry: Entry) -> Nearby | None:
 
 def _neighbours(bench: Bench, patterns: Matrix, place: int) -> list[int]:
     """The place itself and those whose patterns are like its own, the likest first."""
-    modal = bench.floor.modes.T @ patterns
+    modal = bench.floor.modes.directions.T @ patterns
     modal /= np.sqrt(bench.floor.innovation_variance)[:, None]
     modal /= np.maximum(np.linalg.norm(modal, axis=0), 1e-300)
     alike = np.abs(modal.T @ modal[:, place])

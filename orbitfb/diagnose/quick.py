@@ -24,7 +24,7 @@ class Quick:
 
     def __init__(self, floor: NoiseFloor, starts: Mask, modes: Product | None = None) -> None:
         self.floor = floor
-        self.modes = Product.of(floor.modes) if modes is None else modes
+        self.modes = Product.of(floor.modes.directions) if modes is None else modes
         self._starts = starts
         self._stretches = stretches(starts)
         self._longest = max((one.stop - one.start for one in self._stretches), default=0)

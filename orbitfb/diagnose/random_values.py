@@ -19,7 +19,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause, explain
 from orbitfb.diagnose.problem import from_fitted, prior_width, to_fitted
-from orbitfb.diagnose.randomness import wanders
+from orbitfb.diagnose.randomness import usual_reading, wanders
 from orbitfb.diagnose.strike_scan import latent_gain, strikes
 from orbitfb.diagnose.switching import switched
 from orbitfb.diagnose.wandering import Wandering
@@ -76,11 +76,11 @@ def state(bench: Bench, cause: Cause) -> Stated:
             if walk.seen:
                 reading = float(np.sqrt(bench.floor.reading))
                 return _best(bench, cause, lambda values: walk.gain(kind.variance(values, reading)))
-        spectra = _Spectra(bench, cause)
-        for _ in range(_ROUNDS):
-            cause = _best(bench, cause, spectra.log_likelihood).cause
-            spectra.profile(cause.values)
-        return _best(bench, cause, spectra.log_likelihood)
+        late = _by_spectrum(bench, cause, slice(cause.onset, None))
+        if kind.relative and cause.onset >= _SHORTEST:
+            nothing = replace(cause, values={p.name: p.nominal for p in kind.parameters})
+            return _over(late, _by_spectrum(bench, nothing, slice(0, cause.onset)))
+        return late
     if not isinstance(kind, LatentKind):
         raise TypeError(f"{kind.id} has a course in time: fit it")
     if kind.strength == "normal" and not kind.per_bpm:
@@ -88,9 +88,40 @@ def state(bench: Bench, cause: Cause) -> Stated:
     return _best(bench, cause, lambda values: _struck(bench, replace(cause, values=values)))
 
 
+def _by_spectrum(bench: Bench, cause: Cause, rows: slice) -> Stated:
+    """Best values of a noise in some rows, beside a floor that is fitted with it."""
+    spectra = _Spectra(bench, cause, rows)
+    for _ in range(_ROUNDS):
+        cause = _best(bench, cause, spectra.log_likelihood).cause
+        spectra.profile(cause.values)
+    return _best(bench, cause, spectra.log_likelihood)
+
+
+def _over(late: Stated, early: Stated) -> Stated:
+    """Levels over those that the same devices had before: no two are quite alike."""
+    values: dict[str, float] = {}
+    intervals: dict[str, tuple[float, float]] = {}
+    for p in late.cause.kind.parameters:
+        value = late.cause.values[p.name] / early.cause.values[p.name]
+        its, before = _reaches(late, p.name), _reaches(early, p.name)
+        values[p.name] = float(np.clip(value, p.low, p.high))
+        intervals[p.name] = (
+            max(value * float(np.exp(-np.hypot(its[0], before[1]))), p.low),
+            min(value * float(np.exp(np.hypot(its[1], before[0]))), p.high),
+        )
+    return Stated(replace(late.cause, values=values), intervals)
+
+
+def _reaches(stated: Stated, name: str) -> tuple[float, float]:
+    """How far the ends of an interval are from the value, in logarithms, down and up."""
+    low, high = stated.intervals[name]
+    value = stated.cause.values[name]
+    return float(np.log(value / low)), float(np.log(high / value))
+
+
 def likelihood_of(bench: Bench, cause: Cause) -> Callable[[Values], float]:
     """Log-likelihood of a noise's values at its places under the floor, up to a constant [nats]."""
-    return _Spectra(bench, cause).log_likelihood
+    return _Spectra(bench, cause, slice(cause.onset, None)).log_likelihood
 
 
 def _level(bench: Bench, cause: Cause) -> Stated:
@@ -184,7 +215,7 @@ def _chance(bench: Bench, cause: Cause, parameter: Parameter, values: Values) ->
 class _Spectra:
     """Steps of what is left, Fourier transformed stretch by stretch."""
 
-    def __init__(self, bench: Bench, cause: Cause) -> None:
+    def __init__(self, bench: Bench, cause: Cause, within: slice) -> None:
         kind = cause.kind
         assert isinstance(kind, NoiseKind)  # noqa: S101
         self._kind, self._floor, self._told = kind, bench.floor, bench.told_floor
@@ -193,11 +224,13 @@ class _Spectra:
         modal = bench.floor.to_modes(left)
         places = list(_places(bench, cause))
         self._walk, self._reading = bench.floor.walk, bench.floor.reading
-        self._noise = float(np.sqrt(bench.floor.reading))
-        self._shapes = bench.floor.modes.T @ kind.patterns(record.layout)[:, places]
+        at = np.array(places)
+        self._noise = float(np.sqrt(usual_reading(bench, kind, at)))
+        self._shapes = bench.floor.modes.directions.T @ kind.patterns(record.layout)[:, places]
         self._parts: list[tuple[Spectrum, Spectrum, float]] = []
         for stretch in record.stretches:
-            rows = modal[max(stretch.start, cause.onset) : stretch.stop]
+            first, end, _ = within.indices(stretch.stop)
+            rows = modal[max(stretch.start, first) : end]
             if len(rows) < _SHORTEST:
                 continue
             window = tukey(len(rows) - 1, _TAPER)

@@ -5,7 +5,8 @@ With g = S⁻¹ e, adding κ b bᵀ to the covariance of the innovations changes
 largest where 1 + κ a is the mean of (bᵀ g)² / a.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass
 from math import comb
 
 import numpy as np
@@ -14,10 +15,11 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.noise_colour import colour_of_all
 from orbitfb.diagnose.scan import groups_of
 from orbitfb.diagnose.switching import switching_candidates
 from orbitfb.diagnose.wandering import Wandering
-from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
@@ -26,16 +28,15 @@ _LEAST_SCATTER = 0.05
 """Relative scatter of a healthy variance between devices, beyond chance."""
 _LEAST_COLOUR = 0.02
 """The same of a correlation in time: levels of healthy noise differ, but all of it is white."""
-_LEVELS = ("noise-level", "ground-motion-level")
+LEVELS = ("noise-level", "ground-motion-level")
 """Kinds that may strike every place alike."""
 _LEVEL_SCATTER = 0.1
 """Scatter of the logarithm of a healthy level between times of a record, or records."""
-_AS_GOOD = 5.0
-"""Gains that differ by less say nothing of which level it is [nats]."""
 _KEPT = 3
 _MANY = 8
 """Places from which on a typical one can be told."""
-_EDGE = 60
+EDGE = 60
+"""Rows at both ends of a record within which no level changes."""
 _STRIKING = 5.0
 """Standard deviations from which a place is struck for itself, wherever the others stand."""
 _MANY_STRIKE = 0.25
@@ -44,7 +45,7 @@ _MANY_STRIKE = 0.25
 
 def noise_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
     """Find where innovations scatter more (or less) than the floor says, best first."""
-    if kind.target == "ring" and kind.id in _LEVELS:
+    if kind.target == "ring" and kind.id in LEVELS:
         return []  # all places share one size: `level_candidates`
     patterns = kind.patterns(bench.record.layout)
     if not patterns.shape[1]:
@@ -54,6 +55,8 @@ def noise_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
         if found is not None:
             return found
     found = [*_steady(bench, kind, patterns)]
+    if kind.lag and not bench.told_floor and (whole := colour_of_all(bench, kind)) is not None:
+        found.append(whole)
     if kind.rare:
         found += switching_candidates(bench, kind)
     if kind.sudden and kind.lag == 0:
@@ -72,74 +75,24 @@ def _wandering(bench: Bench, kind: NoiseKind, shape: Vector) -> list[Candidate] 
     if not walk.seen:
         return None
     variance, gain = walk.best()
-    values = _values(kind, variance, float(np.sqrt(bench.floor.reading)))
+    values = values_of(kind, variance, bench.floor.reading)
     if values is None or gain <= 0.0:
         return []
     return [Candidate(Cause(kind, (0,), values), gain, 1.0)]
 
 
-def level_candidates(bench: Bench, kinds: Sequence[EffectKind]) -> list[Candidate]:
-    """Try another level of all the reading noise, or of all the walk, from some row on.
-
-    What a level explains best decides between them; how far it is from healthy ones only says how
-    sure it is.
-
-    Args:
-        bench: The record under the causes accepted so far.
-        kinds: Those that the record can show.
-    """
-    levels = [kind for kind in kinds if isinstance(kind, NoiseKind) and kind.id in _LEVELS]
-    found = [one for kind in levels if (one := _level(bench, kind)) is not None]
-    best = max((gain for gain, _ in found), default=0.0)
-    return [candidate for gain, candidate in found if gain > best - _AS_GOOD]
-
-
-def _level(bench: Bench, kind: NoiseKind) -> tuple[float, Candidate] | None:
-    """Another level of one noise: its gain, and the candidate that it makes.
-
-    The variance of a mode's innovation goes with q as its share L / (2 − L), and with r² as the
-    rest. Without a reference the level of the whole record is what the floor was fitted to; a
-    change within it is judged against the record's own other part.
-    """
-    record = bench.record
-    share = bench.floor.gains / (2.0 - bench.floor.gains)
-    share = share if kind.colour == "walk" else 1.0 - share
-    squares = bench.white**2
-    factors = np.exp(np.linspace(-3.0, 5.0, 41))
-    by_row = np.empty((len(factors), len(squares)))
-    for index, factor in enumerate(factors):
-        more = (factor - 1.0) * share
-        by_row[index] = -0.5 * np.sum(np.log1p(more)) + 0.5 * squares @ (more / (1.0 + more))
-    by_row[:, record.starts] = 0.0
-    before = np.cumsum(by_row, axis=1)
-    whole = before[:, -1]
-    if bench.told_floor:
-        row, late = 0, int(np.argmax(whole))
-        gain, ratio, choices = float(whole[late]), float(factors[late]), 1.0
-    else:
-        after = whole[:, None] - before
-        steps = before.max(axis=0) + after.max(axis=0) - float(whole.max())
-        steps[:_EDGE] = 0.0
-        steps[-_EDGE:] = 0.0
-        row = int(np.argmax(steps))
-        gain, choices = float(steps[row]), float(len(steps))
-        early, late = int(np.argmax(before[:, row])), int(np.argmax(after[:, row]))
-        ratio = float(factors[late] / factors[early])
-    sure = float(_beyond_healthy(np.array([gain]), np.array([ratio]))[0])
-    places: tuple[int, ...] = () if kind.target == "ring" else tuple(range(len(record.layout.bpms)))
-    values = {p.name: p.typical for p in kind.parameters}
-    values[kind.parameters[0].name] = float(np.sqrt(ratio))
-    cause = Cause(kind, places, values, row + 1 if row else 0)
-    return (gain, Candidate(cause, sure, choices, "all", gain)) if sure > 0 else None
-
-
-def _beyond_healthy(gain: Vector, ratio: Vector) -> Vector:
+def beyond_healthy(gain: Vector, ratio: Vector) -> Vector:
     """Judge a change of a variance against the wandering of healthy levels too.
 
     Args:
-        gain: Of the changes, at least 0 [nats].
+        gain: Of the changes, less what the choice of their rows costs [nats]: a healthy change
+            would have to come at the same row.
         ratio: Variance after over variance before.
+
+    Returns:
+        What is beyond healthy changes [nats], at least 0.
     """
+    gain = np.maximum(gain, 0.0)
     tolerance = 0.5 * (np.log(ratio) / _LEVEL_SCATTER) ** 2
     return gain * tolerance / np.maximum(gain + tolerance, 1e-300)
 
@@ -147,7 +100,7 @@ def _beyond_healthy(gain: Vector, ratio: Vector) -> Vector:
 def projections(bench: Bench, patterns: Matrix) -> tuple[Matrix, Vector]:
     """bᵀ g of every row and pattern (N, P), and a = bᵀ S⁻¹ b of every pattern (P,)."""
     deviation = np.sqrt(bench.floor.innovation_variance)
-    modal = (bench.floor.modes.T @ patterns) / deviation[:, None]
+    modal = (bench.floor.modes.directions.T @ patterns) / deviation[:, None]
     return bench.white @ modal, np.sum(modal**2, axis=0)
 
 
@@ -163,50 +116,78 @@ def level_spares(bench: Bench, kind: NoiseKind) -> Vector:
     Returns:
         Shape (places,), at least 0.
     """
-    seen, _, _, deviation = _scattered(bench, kind, kind.patterns(bench.record.layout))
-    alone = len(bench.record) * _per_row(seen)
-    return np.maximum(alone - 0.5 * (seen / deviation) ** 2, 0.0)
+    its = _scattered(bench, kind, kind.patterns(bench.record.layout))
+    alone = len(bench.record) * _per_row(its.over)
+    return np.maximum(alone - 0.5 * (its.seen / its.deviation) ** 2, 0.0)
 
 
-def _per_row(seen: Vector) -> Vector:
+def _per_row(over: Vector) -> Vector:
     """Gain of a row by a variance of its own, from the logarithm of its ratio to the floor's."""
-    return 0.5 * (np.expm1(seen) - seen)
+    return 0.5 * (np.expm1(over) - over)
 
 
-def _scattered(
-    bench: Bench, kind: NoiseKind, patterns: Matrix
-) -> tuple[Vector, Vector, float, float]:
-    """How far every place is from the others, by how much, by chance, and healthy ones too."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scatter:
+    """How far every place is from the others.
+
+    Args:
+        seen: Correlation, or logarithm of the variance, less that of the usual place, (P,).
+        over: The same less what the floor has of it, (P,).
+        strength: κ beyond the floor, (P,).
+        chance: Standard deviation of `seen` by chance.
+        deviation: By chance and by what healthy places differ.
+    """
+
+    seen: Vector
+    over: Vector
+    strength: Vector
+    chance: float
+    deviation: float
+
+
+def _scattered(bench: Bench, kind: NoiseKind, patterns: Matrix) -> _Scatter:
     course, size = projections(bench, patterns)
-    rows = len(course)
+    rows, healthy = len(course), 0.0
     if kind.lag:
         moved = np.sum(course[kind.lag :] * course[: -kind.lag], axis=0) / rows
-        seen = moved / np.maximum(np.mean(course**2, axis=0), 1e-300)
+        over = moved / np.maximum(np.mean(course**2, axis=0), 1e-300)
         chance, strength = 1.0 / np.sqrt(rows), moved / size**2
     else:
         ratio = np.mean(course**2, axis=0) / size
-        seen = np.log(np.maximum(ratio, 1e-6))
+        over = np.log(np.maximum(ratio, 1e-6))
         chance, strength = np.sqrt(2.0 / rows), (ratio - 1.0) / size
-    seen = seen - (np.median(seen) if len(seen) > _MANY else 0.0)
+    over = over - (np.median(over) if len(over) > _MANY else 0.0)
+    seen = over
+    if kind.relative:
+        seen = over + 2.0 * np.log(bench.floor.modes.spread)
+        healthy = bench.floor.modes.scatter
     least = _LEAST_COLOUR if kind.lag else _LEAST_SCATTER
-    return seen, strength, chance, float(np.hypot(chance, _scatter(seen, chance, least)))
+    scatter = max(_scatter(over, chance, least), healthy)
+    return _Scatter(seen, over, strength, chance, float(np.hypot(chance, scatter)))
 
 
 def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candidate]:
-    seen, strength, chance, deviation = _scattered(bench, kind, patterns)
+    its = _scattered(bench, kind, patterns)
     rows = len(bench.record)
-    reading = float(np.sqrt(bench.floor.reading))
-    for members, name, choices in _sets(bench, kind, seen, deviation):
+    for members, name, choices in _sets(bench, kind, its.seen, its.deviation):
         # Healthy devices scatter each for itself: what a group has in common shows the better.
-        typical = float(np.mean(seen[members]))
-        gain = 0.5 * len(members) * (typical / deviation) ** 2
-        alone = 0.5 * len(members) * (typical / chance) ** 2
+        typical, over = float(np.mean(its.seen[members])), float(np.mean(its.over[members]))
+        gain = 0.5 * len(members) * (typical / its.deviation) ** 2
+        alone = 0.5 * len(members) * (over / its.chance) ** 2
         if not kind.lag:  # a variance that is no little off: the lemma above
-            alone = len(members) * rows * float(_per_row(np.array(typical)))
-        values = _values(kind, float(np.mean(strength[members])), reading)
+            alone = len(members) * rows * float(_per_row(np.array(over)))
+        reading = usual_reading(bench, kind, members)
+        values = values_of(kind, float(np.mean(its.strength[members])), reading)
         if values is not None:
             places = tuple(int(i) for i in members)
             yield Candidate(Cause(kind, places, values), gain, choices, name, alone)
+
+
+def usual_reading(bench: Bench, kind: NoiseKind, places: Indices) -> float:
+    """Variance of the reading noise that sizes at some places are relative to [m²]."""
+    if kind.relative:
+        return float(np.mean(bench.floor.readings[places]))
+    return bench.floor.reading
 
 
 def _sets(
@@ -254,25 +235,34 @@ def _sudden(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
     left = np.maximum(count - rows, 1)
     late = np.maximum((total - before) / left, 1e-9)
     gain = -0.5 * (rows * np.log(early) + left * np.log(late) - count * np.log(total / count))
-    gain[:_EDGE] = 0.0
-    gain[-_EDGE:] = 0.0
+    gain[:EDGE] = 0.0
+    gain[-EDGE:] = 0.0
     best = np.argmax(gain, axis=0)
     every = np.arange(gain.shape[1])
-    height = _beyond_healthy(gain[best, every], (late / early)[best, every])
-    reading = float(np.sqrt(bench.floor.reading))
+    price = np.log(count)
+    height = beyond_healthy(gain[best, every] - price, (late / early)[best, every])
     for place in np.argsort(height)[::-1][:_KEPT]:
         row = int(best[place])
+        reading = usual_reading(bench, kind, np.array([place]))
         strength = float((late[row, place] - early[row, place]) / size[place])
-        values = _values(kind, strength, reading)
+        values = values_of(kind, strength, reading)
         if values is not None:
             yield Candidate(
-                Cause(kind, (int(place),), values, row + 1), float(height[place]), float(gain.size)
+                Cause(kind, (int(place),), values, row + 1),
+                float(height[place]),
+                float(len(height)),
             )
 
 
-def _values(kind: NoiseKind, variance: float, reading: float) -> Values | None:
-    """Parameters that belong to κ; None where the effect cannot be of that sign."""
-    size = kind.size(variance, reading)
+def values_of(kind: NoiseKind, variance: float, reading: float) -> Values | None:
+    """Parameters that belong to κ; None where the effect cannot be of that sign.
+
+    Args:
+        kind: Of noise.
+        variance: κ.
+        reading: Variance of the floor's reading noise [m²].
+    """
+    size = kind.size(variance, float(np.sqrt(reading)))
     first = kind.parameters[0]
     if not np.isfinite(size) or not first.low <= size <= first.high:
         return None

@@ -133,7 +133,7 @@ class Replay:
         """Mean square that noise and drift alone leave so many steps ahead [m²]."""
         gains = self.floor.gains
         modes = self.floor.reading * (1.0 + gains) + steps * self.floor.walk
-        return float(np.mean(modes))
+        return self.floor.mean_square(modes)
 
     def _left(self, model: Model) -> Matrix:
         left = explain(self.record, model.causes, self.orbit).left - self.healthy

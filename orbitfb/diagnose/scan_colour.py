@@ -56,7 +56,7 @@ def _coloured(bench: Bench, *, collective: bool) -> Iterator[tuple[Indices, str,
 
 def _colours(bench: Bench) -> Vector:
     """Correlation of neighbouring innovations of every BPM, less what is usual, shape (n,)."""
-    own = bench.floor.to_bpms(bench.white)
+    own = bench.floor.by_bpm(bench.white)
     both = ~(bench.record.starts[1:] | bench.record.starts[:-1])
     products = np.sum((own[1:] * own[:-1])[both], axis=0) / np.sum(own[1:][both] ** 2, axis=0)
     return products - np.median(products)

@@ -20,9 +20,14 @@ from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.layout import Layout
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
 
 _PAIRS_TRIED = 12
 """Pairs whose beginning is looked for."""
+_LOOKED_AT = 24
+"""Currents, and then pairs, of which it is found out what healthy errors leave."""
+_PROMISING = 10.0
+"""Gain of the best of them from which it is worth the time [nats]."""
 _JUMPS_TRIED = 6
 """Jumps of the kick of a corrector at which another may have begun to leak into it."""
 
@@ -73,6 +78,9 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
             yield from _leak_onsets(bench, scoring, kind, kind.linear, choices)
         if kind.sudden and kind.linear is not None and kind.target == "bpm":
             yield from _mixing_onsets(bench, scoring, kind, values, choices)
+        if kind.linear is not None and kind.target == "corrector" and gain.max() > _PROMISING:
+            driven = (patterns, drivers, change)
+            strength, gain = _beside_healthy(bench, driven, pairs, score, gain)
         for place in np.argsort(gain)[::-1][:KEPT]:
             if gain[place] > 0:
                 yield Candidate(
@@ -80,6 +88,46 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
                     float(gain[place]),
                     float(choices[place]),
                 )
+
+
+def _beside_healthy(
+    bench: Bench,
+    parts: tuple[Matrix, Matrix, Matrix],
+    pairs: Indices,
+    score: Vector,
+    gain: Vector,
+) -> tuple[Vector, Vector]:
+    """Strengths and gains of the best pairs once healthy errors have done their best beside each.
+
+    What one current does to the whole orbit, healthy optics do in part: how much of it they leave
+    depends on that current more than on the corrector that it leaks into.
+
+    Returns:
+        Strength and gain (P,), zero of pairs that are not among the best.
+    """
+    patterns, drivers, change = parts
+
+    def known(place: int) -> float:
+        pair = pairs[place]
+        return bench.information((drivers[:, pair] @ change[place].T) @ patterns[:, pair].T)
+
+    order = np.argsort(gain)[::-1]
+    currents, at = np.unique(pairs[order, 0], return_index=True)
+    best = order[at]  # pair of every current, in the order of `currents`
+    steered = np.var(drivers[:, currents], axis=0)
+    promise = gain[best] * (1.0 + steered / np.median(steered))
+    thought = 0.5 * score**2 / np.maximum(gain, 1e-300)  # information without healthy errors
+    estimated = np.zeros_like(gain)
+    for index in np.argsort(promise)[::-1][:_LOOKED_AT]:
+        left = known(int(best[index])) / thought[best[index]]
+        mine = pairs[:, 0] == currents[index]
+        estimated[mine] = gain[mine] / left
+    strength, better = np.zeros_like(gain), np.zeros_like(gain)
+    for place in np.argsort(estimated)[::-1][:_LOOKED_AT]:
+        information = known(int(place))
+        strength[place] = score[place] / information
+        better[place] = 0.5 * score[place] ** 2 / information
+    return strength, better
 
 
 def _choices(kind: PairKind, layout: Layout) -> Vector:

@@ -89,7 +89,7 @@ def periodic(bench: Bench, kind: SourceKind) -> Iterator[Candidate]:
     turn = np.exp(-2j * np.pi * frequency)[:, None]
     response = np.abs((1.0 - turn) / (1.0 - feedback * turn)) ** 2
     weight = response / bench.floor.innovation_variance
-    info = weight @ (bench.floor.modes.T @ patterns) ** 2 * (rows / 2.0)
+    info = weight @ (bench.floor.modes.directions.T @ patterns) ** 2 * (rows / 2.0)
     info[: 2 * _FINER] = np.inf  # fewer than two periods are a drift
     gain = 0.5 * np.abs(score) ** 2 / info
     best = np.argpartition(gain, -KEPT, axis=None)[-KEPT:]

@@ -111,7 +111,7 @@ def strikes(bench: Bench, kind: LatentKind) -> tuple[Matrix, Matrix]:
     shapes = np.where(filled, 0.0, shapes)
     score = bench.slope * shapes
     if kind.per_bpm:
-        return score, shapes**2 * (floor.modes**2 @ echo)
+        return score, shapes**2 * (floor.modes.directions**2 @ echo)
     info = (floor.to_modes(shapes) ** 2) @ echo
     return score.sum(axis=1, keepdims=True), info[:, None]
 

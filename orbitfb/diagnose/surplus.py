@@ -48,7 +48,7 @@ class Surplus:
 
     def by_bpm(self) -> Matrix:
         """Gap of every row and BPM, shape (N, n) [nats]."""
-        cells = self._quadratic(self.floor.modes.T) + np.where(
+        cells = self._quadratic(self.floor.modes.axes.T) + np.where(
             self.counted[:, None], self.jacobian, 0.0
         )
         return cells + self._spread(self.even)
@@ -59,7 +59,7 @@ class Surplus:
         Args:
             basis: Columns, shape (n, n).
         """
-        return self._quadratic(self.floor.modes.T @ basis) + self._spread(self._whole_rows())
+        return self._quadratic(self.floor.modes.axes.T @ basis) + self._spread(self._whole_rows())
 
     def by_frequency(self, edges: Vector) -> list[Matrix]:
         """Gap of every row and BPM in bands of frequency, each of shape (N, n) [nats].
@@ -68,7 +68,7 @@ class Surplus:
             edges: Of the bands, in cycles per tick; the first below zero, the last above ½.
         """
         frequency = np.fft.rfftfreq(len(self.counted)).astype(np.float64)
-        rotation = self.floor.modes.T
+        rotation = self.floor.modes.axes.T
         pairs = [(self.nominal, self.nominal), (self.best, self.best)]
         signs = [0.5, -0.5]
         if self.raw is not None:

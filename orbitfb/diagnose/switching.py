@@ -95,7 +95,7 @@ def _steps(bench: Bench, patterns: Matrix) -> tuple[Matrix, Vector]:
     score = np.cumsum((bench.slope @ patterns)[::-1], axis=0)[::-1]
     gains = floor.gains
     echo = 1.0 / (1.0 - (1.0 - gains) ** 2) / floor.innovation_variance
-    info = (floor.modes.T @ patterns).T ** 2 @ echo
+    info = (floor.modes.directions.T @ patterns).T ** 2 @ echo
     return score / np.sqrt(np.maximum(info, 1e-300)), info
 
 
@@ -183,7 +183,7 @@ def _best_course(bench: Bench, pattern: Vector) -> Course | None:
     sizes = np.abs(large[:, 0])
     if not (sizes > _LARGE).any():
         return None
-    modal = (floor.modes.T @ pattern) / np.sqrt(floor.innovation_variance)
+    modal = (floor.modes.directions.T @ pattern) / np.sqrt(floor.innovation_variance)
     weight = float(modal @ modal)
     summed = bench.white @ modal / np.sqrt(weight)
     kept = float(modal**2 @ (1.0 - floor.gains)) / weight

@@ -15,8 +15,9 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import SCAN_SHARE, Budget
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.entry import HOPELESS, Entry, alike_alike, enter, net, profiled
+from orbitfb.diagnose.noise_levels import level_candidates
 from orbitfb.diagnose.progress import Progress
-from orbitfb.diagnose.randomness import level_candidates, level_spares, noise_candidates
+from orbitfb.diagnose.randomness import level_spares, noise_candidates
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.strike_scan import latent_candidates
 from orbitfb.effects.device_kinds import SensorKind
@@ -92,8 +93,17 @@ def tournament(
             again.append(profiled(bench, entry, entries[0].weight))
     tell("fitting", 1.0)
     again = alike_alike(again)
-    every = (*again, *entries[REFITTED:])
-    return sorted(every, key=lambda entry: _rank(entry, every), reverse=True)
+    return _ranked((*again, *entries[REFITTED:]))
+
+
+def _ranked(every: Sequence[Entry]) -> list[Entry]:
+    """Sort entries; those that explain far less than the first one weigh as much less than it."""
+    ranks = [_rank(entry, every) for entry in every]
+    order = sorted(range(len(every)), key=lambda index: ranks[index], reverse=True)
+    if not order:
+        return []
+    most = every[order[0]].weight - ranks[order[0]]
+    return [replace(every[i], weight=min(every[i].weight, most + ranks[i])) for i in order]
 
 
 def _rank(entry: Entry, every: Sequence[Entry]) -> float:

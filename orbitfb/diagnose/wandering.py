@@ -39,7 +39,7 @@ class Wandering:
 
     def __init__(self, bench: Bench, shape: Vector) -> None:
         floor, record = bench.floor, bench.record
-        power = (floor.modes.T @ shape) ** 2
+        power = (floor.modes.directions.T @ shape) ** 2
         order = np.argsort(power)[::-1]
         count = int(np.searchsorted(np.cumsum(power[order]), _WHOLE * power.sum())) + 1
         own = order[:count]
@@ -50,7 +50,7 @@ class Wandering:
         if self.seen:
             left = explain(record, bench.causes, bench.orbit).left
             left = left - bench.background.orbit(bench.sizes)
-            squares, logs, _ = evidence(left @ floor.modes[:, own], record.starts)
+            squares, logs, _ = evidence(left @ floor.modes.directions[:, own], record.starts)
             self._height = -0.5 * (squares / floor.reading + logs[:, None])
             self._nothing = self._marginal(0.0)
 

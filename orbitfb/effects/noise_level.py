@@ -18,6 +18,7 @@ class NoiseLevel(NoiseKind):
 
     id = "noise-level"
     target = "bpm"
+    relative = True
     parameters = (
         Parameter("factor", "1", 0.05, 100.0, 1.0, 2.0, "Noise rms over that of a healthy BPM."),
     )

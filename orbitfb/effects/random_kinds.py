@@ -33,6 +33,9 @@ class NoiseKind(EffectKind):
     """Whether the added randomness comes in few large strokes (its steps have heavy tails) rather
     than a little at every tick."""
 
+    relative: ClassVar[bool] = False
+    """Whether its parameters are ratios to what the same devices have without it."""
+
     @abstractmethod
     def places_of(self, layout: Layout) -> tuple[str, ...]:
         """Names of the P places that it may have."""

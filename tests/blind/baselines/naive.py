@@ -9,6 +9,8 @@ and with every cause, as the diagnosis does it.
 """
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from unittest.mock import patch
 
@@ -16,6 +18,7 @@ import numpy as np
 
 from orbitfb.core.signals import Mask
 from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.run import diagnose_files
 from orbitfb.diagnose.writing import write
 from orbitfb.physics.optics import Matrix
@@ -27,7 +30,7 @@ _LEAST = 1e-24
 """Variance of a BPM that tells the same all the time [m²]."""
 
 
-def naive_floor(left: Matrix, starts: Mask, modes: Matrix) -> NoiseFloor:
+def naive_floor(left: Matrix, starts: Mask, modes: NoiseModes) -> NoiseFloor:
     """Take the changes of every BPM for white; in the place of `floor.estimate_floor`.
 
     Args:
@@ -38,7 +41,17 @@ def naive_floor(left: Matrix, starts: Mask, modes: Matrix) -> NoiseFloor:
     steps = np.diff(left, axis=0)[~starts[1:]]
     variance = np.maximum(np.mean(steps**2, axis=0), _LEAST)
     reading = float(np.median(variance)) / RATIO
-    return NoiseFloor(np.eye(len(modes)), reading, variance)
+    return NoiseFloor(NoiseModes.even(np.eye(len(modes.spread))), reading, variance)
+
+
+@contextmanager
+def naive() -> Iterator[None]:
+    """Let every bench have the naive floor, each BPM with a variance of its own already."""
+    with (
+        patch("orbitfb.diagnose.bench.estimate_floor", naive_floor),
+        patch("orbitfb.diagnose.bench.uneven", lambda left, starts, layout, floor: floor.modes),
+    ):
+        yield
 
 
 def main() -> None:
@@ -50,7 +63,7 @@ def main() -> None:
     parser.add_argument("--places", type=Path)
     parser.add_argument("--ring", type=Path)
     options = parser.parse_args()
-    with patch("orbitfb.diagnose.bench.estimate_floor", naive_floor):
+    with naive():
         answer = diagnose_files(
             options.record,
             None,

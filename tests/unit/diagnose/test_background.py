@@ -6,6 +6,7 @@ import pytest
 from orbitfb.diagnose.background import BEAT_RMS, GAIN_RMS, TUNE_RMS
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.innovation import Ladder, NoiseFloor, information
+from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Ring
@@ -61,7 +62,7 @@ def test_what_healthy_errors_leave_of_a_change_is_that_of_the_dense_regression()
 def test_a_ladder_sees_what_the_first_rows_show(drift: float) -> None:
     """Without drift the gain is never steady, and an orbit that is steered away shows at once."""
     rng = np.random.default_rng(3)
-    floor = NoiseFloor(np.eye(4), 2.0, np.full(4, 2.0 * drift))
+    floor = NoiseFloor(NoiseModes.even(np.eye(4)), 2.0, np.full(4, 2.0 * drift))
     starts = np.zeros(300, dtype=bool)
     starts[[0, 120]] = True
     patterns = rng.normal(size=(4, 3))

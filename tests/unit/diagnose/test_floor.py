@@ -3,6 +3,7 @@
 import numpy as np
 
 from orbitfb.diagnose.floor import estimate_floor
+from orbitfb.diagnose.noise_modes import NoiseModes
 
 
 def test_strong_modes_keep_their_own_walk_beside_weak_ones():
@@ -13,7 +14,7 @@ def test_strong_modes_keep_their_own_walk_beside_weak_ones():
     readings = orbit + rng.normal(size=orbit.shape)
     starts = np.arange(rows) == 0
 
-    floor = estimate_floor(readings, starts, np.eye(len(walk)))
+    floor = estimate_floor(readings, starts, NoiseModes.even(np.eye(len(walk))))
 
     assert abs(floor.reading - 1.0) < 0.05
     np.testing.assert_allclose(floor.walk[:8], walk[:8], rtol=0.25)

@@ -5,6 +5,7 @@ import pytest
 
 from orbitfb.diagnose.healing import Errors
 from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.quick import Quick
 from orbitfb.diagnose.recursion import Feedback
 from orbitfb.diagnose.uncoupled import Product, components
@@ -46,7 +47,8 @@ def test_a_product_of_blocks_is_that_of_the_matrix() -> None:
 
 def test_single_precision_whitens_as_double_does() -> None:
     rng = np.random.default_rng(5)
-    modes = np.linalg.qr(rng.normal(size=(8, 8)))[0]
+    axes = np.linalg.qr(rng.normal(size=(8, 8)))[0]
+    modes = NoiseModes(axes, np.exp(0.5 * rng.normal(size=8)))
     floor = NoiseFloor(modes, 1e-13, 1e-13 * np.exp(np.linspace(-9.0, 1.0, 8)))
     starts = np.zeros(150, dtype=np.bool_)
     starts[[0, 70]] = True

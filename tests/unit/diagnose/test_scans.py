@@ -163,3 +163,51 @@ def test_noise_of_a_few_bpms_here_and_there_is_one_cause():
     found = noise_candidates(Bench(record), all_effects()["noise-level"])[0]
     assert found.cause.places == struck
     assert found.cause.values["factor"] == pytest.approx(2.0, rel=0.1)
+
+
+def test_noise_of_a_cell_that_rises_in_the_middle_is_told_from_then_on():
+    """Its mean over the record is no factor that the BPMs ever had."""
+    record = record_with("noise-level:factor=2,cells=C09,from=50s", dither=0.0)
+    bench = Bench(record)
+    found, *_ = tournament(bench, [all_effects()["noise-level"]])
+    assert {BPMS[place] for place in found.cause.places} == {n for n in BPMS if n.endswith("C09")}
+    assert abs(found.cause.onset - 300) < 6
+    told = state(bench, found.cause)
+    low, high = told.intervals["factor"]
+    assert low < 2.0 < high < 1.15 * low
+
+
+def test_a_bpm_that_was_always_noisy_is_no_reason_for_a_larger_factor():
+    """What begins in the middle is measured by what the same BPM had before."""
+    names = f"names={BPMS[20]}"
+    effects = build(
+        [
+            parse_effect(f"noise-level:factor=1.5,{names}"),
+            parse_effect(f"noise-level:factor=2,{names},from=50s"),
+        ],
+        LAYOUT,
+        1,
+    )
+    record = simulate_record(RING, "x", 1500, 5, effects, dither=0.0, period=LAYOUT.period)
+    bench = Bench(record)
+    cause = Cause(all_effects()["noise-level"], (20,), {"factor": 3.0}, 300)
+    low, high = state(bench, cause).intervals["factor"]
+    assert low < 2.0 < high < 1.3 * low
+
+
+def test_a_leak_is_told_by_what_healthy_optics_leave_of_it():
+    """What a corrector that is steered far does to the whole orbit, wrong gradients do in part."""
+    first, second, share = 112, 110, 0.2
+    record = record_with("bpm-gain:gain=0", dither=0.0)
+    levels = 0.01 * np.random.default_rng(3).standard_normal(len(record) // 50 + 1)
+    course = np.repeat(levels, 50)[: len(record)]
+    setpoints = record.setpoints.copy()
+    setpoints[:, first] += course
+    made = LAYOUT.response[:, first] + share * LAYOUT.response[:, second]
+    steered = replace(
+        record, setpoints=setpoints, readings=record.readings + np.outer(course, made)
+    )
+    found = best(steered, "corrector-crosstalk")
+    kind = all_effects()["corrector-crosstalk"]
+    assert tuple(kind.pairs(record.layout)[found.cause.places[0]]) == (first, second)
+    assert found.cause.values["share"] == pytest.approx(share, rel=0.2)
