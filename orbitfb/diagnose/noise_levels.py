@@ -10,7 +10,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.randomness import EDGE, LEVELS, beyond_healthy
+from orbitfb.diagnose.randomness import BETWEEN, EDGE, LEVELS, WITHIN, beyond_healthy
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix
@@ -70,7 +70,9 @@ def _level(bench: Bench, kind: NoiseKind) -> tuple[float, Candidate] | None:
         gain, choices = float(steps[row]), float(len(steps))
         late, early = (_best_factor(part, share) for part in (squares[row + 1 :], squares[:row]))
         ratio = late / early
-    sure = float(beyond_healthy(np.array([gain - np.log(choices)]), np.array([ratio]))[0])
+    scatter = BETWEEN if bench.told_floor else WITHIN
+    beyond = np.array([gain - np.log(choices)])
+    sure = float(beyond_healthy(beyond, np.array([ratio]), scatter)[0])
     places: tuple[int, ...] = () if kind.target == "ring" else tuple(range(len(record.layout.bpms)))
     values = {p.name: p.typical for p in kind.parameters}
     values[kind.parameters[0].name] = float(np.sqrt(ratio))

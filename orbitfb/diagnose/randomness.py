@@ -30,8 +30,8 @@ _LEAST_COLOUR = 0.02
 """The same of a correlation in time: levels of healthy noise differ, but all of it is white."""
 LEVELS = ("noise-level", "ground-motion-level")
 """Kinds that may strike every place alike."""
-_LEVEL_SCATTER = 0.1
-"""Scatter of the logarithm of a healthy level between times of a record, or records."""
+WITHIN, BETWEEN = 0.05, 0.1
+"""Scatter of the logarithm of a healthy variance between times of a record, and between records."""
 _KEPT = 3
 _MANY = 8
 """Places from which on a typical one can be told."""
@@ -81,19 +81,20 @@ def _wandering(bench: Bench, kind: NoiseKind, shape: Vector) -> list[Candidate] 
     return [Candidate(Cause(kind, (0,), values), gain, 1.0)]
 
 
-def beyond_healthy(gain: Vector, ratio: Vector) -> Vector:
+def beyond_healthy(gain: Vector, ratio: Vector, scatter: float = WITHIN) -> Vector:
     """Judge a change of a variance against the wandering of healthy levels too.
 
     Args:
         gain: Of the changes, less what the choice of their rows costs [nats]: a healthy change
             would have to come at the same row.
         ratio: Variance after over variance before.
+        scatter: Of its logarithm, between healthy ones.
 
     Returns:
         What is beyond healthy changes [nats], at least 0.
     """
     gain = np.maximum(gain, 0.0)
-    tolerance = 0.5 * (np.log(ratio) / _LEVEL_SCATTER) ** 2
+    tolerance = 0.5 * (np.log(ratio) / scatter) ** 2
     return gain * tolerance / np.maximum(gain + tolerance, 1e-300)
 
 

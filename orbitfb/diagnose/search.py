@@ -183,8 +183,9 @@ def search(
             budget,
         )
         one = Round(bench, tuple(entries), len(left), None, budget.taken())
-        # What is given throws the orbit far off: what is left then is healthy errors at work.
-        winner = _winner(one, rounds) if number < MOST_CAUSES and not given else None
+        # What is given throws the orbit far off, and healthy errors with it: a cause beside it
+        # must be sure, and tidy, as one beside others.
+        winner = _winner(one, rounds, beside=bool(given)) if number < MOST_CAUSES else None
         rounds.append(replace(one, accepted=winner))
         if winner is None:
             break
@@ -230,7 +231,7 @@ def _moving(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     return tuple(c for c in causes if not isinstance(c.kind, LatentKind | NoiseKind))
 
 
-def _winner(one: Round, before: Sequence[Round]) -> Entry | None:
+def _winner(one: Round, before: Sequence[Round], *, beside: bool) -> Entry | None:
     """The best entry, if something of its kind (or of a close one) is likely to be there.
 
     A further cause must be sure. It must not be what the first ones left because they are not
@@ -240,12 +241,13 @@ def _winner(one: Round, before: Sequence[Round]) -> Entry | None:
     if not one.entries:
         return None
     best = one.entries[0]
-    least = SURE if before else LIKELY
+    further = beside or bool(before)
+    least = SURE if further else LIKELY
     if best.held_out <= 0.0 or sum(one.probabilities().values()) < least:
         return None
     gained = sum(r.accepted.weight for r in before if r.accepted is not None)
     scatter = 1.0 if best.fit is None else best.fit.inflation
-    if before and (best.weight < max(_FURTHER * gained, _LEAST_FURTHER) or scatter > _TIDY):
+    if further and (best.weight < max(_FURTHER * gained, _LEAST_FURTHER) or scatter > _TIDY):
         return None
     return best
 

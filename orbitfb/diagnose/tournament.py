@@ -73,8 +73,10 @@ def tournament(
     for index, candidate in enumerate(proposals):
         tell("fitting", 0.5 + 0.3 * index / len(proposals))
         best = max((entry.weight for entry in entries), default=0.0)
-        # What has no size is fitted at no cost, and scanned badly: it is never small.
-        if net(candidate) > HOPELESS * best or not candidate.cause.kind.parameters:
+        # What has no size is fitted at no cost, and scanned badly: it is never small. How well a
+        # noise explains the record is known, whatever it is worth beside healthy ones.
+        promise = max(net(candidate), candidate.alone or 0.0)
+        if promise > HOPELESS * best or not candidate.cause.kind.parameters:
             if (
                 index
                 and budget.over()
@@ -111,11 +113,11 @@ def _rank(entry: Entry, every: Sequence[Entry]) -> float:
 
     How sure a noise is depends on how much healthy devices scatter; how well it explains the
     record does not, and what it leaves in the innovations looks like many other causes. But what
-    the readings of the same BPM do in time is no noise.
+    the readings of the same BPM (not of all of them) do in time is no noise.
     """
     if entry.candidate.alone is None or entry.weight <= _SURE_NOISE:
         return entry.weight
-    if any(
+    if entry.candidate.group != "all" and any(
         isinstance(other.kind, SensorKind)
         and other.candidate.alone is None
         and other.cause.places == entry.cause.places
