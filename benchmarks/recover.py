@@ -17,8 +17,9 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
+from orbitfb.diagnose.noise_levels import level_candidates
 from orbitfb.diagnose.random_values import state
-from orbitfb.diagnose.randomness import level_candidates, noise_candidates
+from orbitfb.diagnose.randomness import noise_candidates
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.strike_scan import latent_candidates
