@@ -93,7 +93,10 @@ class Background:
                 held = _tune_changes(layout, plane) * scatter / TUNE_RMS
                 self._parts.append(_Part(plane, to_bpms, at_quads, scatter, held))
         elif m:
-            self._parts.append(_response_errors(layout.response, currents, OPTICS_RMS * scale))
+            self._parts += [
+                _response_errors(layout, plane, currents, OPTICS_RMS * scale)
+                for plane in layout.planes
+            ]
         # Single precision is enough for errors of one per cent, and half the work.
         patterns = np.concatenate([p.patterns for p in self._parts], axis=1)
         drivers = np.concatenate([p.drivers * p.scatter for p in self._parts], axis=1)
@@ -189,22 +192,26 @@ class Background:
         return sizes
 
 
-def _response_errors(response: Matrix, currents: Matrix, share: float) -> _Part:
+def _response_errors(layout: Layout, plane: ChannelPlane, currents: Matrix, share: float) -> _Part:
     """Errors of the response to what is steered most, of a ring whose optics are not known.
 
     Gradients that are wrong at random kick at random by an orbit: what that adds is distributed
     over the modes of the response as orbits of random kicks are, with the squares of its values.
 
     Args:
-        response: Of the model, shape (n, m) [m/A].
+        layout: Devices and model.
+        plane: Gradients leave the planes apart.
         currents: That act on the beam, shape (N, m) [A].
         share: Rms of the orbit that is added, of the orbit that is steered.
     """
+    rows = layout.bpms.in_plane(plane)
+    response = np.zeros_like(layout.response)
+    response[rows] = layout.response[rows]
     steered = currents @ response.T
     steered = steered - steered.mean(axis=0)
     shapes = np.linalg.eigh(steered.T @ steered)[1][:, ::-1][:, :_COURSES]
     modes, values, _ = np.linalg.svd(response, full_matrices=False)
-    scatter = share * values[:_MODES] / np.linalg.norm(values[:_MODES])
+    scatter = share * values[:_MODES] / max(float(np.linalg.norm(values[:_MODES])), 1e-300)
     courses, count = steered @ shapes, len(scatter)
     return _Part(
         "response",

@@ -1,4 +1,4 @@
-"""Estimate the noise floor of a record: one reading noise, a random walk per mode.
+"""Estimate the noise floor of a record: a reading noise, a random walk per mode.
 
 Reading noise, over that of its BPM, is white over the BPMs, so every mode has the same r² of it;
 the ground moves magnets, so every mode has its own q. How the magnets move (alone, in girders, with

@@ -58,7 +58,7 @@ def _level(bench: Bench, kind: NoiseKind) -> tuple[float, Candidate] | None:
     whole = before[:, -1]
     if bench.told_floor:
         row, choices = 0, 1.0
-        gain, ratio = float(np.max(whole)), _best_factor(squares, share)
+        gain, ratio = float(np.max(whole)), _best_factor(squares[~record.starts], share)
     else:
         after = whole[:, None] - before
         steps = before.max(axis=0) + after.max(axis=0) - float(whole.max())
@@ -68,7 +68,11 @@ def _level(bench: Bench, kind: NoiseKind) -> tuple[float, Candidate] | None:
         if not row:
             return None
         gain, choices = float(steps[row]), float(len(steps))
-        late, early = (_best_factor(part, share) for part in (squares[row + 1 :], squares[:row]))
+        counted = ~record.starts
+        late, early = (
+            _best_factor(squares[part][counted[part]], share)
+            for part in (slice(row + 1, None), slice(0, row + 1))
+        )
         ratio = late / early
     scatter = BETWEEN if bench.told_floor else WITHIN
     beyond = np.array([gain - np.log(choices)])

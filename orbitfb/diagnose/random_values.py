@@ -102,9 +102,10 @@ def _over(late: Stated, early: Stated) -> Stated:
     values: dict[str, float] = {}
     intervals: dict[str, tuple[float, float]] = {}
     for p in late.cause.kind.parameters:
-        value = late.cause.values[p.name] / early.cause.values[p.name]
+        ratio = late.cause.values[p.name] / early.cause.values[p.name]
+        value = float(np.clip(ratio, p.low, p.high))
         its, before = _reaches(late, p.name), _reaches(early, p.name)
-        values[p.name] = float(np.clip(value, p.low, p.high))
+        values[p.name] = value
         intervals[p.name] = (
             max(value * float(np.exp(-np.hypot(its[0], before[1]))), p.low),
             min(value * float(np.exp(np.hypot(its[1], before[0]))), p.high),
@@ -125,8 +126,24 @@ def likelihood_of(bench: Bench, cause: Cause) -> Callable[[Values], float]:
 
 
 def _level(bench: Bench, cause: Cause) -> Stated:
-    """Levels of all places together keep their values; their interval is that of a variance."""
-    reach = _WIDTH * np.sqrt(0.5 / max(len(bench.record) - cause.onset, 2))
+    """Levels of all places together keep their values; their interval is that of a variance.
+
+    A colour has the interval of a correlation instead, as one BPM alone would tell it.
+    """
+    rows = max(len(bench.record) - cause.onset, 2)
+    if isinstance(cause.kind, NoiseKind) and cause.kind.lag:
+        far = _WIDTH / np.sqrt(rows)
+        return Stated(
+            cause,
+            {
+                p.name: (
+                    float(np.clip(cause.values[p.name] - far, p.low, p.high)),
+                    float(np.clip(cause.values[p.name] + far, p.low, p.high)),
+                )
+                for p in cause.kind.parameters
+            },
+        )
+    reach = _WIDTH * np.sqrt(0.5 / rows)
     intervals = {
         p.name: (
             max(cause.values[p.name] * float(np.exp(-reach)), p.low),

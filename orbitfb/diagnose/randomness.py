@@ -159,8 +159,9 @@ def _scattered(bench: Bench, kind: NoiseKind, patterns: Matrix) -> _Scatter:
         chance, strength = np.sqrt(2.0 / rows), (ratio - 1.0) / size
     over = over - (np.median(over) if len(over) > _MANY else 0.0)
     seen = over
-    if kind.relative:
+    if kind.relative and not bench.told_floor:  # a reference knows each BPM by itself
         seen = over + 2.0 * np.log(bench.floor.modes.spread)
+        seen = seen - (np.median(seen) if len(seen) > _MANY else 0.0)
         healthy = bench.floor.modes.scatter
     least = _LEAST_COLOUR if kind.lag else _LEAST_SCATTER
     scatter = max(_scatter(over, chance, least), healthy)
@@ -186,7 +187,7 @@ def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
 
 def usual_reading(bench: Bench, kind: NoiseKind, places: Indices) -> float:
     """Variance of the reading noise that sizes at some places are relative to [m²]."""
-    if kind.relative:
+    if kind.relative or kind.lag:
         return float(np.mean(bench.floor.readings[places]))
     return bench.floor.reading
 

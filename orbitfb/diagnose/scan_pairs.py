@@ -26,6 +26,8 @@ _PAIRS_TRIED = 12
 """Pairs whose beginning is looked for."""
 _LOOKED_AT = 24
 """Currents, and then pairs, of which it is found out what healthy errors leave."""
+_LEAST_LEFT = 1e-3
+"""Information below which nothing is left of a pair."""
 _PROMISING = 10.0
 """Gain of the best of them from which it is worth the time [nats]."""
 _JUMPS_TRIED = 6
@@ -115,16 +117,20 @@ def _beside_healthy(
     currents, at = np.unique(pairs[order, 0], return_index=True)
     best = order[at]  # pair of every current, in the order of `currents`
     steered = np.var(drivers[:, currents], axis=0)
-    promise = gain[best] * (1.0 + steered / np.median(steered))
+    promise = gain[best] * (1.0 + steered / max(float(np.mean(steered)), 1e-300))
     thought = 0.5 * score**2 / np.maximum(gain, 1e-300)  # information without healthy errors
     estimated = np.zeros_like(gain)
     for index in np.argsort(promise)[::-1][:_LOOKED_AT]:
+        if gain[best[index]] <= 0.0:
+            continue
         left = known(int(best[index])) / thought[best[index]]
         mine = pairs[:, 0] == currents[index]
-        estimated[mine] = gain[mine] / left
+        estimated[mine] = gain[mine] / max(left, _LEAST_LEFT)
     strength, better = np.zeros_like(gain), np.zeros_like(gain)
     for place in np.argsort(estimated)[::-1][:_LOOKED_AT]:
-        information = known(int(place))
+        information = known(int(place)) if estimated[place] > 0.0 else 0.0
+        if information <= _LEAST_LEFT:
+            continue
         strength[place] = score[place] / information
         better[place] = 0.5 * score[place] ** 2 / information
     return strength, better

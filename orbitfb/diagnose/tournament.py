@@ -99,7 +99,7 @@ def tournament(
 
 
 def _ranked(every: Sequence[Entry]) -> list[Entry]:
-    """Sort entries; those that explain far less than the first one weigh as much less than it."""
+    """Sort by rank; nothing weighs more than the first one less the difference of their ranks."""
     ranks = [_rank(entry, every) for entry in every]
     order = sorted(range(len(every)), key=lambda index: ranks[index], reverse=True)
     if not order:

@@ -20,7 +20,9 @@ class NoiseLevel(NoiseKind):
     target = "bpm"
     relative = True
     parameters = (
-        Parameter("factor", "1", 0.05, 100.0, 1.0, 2.0, "Noise rms over that of a healthy BPM."),
+        Parameter(
+            "factor", "1", 0.05, 100.0, 1.0, 2.0, "Noise rms over what the BPM has without it."
+        ),
     )
     title = "noise level of a BPM"
     sentence = (

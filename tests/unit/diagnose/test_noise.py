@@ -1,11 +1,16 @@
 """Noise that all BPMs have, each in its own measure."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.engine import diagnose
+from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_colour import colour_of_all
+from orbitfb.diagnose.random_values import state
+from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.build import build, layout_of
@@ -74,3 +79,28 @@ def test_a_colour_of_all_bpms_is_seen(correlation: float):
         assert found.cause.values["correlation"] == pytest.approx(correlation, rel=0.1)
     else:
         assert found is None or found.gain < 3.0
+
+
+@pytest.mark.parametrize("correlation", [-0.3, 0.2])
+def test_the_interval_of_a_colour_of_all_holds_it(correlation: float):
+    record = simulate_record(RING, "x", TICKS, 5, [], dither=0.0, period=LAYOUT.period)
+    places = tuple(range(len(BPMS)))
+    cause = Cause(all_effects()["noise-coloured"], places, {"correlation": correlation})
+    low, high = state(Bench(record), cause).intervals["correlation"]
+    assert low < correlation < high
+
+
+def test_currents_that_stand_still_hide_no_leak():
+    """Half of the correctors and more never move: no share of nothing decides who leaks."""
+    first, second, share = 112, 110, 0.2
+    record = simulate_record(RING, "x", 500, 5, [], dither=0.0, period=LAYOUT.period)
+    steady = record.setpoints[:1] + 0.0 * record.setpoints
+    course = np.repeat(0.01 * np.random.default_rng(3).standard_normal(11), 50)[: len(record)]
+    setpoints = steady.copy()
+    setpoints[:, first] += course
+    kept = record.readings - (record.setpoints - steady) @ LAYOUT.response.T
+    made = LAYOUT.response[:, first] + share * LAYOUT.response[:, second]
+    steered = replace(record, setpoints=setpoints, readings=kept + np.outer(course, made))
+    kind = all_effects()["corrector-crosstalk"]
+    found = Scanner(Bench(steered)).candidates(kind)[0]
+    assert tuple(kind.pairs(LAYOUT)[found.cause.places[0]]) == (first, second)
