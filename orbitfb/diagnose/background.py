@@ -28,12 +28,11 @@ TUNE_RMS = 0.002
 """By how much a tune may be off: it is measured, and quadrupoles are trimmed until it is right."""
 
 OPTICS_RMS = 0.025
-"""What healthy gradients do to the orbit that is steered, as a share of it [1]: by errors of
-`BEAT_RMS` it is 0.021 to 0.026 on the default ring, for smooth and for local orbits."""
+"""What healthy gradients do to the orbit that is steered, as a share of it [1]: so much on the
+default ring by errors of `BEAT_RMS`."""
 
-Healthy = Literal["correctors", "bpms", "x", "y", "response"]
-"""What has small errors: gains of correctors, of BPMs, gradients as seen in a plane, the response
-of a ring that is not known."""
+Healthy = Literal["correctors", "bpms", "x", "y"]
+"""What has small errors: gains of correctors, of BPMs, gradients as seen in a plane."""
 
 _COURSES, _MODES = 6, 40
 """Orbits that are steered most, and modes of the response that are wrong for each of them."""
@@ -55,7 +54,7 @@ class _Part:
             nothing, shape (P,); None where there is none.
     """
 
-    name: Healthy
+    name: Healthy | Literal["response of a ring that is not known"]
     patterns: Matrix
     drivers: Matrix
     scatter: Vector
@@ -214,7 +213,7 @@ def _response_errors(layout: Layout, plane: ChannelPlane, currents: Matrix, shar
     scatter = share * values[:_MODES] / max(float(np.linalg.norm(values[:_MODES])), 1e-300)
     courses, count = steered @ shapes, len(scatter)
     return _Part(
-        "response",
+        "response of a ring that is not known",
         np.tile(modes[:, :count], courses.shape[1]),
         np.repeat(courses, count, axis=1),
         np.tile(scatter, courses.shape[1]),

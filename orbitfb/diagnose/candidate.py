@@ -36,6 +36,20 @@ class Candidate:
     alone: float | None = None
 
 
+def held_to(gain: Vector, deviations: Vector) -> Vector:
+    """Hold gains against what healthy devices do too.
+
+    Args:
+        gain: At least 0 [nats].
+        deviations: Of healthy ones, that would make the same.
+
+    Returns:
+        What is beyond them [nats].
+    """
+    tolerance = 0.5 * deviations**2
+    return gain * tolerance / np.maximum(gain + tolerance, 1e-300)
+
+
 def best_strength(kind: EffectKind, score: Vector, info: Vector) -> tuple[Vector, Vector]:
     """Best strength and its gain, of every place.
 

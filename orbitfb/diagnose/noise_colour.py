@@ -10,7 +10,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.candidate import Candidate, held_to
 from orbitfb.diagnose.explain import Cause, explain
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix
@@ -51,10 +51,9 @@ def colour_of_all(bench: Bench, kind: NoiseKind) -> Candidate | None:
     costs = np.array([cost(float(colour)) for colour in _COLOURS])
     best = int(np.argmin(costs))
     colour, gain = float(_COLOURS[best]), nothing - float(costs[best])
-    tolerance = 0.5 * (colour / _HEALTHY) ** 2
     if gain <= 0.0:
         return None
-    sure = gain * tolerance / (gain + tolerance)
+    sure = float(held_to(np.array([gain]), np.array([colour / _HEALTHY]))[0])
     values = {p.name: p.typical for p in kind.parameters} | {name: _refined(costs, best)}
     places = tuple(range(len(bench.record.layout.bpms)))
     return Candidate(Cause(kind, places, values), sure, 1.0, "all", gain)

@@ -13,7 +13,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.candidate import Candidate, held_to
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_colour import colour_of_all
 from orbitfb.diagnose.scan import groups_of
@@ -94,8 +94,7 @@ def beyond_healthy(gain: Vector, ratio: Vector, scatter: float = WITHIN) -> Vect
         What is beyond healthy changes [nats], at least 0.
     """
     gain = np.maximum(gain, 0.0)
-    tolerance = 0.5 * (np.log(ratio) / scatter) ** 2
-    return gain * tolerance / np.maximum(gain + tolerance, 1e-300)
+    return held_to(gain, np.log(ratio) / scatter)
 
 
 def projections(bench: Bench, patterns: Matrix) -> tuple[Matrix, Vector]:
@@ -230,6 +229,30 @@ def _sudden(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
     """A variance that changes at some row: judged against the record's own quiet part."""
     course, size = projections(bench, patterns)
     squares = course**2 / size
+    rows, gain, early, late = parted(squares)
+    height = beyond_healthy(gain - np.log(len(squares)), late / early)
+    for place in np.argsort(height)[::-1][:_KEPT]:
+        reading = usual_reading(bench, kind, np.array([place]))
+        strength = float((late[place] - early[place]) / size[place])
+        values = values_of(kind, strength, reading)
+        if values is not None:
+            yield Candidate(
+                Cause(kind, (int(place),), values, int(rows[place])),
+                float(height[place]),
+                float(len(height)),
+            )
+
+
+def parted(squares: Matrix) -> tuple[Indices, Vector, Vector, Vector]:
+    """Find the row that parts every course of squares best into two of a variance each.
+
+    Args:
+        squares: Of white noise, shape (N, P).
+
+    Returns:
+        First row of the later part, gain over one variance for all rows [nats], and the variances
+        before and after, each of shape (P,).
+    """
     before = np.cumsum(squares, axis=0)
     rows = np.arange(1, len(squares) + 1)[:, None]
     total, count = before[-1], float(len(squares))
@@ -241,19 +264,7 @@ def _sudden(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
     gain[-EDGE:] = 0.0
     best = np.argmax(gain, axis=0)
     every = np.arange(gain.shape[1])
-    price = np.log(count)
-    height = beyond_healthy(gain[best, every] - price, (late / early)[best, every])
-    for place in np.argsort(height)[::-1][:_KEPT]:
-        row = int(best[place])
-        reading = usual_reading(bench, kind, np.array([place]))
-        strength = float((late[row, place] - early[row, place]) / size[place])
-        values = values_of(kind, strength, reading)
-        if values is not None:
-            yield Candidate(
-                Cause(kind, (int(place),), values, row + 1),
-                float(height[place]),
-                float(len(height)),
-            )
+    return best + 1, gain[best, every], early[best, every], late[best, every]
 
 
 def values_of(kind: NoiseKind, variance: float, reading: float) -> Values | None:

@@ -170,8 +170,6 @@ class Scoring:
                 course = bench.currents
             elif name == "bpms":
                 course = bench.orbit
-            elif name == "response":
-                raise KeyError(name)  # no effect is like it
             else:
                 course = bench.currents @ layout.orbit_at("QUAD", name).T
             self._courses[name] = self._rough.filtered(course, self._starts)

@@ -3,11 +3,19 @@
 import numpy as np
 import pytest
 
-from orbitfb.diagnose.background import BEAT_RMS, GAIN_RMS, TUNE_RMS
+from orbitfb.diagnose.background import (
+    BEAT_RMS,
+    GAIN_RMS,
+    OPTICS_RMS,
+    TUNE_RMS,
+    _gradient_scatters,
+)
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.innovation import Ladder, NoiseFloor, information
 from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.effects.build import layout_of
+from orbitfb.effects.gradients import response_with
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Ring
 
@@ -74,3 +82,19 @@ def test_a_ladder_sees_what_the_first_rows_show(drift: float) -> None:
     ladder = Ladder(floor)
     found = information(ladder.shapes(patterns), ladder.filtered(drivers, starts))
     np.testing.assert_allclose(found, np.array(whitened) @ np.array(whitened).T, rtol=1e-3)
+
+
+def test_healthy_gradients_do_to_steered_orbits_what_an_unknown_ring_is_given() -> None:
+    ring, rng = Ring.load(), np.random.default_rng(0)
+    layout = layout_of(ring, "x", 0.1)
+    scatter = _gradient_scatters(layout)
+    nominal = response_with(layout, np.zeros(len(scatter)))
+    modes, values, directions = np.linalg.svd(layout.response)
+    inverse = directions.T * (values / (values**2 + (0.02 * values[0]) ** 2))
+    shares = []
+    for _ in range(20):
+        change = response_with(layout, scatter * rng.normal(size=len(scatter))) - nominal
+        smooth = modes[:, :20] @ rng.normal(size=20)
+        currents = inverse @ (modes.T @ np.column_stack([smooth, np.eye(180)[:, [0, 50, 100]]]))
+        shares.append(np.sum((change @ currents) ** 2) / np.sum((layout.response @ currents) ** 2))
+    assert np.sqrt(np.mean(shares)) == pytest.approx(OPTICS_RMS, rel=0.25)
