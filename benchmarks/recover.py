@@ -29,7 +29,6 @@ from orbitfb.effects.build import Since, layout_of
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.layout import Layout
-from orbitfb.effects.noise_correlated import NoiseCorrelated
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
@@ -62,6 +61,7 @@ SIZES: dict[str, Values] = {
     "bpm-nonlinearity": {"quadratic": 3e3, "cubic": -1e8},
     "bpm-offset": {"offset": 2e-6},
     "bpm-roll": {"angle": 0.05},
+    "bpm-walk": {"step": 2e-8},
     "clock-jitter": {"rms": 0.05},
     "corrector-crosstalk": {"share": 0.3},
     "corrector-deadband": {"width": 1e-3},
@@ -73,9 +73,9 @@ SIZES: dict[str, Values] = {
     "corrector-roll": {"angle": 0.2},
     "corrector-slew": {"rate": 3e-3},
     "corrector-stuck": {"left": 1.0},
-    "energy-drift": {"rate": 5e-7},
+    "energy-ramp": {"rate": 5e-7},
     "energy-offset": {"offset": 1e-5},
-    "energy-walk": {"step": 3e-7},
+    "energy-drift": {"step": 3e-7},
     "ground-motion-level": {"factor": 2.0},
     "insertion-device": {"kick": 5e-7, "period": 0.03, "duration": 5.0},
     "local-kick": {"kick": 3e-7},
@@ -92,7 +92,7 @@ SIZES: dict[str, Values] = {
     "sextupole": {"strength": 60.0},
     "skew-coupling": {"skew": 0.005},
     "telegraph": {"kick": 1.5e-7, "probability": 0.02},
-    "thermal-drift": {"rate": 5e-9},
+    "thermal-drift": {"rate": 1e-8, "tau": 20.0},
     "tune-drift": {"rate_x": 5e-5, "rate_y": 0.0},
     "tune-shift": {"dnu_x": 0.005, "dnu_y": 0.0},
 }
@@ -163,7 +163,7 @@ def columns_of(kind: EffectKind, places: tuple[int, ...], layout: Layout) -> Ind
     """Tell places as the simulation counts them."""
     if isinstance(kind, PairKind):
         return kind.pairs(layout)[places[0]]
-    if isinstance(kind, NoiseCorrelated):
+    if isinstance(kind, NoiseKind) and kind.target == "bpm":
         return np.flatnonzero(kind.patterns(layout)[:, places[0]])
     return np.array(places, dtype=np.intp)
 

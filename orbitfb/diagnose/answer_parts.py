@@ -36,7 +36,9 @@ class Cause(Part):
         default=None, description="when it begins, since the first reading [s]; null: always there"
     )
     alternatives: tuple[str, ...] = Field(
-        default=(), description="ids of the effects of its class: the record cannot exclude them"
+        default=(),
+        description="ids of its class: what the record cannot exclude, or its fault with another "
+        "course in time",
     )
     title: str = Field(default="", description="the effect in a few words")
     sentence: str = Field(default="", description="what it means to an operator")

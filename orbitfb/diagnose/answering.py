@@ -16,7 +16,8 @@ from orbitfb.diagnose.fit import Fit
 from orbitfb.diagnose.naming import devices_and_planes
 from orbitfb.diagnose.nearby import Nearby, nearby
 from orbitfb.diagnose.random_values import state
-from orbitfb.diagnose.search import Outcome, Round
+from orbitfb.diagnose.rounds import Round
+from orbitfb.diagnose.search import Outcome
 from orbitfb.diagnose.worth import Worths
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind
@@ -40,7 +41,7 @@ def named_causes(
         for one, its in zip(outcome.winners, departures, strict=True)
         if one.accepted is not None
     ]
-    if causes and not causes[0].alternatives:  # else the first one stands for its class
+    if causes and not outcome.winners[0].rivals():  # else the first one stands for its class
         causes.sort(key=lambda cause: cause.drop_one_nats or 0.0, reverse=True)
     return tuple(causes)
 
@@ -70,7 +71,7 @@ def _named(
         parameters=_wherever(_parameters(cause, fitted, one.bench), around),
         probability=departs.chance * sum(chances.get(name, 0.0) for name in (kind.id, *rivals)),
         onset_s=float(one.bench.record.time[cause.onset]) if cause.onset else None,
-        alternatives=tuple(rivals),
+        alternatives=tuple(dict.fromkeys((*rivals, *kind.also_called))),
         title=kind.title,
         sentence=kind.sentence,
         label=entry.candidate.group,

@@ -32,6 +32,14 @@ _SEEN = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Near:
+    """Sizes of the background, shape (P,), and what they change in the innovations, (N, n)."""
+
+    sizes: Vector
+    change: Single | np.float32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Base:
     """A record under the causes that stay, and its innovations of unit variance, (N, n)."""
 
@@ -71,7 +79,7 @@ class Bench:
         self.told_floor = floor is not None
         alike = modes is None and floor is None
         modes = NoiseModes.of(record.layout) if modes is None else modes
-        self._nearby: tuple[Vector, Single] = (np.zeros(0), np.zeros((0, 0), np.float32))
+        self._nearby = self._latest = _Near(np.zeros(0), np.zeros((0, 0), np.float32))
         self._base: _Base | None = None
         self._in_single: Quick | None = None
         self._steps: FreeSteps | None = None
@@ -114,10 +122,10 @@ class Bench:
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
         """As `residual`, the sizes of the background left as they are: a first look at many."""
         white, log_jacobian = self._with(causes)
-        sizes, change = self._nearby
-        if len(sizes):
-            white = self._beyond(white - change, causes)
-        return white, sizes, log_jacobian
+        near = self._nearby
+        if len(near.sizes):
+            white = self._beyond(white - near.change, causes)
+        return white, near.sizes, log_jacobian
 
     def _beyond(self, white: Innovations, causes: Sequence[Cause]) -> Innovations:
         return self.free_steps.beyond(white, (*self.causes, *causes))
@@ -151,8 +159,8 @@ class Bench:
         """
         white = self.floor.whiten(change, self.record.starts)
         enough = _SEEN * float(np.sum(white**2))
-        white, sizes = self._descend(white, np.zeros_like(self.sizes), enough)
-        return float(np.sum(white**2) + np.sum(sizes**2))
+        white, near = self._descend(white, self._nothing, enough)
+        return float(np.sum(white**2) + np.sum(near.sizes**2))
 
     def _beside(self) -> "_Base":
         """What more causes are put beside, computed once for causes, orbit and floor."""
@@ -200,22 +208,30 @@ class Bench:
     def _healed(self, white: Matrix, causes: Sequence[Cause] = ()) -> tuple[Matrix, Vector]:
         """Take the best healthy errors out of what is left.
 
-        The search begins where the bench's errors are, or at none if that is better: errors that
-        had swallowed a cause are far from those beside it.
+        The search begins where the bench's errors are, or those of the last search, or at none,
+        whichever is best: errors that had swallowed a cause are far from those beside it.
 
         Args:
             white: What is left, shape (N, n).
             causes: Whose first kicks are free, beside those of the bench.
         """
-        sizes, change = self._nearby
-        near = self._beyond(white - change, causes) if len(sizes) else white
-        if not len(sizes) or np.vdot(white, white) < np.vdot(near, near) + sizes @ sizes:
-            return self._descend(white, self.background.nothing, _SOLVED, causes)
-        return self._descend(near, sizes, _SOLVED, causes)
+        start, best, least = self._nothing, white, float(np.vdot(white, white))
+        for near in (self._nearby, self._latest):
+            if len(near.sizes):
+                left = self._beyond(white - near.change, causes)
+                cost = float(np.vdot(left, left) + near.sizes @ near.sizes)
+                if cost < least:
+                    start, best, least = near, left, cost
+        white, self._latest = self._descend(best, start, _SOLVED, causes)
+        return white, self._latest.sizes
+
+    @property
+    def _nothing(self) -> _Near:
+        return _Near(self.background.nothing, np.float32(0.0))
 
     def _descend(
-        self, white: Matrix, sizes: Vector, enough: float, causes: Sequence[Cause] = ()
-    ) -> tuple[Matrix, Vector]:
+        self, white: Matrix, near: _Near, enough: float, causes: Sequence[Cause] = ()
+    ) -> tuple[Matrix, _Near]:
         """Find the best healthy errors by preconditioned conjugate gradients.
 
         The ladder's information is nearly exact, so the first step is nearly the answer, except
@@ -223,13 +239,14 @@ class Bench:
 
         Args:
             white: What is left with the errors at hand, shape (N, n).
-            sizes: Of those errors, shape (P,).
+            near: Those errors.
             enough: Gain of a step below which they are the best [nats].
             causes: As for `_healed`.
         """
         quick, background = self._quick, self.background
+        sizes, moved = near.sizes, near.change
         if not len(sizes):
-            return white, sizes
+            return white, near
 
         def slope() -> Vector:
             return background.gradient(quick.adjoint(white.astype(np.float32)), sizes)
@@ -243,20 +260,23 @@ class Bench:
                 break
             direction = step + (promise / before if before else 0.0) * direction
             before = promise
-            change = self._beyond(quick.whiten(background.single_orbit(direction)), causes)
+            whole = quick.whiten(background.single_orbit(direction))
+            change = self._beyond(whole, causes)
             length = float(gradient @ direction) / float(
                 np.vdot(change, change) + direction @ direction
             )
             sizes = sizes + length * direction
+            moved = moved + np.float32(length) * whole
             white = white - np.float32(length) * change
             if 0.5 * _CONVERGENCE * promise < enough:
                 break  # what is left to gain would not be enough: no need to look
             gradient = slope()
-        return white, sizes
+        return white, _Near(sizes, moved)
 
     def remember(self, sizes: Vector) -> None:
         """Begin to look for healthy errors at these, under the floor as it is."""
-        self._nearby = (sizes, self._quick.whiten(self.background.single_orbit(sizes)))
+        change = self._quick.whiten(self.background.single_orbit(sizes))
+        self._nearby = self._latest = _Near(sizes, change)
 
     def with_floor(self, floor: NoiseFloor) -> "Bench":
         """The same causes judged under another floor; the background's information stays."""

@@ -16,8 +16,8 @@ from scipy.special import expit
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.bits import silent_bit
 from orbitfb.diagnose.explain import Cause, columns_of, explain, restored
+from orbitfb.diagnose.noise_departure import noise_laws
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
@@ -44,8 +44,6 @@ _RANK = 2
 _SMALL = 0.05
 """Part of an orbit's largest shape below which another one is not looked at."""
 _TINY = 1e-300
-_FEW_BPMS = 6
-"""BPMs whose single bits are looked at."""
 _COLOURS = (1, 2)
 """Ticks over which noise that is not quite as the floor says echoes at a BPM."""
 
@@ -90,7 +88,8 @@ def departure(bench: Bench, cause: Cause, gain: float) -> Departure:
         The best course; one that gains nothing where the law leaves nothing.
     """
     if isinstance(cause.kind, LatentKind | NoiseKind):
-        return _converted(bench, cause, gain)
+        course, nats = max(noise_laws(bench, cause), key=lambda law: law[1], default=("", 0.0))
+        return Departure(course, nats, gain) if nats > 0.0 else Departure("", 0.0, gain)
     echoes = _echoes(bench, cause)
     best, top, tried = "", 0.0, 0
     for name, trial in _trials(bench, cause):
@@ -101,20 +100,6 @@ def departure(bench: Bench, cause: Cause, gain: float) -> Departure:
             best, top = name, height
     nats = top - float(np.log(tried)) - _OCCAM
     return Departure(best, nats, gain) if nats > 0.0 else Departure("", 0.0, gain)
-
-
-def _converted(bench: Bench, cause: Cause, gain: float) -> Departure:
-    """Look for a converter that makes what passes for more noise of a few BPMs."""
-    kind = cause.kind
-    at_bpms = isinstance(kind, NoiseKind) and kind.target == "bpm" and not kind.lag
-    if at_bpms and 0 < len(cause.places) <= _FEW_BPMS:
-        for place in cause.places:
-            bit, nats = silent_bit(bench.record.readings[cause.onset :, place])
-            if nats > 0.0:
-                name = bench.record.layout.bpms.label(place)
-                course = f"as a converter whose bit of {bit * 1e6:.3g} µm never changes at {name}"
-                return Departure(course, nats, gain)
-    return Departure("", 0.0, gain)
 
 
 def _trials(bench: Bench, cause: Cause) -> Iterator[tuple[str, Matrix]]:

@@ -18,7 +18,8 @@ from orbitfb.diagnose.naming import as_in_record
 from orbitfb.diagnose.parts import Parts
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
-from orbitfb.diagnose.search import CLOSE, LIKELY, SURE, Outcome, search
+from orbitfb.diagnose.rounds import CLOSE, LIKELY, SURE
+from orbitfb.diagnose.search import Outcome, search
 from orbitfb.diagnose.shrink import put_aside
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.record import Record

@@ -158,7 +158,8 @@ def profiled(bench: Bench, entry: Entry, best: float) -> Entry:
     else:
         own = bench.with_floor(floor)
     found = fit(own, entry.fit.causes)
-    lost = own.full_log_likelihood - bench.full_log_likelihood  # by the other floor alone
+    # By the other floor alone; where that is better without the cause too, nothing is gained by it.
+    lost = min(own.full_log_likelihood - bench.full_log_likelihood, 0.0)
     gain = found.gain + lost
     weight = gain / found.inflation - found.occam - price(entry.candidate)
     if weight <= entry.weight:

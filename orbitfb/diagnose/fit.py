@@ -137,7 +137,7 @@ def _climb(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left, lis
         if not (np.isfinite(curvature).all() and np.isfinite(gradient).all()):
             return best, now, []
         move = np.zeros_like(best)
-        move[problem.smooth] = np.linalg.lstsq(curvature, gradient, rcond=1e-12)[0]
+        move[problem.smooth] = scores.inverse(curvature, problem.scale[problem.smooth]) @ gradient
         promise = float(gradient @ move[problem.smooth])
         if promise < _ENOUGH and step:
             break
@@ -229,8 +229,7 @@ def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, pr
         padded = (_padded(white, problem), *now[1:])
         rows = np.stack([-np.sum(s[0] * padded[0], axis=1) + s[2] for s in slopes], axis=1)
         curvature = _normal_equations(padded, slopes)[1]
-        known = curvature + np.diag(1e-6 / scale**2)
-        inverse = np.asarray(np.linalg.pinv(known), dtype=np.float64)
+        inverse = scores.inverse(curvature, scale)
         inflation = scores.inflation(rows, inverse, scores.known_by_row(slopes, inverse))
         covariance[np.ix_(smooth, smooth)] = inverse * inflation
         held, unstable[smooth] = scores.held_out(scale, padded, slopes, rows, gains)

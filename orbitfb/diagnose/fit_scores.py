@@ -12,6 +12,8 @@ from orbitfb.physics.optics import Matrix
 
 BLOCK = 25
 """Ticks of a block of the split, and of the variance of the scores."""
+_NEARLY_NOTHING = 1e-6
+"""Share of the prior's precision that holds values of which nothing is known."""
 _TIDY_BLOCKS = 8.0
 """Weight of the prior that scores scatter as the noise model says [blocks]."""
 
@@ -19,6 +21,20 @@ _TIDY_BLOCKS = 8.0
 def by_row(white: Matrix, jacobian: Vector) -> Vector:
     """Log-likelihood of every row, up to a constant, shape (N,) [nats]."""
     return -0.5 * np.sum(white**2, axis=1) + jacobian
+
+
+def inverse(curvature: Matrix, scale: Vector) -> Matrix:
+    """Invert the curvature of k values, those of which hardly anything is known held by the prior.
+
+    It is done in units of the priors: a radian and a logarithm are nowhere near each other.
+
+    Args:
+        curvature: Of the log-likelihood, negative, shape (k, k).
+        scale: Widths of the priors, shape (k,).
+    """
+    units = np.outer(scale, scale)
+    known = np.linalg.pinv(curvature * units + _NEARLY_NOTHING * np.eye(len(scale)))
+    return np.asarray(known, dtype=np.float64) * units
 
 
 def known_by_row(slopes: list[Left], inverse: Matrix) -> Vector:
@@ -71,8 +87,7 @@ def held_out(
         curvature = np.array(
             [[np.sum(a[0][half] * b[0][half]) for b in slopes] for a in slopes]
         ) + 0.5 * np.array([[np.sum(a[1] * b[1]) for b in slopes] for a in slopes])
-        curvature += 1e-6 * np.diag(1.0 / scale**2)
-        inverses.append(np.asarray(np.linalg.pinv(curvature), dtype=np.float64))
+        inverses.append(inverse(curvature, scale))
         moves.append(inverses[-1] @ rows[half].sum(axis=0))
     held = gains.copy()
     _judge(held, ~even, now[0], slopes, moves[0])

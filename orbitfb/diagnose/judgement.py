@@ -15,7 +15,8 @@ from orbitfb.diagnose.certain import Certain
 from orbitfb.diagnose.departure import Departure, departure
 from orbitfb.diagnose.gof import audit, passed
 from orbitfb.diagnose.naming import column_names
-from orbitfb.diagnose.search import CLOSE, SURE, Outcome, Round
+from orbitfb.diagnose.rounds import CLOSE, SURE, Round
+from orbitfb.diagnose.search import Outcome
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 _EXPLAINED = 0.8

@@ -6,11 +6,11 @@ import numpy as np
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.noise_spectra import usual_reading
 from orbitfb.diagnose.randomness import (
     beyond_healthy,
     parted,
     projections,
-    usual_reading,
     values_of,
 )
 from orbitfb.effects.random_kinds import NoiseKind

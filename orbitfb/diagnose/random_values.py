@@ -15,19 +15,16 @@ from scipy.optimize import minimize
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.noise_spectra import SHORTEST, Jitter, Spectra, places_struck
+from orbitfb.diagnose.noise_spectra import MOST_PLACES, SHORTEST, Jitter, Spectra, places_struck
 from orbitfb.diagnose.problem import from_fitted, prior_width, to_fitted
-from orbitfb.diagnose.randomness import wanders
 from orbitfb.diagnose.strike_scan import latent_gain
 from orbitfb.diagnose.switching import switched
-from orbitfb.diagnose.wandering import Wandering
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 _WIDTH = 1.645
 """Standard deviations of a 90 % interval."""
 _ROUNDS = 3
-_MOST_PLACES = 12
 _STEP = 0.02
 
 
@@ -56,13 +53,8 @@ def state(bench: Bench, cause: Cause) -> Stated:
         if (followed := switched(bench, cause)) is not None:
             values, intervals = followed
             return Stated(replace(cause, values=values), intervals)
-        if not 0 < len(places_struck(bench, cause)) <= _MOST_PLACES:
+        if not 0 < len(places_struck(bench, cause)) <= MOST_PLACES:
             return _level(bench, cause)
-        if wanders(bench, kind):
-            walk = Wandering(bench, kind.patterns(bench.record.layout)[:, 0])
-            if walk.seen:
-                reading = float(np.sqrt(bench.floor.reading))
-                return _best(bench, cause, lambda values: walk.gain(kind.variance(values, reading)))
         late = _by_spectrum(bench, cause, slice(cause.onset, None))
         if kind.relative and cause.onset >= SHORTEST:
             nothing = replace(cause, values={p.name: p.nominal for p in kind.parameters})

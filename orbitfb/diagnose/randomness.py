@@ -16,9 +16,10 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate, held_to
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_colour import colour_of_all
+from orbitfb.diagnose.noise_spectra import usual_reading
+from orbitfb.diagnose.noise_walk import walking_candidates
 from orbitfb.diagnose.scan import groups_of
 from orbitfb.diagnose.switching import switching_candidates
-from orbitfb.diagnose.wandering import Wandering
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix
@@ -47,13 +48,11 @@ def noise_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
     """Find where innovations scatter more (or less) than the floor says, best first."""
     if kind.target == "ring" and kind.id in LEVELS:
         return []  # all places share one size: `level_candidates`
+    if kind.colour == "walk" and not kind.rare:
+        return walking_candidates(bench, kind)
     patterns = kind.patterns(bench.record.layout)
     if not patterns.shape[1]:
         return []
-    if wanders(bench, kind):
-        found = _wandering(bench, kind, patterns[:, 0])
-        if found is not None:
-            return found
     found = [*_steady(bench, kind, patterns)]
     if kind.lag and not bench.told_floor and (whole := colour_of_all(bench, kind)) is not None:
         found.append(whole)
@@ -62,23 +61,6 @@ def noise_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
     if kind.sudden and kind.lag == 0:
         found += [*_sudden(bench, kind, patterns)]
     return sorted(found, key=lambda c: c.gain - np.log(c.choices), reverse=True)[:_KEPT]
-
-
-def wanders(bench: Bench, kind: NoiseKind) -> bool:
-    """Whether an effect is one shape that walks, and the floor may have taken it over."""
-    return kind.colour == "walk" and kind.target == "ring" and not bench.told_floor
-
-
-def _wandering(bench: Bench, kind: NoiseKind, shape: Vector) -> list[Candidate] | None:
-    """Try a shape that walks in a few modes; None when it has too many."""
-    walk = Wandering(bench, shape)
-    if not walk.seen:
-        return None
-    variance, gain = walk.best()
-    values = values_of(kind, variance, bench.floor.reading)
-    if values is None or gain <= 0.0:
-        return []
-    return [Candidate(Cause(kind, (0,), values), gain, 1.0)]
 
 
 def beyond_healthy(gain: Vector, ratio: Vector, scatter: float = WITHIN) -> Vector:
@@ -182,13 +164,6 @@ def _steady(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
         if values is not None:
             places = tuple(int(i) for i in members)
             yield Candidate(Cause(kind, places, values), gain, choices, name, alone)
-
-
-def usual_reading(bench: Bench, kind: NoiseKind, places: Indices) -> float:
-    """Variance of the reading noise that sizes at some places are relative to [m²]."""
-    if kind.relative or kind.lag:
-        return float(np.mean(bench.floor.readings[places]))
-    return bench.floor.reading
 
 
 def _sets(

@@ -106,7 +106,7 @@ class Scanner:
                 yield from self._onsets(kind, *closer["single"][1:], free=True)
 
     def _cell(self, kind: ActuatorKind | SensorKind, changes: Changes) -> float:
-        """Best gain, roughly, if every place of one cell were struck alike."""
+        """Best gain if every place of one cell were struck alike."""
         layout = self._bench.record.layout
         devices = layout.correctors if isinstance(kind, ActuatorKind) else layout.bpms
         score = changes.score
@@ -114,24 +114,30 @@ class Scanner:
         sums = np.array([score[columns].sum() for columns in cells])
         if not len(sums) or (kind.linear is None and sums.max() < _WORTH):
             return 0.0
-        info = changes.information[0]
-        infos = np.array([info[columns].sum() for columns in cells])
+        infos = self._scoring.together(changes, cells)
         return float(best_strength(kind, sums, infos)[1].max())
 
     def _all(self, kind: EffectKind, changes: Changes) -> float:
-        """Gain if every place were struck alike."""
+        """Gain if every place were struck alike, as far as healthy errors do not do the same."""
         (shapes, drivers), *_ = changes.parts
-        if kind.linear is None and np.sum(shapes.pull * drivers) < _WORTH:
+        score = changes.score.sum(keepdims=True)
+        if kind.linear is None and score[0] < _WORTH:
             return 0.0  # it cannot gain more than its score
-        change = drivers @ shapes.patterns.T
-        return float(best_strength(kind, *self._scoring.whole(change))[1][0])
+        keep = np.sqrt(1.0 - changes.information[1])
+        info = self._scoring.seen((drivers * keep) @ shapes.patterns.T)
+        return float(best_strength(kind, score, np.array([info]))[1][0])
 
     def _steady(self, kind: EffectKind, values: Values, changes: Changes) -> Iterator[Candidate]:
         score = changes.score
         if kind.linear is None and score.max(initial=0.0) < _WORTH:
             return  # a change cannot gain more than its score
         info, absorbed = changes.information
-        strength, gain = best_strength(kind, score, info * (1.0 - absorbed))
+        yield from self._singles(kind, values, score, info * (1.0 - absorbed))
+
+    def _singles(
+        self, kind: EffectKind, values: Values, score: Vector, info: Vector
+    ) -> Iterator[Candidate]:
+        strength, gain = best_strength(kind, score, info)
         for place in np.argsort(gain)[::-1][:KEPT]:
             if gain[place] > 0:
                 yield Candidate(
@@ -156,6 +162,10 @@ class Scanner:
             member[row, columns] = 1.0
         info = np.einsum("gp,gp->g", member @ matrix, member)
         strength, gain = best_strength(kind, member @ score, info)
+        yield from self._singles(kind, values, score, np.diagonal(matrix))
+        # a group that gains no more than one of its devices is that device
+        alone = best_strength(kind, score, np.diagonal(matrix))[1]
+        gain[gain <= np.max(member * alone, axis=1)] = 0.0
         for group in np.argsort(gain)[::-1][:KEPT]:
             if gain[group] > 0:
                 name, members = groups[int(group)]

@@ -162,6 +162,28 @@ class Scoring:
                 taken = taken + known * share * self._bench.background.absorbed(name)[which]
         return total, taken / np.maximum(total, 1e-300)
 
+    def together(self, changes: Changes, groups: Sequence[Indices]) -> Vector:
+        """Information on groups of which all places are struck alike, beyond healthy errors.
+
+        Neighbours that steer against each other are seen much less than each by itself.
+
+        Args:
+            changes: Of a kind whose patterns have one part.
+            groups: Places of each.
+
+        Returns:
+            Shape (groups,).
+        """
+        (shapes, drivers), *_ = changes.parts
+        keep = np.sqrt(1.0 - changes.information[1])
+        courses = self._rough.filtered(drivers * keep, self._starts)
+        known = np.zeros(len(groups))
+        for shape, course in zip(shapes.rough, courses, strict=True):
+            for index, own in enumerate(groups):
+                one, other = shape[:, own], course[:, own]
+                known[index] += float(np.vdot(one.T @ one, other.T @ other))
+        return known
+
     def _healthy(self, name: Healthy) -> list[Matrix]:
         """Courses of the small errors of all places, filtered as the rough ladder does."""
         if name not in self._courses:

@@ -7,12 +7,12 @@ import numpy as np
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import Budget
-from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.entry import Entry, price
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.progress import Progress
+from orbitfb.diagnose.rounds import Round, winner
 from orbitfb.diagnose.strikes import without_strikes
 from orbitfb.diagnose.switching import without_switching
 from orbitfb.diagnose.tournament import tournament
@@ -21,89 +21,6 @@ from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
 
 MOST_CAUSES = 3
-SURE = 0.99
-"""Probability that there is something of a kind at which it is accepted.
-
-On a record without a gap a Bayes factor of 99 comes up at most once in a hundred times (Markov's
-inequality), whatever the prior is worth.
-"""
-LIKELY = 0.9
-"""The same at which the record is said to show it or nothing: `ambiguous`, never a name."""
-CLOSE = 5.0
-"""Kinds whose weights differ by less cannot be told apart [nats] (evidence 150 to 1)."""
-
-_FURTHER = 0.05
-"""Share of the weight of the causes so far that a further one must have."""
-_LEAST_FURTHER = 15.0
-"""Least weight of a further cause [nats]: the first one is never quite right."""
-_TIDY = 1.5
-"""Scatter of a further cause's scores over what the noise model says that is still tidy."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Round:
-    """One tournament.
-
-    Args:
-        bench: The record under the causes accepted before.
-        entries: Best first.
-        kinds: How many kinds competed.
-        accepted: The winner; None when none was sure enough.
-        untried: Causes that there was no time to fit; what the scan thinks of them counts.
-    """
-
-    bench: Bench
-    entries: tuple[Entry, ...]
-    kinds: int
-    accepted: Entry | None
-    untried: tuple[Candidate, ...] = ()
-
-    def probabilities(self) -> dict[str, float]:
-        """Posterior probability of every kind that was fitted; the rest is "none of them".
-
-        Before the data no effect at all is as likely as any effect, and all kinds are alike.
-        """
-        weights: dict[str, float] = {}
-        for entry in self.entries:
-            before = weights.get(entry.kind.id, -np.inf)
-            weights[entry.kind.id] = float(np.logaddexp(before, entry.weight))
-        for candidate in self.untried:
-            name, promise = candidate.cause.kind.id, candidate.gain - np.log(candidate.choices)
-            weights[name] = float(np.logaddexp(weights.get(name, -np.inf), promise))
-        ids = list(weights)
-        logs = np.array([0.0, *(weights[name] - np.log(self.kinds) for name in ids)])
-        shares = np.exp(logs - np.logaddexp.reduce(logs))
-        return dict(zip(ids, shares[1:].tolist(), strict=True))
-
-    @property
-    def sure(self) -> bool:
-        """Whether something is surely there."""
-        return sum(self.probabilities().values()) >= SURE
-
-    def rivals(self) -> list[Entry]:
-        """Best entries of the other kinds that the record cannot tell from the winner."""
-        if self.accepted is None:
-            return []
-        found: dict[str, Entry] = {}
-        for entry in self.entries:
-            near = self.accepted.weight - entry.weight < CLOSE
-            if near and entry.kind.id != self.accepted.kind.id:
-                found.setdefault(entry.kind.id, entry)
-        return list(found.values())
-
-    def places_within(self) -> list[Entry]:
-        """Other places of the winner's kind that the record cannot exclude."""
-        best = self.accepted
-        if best is None:
-            return []
-        return [
-            entry
-            for entry in self.entries
-            if entry.kind.id == best.kind.id
-            and entry.cause.places != best.cause.places
-            and len(entry.cause.places) == len(best.cause.places)
-            and best.weight - entry.weight < CLOSE
-        ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,19 +102,19 @@ def search(
         one = Round(bench, tuple(entries), len(left), None, budget.taken())
         # What is given throws the orbit far off, and healthy errors with it: a cause beside it
         # must be sure, and tidy, as one beside others.
-        winner = _winner(one, rounds, beside=bool(given)) if number < MOST_CAUSES else None
-        rounds.append(replace(one, accepted=winner))
-        if winner is None:
+        best = winner(one, rounds, beside=bool(given)) if number < MOST_CAUSES else None
+        rounds.append(replace(one, accepted=best))
+        if best is None:
             break
-        causes = (*causes, winner.cause)
-        if winner.fit is None:
+        causes = (*causes, best.cause)
+        if best.fit is None:
             # It has no law in time: what it did is taken out of the record, where that is known.
-            cleaned = _cleaned(bench, winner.cause)
+            cleaned = _cleaned(bench, best.cause)
             if cleaned is None:
                 break  # the floor does not have it, so that what is left is its own doing first
             record = cleaned
             nominal = Bench(record, given, floor, nominal.floor.modes)
-            left = [kind for kind in left if not _kin(kind, winner.kind)]
+            left = [kind for kind in left if not _kin(kind, best.kind)]
         bench = Bench(record, (*given, *_moving(causes)), floor, nominal.floor.modes)
     rounds, joint, moving = _without_void(nominal, bench, rounds)
     causes = tuple(one.accepted.cause for one in rounds if one.accepted is not None)
@@ -229,27 +146,6 @@ def _cleaned(bench: Bench, cause: Cause) -> Record | None:
 def _moving(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Causes with a course in time."""
     return tuple(c for c in causes if not isinstance(c.kind, LatentKind | NoiseKind))
-
-
-def _winner(one: Round, before: Sequence[Round], *, beside: bool) -> Entry | None:
-    """The best entry, if something of its kind (or of a close one) is likely to be there.
-
-    A further cause must be sure. It must not be what the first ones left because they are not
-    quite right: it has to be worth a share of what they are, and its scores must scatter as the
-    noise model says.
-    """
-    if not one.entries:
-        return None
-    best = one.entries[0]
-    further = beside or bool(before)
-    least = SURE if further else LIKELY
-    if best.held_out <= 0.0 or sum(one.probabilities().values()) < least:
-        return None
-    gained = sum(r.accepted.weight for r in before if r.accepted is not None)
-    scatter = 1.0 if best.fit is None else best.fit.inflation
-    if further and (best.weight < max(_FURTHER * gained, _LEAST_FURTHER) or scatter > _TIDY):
-        return None
-    return best
 
 
 def _without_void(

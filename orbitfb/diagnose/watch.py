@@ -138,6 +138,9 @@ def places_of(cause: Cause, layout: Layout) -> tuple[tuple[str, ...], tuple[str,
     if isinstance(cause.kind, PairKind):
         pairs = cause.kind.pairs(layout)
         columns = [int(column) for place in cause.places for column in pairs[place]]
+    elif isinstance(cause.kind, NoiseKind):
+        struck = cause.kind.patterns(layout)[:, columns].any(axis=1)
+        columns = [int(column) for column in np.flatnonzero(struck)]
     names = tuple(devices.names[column] for column in columns)
     return names, tuple(devices.planes[column] for column in columns)
 

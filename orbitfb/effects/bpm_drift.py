@@ -29,7 +29,14 @@ class BpmDrift(SensorKind):
     equation = "y = x + r (t − t₀), zero before t₀"
     linear = "rate"
     grows = True
-    confused_with = ("thermal-drift", "ground-motion-level", "bpm-current", "bpm-offset")
+    also_called = ("bpm-walk",)
+    confused_with = (
+        "bpm-walk",
+        "thermal-drift",
+        "ground-motion-level",
+        "bpm-current",
+        "bpm-offset",
+    )
     splits = (
         "a drift of the beam is seen by all BPMs; record the temperature of the crate and the "
         "stored current with the orbit"

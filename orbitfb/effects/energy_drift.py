@@ -1,38 +1,42 @@
-"""An energy that drifts."""
+"""An energy that wanders."""
+
+import math
 
 import numpy as np
 
-from orbitfb.effects.kicks import Moved, needs_ring
+from orbitfb.core.signals import Vector
+from orbitfb.effects.kicks import needs_ring
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
-from orbitfb.effects.orbit_kinds import RingKind
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
 
-class EnergyDrift(RingKind):
-    """x += η δ̇ t."""
+class EnergyDrift(NoiseKind):
+    """x += η δ with δ a random walk."""
 
     id = "energy-drift"
     stage = "optics"
+    target = "ring"
+    colour = "walk"
+    collective = False
     parameters = (
         Parameter(
-            "rate", "1/s", -1e-3, 1e-3, 0.0, 5e-7, "Change of the relative energy deviation δ."
+            "step", "1", 0.0, 1e-2, 0.0, 3e-7, "Change of δ from tick to tick, rms.", log=True
         ),
     )
-    title = "drift of the energy"
+    title = "energy that wanders"
     sentence = (
-        "The energy drifts because the length of the ring changes (tide, temperature) while the "
-        "RF frequency stays; horizontal correctors follow it: let the frequency follow instead."
+        "The energy wanders from tick to tick, along the dispersion and horizontally only; look "
+        "at the RF (its frequency reference, its phase loops)."
     )
-    equation = "x += η δ̇ t, horizontal only (J. Safranek, Nucl. Instrum. Meth. A 388 (1997) 27)"
-    linear = "rate"
-    confused_with = ("energy-walk", "energy-offset", "thermal-drift")
-    splits = "a step of the RF frequency as reference; a longer record"
-    sudden = False
-    grows = True
+    equation = "x_n += η δ_n, δ_n = δ_{n−1} + w, so the walk's covariance gains σ_w² η ηᵀ"
+    also_called = ("energy-ramp",)
+    confused_with = ("energy-ramp", "ground-motion-level", "noise-correlated")
+    splits = "a step of the RF frequency as reference; the phase of the RF"
 
     def unavailable(self, record: Record) -> str:
         """It needs the dispersion, and the horizontal plane."""
@@ -41,10 +45,31 @@ class EnergyDrift(RingKind):
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
     ) -> Effect:
-        """Add a multiple of the dispersion that grows."""
-        step = values["rate"] * layout.period
-        return Moved(layout.dispersion(), lambda tick: step * tick)
+        """Add a multiple of the dispersion that walks."""
+        return _Walk(layout.dispersion(), values["step"], rng)
 
-    def deflect(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
-        """Add a multiple of the dispersion that grows."""
-        return np.outer(values["rate"] * record.time, record.layout.dispersion())
+    def places_of(self, layout: Layout) -> tuple[str, ...]:
+        """One, the energy."""
+        return ("energy",)
+
+    def patterns(self, layout: Layout) -> Matrix:
+        """Its orbit, the dispersion."""
+        return layout.dispersion()[:, None]
+
+    def variance(self, values: Values, reading_noise: float) -> float:
+        """κ = σ_w² per tick."""
+        return values["step"] ** 2
+
+    def size(self, variance: float, reading_noise: float) -> float:
+        """σ_w, negative where there is less than nothing."""
+        return math.copysign(math.sqrt(abs(variance)), variance)
+
+
+class _Walk(Effect):
+    def __init__(self, shape: Vector, step: float, rng: np.random.Generator) -> None:
+        self._shape, self._step, self._rng = shape, step, rng
+        self._height = 0.0
+
+    def disturb(self, orbit: Vector, tick: int) -> Vector:
+        self._height += self._step * self._rng.standard_normal()
+        return orbit + self._height * self._shape

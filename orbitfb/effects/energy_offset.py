@@ -35,7 +35,7 @@ class EnergyOffset(RingKind):
     )
     equation = "x += η δ, horizontal only; δ = −Δf / (α_c f) by the RF frequency"
     linear = "offset"
-    confused_with = ("energy-drift", "energy-walk", "local-kick")
+    confused_with = ("energy-ramp", "energy-drift", "local-kick")
     splits = "a step of the RF frequency as reference; the log of the RF frequency"
 
     def unavailable(self, record: Record) -> str:

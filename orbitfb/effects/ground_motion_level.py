@@ -37,7 +37,7 @@ class GroundMotionLevel(NoiseKind):
         "w_n → k w_n, so Σ_w → k² Σ_w with Σ_w = Σ_q (k1L_q)² G_bq G_bqᵀ σ² (quadrupoles that walk "
         "independently; ATL law: B. Baklakov et al., Tech. Phys. 38 (1993) 894)"
     )
-    confused_with = ("noise-level", "corrector-quantisation", "telegraph", "energy-walk")
+    confused_with = ("noise-level", "corrector-quantisation", "telegraph", "energy-drift")
     splits = "the spectrum: motion falls with 1/f², reading noise is white; a quiet record"
 
     def unavailable(self, record: Record) -> str:

@@ -74,6 +74,8 @@ class EffectKind(ABC):
             None when there is none: then `grid` is searched.
         confused_with: Ids of effects that a record may be unable to tell from it, and in
             `splits` what would (one line).
+        also_called: Ids by which the same fault goes with another course in time; an answer lists
+            them beside its own.
         collective: Whether it commonly strikes all devices of a cell, or of the ring, with one
             value: groups are then tried beside single devices.
         sudden: Whether it commonly begins in the middle of a record: onsets are then tried.
@@ -94,6 +96,7 @@ class EffectKind(ABC):
     linear: ClassVar[str | None] = None
     confused_with: ClassVar[tuple[str, ...]] = ()
     splits: ClassVar[str] = ""
+    also_called: ClassVar[tuple[str, ...]] = ()
     collective: ClassVar[bool] = True
     sudden: ClassVar[bool] = True
     grows: ClassVar[bool] = False

@@ -44,11 +44,11 @@ class NoiseCorrelated(NoiseKind):
 
     def places_of(self, layout: Layout) -> tuple[str, ...]:
         """Cells and the whole ring, plane by plane; runs of neighbours where no cell is known."""
-        return tuple(label for label, _ in _groups(layout))
+        return tuple(label for label, _ in groups_in_common(layout))
 
     def patterns(self, layout: Layout) -> Matrix:
         """One in the BPMs of the group."""
-        groups = _groups(layout)
+        groups = groups_in_common(layout)
         shapes = np.zeros((len(layout.bpms), len(groups)))
         for place, (_, columns) in enumerate(groups):
             shapes[columns, place] = 1.0
@@ -63,7 +63,8 @@ class NoiseCorrelated(NoiseKind):
         return math.sqrt(max(variance, 0.0))
 
 
-def _groups(layout: Layout) -> list[tuple[str, Indices]]:
+def groups_in_common(layout: Layout) -> list[tuple[str, Indices]]:
+    """Cells, or runs of neighbours where no cell is known, and all of a plane: name and columns."""
     bpms = layout.bpms
     found: list[tuple[str, Indices]] = []
     for plane in layout.planes:

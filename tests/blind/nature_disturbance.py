@@ -84,7 +84,7 @@ def thermal_drift(case: Conditions, rng: Rng) -> Draft:
     return Draft(
         [name],
         lambda s: Motion(way * s * np.outer(course, shape)),
-        lambda s: {"rate": (way * s * float(course[-1] / time[-1]), "rad/s")},
+        lambda s: {"rate": (way * s, "rad/s"), "tau": (slow, "s")},
         1e-9,
         1e-5,
     )

@@ -156,8 +156,8 @@ class Motion(Nature):
         return self.course
 
 
-@kind("energy-drift", "optics", planes="x", onset="start")
-def energy_drift(case: Conditions, rng: Rng) -> Draft:
+@kind("energy-ramp", "optics", planes="x", onset="start")
+def energy_ramp(case: Conditions, rng: Rng) -> Draft:
     time, way = np.arange(case.rows) * case.period, sign(rng)
     tide = time[-1] * rng.uniform(4, 10)  # a piece of a slow wave, as the tide's
     course = tide / (2 * np.pi) * np.sin(2 * np.pi * time / tide)
@@ -170,8 +170,8 @@ def energy_drift(case: Conditions, rng: Rng) -> Draft:
     )
 
 
-@kind("energy-walk", "optics", planes="x", onset="start")
-def energy_walk(case: Conditions, rng: Rng) -> Draft:
+@kind("energy-drift", "optics", planes="x", onset="start")
+def energy_drift(case: Conditions, rng: Rng) -> Draft:
     walk = np.cumsum(rng.standard_normal(case.rows))
     return Draft(
         [],

@@ -61,7 +61,7 @@ ASKED = {
     "tune-shift",
     "optics-drift",
     "sextupole",
-    "energy-drift",
+    "energy-ramp",
     "energy-offset",
     "skew-coupling",
     "periodic-disturbance",

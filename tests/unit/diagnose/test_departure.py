@@ -76,7 +76,7 @@ def test_a_kick_that_creeps_is_not_told_for_a_corrector_that_leaks():
     record = simulate_record(RING, "x", 700, 5, effects, dither=2e-3, period=LAYOUT.period)
     kind = all_effects()["thermal-drift"]
     place = next(i for i, n in enumerate(kind.places_of(LAYOUT)) if n.startswith("CL1A_C05"))
-    found = fit(Bench(record), (Cause(kind, (place,), {"rate": 1e-9}),))
+    found = fit(Bench(record), (Cause(kind, (place,), {"rate": 1e-9, "tau": 60.0}),))
     its = departure(Bench(record, found.causes), found.causes[0], found.gain)
     assert its.nats > 0.1 * found.gain + 5.0
     assert its.chance < 0.1

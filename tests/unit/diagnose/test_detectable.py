@@ -118,4 +118,4 @@ def test_late_readings_and_late_correctors_are_declared_alike() -> None:
     known = declared(effect("loop-delay"), effect("bpm-latency"))
     assert known is not None
     assert "time stamps" in known.splits
-    assert declared(effect("bpm-stuck"), effect("energy-drift")) is None
+    assert declared(effect("bpm-stuck"), effect("energy-ramp")) is None

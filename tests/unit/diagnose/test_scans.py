@@ -7,9 +7,11 @@ import pytest
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.randomness import noise_candidates
 from orbitfb.diagnose.scan import Scanner
+from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.actuating import usual_change
@@ -48,6 +50,21 @@ def test_steps_that_are_small_beside_the_dither_are_found():
         name for name in CORRECTORS if name.endswith("C09")
     }
     assert abs(found.cause.values["step"] / 0.4e-3 - 1.0) < 1e-3
+
+
+def test_a_kick_that_grows_from_the_middle_on_and_settles_is_found():
+    place = "QL2A_C17"
+    rise = f"thermal-drift:rate=2e-8rad/s,tau=10s,names={place},from=50s"
+    record = record_with(rise, dither=0.0)
+    kind = all_effects()["thermal-drift"]
+    found = best(record, kind.id)
+    names = kind.places_of(record.layout)
+    assert names[found.cause.places[0]].startswith(place)
+    assert abs(found.cause.onset - 300) < 40
+    fitted = fit(Bench(record), (found.cause,))
+    ramp = Scanner(Bench(record)).candidates(all_effects()["insertion-device"])[0]
+    assert fitted.gain > fit(Bench(record), (ramp.cause,)).gain + 5.0
+    assert fitted.interval(1)[0] < 10.0 < fitted.interval(1)[1]
 
 
 # The record begins after 20 s, so that 50 s is row 300.
@@ -122,9 +139,9 @@ def test_a_louder_reading_is_a_gain_only_if_the_orbit_is_louder_too(effect):
 @pytest.mark.parametrize(("step", "seen"), [(2e-8, True), (0.0, False)])
 def test_an_energy_that_wanders_is_not_taken_for_ground_motion(step, seen):
     """The floor's own levels of the few modes of the dispersion would explain it, if let."""
-    effects = build([parse_effect(f"energy-walk:step={step}")], LAYOUT, 1) if step else []
+    effects = build([parse_effect(f"energy-drift:step={step}")], LAYOUT, 1) if step else []
     record = simulate_record(RING, "x", 700, 5, effects, dither=2e-3, period=LAYOUT.period)
-    bench, kind = Bench(record), all_effects()["energy-walk"]
+    bench, kind = Bench(record), all_effects()["energy-drift"]
     gains = [one.gain for one in noise_candidates(bench, kind)]
     assert (max(gains, default=0.0) > 10.0) is seen
     if seen:
@@ -211,3 +228,20 @@ def test_a_leak_is_told_by_what_healthy_optics_leave_of_it():
     kind = all_effects()["corrector-crosstalk"]
     assert tuple(kind.pairs(record.layout)[found.cause.places[0]]) == (first, second)
     assert found.cause.values["share"] == pytest.approx(share, rel=0.2)
+
+
+@pytest.mark.parametrize("cell", ["C05", "C25"])
+def test_neighbours_that_steer_against_each_other_are_seen_together(cell):
+    record = record_with("bpm-gain:gain=0", dither=1e-3)
+    bench, kind = Bench(record, background=0.0), all_effects()["corrector-lag"]
+    scoring = Scoring(bench)
+    changes = scoring.changes(kind, {"tau": 0.1})
+    own = np.flatnonzero([name.endswith(cell) for name in CORRECTORS])
+    (shapes, _), *_ = changes.parts
+    against = np.linalg.svd(shapes.patterns[:, own])[2][-1]
+    drivers = np.zeros(record.setpoints.shape)
+    drivers[:, own] = np.outer(np.random.default_rng(1).standard_normal(len(record)), against)
+    changes = replace(changes, parts=((shapes, 1e-3 * drivers),))
+    seen = bench.energy(1e-3 * drivers @ shapes.patterns.T)
+    assert scoring.together(changes, [own])[0] == pytest.approx(seen, rel=0.2)
+    assert changes.information[0][own].sum() > 5.0 * seen

@@ -4,7 +4,8 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.entry import enter
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.search import Round, _without_void
+from orbitfb.diagnose.rounds import Round
+from orbitfb.diagnose.search import _without_void
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import build, layout_of
 from orbitfb.effects.registry import effect

@@ -12,8 +12,9 @@ from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fingerprints import fingerprints
 from orbitfb.diagnose.gap import gap
+from orbitfb.diagnose.rounds import Round
 from orbitfb.diagnose.score_map import score_map
-from orbitfb.diagnose.search import Outcome, Round
+from orbitfb.diagnose.search import Outcome
 from orbitfb.diagnose.shrink import contrast
 from orbitfb.diagnose.worth import Gains, Worths, waterfall
 from orbitfb.effects.registry import effect

@@ -27,15 +27,15 @@ VALUES = {
     "optics-drift": {"rate": 0.02},
     "skew-coupling": {"skew": 0.02},
     "local-kick": {"kick": 1e-6},
-    "thermal-drift": {"rate": 1e-6},
+    "thermal-drift": {"rate": 1e-6, "tau": 30.0},
     "periodic-disturbance": {"cosine": 1e-6, "sine": -2e-6, "frequency": 1.3},
     "insertion-device": {"kick": 1e-6, "period": 0.03, "duration": 0.6},
     "tune-shift": {"dnu_x": 0.01, "dnu_y": -0.02},
     "tune-drift": {"rate_x": 3e-3, "rate_y": -2e-3},
     "energy-offset": {"offset": 1e-4},
-    "energy-drift": {"rate": 1e-4},
+    "energy-ramp": {"rate": 1e-4},
 }
-ALL = (*VALUES, "sextupole", "energy-walk", "ground-motion-level", "telegraph")
+ALL = (*VALUES, "sextupole", "energy-drift", "ground-motion-level", "telegraph")
 
 
 def nominal(kind):
@@ -112,7 +112,7 @@ def test_hooks_of_the_record_tell_what_the_plant_does(ring, name, planes):
             ("skew-coupling", "x"),
             ("skew-coupling", "y"),
             ("energy-offset", "y"),
-            ("energy-drift", "y"),
+            ("energy-ramp", "y"),
         }
         return
     places = [7] if isinstance(kind, SourceKind) else []
@@ -310,7 +310,7 @@ def test_energy_follows_the_dispersion_and_the_rf(ring, both_planes):
     after, before = simulated(kind, both_planes, [], {"offset": deviation}, setpoints)
     wanted = np.concatenate([rf_orbit(ring, "BPM", frequency), zero])
     near(after - before, np.tile(wanted, (5, 1)), 1e-9)
-    after, before = simulated(effect("energy-drift"), both_planes, [], {"rate": 1e-4}, setpoints)
+    after, before = simulated(effect("energy-ramp"), both_planes, [], {"rate": 1e-4}, setpoints)
     wanted = np.concatenate([energy_orbit(ring, "BPM", 4e-5), zero])
     near((after - before)[4], wanted, 1e-9)
 
@@ -358,7 +358,7 @@ def test_a_gap_that_stands_still_kicks_nobody(layout):
 def test_walks_have_the_variance_that_they_tell(layout):
     rows = 4000
     setpoints = np.zeros((rows, 180))
-    energy = effect("energy-walk")
+    energy = effect("energy-drift")
     values = {"step": 2e-7}
     after, _ = simulated(energy, layout, [], values, setpoints)
     steps = np.diff(after @ energy.patterns(layout)[:, 0]) / np.sum(energy.patterns(layout) ** 2)

@@ -29,7 +29,7 @@ SENSORS = {
 }
 EXACT = 1e-13
 """What a curve is straightened to [m]; everything else is exact to rounding."""
-NOISE = ("noise-level", "noise-correlated", "noise-coloured")
+NOISE = ("noise-level", "noise-correlated", "noise-coloured", "bpm-walk")
 
 
 def record_of(layout, readings, starts=(0,)):

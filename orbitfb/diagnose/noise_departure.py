@@ -1,0 +1,88 @@
+"""Whether noise is the noise that its law says: its bits, its colour, its lines."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.bits import silent_bit
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.noise_spectra import MOST_PLACES, SHORTEST, Spectra, places_struck
+from orbitfb.effects.random_kinds import NoiseKind
+
+_FEW_BPMS = 6
+"""BPMs whose single bits are looked at."""
+_COLOURS = 8
+"""Cosines over the spectrum: noise of as many ticks' memory."""
+_OCCAM = 2.0
+"""What the size of a colour or of a line costs [nats]."""
+
+
+def noise_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
+    """Try what else could make the noise of a cause's devices.
+
+    Args:
+        bench: The record under all causes.
+        cause: Noise, one of them.
+
+    Yields:
+        A course in words, and what it gains, less the price of the choice [nats].
+    """
+    if isinstance(cause.kind, NoiseKind):
+        yield from _bits(bench, cause)
+        yield from _spectrum(bench, cause)
+
+
+def _bits(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
+    """Look for a converter that makes what passes for more noise of a few BPMs."""
+    kind = cause.kind
+    assert isinstance(kind, NoiseKind)  # noqa: S101
+    patterns = kind.patterns(bench.record.layout)[:, list(cause.places)]
+    single = np.all(np.count_nonzero(patterns, axis=0) == 1)
+    if kind.target == "bpm" and single and not kind.lag and len(cause.places) <= _FEW_BPMS:
+        for place in np.argmax(patterns != 0.0, axis=0):
+            bit, nats = silent_bit(bench.record.readings[cause.onset :, place])
+            name = bench.record.layout.bpms.label(place)
+            yield f"as a converter whose bit of {bit * 1e6:.3g} µm never changes at {name}", nats
+
+
+def _spectrum(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
+    """Look for another colour, or a line, in the noise of the cause's places.
+
+    What the lines of the spectrum (P. Whittle, Ark. Mat. 2 (1953) 423) have too much is compared
+    with cosines over the band, by the score's square, and with one line alone.
+    """
+    places = places_struck(bench, cause)
+    if not 0 < len(places) <= MOST_PLACES or len(bench.record) - cause.onset < 2 * SHORTEST:
+        return
+    spectra = Spectra(bench, cause, slice(cause.onset, None))
+    spectra.profile(cause.values)
+    scores, known = np.zeros(_COLOURS), np.zeros(_COLOURS)
+    top, where, lines = 0.0, 0.0, 0
+    for surplus, weight in spectra.surplus(cause.values):
+        count, members = surplus.shape
+        share = (np.arange(count) + 1.0) / (count + 1.0)
+        waves = np.cos(np.pi * np.outer(np.arange(1, _COLOURS + 1), share))
+        course = surplus.sum(axis=1)
+        scores += weight * (waves @ course)
+        known += weight * members * np.sum(waves**2, axis=1)
+        lines += count
+        best = int(np.argmax(course))
+        height = weight * _line(float(course[best]) / members, members)
+        if height > top:
+            top, where = height, 0.5 * share[best] / bench.record.layout.period
+    if not lines:
+        return
+    colours = 0.5 * scores**2 / known
+    ticks = int(np.argmax(colours)) + 1
+    price = float(np.log(_COLOURS)) + _OCCAM
+    yield f"with an echo after {ticks} ticks", float(colours[ticks - 1]) - price
+    yield f"as a line at {where:.3g} Hz", top - float(np.log(lines)) - _OCCAM
+    turns = spectra.alternating(cause.values) / len(places)
+    height = sum(0.5 * _line(float(turn), len(places)) for turn in turns)
+    yield "as an offset that alternates from tick to tick", height - _OCCAM
+
+
+def _line(surplus: float, members: int) -> float:
+    """Gain of a line's own size over the spectrum's, for some places alike [nats]."""
+    return members * (surplus - float(np.log1p(surplus))) if surplus > 0.0 else 0.0

@@ -1,0 +1,133 @@
+"""One tournament of a search: what competed, how likely each kind is, which of them is accepted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.departure import departure
+from orbitfb.diagnose.entry import Entry
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
+
+SURE = 0.99
+"""Probability that there is something of a kind at which it is accepted.
+
+On a record without a gap a Bayes factor of 99 comes up at most once in a hundred times (Markov's
+inequality), whatever the prior is worth.
+"""
+LIKELY = 0.9
+"""The same at which the record is said to show it or nothing: `ambiguous`, never a name."""
+CLOSE = 5.0
+"""Kinds whose weights differ by less cannot be told apart [nats] (evidence 150 to 1)."""
+
+_FURTHER = 0.05
+"""Share of the weight of the causes so far that a further one must have."""
+_FURTHER_BESIDE_LAWS = 0.005
+"""The same where those are seen to act just as their laws say."""
+_LEAST_FURTHER = 15.0
+"""Least weight of a further cause [nats]: the first one is never quite right."""
+_TIDY = 1.5
+"""Scatter of a further cause's scores over what the noise model says that is still tidy."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Round:
+    """One tournament.
+
+    Args:
+        bench: The record under the causes accepted before.
+        entries: Best first.
+        kinds: How many kinds competed.
+        accepted: The winner; None when none was sure enough.
+        untried: Causes that there was no time to fit; what the scan thinks of them counts.
+    """
+
+    bench: Bench
+    entries: tuple[Entry, ...]
+    kinds: int
+    accepted: Entry | None
+    untried: tuple[Candidate, ...] = ()
+
+    def probabilities(self) -> dict[str, float]:
+        """Posterior probability of every kind that was fitted; the rest is "none of them".
+
+        Before the data no effect at all is as likely as any effect, and all kinds are alike.
+        """
+        weights: dict[str, float] = {}
+        for entry in self.entries:
+            before = weights.get(entry.kind.id, -np.inf)
+            weights[entry.kind.id] = float(np.logaddexp(before, entry.weight))
+        for candidate in self.untried:
+            name, promise = candidate.cause.kind.id, candidate.gain - np.log(candidate.choices)
+            weights[name] = float(np.logaddexp(weights.get(name, -np.inf), promise))
+        ids = list(weights)
+        logs = np.array([0.0, *(weights[name] - np.log(self.kinds) for name in ids)])
+        shares = np.exp(logs - np.logaddexp.reduce(logs))
+        return dict(zip(ids, shares[1:].tolist(), strict=True))
+
+    @property
+    def sure(self) -> bool:
+        """Whether something is surely there."""
+        return sum(self.probabilities().values()) >= SURE
+
+    def rivals(self) -> list[Entry]:
+        """Best entries of the other kinds that the record cannot tell from the winner."""
+        if self.accepted is None:
+            return []
+        found: dict[str, Entry] = {}
+        for entry in self.entries:
+            near = self.accepted.weight - entry.weight < CLOSE
+            if near and entry.kind.id != self.accepted.kind.id:
+                found.setdefault(entry.kind.id, entry)
+        return list(found.values())
+
+    def places_within(self) -> list[Entry]:
+        """Other places of the winner's kind that the record cannot exclude."""
+        best = self.accepted
+        if best is None:
+            return []
+        return [
+            entry
+            for entry in self.entries
+            if entry.kind.id == best.kind.id
+            and entry.cause.places != best.cause.places
+            and len(entry.cause.places) == len(best.cause.places)
+            and best.weight - entry.weight < CLOSE
+        ]
+
+
+def winner(one: Round, before: Sequence[Round], *, beside: bool) -> Entry | None:
+    """The best entry, if something of its kind (or of a close one) is likely to be there.
+
+    A further cause must be sure. It must not be what the first ones left because they are not
+    quite right: it has to be worth a share of what they are, less of it where no other law of
+    their devices does better, and its scores must scatter as the noise model says.
+    """
+    if not one.entries:
+        return None
+    best = one.entries[0]
+    further = beside or bool(before)
+    least = SURE if further else LIKELY
+    if best.held_out <= 0.0 or sum(one.probabilities().values()) < least:
+        return None
+    if not further:
+        return best
+    scatter = 1.0 if best.fit is None else best.fit.inflation
+    if scatter > _TIDY or best.weight < _LEAST_FURTHER:
+        return None
+    accepted = [r.accepted for r in before if r.accepted is not None]
+    share = best.weight / max(sum(entry.weight for entry in accepted), best.weight)
+    if share > _FURTHER:
+        return best
+    if share > _FURTHER_BESIDE_LAWS and all(_lawful(one.bench, entry) for entry in accepted):
+        return best
+    return None
+
+
+def _lawful(bench: Bench, entry: Entry) -> bool:
+    """Whether no other law of an accepted cause's devices explains what it leaves."""
+    if isinstance(entry.kind, LatentKind | NoiseKind):
+        return False
+    return not departure(bench, entry.cause, entry.gain).course

@@ -1,0 +1,21 @@
+"""What the curvature of a likelihood says of its values."""
+
+import numpy as np
+
+from orbitfb.diagnose.fit_scores import inverse
+
+
+def test_a_value_in_radians_does_not_hide_one_in_logarithms():
+    scale = np.array([5e-9, 1.5])
+    deviation = np.array([1e-10, 0.1])
+    correlation = np.array([[1.0, -0.8], [-0.8, 1.0]])
+    covariance = correlation * np.outer(deviation, deviation)
+    curvature = np.linalg.inv(covariance)
+    np.testing.assert_allclose(inverse(curvature, scale), covariance, rtol=1e-3)
+
+
+def test_a_value_of_which_nothing_is_known_stays_finite():
+    scale = np.array([5e-9, 1.5])
+    known = inverse(np.diag([1e20, 0.0]), scale)
+    assert np.isclose(known[0, 0], 1e-20)
+    assert known[1, 1] <= (1e3 * scale[1]) ** 2 * (1 + 1e-9)

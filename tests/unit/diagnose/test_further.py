@@ -1,0 +1,52 @@
+"""When a further cause is believed beside the ones before it."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from orbitfb.diagnose import rounds
+from orbitfb.effects.registry import all_effects
+
+DRIFT, DELAY, LEVEL = (all_effects()[name] for name in ("bpm-drift", "loop-delay", "noise-level"))
+
+
+def entry(kind, weight, inflation=1.0):
+    return SimpleNamespace(
+        kind=kind,
+        weight=weight,
+        gain=weight,
+        held_out=weight,
+        cause=None,
+        fit=SimpleNamespace(inflation=inflation),
+    )
+
+
+def round_of(best, accepted=None):
+    return SimpleNamespace(
+        entries=(best,), bench=None, accepted=accepted, probabilities=lambda: {best.kind.id: 1.0}
+    )
+
+
+@pytest.mark.parametrize(
+    ("weight", "inflation", "lacks", "believed"),
+    [
+        (800.0, 1.0, "slowly", True),
+        (100.0, 1.0, "slowly", False),
+        (100.0, 1.0, "", True),
+        (100.0, 2.0, "", False),
+        (20.0, 1.0, "", False),
+    ],
+)
+def test_a_further_cause_is_worth_less_beside_one_that_keeps_its_law(
+    monkeypatch, weight, inflation, lacks, believed
+):
+    monkeypatch.setattr(rounds, "departure", lambda *_: SimpleNamespace(course=lacks))
+    first = entry(DELAY, 10000.0)
+    best = entry(DRIFT, weight, inflation)
+    found = rounds.winner(round_of(best), [round_of(first, first)], beside=False)
+    assert (found is best) is believed
+
+
+def test_noise_has_no_law_to_keep():
+    first, best = entry(LEVEL, 10000.0), entry(DRIFT, 100.0)
+    assert rounds.winner(round_of(best), [round_of(first, first)], beside=False) is None

@@ -1,0 +1,70 @@
+"""What walks, and noise that is not the noise of its law."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.noise_departure import noise_laws
+from orbitfb.diagnose.noise_walk import walking_candidates
+from orbitfb.diagnose.random_values import state
+from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.effects.build import build, layout_of
+from orbitfb.effects.registry import all_effects
+from orbitfb.effects.settings import parse_effect
+from orbitfb.physics.places import Ring
+
+RING = Ring.load()
+LAYOUT = layout_of(RING, "x", 0.1)
+BPMS = LAYOUT.bpms.names
+
+
+def record_with(*effects: str, ticks: int = 900):
+    made = build([parse_effect(effect) for effect in effects], LAYOUT, 1)
+    return simulate_record(RING, "x", ticks, 5, made, period=LAYOUT.period)
+
+
+def test_a_crate_that_walks_far_below_its_noise_is_found():
+    record = record_with("bpm-walk:step=15nm,cells=C14")
+    bench, kind = Bench(record), all_effects()["bpm-walk"]
+    assert bench.floor.reading**0.5 > 10 * 15e-9
+    found = walking_candidates(bench, kind)[0]
+    assert found.group.startswith("C14")
+    assert found.gain > 50.0
+    low, high = state(bench, found.cause).intervals["step"]
+    assert low < 15e-9 < high
+
+
+def test_nothing_walks_in_a_quiet_record():
+    bench = Bench(record_with())
+    for name in ("bpm-walk", "energy-drift"):
+        assert all(one.gain < 9.0 for one in walking_candidates(bench, all_effects()[name]))
+
+
+@pytest.mark.parametrize("size", [0.0, 0.3e-6])
+def test_an_offset_that_alternates_is_no_noise(size):
+    record, place = record_with(f"noise-level:factor=1.5,names={BPMS[40]}"), 40
+    readings = record.readings.copy()
+    readings[:, place] += size * (-1.0) ** np.arange(len(readings))
+    bench, kind = Bench(replace(record, readings=readings)), all_effects()["noise-level"]
+    cause = state(bench, Cause(kind, (place,), {"factor": 1.5})).cause
+    laws = dict(noise_laws(bench, cause))
+    alternating = laws["as an offset that alternates from tick to tick"]
+    assert (alternating > 30.0) is (size > 0.0)
+    if not size:
+        assert max(laws.values()) < 5.0
+
+
+def test_noise_with_a_longer_memory_is_no_noise_of_the_law():
+    record, place = record_with(), 40
+    rng = np.random.default_rng(2)
+    ring = np.zeros(len(record) + 2)
+    for row in range(2, len(ring)):
+        ring[row] = ring[row - 1] - 0.7 * ring[row - 2] + 0.3e-6 * rng.standard_normal()
+    readings = record.readings.copy()
+    readings[:, place] += ring[2:]
+    bench, kind = Bench(replace(record, readings=readings)), all_effects()["noise-coloured"]
+    cause = state(bench, Cause(kind, (place,), {"correlation": 0.3})).cause
+    assert max(nats for _, nats in noise_laws(bench, cause)) > 30.0
