@@ -105,6 +105,7 @@ class GoodnessTest(Part):
     limit: Number
     flagged: bool
     note: str = ""
+    nats: Number = Field(default=0.0, description="what a model that has it would gain, roughly")
 
 
 class AmbiguousSet(Part):

@@ -39,8 +39,7 @@ def size_parameter(kind: EffectKind, record: Record) -> Parameter | None:
     shown = kind.fitted(record)
     if not shown:
         return None
-    name = kind.linear or shown[0].name
-    return next(p for p in kind.parameters if p.name == name)
+    return shown[0]
 
 
 def tried(kind: EffectKind, bench: Bench) -> list[Values]:
@@ -63,7 +62,7 @@ def smallest(
     if spec is None:
         return 1.0 if max(gains, default=0.0) > ENOUGH else None
     enough = np.flatnonzero(np.asarray(gains) > ENOUGH)
-    if kind.linear is not None:
+    if kind.linear == spec.name:
         reach = abs(seen[0].values[spec.name] - spec.nominal)
         return _sensible(spec, reach * float(np.sqrt(ENOUGH / gains[0]))) if gains[0] > 0 else None
     if not len(enough):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench, log_likelihood
+from orbitfb.diagnose.bystanders import without_bystander
 from orbitfb.diagnose.candidate import FIRST_ONSET, LAST_ONSET, Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
@@ -73,6 +74,7 @@ def enter(bench: Bench, candidate: Candidate) -> Entry:
         begun = begun_noise(bench, candidate)
         return Entry(begun, None, net(begun) - len(kind.parameters))
     entry = _begun(bench, _fitted(bench, candidate))
+    entry = _struck(bench, entry)
     return max((entry, *_later(bench, entry)), key=lambda one: one.weight)
 
 
@@ -104,6 +106,17 @@ def _begun(bench: Bench, entry: Entry) -> Entry:
         return entry
     moved = replace(entry.candidate, cause=replace(cause, onset=row))
     return max((entry, _fitted(bench, moved)), key=lambda one: one.weight)
+
+
+def _struck(bench: Bench, entry: Entry) -> Entry:
+    """Leave the members out of a group that are not struck, one after the other."""
+    while entry.weight > 0.0:
+        rest = without_bystander(bench, entry.candidate, entry.cause)
+        fewer = entry if rest is None else _fitted(bench, rest)
+        if fewer.weight <= entry.weight:
+            break
+        entry = fewer
+    return entry
 
 
 def _later(bench: Bench, entry: Entry) -> list[Entry]:

@@ -70,9 +70,9 @@ def audit(bench: Bench) -> Audit:
     )
 
 
-def passed(its: Audit) -> bool:
-    """Whether no test has a flag."""
-    return not any(test.flagged for test in its.tests)
+def flagged_nats(its: Audit) -> float | None:
+    """Tell what the flagged test that is worth most is worth [nats]; None: no test has a flag."""
+    return max((float(test.nats or 0.0) for test in its.tests if test.flagged), default=None)
 
 
 Test = Callable[[Bench, Matrix, Matrix, float], GoodnessTest]
@@ -83,28 +83,42 @@ def _sigmas(rate: float, count: int) -> float:
     return float(stats.norm.isf(rate / (2 * count)))
 
 
-def _judged(name: str, value: float, limit: float, note: str = "") -> GoodnessTest:
+def _judged(name: str, value: float, limit: float, nats: float, note: str) -> GoodnessTest:
     flagged = not abs(value) <= limit
-    return GoodnessTest(name=name, value=value, limit=limit, flagged=flagged, note=note)
+    return GoodnessTest(name=name, value=value, limit=limit, flagged=flagged, note=note, nats=nats)
+
+
+def _of_variance(count: float, ratio: float) -> float:
+    """Gain of the right variance of so many normal numbers, over one that is 1 / ratio of it."""
+    return 0.5 * count * (ratio - 1.0 - float(np.log(ratio)))
+
+
+def _of_correlation(count: int, value: float) -> float:
+    """Gain of a correlation of so many normal numbers."""
+    return 0.5 * count * value**2
 
 
 def _level(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
     value = float(np.mean(white**2)) - 1.0
     limit = LEVEL + _sigmas(rate, 1) * float(np.sqrt(2.0 / white.size))
-    return _judged("level of all innovations", value, limit, "mean square less 1")
+    nats = _of_variance(white.size, 1.0 + value)
+    return _judged("level of all innovations", value, limit, nats, "mean square less 1")
 
 
-def _variances(name: str, columns: Matrix, names: tuple[str, ...], rate: float) -> GoodnessTest:
-    """Variance of each channel against the others', which may scatter."""
+def _variances(
+    name: str, columns: Matrix, names: tuple[str, ...], rate: float, *, less: bool = True
+) -> GoodnessTest:
+    """Variance of each channel against the others', which may scatter; too little, if so asked."""
     logarithm = np.log(np.mean(columns**2, axis=0))
     logarithm -= np.median(logarithm)
     chance = np.sqrt(2.0 / len(columns))
     spread = 1.4826 * float(np.median(np.abs(logarithm)))
     more = np.hypot(LEVEL, np.sqrt(max(spread**2 - chance**2, 0.0)))
-    worst = int(np.argmax(np.abs(logarithm)))
+    worst = int(np.argmax(np.abs(logarithm) if less else logarithm))
     limit = _sigmas(rate, columns.shape[1]) * float(np.hypot(chance, more))
     note = f"logarithm of the variance over the median, {names[worst]}"
-    return _judged(name, float(logarithm[worst]), limit, note)
+    value = float(logarithm[worst])
+    return _judged(name, value, limit, _of_variance(len(columns), float(np.exp(value))), note)
 
 
 def _by_bpm(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
@@ -113,8 +127,9 @@ def _by_bpm(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> Goodn
 
 
 def _by_mode(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
+    # A mode that drifts less than its floor is the floor's affair, and no motion without a cause.
     names = tuple(f"mode {index}" for index in range(white.shape[1]))
-    return _variances("variance by mode of the drift", white, names, rate)
+    return _variances("variance by mode of the drift", white, names, rate, less=False)
 
 
 def _mean(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
@@ -122,7 +137,9 @@ def _mean(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> Goodnes
     worst = int(np.argmax(np.abs(mean)))
     limit = _sigmas(rate, len(mean)) / float(np.sqrt(len(channels)))
     name = column_names(bench.record.layout.bpms)[worst]
-    return _judged("mean by BPM", float(mean[worst]), limit, f"in standard deviations, {name}")
+    value = float(mean[worst])
+    nats = _of_correlation(len(channels), value)
+    return _judged("mean by BPM", value, limit, nats, f"in standard deviations, {name}")
 
 
 def _correlation(columns: Matrix, lag: int) -> Vector:
@@ -134,7 +151,9 @@ def _colour(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> Goodn
     values = np.array([_correlation(channels, lag).mean() for lag in range(1, _LAGS + 1)])
     worst = int(np.argmax(np.abs(values)))
     limit = COLOUR + _sigmas(rate, _LAGS) / float(np.sqrt(white.size))
-    return _judged("autocorrelation", float(values[worst]), limit, f"lag {worst + 1}, all BPMs")
+    value = float(values[worst])
+    nats = _of_correlation(white.size, value)
+    return _judged("autocorrelation", value, limit, nats, f"lag {worst + 1}, all BPMs")
 
 
 def _own_colour(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
@@ -142,7 +161,9 @@ def _own_colour(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> G
     lag, worst = np.unravel_index(int(np.argmax(np.abs(values))), values.shape)
     limit = OWN_COLOUR + _sigmas(rate, values.size) / float(np.sqrt(len(white)))
     note = f"lag {lag + 1}, {column_names(bench.record.layout.bpms)[worst]}"
-    return _judged("autocorrelation by BPM", float(values[lag, worst]), limit, note)
+    value = float(values[lag, worst])
+    nats = _of_correlation(len(white), value)
+    return _judged("autocorrelation by BPM", value, limit, nats, note)
 
 
 def _steered(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
@@ -159,13 +180,16 @@ def _steered(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> Good
     note = f"standard deviations, lag {lag + 1}, "
     note += column_names(record.layout.correctors)[worst]
     limit = _sigmas(rate, values.size) * (1.0 + LEVEL)
-    return _judged("correlation with changes of a corrector", values[lag, worst], limit, note)
+    value = float(values[lag, worst])
+    name = "correlation with changes of a corrector"
+    return _judged(name, value, limit, 0.5 * value**2, note)
 
 
 def _tails(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
     own = channels / np.sqrt(np.mean(channels**2, axis=0))
     limit = TAIL + _sigmas(rate, 1) * float(np.sqrt(24.0 / white.size))
-    return _judged("excess kurtosis", float(np.mean(own**4)) - 3.0, limit, "all BPMs")
+    value = float(np.mean(own**4)) - 3.0
+    return _judged("excess kurtosis", value, limit, white.size * value**2 / 48.0, "all BPMs")
 
 
 def _own_tails(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
@@ -174,7 +198,8 @@ def _own_tails(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> Go
     worst = int(np.argmax(np.abs(values)))
     note = f"standard deviations, {column_names(bench.record.layout.bpms)[worst]}"
     limit = _sigmas(rate, len(values)) * (1.0 + LEVEL)
-    return _judged("kurtosis by BPM", float(values[worst]), limit, note)
+    value = float(values[worst])
+    return _judged("kurtosis by BPM", value, limit, 0.5 * value**2, note)
 
 
 def _tick(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
@@ -183,7 +208,9 @@ def _tick(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> Goodnes
     worst = int(np.argmax(total))
     limit = float(stats.chi2.isf(rate / rows, count)) * (1.0 + LEVEL)
     row = int(np.flatnonzero(~bench.record.starts)[worst])
-    return _judged("largest tick", float(total[worst]), limit, f"sum of squares, row {row}")
+    value = float(total[worst])
+    nats = _of_variance(count, value / count)
+    return _judged("largest tick", value, limit, nats, f"sum of squares, row {row}")
 
 
 def _reading(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
@@ -192,7 +219,8 @@ def _reading(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> Good
     limit = _sigmas(rate, own.size) * (1.0 + LEVEL)
     place = int(np.flatnonzero(~bench.record.starts)[row])
     note = f"standard deviations, row {place}, {column_names(bench.record.layout.bpms)[worst]}"
-    return _judged("largest reading", float(own[row, worst]), limit, note)
+    value = float(own[row, worst])
+    return _judged("largest reading", value, limit, _of_variance(1.0, value**2), note)
 
 
 def _stationary(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
@@ -205,4 +233,5 @@ def _stationary(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> G
     limit = float(stats.chi2.isf(rate / values.size, rows)) / rows * (1.0 + LEVEL)
     note = f"variance over that of all, window {part + 1}, "
     note += column_names(bench.record.layout.bpms)[worst]
-    return _judged("steadiness by BPM", float(values[part, worst]), limit, note)
+    value = float(values[part, worst])
+    return _judged("steadiness by BPM", value, limit, _of_variance(rows, value), note)

@@ -26,6 +26,8 @@ _MOST = 0.8
 _MANY = 0.2
 _HARDLY = 0.9
 _LIKE_OTHERS = 3.0
+_LARGE = 3.0
+"""Times the median beyond which a step counts no more."""
 _FEWEST = 30
 _FEWEST_CHANNELS = 4
 _TRIED = 4
@@ -57,7 +59,7 @@ _TEXTS = {
 
 def check_channels(record: Record) -> list[Finding]:
     """Find BPMs and correctors with a turned sign or swapped names."""
-    steps = steps_of(record)
+    steps = _evened(steps_of(record))
     if len(steps.first) < _FEWEST or not steps.predicted.any():
         return []
     if whole := _whole(steps):
@@ -79,6 +81,20 @@ def check_channels(record: Record) -> list[Finding]:
         alternatives = _bpms(steps)
     # Where one correction calls for the next, something else is wrong.
     return []
+
+
+def _evened(steps: Steps) -> Steps:
+    """Scale the largest steps down: where a loop runs away its last rows would say it all.
+
+    They all go one way, that of the device which is wrong, and many alternatives fit that.
+    """
+    factor = np.ones(len(steps.first))
+    for course in (steps.orbit, steps.predicted):
+        size = np.sqrt(np.mean(course**2, axis=1))
+        if size.any():
+            factor = np.maximum(factor, size / (_LARGE * float(np.median(size[size > 0]))))
+    even = factor[:, None]
+    return Steps(steps.first, steps.orbit / even, steps.setpoints / even, steps.predicted / even)
 
 
 def _told(best: _Alternative, devices: Devices) -> Finding:
@@ -180,7 +196,11 @@ def _bpms(steps: Steps) -> list[_Alternative]:
 
 
 def _correctors(steps: Steps, response: Matrix) -> list[_Alternative]:
-    """Turned and swapped correctors without which much less is left, at most BPMs."""
+    """Turned and swapped correctors without which much less is left, at most BPMs.
+
+    One that leaves more than another says nothing, even where that other one may be no more than
+    gains of its own: while a loop runs away its correctors move in proportion.
+    """
     residual = steps.orbit - steps.predicted
     own = np.sum(residual**2, axis=0)
     weights = np.divide(1.0, own, out=np.zeros_like(own), where=own > 0)
@@ -188,14 +208,15 @@ def _correctors(steps: Steps, response: Matrix) -> list[_Alternative]:
     overlap = response.T @ (weights[:, None] * response)
     moves = steps.setpoints.T @ steps.setpoints
     pull, size = np.diag(scores), np.diag(overlap) * np.diag(moves)
-    found: list[_Alternative] = []
+    found: list[tuple[_Alternative | None, float]] = []
     turning = -2.0 * (pull + size)
     for j in np.argsort(turning)[-_TRIED:]:
         if turning[j] > 0:
             drive = steps.setpoints[:, j]
             change = 2.0 * np.outer(drive, response[:, j])
             if _all_of(residual, change, drive, weights):
-                found += _judged(steps, own, residual + change, "corrector-polarity", (int(j),))
+                columns = (int(j),)
+                found.append(_judged(steps, own, own, residual + change, columns))
     pulls = pull[:, None] - scores - scores.T + pull[None, :]
     apart = np.diag(overlap)[:, None] - 2 * overlap + np.diag(overlap)[None, :]
     travel = np.diag(moves)[:, None] - 2 * moves + np.diag(moves)[None, :]
@@ -207,8 +228,9 @@ def _correctors(steps: Steps, response: Matrix) -> list[_Alternative]:
             change = np.outer(difference, response[:, j] - response[:, k])
             rest = np.minimum(own, _with_own_gains(residual, steps, response, weights, (j, k)))
             if _all_of(residual, change, difference, weights):
-                found += _judged(steps, rest, residual + change, "corrector-swap", (j, k))
-    return found
+                found.append(_judged(steps, own, rest, residual + change, (j, k)))
+    most = max((explained for _, explained in found), default=0.0)
+    return [one for one, explained in found if one is not None and explained > most - _SURE]
 
 
 def _all_of(residual: Matrix, change: Matrix, drive: Vector, weights: Vector) -> bool:
@@ -236,12 +258,25 @@ def _with_own_gains(
 
 
 def _judged(
-    steps: Steps, own: Vector, left: Matrix, kind: str, columns: tuple[int, ...]
-) -> list[_Alternative]:
-    """Keep an alternative when most BPMs have much less left with it."""
+    steps: Steps, own: Vector, otherwise: Vector, left: Matrix, columns: tuple[int, ...]
+) -> tuple[_Alternative | None, float]:
+    """Keep an alternative when most BPMs have much less left with it.
+
+    Args:
+        steps: Of the record.
+        own: Squares left at every BPM by the model as it is, shape (n,).
+        otherwise: The least that gains of these correctors alone would leave, shape (n,).
+        left: What the alternative leaves, shape (K, n) [m].
+        columns: The corrector that is turned, or the two that are swapped.
+
+    Returns:
+        The alternative; None if it is not kept. By how much it wins over the model as it is.
+    """
     then = np.sum(left**2, axis=0)
-    gains = _gain(len(steps.first), own, then)
-    # Neighbouring BPMs see one orbit, not many.
-    gain = float(np.sum(gains)) / np.sqrt(len(own))
-    convincing = float(np.median(then / np.where(own > 0, own, np.inf))) < _EXPLAINED
-    return [_Alternative(gain, kind, columns)] if gain > _SURE and convincing else []
+    count, alike = len(steps.first), np.sqrt(len(own))  # neighbouring BPMs see one orbit, not many
+    gain = float(np.sum(_gain(count, otherwise, then)) / alike)
+    explained = float(np.sum(_gain(count, own, then)) / alike)
+    convincing = float(np.median(then / np.where(own > 0, otherwise, np.inf))) < _EXPLAINED
+    kind = "corrector-polarity" if len(columns) == 1 else "corrector-swap"
+    kept = gain > _SURE and convincing
+    return (_Alternative(gain, kind, columns) if kept else None), explained

@@ -13,7 +13,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.ceiling import Ceiling, ceiling
 from orbitfb.diagnose.certain import Certain
 from orbitfb.diagnose.departure import Departure, departure
-from orbitfb.diagnose.gof import audit, passed
+from orbitfb.diagnose.gof import audit, flagged_nats
 from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.rounds import CLOSE, SURE, Round
 from orbitfb.diagnose.search import Outcome
@@ -21,6 +21,8 @@ from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 _EXPLAINED = 0.8
 """Share of what any model could gain below which a named cause leaves a remainder."""
+_SMALL = 0.01
+"""Share of the causes' gain below which what a test flags is no part of the gap."""
 _STAND_IN = 3.0
 """Scatter of a winner's scores over what its noise model says, beyond which it is none."""
 _HALF = 0.5
@@ -63,11 +65,12 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     """
     tests = audit(outcome.bench)
     rest = ceiling(outcome.bench, seed)
-    named = sum(one.accepted.candidate.gain for one in outcome.winners if one.accepted is not None)
+    named = outcome.given + sum(one.accepted.gain for one in outcome.winners if one.accepted)
     left = max(rest.nats.value, 0.0) if rest.resolved else 0.0
     explained = named / (named + left) if named + left > 0 else 1.0
     random = any(isinstance(cause.kind, NoiseKind | LatentKind) for cause in outcome.causes)
-    flagged = (not passed(tests)) and not random
+    worth = None if random else flagged_nats(tests)
+    flagged = worth is not None and worth >= _SMALL * named
     departures = tuple(
         departure(outcome.bench, outcome.final(entry)[0], entry.gain)
         for entry in (one.accepted for one in outcome.winners)

@@ -145,6 +145,8 @@ def _scattered(bench: Bench, kind: NoiseKind, patterns: Matrix) -> _Scatter:
         seen = seen - (np.median(seen) if len(seen) > _MANY else 0.0)
         healthy = bench.floor.modes.scatter
     least = _LEAST_COLOUR if kind.lag else _LEAST_SCATTER
+    if kind.target == "bpm":  # healthy levels differ BPM by BPM: what a crate has in common less
+        least /= float(np.sqrt(np.median(np.count_nonzero(patterns, axis=0))))
     scatter = max(_scatter(over, chance, least), healthy)
     return _Scatter(seen, over, strength, chance, float(np.hypot(chance, scatter)))
 

@@ -98,17 +98,22 @@ class Round:
         ]
 
 
-def winner(one: Round, before: Sequence[Round], *, beside: bool) -> Entry | None:
+def winner(one: Round, before: Sequence[Round], given: float = 0.0) -> Entry | None:
     """The best entry, if something of its kind (or of a close one) is likely to be there.
 
     A further cause must be sure. It must not be what the first ones left because they are not
     quite right: it has to be worth a share of what they are, less of it where no other law of
     their devices does better, and its scores must scatter as the noise model says.
+
+    Args:
+        one: The tournament.
+        before: Those before it.
+        given: What the causes that were known from the beginning are worth [nats]; 0: none were.
     """
     if not one.entries:
         return None
     best = one.entries[0]
-    further = beside or bool(before)
+    further = given > 0.0 or bool(before)
     least = SURE if further else LIKELY
     if best.held_out <= 0.0 or sum(one.probabilities().values()) < least:
         return None
@@ -118,7 +123,8 @@ def winner(one: Round, before: Sequence[Round], *, beside: bool) -> Entry | None
     if scatter > _TIDY or best.weight < _LEAST_FURTHER:
         return None
     accepted = [r.accepted for r in before if r.accepted is not None]
-    share = best.weight / max(sum(entry.weight for entry in accepted), best.weight)
+    earlier = given + sum(entry.weight for entry in accepted)
+    share = best.weight / max(earlier, best.weight)
     if share > _FURTHER:
         return best
     if share > _FURTHER_BESIDE_LAWS and all(_lawful(one.bench, entry) for entry in accepted):

@@ -23,6 +23,7 @@ from orbitfb.diagnose.candidate import (
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import information
 from orbitfb.diagnose.problem import highest
+from orbitfb.diagnose.scan_between import Heights, between
 from orbitfb.diagnose.scan_colour import of_colour
 from orbitfb.diagnose.scan_pairs import of_pairs
 from orbitfb.diagnose.scan_shapes import Changes, Scoring
@@ -80,11 +81,11 @@ class Scanner:
             for values in kind.grid(bench.record)
             if all(values[p.name] <= highest(p, rate) for p in kind.parameters)
         ]
-        if isinstance(kind, ActuatorKind):
-            shapes = self._scoring.correctors()
-            grid += kind.hints(bench.currents, shapes.pull, bench.record)
-        for values in grid:
+        heights: list[Heights] = []
+
+        def look(values: Values) -> Iterator[Candidate]:
             changes = self._scoring.changes(kind, values)
+            heights.append(self._heights(kind, changes))
             steady = list(self._steady(kind, values, changes))
             yield from steady
             tried = {"single": max((c.gain for c in steady), default=0.0)}
@@ -94,6 +95,18 @@ class Scanner:
             for what, gain in tried.items():
                 if what not in closer or gain > closer[what][0]:
                     closer[what] = (gain, values, changes)
+
+        def height(values: Values) -> Heights:
+            return self._heights(kind, self._scoring.changes(kind, values))
+
+        for values in grid:
+            yield from look(values)
+        for values in list(between(kind, grid, heights, height)):
+            yield from look(values)
+        if isinstance(kind, ActuatorKind):
+            shapes = self._scoring.correctors()
+            for values in kind.hints(bench.currents, shapes.pull, bench.record):
+                yield from look(values)
         if "all" in closer:
             yield from self._groups(kind, *closer["all"][1:])
             if closer["cell"][1] is not closer["all"][1]:
@@ -105,13 +118,26 @@ class Scanner:
             if isinstance(kind, ActuatorKind) and kind.linear is not None:
                 yield from self._onsets(kind, *closer["single"][1:], free=True)
 
-    def _cell(self, kind: ActuatorKind | SensorKind, changes: Changes) -> float:
-        """Best gain if every place of one cell were struck alike."""
+    def _heights(self, kind: EffectKind, changes: Changes) -> Heights:
+        """Best score of a place, and of a cell whose places are struck alike."""
+        heights = {"single": float(changes.score.max(initial=0.0))}
+        if kind.collective and isinstance(kind, ActuatorKind | SensorKind):
+            sums = self._by_cell(kind, changes)[1]
+            heights["cell"] = float(sums.max(initial=0.0))
+        return heights
+
+    def _by_cell(
+        self, kind: ActuatorKind | SensorKind, changes: Changes
+    ) -> tuple[list[Indices], Vector]:
+        """Places of every cell, and the sum of their scores."""
         layout = self._bench.record.layout
         devices = layout.correctors if isinstance(kind, ActuatorKind) else layout.bpms
-        score = changes.score
         cells = list(devices.groups().values())
-        sums = np.array([score[columns].sum() for columns in cells])
+        return cells, np.array([changes.score[columns].sum() for columns in cells])
+
+    def _cell(self, kind: ActuatorKind | SensorKind, changes: Changes) -> float:
+        """Best gain if every place of one cell were struck alike."""
+        cells, sums = self._by_cell(kind, changes)
         if not len(sums) or (kind.linear is None and sums.max() < _WORTH):
             return 0.0
         infos = self._scoring.together(changes, cells)

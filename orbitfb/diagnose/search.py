@@ -34,6 +34,7 @@ class Outcome:
         bench: The record under all causes, with the floor that they leave.
         causes: With their values.
         cut: What there was no time for, in words; empty when everything was done.
+        given: What the causes that were known from the beginning are worth [nats]; 0: none were.
     """
 
     rounds: tuple[Round, ...]
@@ -41,6 +42,7 @@ class Outcome:
     bench: Bench
     causes: tuple[Cause, ...] = field(default=())
     cut: str = ""
+    given: float = 0.0
 
     @property
     def winners(self) -> tuple[Round, ...]:
@@ -84,6 +86,7 @@ def search(
     budget = budget or Budget(np.inf)
     tell = progress or (lambda what, share: None)
     nominal = Bench(record, given, floor)
+    worth = _worth(nominal, floor) if given else 0.0
     bench = nominal
     rounds: list[Round] = []
     causes: tuple[Cause, ...] = ()
@@ -100,9 +103,7 @@ def search(
             budget,
         )
         one = Round(bench, tuple(entries), len(left), None, budget.taken())
-        # What is given throws the orbit far off, and healthy errors with it: a cause beside it
-        # must be sure, and tidy, as one beside others.
-        best = winner(one, rounds, beside=bool(given)) if number < MOST_CAUSES else None
+        best = winner(one, rounds, worth) if number < MOST_CAUSES else None
         rounds.append(replace(one, accepted=best))
         if best is None:
             break
@@ -125,7 +126,16 @@ def search(
     tell("done", 1.0)
     untried = dict.fromkeys(c.cause.kind.id for one in rounds for c in one.untried)
     cut = budget.told([*untried])
-    return Outcome(tuple(rounds), joint, final, (*given, *moving, *still), cut)
+    return Outcome(tuple(rounds), joint, final, (*given, *moving, *still), cut, worth)
+
+
+def _worth(bench: Bench, floor: NoiseFloor | None) -> float:
+    """What the causes of a bench are worth [nats].
+
+    What the screen is certain of throws the orbit far off, and healthy errors with it.
+    """
+    without = Bench(bench.record, (), floor, bench.floor.modes)
+    return max(bench.full_log_likelihood - without.full_log_likelihood, 0.0)
 
 
 def _kin(kind: EffectKind, taken: EffectKind) -> bool:

@@ -59,7 +59,9 @@ def tournament(
     tell = progress or (lambda what, share: None)
     budget = budget or Budget(np.inf)
     proposals = propose(bench, kinds, lambda what, share: tell(what, 0.5 * share), budget)
-    swallowed = kinds
+    # What noise is worth is the scan's word: beside none of the errors that every ring has it would
+    # be worth these too.
+    swallowed = [kind for kind in kinds if not isinstance(kind, NoiseKind | LatentKind)]
     if np.sum(bench.sizes**2) <= _ABSURD**2 * len(bench.sizes):
         # What has no size is never small: healthy errors hide it even if they stay healthy.
         swallowed = [] if bench.causes else [kind for kind in kinds if not kind.parameters]

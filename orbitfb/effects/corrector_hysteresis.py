@@ -56,17 +56,23 @@ class CorrectorHysteresis(ActuatorKind):
             unit="1",
             low=-1.0,
             high=1.0,
-            nominal=1.0,
+            nominal=0.0,
             typical=1.0,
             description="Share s of the field that has the play; negative if it runs ahead.",
         ),
     )
+    linear = "share"
     confused_with = ("corrector-deadband", "corrector-lag", "corrector-gain", "corrector-slew")
     splits = "A triangular ladder with reversals at three amplitudes: only play depends on them."
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
-        """Drag, row by row."""
-        half, share = 0.5 * values["width"], values["share"]
+        """Drag, row by row.
+
+        A play is at most half as wide as the range of its setpoints: within a wider one nothing
+        turns, and what is lost is a gain, or all.
+        """
+        share = values["share"]
+        half = np.minimum(0.5 * values["width"], 0.25 * np.ptp(setpoints, axis=0))
         low, high = setpoints - half, setpoints + half
         rows = iter(zip(low[~record.starts], high[~record.starts], strict=True))
 
@@ -79,10 +85,9 @@ class CorrectorHysteresis(ActuatorKind):
         return setpoints + share * (dragged - setpoints)
 
     def grid(self, record: Record) -> tuple[Values, ...]:
-        """Widths up to the range, for the whole current and some for a part of it."""
+        """Widths up to the range, for the whole current."""
         steps = widths(record, max(widest_range(record), largest_change(record)))
-        whole, part = ladder("width", {"share": 1.0}, steps), steps[:: len(steps) // 6 + 1]
-        return (*whole, *ladder("width", {"share": 0.3}, part))
+        return ladder("width", {"share": 1.0}, steps)
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -264,11 +264,12 @@ def _audit(its: Audit) -> list[str]:
                 figure_of(test.value),
                 figure_of(test.limit),
                 '<span class="flag">flagged</span>' if test.flagged else "passed",
+                figure_of(test.nats),
                 text(test.note),
             )
             for test in its.tests
         ]
-        pieces.append(table(("test", "value", "limit", "", ""), rows))
+        pieces.append(table(("test", "value", "limit", "", "worth [nats]", ""), rows))
     pieces.append(loop_pictures.audit(its))
     for title, worst in (
         ("worst channels", its.worst_channels),

@@ -43,10 +43,16 @@ def test_a_further_cause_is_worth_less_beside_one_that_keeps_its_law(
     monkeypatch.setattr(rounds, "departure", lambda *_: SimpleNamespace(course=lacks))
     first = entry(DELAY, 10000.0)
     best = entry(DRIFT, weight, inflation)
-    found = rounds.winner(round_of(best), [round_of(first, first)], beside=False)
+    found = rounds.winner(round_of(best), [round_of(first, first)])
     assert (found is best) is believed
 
 
 def test_noise_has_no_law_to_keep():
     first, best = entry(LEVEL, 10000.0), entry(DRIFT, 100.0)
-    assert rounds.winner(round_of(best), [round_of(first, first)], beside=False) is None
+    assert rounds.winner(round_of(best), [round_of(first, first)]) is None
+
+
+@pytest.mark.parametrize(("worth", "believed"), [(0.0, True), (1000.0, True), (1e5, False)])
+def test_beside_what_the_screen_is_certain_of_it_must_be_worth_a_share_too(worth, believed):
+    best = entry(DRIFT, 100.0)
+    assert (rounds.winner(round_of(best), [], worth) is best) is believed

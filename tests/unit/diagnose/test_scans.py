@@ -245,3 +245,12 @@ def test_neighbours_that_steer_against_each_other_are_seen_together(cell):
     seen = bench.energy(1e-3 * drivers @ shapes.patterns.T)
     assert scoring.together(changes, [own])[0] == pytest.approx(seen, rel=0.2)
     assert changes.information[0][own].sum() > 5.0 * seen
+
+
+def test_what_a_crate_has_in_common_is_no_level_of_a_single_bpm():
+    """Healthy levels differ by 5 % BPM by BPM, so that the sum of six differs by 2 %."""
+    record = record_with("noise-correlated:rms=0.06um,cells=C09", dither=0.0, ticks=1200)
+    found = noise_candidates(Bench(record), all_effects()["noise-correlated"])[0]
+    (place,) = found.cause.places
+    assert all_effects()["noise-correlated"].places_of(LAYOUT)[place] == "C09 (x)"
+    assert found.gain > 35.0
