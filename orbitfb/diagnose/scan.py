@@ -74,13 +74,7 @@ class Scanner:
     def _placed(self, kind: ActuatorKind | SensorKind | SourceKind) -> Iterator[Candidate]:
         """Scan a grid of values for single places and for all; look closer at the best values."""
         closer: dict[str, tuple[float, Values, Changes]] = {}
-        bench = self._bench
-        rate = 1.0 / bench.record.layout.period
-        grid = [
-            values
-            for values in kind.grid(bench.record)
-            if all(values[p.name] <= highest(p, rate) for p in kind.parameters)
-        ]
+        grid = self._grid(kind)
         heights: list[Heights] = []
 
         def look(values: Values) -> Iterator[Candidate]:
@@ -105,7 +99,7 @@ class Scanner:
             yield from look(values)
         if isinstance(kind, ActuatorKind):
             shapes = self._scoring.correctors()
-            for values in kind.hints(bench.currents, shapes.pull, bench.record):
+            for values in kind.hints(self._bench.currents, shapes.pull, self._bench.record):
                 yield from look(values)
         if "all" in closer:
             yield from self._groups(kind, *closer["all"][1:])
@@ -117,6 +111,16 @@ class Scanner:
             yield from self._onsets(kind, *closer["single"][1:])
             if isinstance(kind, ActuatorKind) and kind.linear is not None:
                 yield from self._onsets(kind, *closer["single"][1:], free=True)
+
+    def _grid(self, kind: EffectKind) -> list[Values]:
+        """Values to look at, but those that the rate of the record cannot show."""
+        record = self._bench.record
+        rate = 1.0 / record.layout.period
+        return [
+            values
+            for values in kind.grid(record)
+            if all(values[p.name] <= highest(p, rate) for p in kind.parameters)
+        ]
 
     def _heights(self, kind: EffectKind, changes: Changes) -> Heights:
         """Best score of a place, and of a cell whose places are struck alike."""

@@ -19,7 +19,7 @@ from orbitfb.effects.random_kinds import LatentKind
 from orbitfb.physics.optics import Matrix
 
 _RARE = np.geomspace(0.0005, 0.5, 25)
-_LEAST_SPIKE = 4.0
+_LEAST_SPIKE = 2.0
 """Spikes are larger than this many standard deviations; what is smaller is plain noise."""
 _MOST_SPIKES = 0.05
 _KEPT = 3

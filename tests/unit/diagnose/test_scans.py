@@ -13,6 +13,7 @@ from orbitfb.diagnose.randomness import noise_candidates
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.diagnose.strike_scan import latent_candidates
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.actuating import usual_change
 from orbitfb.effects.build import build, layout_of
@@ -254,3 +255,12 @@ def test_what_a_crate_has_in_common_is_no_level_of_a_single_bpm():
     (place,) = found.cause.places
     assert all_effects()["noise-correlated"].places_of(LAYOUT)[place] == "C09 (x)"
     assert found.gain > 35.0
+
+
+def test_tails_of_a_crate_that_are_twice_the_noise_have_their_size():
+    size = 0.4e-6
+    effect = f"noise-tails:probability=0.04,amplitude={size}m,cells=C09"
+    bench = Bench(record_with(effect, dither=0.0, ticks=1200))
+    found = latent_candidates(bench, all_effects()["noise-tails"])[0]
+    assert {BPMS[place] for place in found.cause.places} == {n for n in BPMS if n.endswith("C09")}
+    assert abs(found.cause.values["amplitude"] / size - 1.0) < 0.2
