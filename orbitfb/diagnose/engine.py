@@ -12,6 +12,7 @@ from orbitfb.diagnose.answer_parts import NotTested, Provenance
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import SEARCH_SECONDS, Budget
 from orbitfb.diagnose.certain import beside, certain_causes
+from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.judgement import judge
 from orbitfb.diagnose.naming import as_in_record
@@ -71,7 +72,8 @@ def diagnose(
     if certain.given and not budget.over():
         # The screen judges channels by few rows: what it proves must also explain the record best.
         free = search(first, kinds, floor, (), budget=budget)
-        if free.bench.full_log_likelihood > outcome.bench.full_log_likelihood:
+        better = free.bench.full_log_likelihood > outcome.bench.full_log_likelihood
+        if better or _taken_back(given, outcome):
             certain, outcome = certain.without_given(), free
     if not outcome.sure and first is not whole and not budget.over():
         # Nothing sure yet: the end of the record may show what its beginning does not.
@@ -92,6 +94,13 @@ def diagnose(
             ),
         }
     )
+
+
+def _taken_back(given: Sequence[Cause], outcome: Outcome) -> bool:
+    """Whether a search undid what was given: a sign turned twice is none."""
+    known = {(cause.kind.id, cause.places) for cause in given}
+    found = [one.accepted for one in outcome.winners if one.accepted is not None]
+    return any((entry.kind.id, entry.cause.places) in known for entry in found)
 
 
 def _able(

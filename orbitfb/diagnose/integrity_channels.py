@@ -59,10 +59,10 @@ _TEXTS = {
 
 def check_channels(record: Record) -> list[Finding]:
     """Find BPMs and correctors with a turned sign or swapped names."""
-    steps = _evened(steps_of(record))
+    steps = steps_of(record)
     if len(steps.first) < _FEWEST or not steps.predicted.any():
         return []
-    if whole := _whole(steps):
+    if whole := _whole(_evened(steps)):
         return whole
     bpms, correctors = record.layout.bpms, record.layout.correctors
     response = record.layout.response
@@ -176,20 +176,25 @@ def _bpms(steps: Steps) -> list[_Alternative]:
     own = seen - 2 * np.diag(cross) + made
     usual = _LIKE_OTHERS * float(np.median(own))
     apart = own > (_APART * np.median(own) if _one_way(steps) else 0.0)
-    found: list[_Alternative] = []
     turned = seen + 2 * np.diag(cross) + made
     gain = _gain(count, own, turned)
-    for i in np.flatnonzero(
-        apart & (gain > _SURE) & (turned < usual) & (turned < _EXPLAINED * seen)
-    ):
-        found.append(_Alternative(float(gain[i]), "bpm-polarity", (int(i),)))
+    reversed_ = apart & (gain > _SURE) & (turned < usual) & (turned < _EXPLAINED * seen)
     # Against a gain of its own, so that a wrong gain is no swap.
     slope = np.divide(np.diag(cross), made, out=np.zeros(n), where=made > 0)
     reach = np.maximum(np.minimum(own, seen - slope * np.diag(cross)), 0.0)
     left = np.maximum(seen[:, None] - 2 * cross + made[None, :], 0.0)
     gains = _gain(count, np.broadcast_to(reach[:, None], left.shape).copy(), left)
     good = apart[:, None] & (gains > _SURE) & (left < usual) & (left < _EXPLAINED * seen[:, None])
-    for i, j in np.argwhere(np.triu(good & good.T, 1)):
+    swapped = good & good.T
+    # Of two alternatives for a BPM the one that leaves less, whatever each is compared with.
+    other = np.broadcast_to(turned[:, None], left.shape).copy()
+    better = reversed_[:, None] & (_gain(count, left, other) > _SURE)
+    worse = reversed_ & np.any(swapped & (_gain(count, other, left) > _SURE), axis=1)
+    found = [
+        _Alternative(float(gain[i]), "bpm-polarity", (int(i),))
+        for i in np.flatnonzero(reversed_ & ~worse)
+    ]
+    for i, j in np.argwhere(np.triu(swapped & ~(better | better.T), 1)):
         both = float(gains[i, j] + gains[j, i])
         found.append(_Alternative(both, "bpm-swap", (int(i), int(j))))
     return found

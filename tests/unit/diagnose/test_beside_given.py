@@ -1,5 +1,8 @@
 """What the screen is certain of does not hide what else is wrong."""
 
+from types import SimpleNamespace
+
+from orbitfb.diagnose.engine import _taken_back
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.search import search
 from orbitfb.diagnose.simulate import simulate_record
@@ -25,3 +28,16 @@ def test_a_gain_beside_a_reversed_bpm_is_named_too():
     weak = f"corrector-gain:gain=0.3,names={LAYOUT.correctors.names[90]}"
     assert found(reversed_bpm, weak) == ("bpm-polarity", "corrector-gain")
     assert found(reversed_bpm) == ("bpm-polarity",)
+
+
+def test_a_sign_that_is_turned_back_was_never_wrong():
+    polarity = effect("bpm-polarity")
+    given = (Cause(polarity, (30,), {}),)
+
+    def outcome(place):
+        entry = SimpleNamespace(kind=polarity, cause=Cause(polarity, (place,), {}))
+        return SimpleNamespace(winners=(SimpleNamespace(accepted=entry),))
+
+    assert _taken_back(given, outcome(30))
+    assert not _taken_back(given, outcome(31))
+    assert not _taken_back((), outcome(30))

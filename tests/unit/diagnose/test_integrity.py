@@ -7,7 +7,7 @@ import pytest
 from record_files import record, ring
 
 from orbitfb.diagnose.integrity import is_hopeless, screen
-from orbitfb.diagnose.integrity_channels import _whole
+from orbitfb.diagnose.integrity_channels import _evened, _whole
 from orbitfb.diagnose.integrity_steps import Steps
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.physics.effect import Effect
@@ -114,6 +114,33 @@ class Staying(Effect):
             self.value = current[self.column] if self.value is None else self.value
             current[self.column] = self.value
         return current
+
+
+@pytest.mark.parametrize(
+    ("effect", "gain", "dither", "proven", "devices"),
+    [
+        (Acting(swap(13, 17)), 0.02, 3e-4, "corrector-swap", ["CH2A_C02 (x)", "CL1B_C02 (x)"]),
+        (Sensing(swap(172, 173)), 0.05, 0.0, "bpm-swap", ["PL2B_C28 (x)", "PL1B_C28 (x)"]),
+    ],
+)
+def test_of_what_fits_while_a_loop_runs_away_the_best_is_told(
+    effect, gain, dither, proven, devices
+):
+    """Then all correctors move in proportion: a neighbour, or two signs, are nearly as good."""
+    made = simulate_record(ring(), ticks=600, seed=2, effects=(effect,), gain=gain, dither=dither)
+    found = only(made, "channels")
+    assert (found.effect, list(found.devices)) == (proven, devices)
+
+
+def test_a_few_rows_of_running_away_do_not_turn_the_model():
+    random = np.random.default_rng(1)
+    predicted = 1e-6 * random.standard_normal((300, 40))
+    orbit = predicted + 1e-7 * random.standard_normal((300, 40))
+    predicted[-8:] *= 1e4
+    orbit[-8:] = -predicted[-8:]
+    steps = Steps(np.arange(300), orbit, np.zeros((300, 3)), predicted)
+    assert [one.check for one in _whole(steps)] == ["wrong-sign"]
+    assert _whole(_evened(steps)) == []
 
 
 def test_a_dead_corrector_is_no_swap_with_one_that_makes_up_for_it():
