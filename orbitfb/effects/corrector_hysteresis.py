@@ -1,5 +1,7 @@
 """A corrector whose field depends on where its current came from."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -7,7 +9,6 @@ from orbitfb.effects.actuating import (
     ColumnsEffect,
     followed,
     ladder,
-    largest_change,
     widest_range,
     widths,
 )
@@ -18,6 +19,8 @@ from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+
+_HALF = 0.5
 
 
 class CorrectorHysteresis(ActuatorKind):
@@ -66,13 +69,8 @@ class CorrectorHysteresis(ActuatorKind):
     splits = "A triangular ladder with reversals at three amplitudes: only play depends on them."
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
-        """Drag, row by row.
-
-        A play is at most half as wide as the range of its setpoints: within a wider one nothing
-        turns, and what is lost is a gain, or all.
-        """
-        share = values["share"]
-        half = np.minimum(0.5 * values["width"], 0.25 * np.ptp(setpoints, axis=0))
+        """Drag, row by row."""
+        half, share = 0.5 * values["width"], values["share"]
         low, high = setpoints - half, setpoints + half
         rows = iter(zip(low[~record.starts], high[~record.starts], strict=True))
 
@@ -84,10 +82,14 @@ class CorrectorHysteresis(ActuatorKind):
         dragged = followed(setpoints, record, step)
         return setpoints + share * (dragged - setpoints)
 
+    def fitted(self, record: Record) -> tuple[Parameter, ...]:
+        """Both, the width up to half the range: within a wider play what is lost is a gain."""
+        width, share = self.parameters
+        return replace(width, high=_HALF * widest_range(record)), share
+
     def grid(self, record: Record) -> tuple[Values, ...]:
-        """Widths up to the range, for the whole current."""
-        steps = widths(record, max(widest_range(record), largest_change(record)))
-        return ladder("width", {"share": 1.0}, steps)
+        """Widths up to half the range, for the whole current."""
+        return ladder("width", {"share": 1.0}, widths(record, _HALF * widest_range(record)))
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
