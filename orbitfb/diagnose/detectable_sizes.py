@@ -36,10 +36,7 @@ def size_parameter(kind: EffectKind, record: Record) -> Parameter | None:
         kind: The effect.
         record: That bears on it, perhaps in one plane only.
     """
-    shown = kind.fitted(record)
-    if not shown:
-        return None
-    return shown[0]
+    return next(iter(kind.fitted(record)), None)
 
 
 def tried(kind: EffectKind, bench: Bench) -> list[Values]:

@@ -14,11 +14,11 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate, held_to
+from orbitfb.diagnose.device_groups import groups_of
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_colour import colour_of_all
 from orbitfb.diagnose.noise_spectra import usual_reading
 from orbitfb.diagnose.noise_walk import walking_candidates
-from orbitfb.diagnose.scan import groups_of
 from orbitfb.diagnose.switching import switching_candidates
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import NoiseKind

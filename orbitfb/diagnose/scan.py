@@ -6,7 +6,7 @@ so a = s / J and the gain is ½ s² / J. δ is a pattern times a driver, so that
 one product with λ and J a sum over a few ladder filters.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from orbitfb.diagnose.candidate import (
     best_strength,
     sized,
 )
+from orbitfb.diagnose.device_groups import groups_of
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import information
 from orbitfb.diagnose.problem import highest
@@ -286,36 +287,6 @@ def holding(kind: EffectKind) -> bool:
     if isinstance(kind, ActuatorKind):
         return not kind.vanishes
     return isinstance(kind, SourceKind) and kind.standing
-
-
-def groups_of(
-    cells: Mapping[str, Indices], count: int, planes: Sequence[str]
-) -> Iterator[tuple[str, Indices]]:
-    """List groups that an effect may strike: all, a plane, runs of neighbouring cells.
-
-    Args:
-        cells: Columns of every cell, in order around the ring.
-        count: Of all columns.
-        planes: Of every column.
-    """
-    everything = np.arange(count, dtype=np.intp)
-    yield "all", everything
-    of_plane = {p: everything[np.array([q == p for q in planes])] for p in sorted(set(planes))}
-    if len(of_plane) > 1:
-        yield from ((f"all {plane}", members) for plane, members in of_plane.items())
-    names = list(cells)
-    for begin in range(len(names)):
-        for end in range(begin + 1, min(begin + 1 + len(names) // 2, len(names) + 1)):
-            members = np.concatenate([cells[name] for name in names[begin:end]])
-            if len(members) < 2:
-                continue
-            label = names[begin] if end == begin + 1 else f"{names[begin]}–{names[end - 1]}"
-            yield label, members
-            if len(of_plane) > 1:
-                for plane in of_plane:
-                    own = members[np.array([planes[int(i)] == plane for i in members])]
-                    if len(own) > 1:
-                        yield f"{label} {plane}", own
 
 
 def _sum(terms: Iterator[Matrix]) -> Matrix:

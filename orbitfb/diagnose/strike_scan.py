@@ -12,8 +12,8 @@ from scipy.special import expit, logit
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.device_groups import groups_of
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.scan import groups_of
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import LatentKind
 from orbitfb.physics.optics import Matrix

@@ -21,6 +21,7 @@ from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
 _HALF = 0.5
+"""Widest play that a fit tries, as a share of the range of the setpoints."""
 
 
 class CorrectorHysteresis(ActuatorKind):
