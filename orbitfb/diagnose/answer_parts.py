@@ -37,8 +37,8 @@ class Cause(Part):
     )
     alternatives: tuple[str, ...] = Field(
         default=(),
-        description="ids of its class: what the record cannot exclude, or its fault with another "
-        "course in time",
+        description="ids of its class: what the record cannot exclude, what amounts to it here, or "
+        "its fault with another course in time",
     )
     title: str = Field(default="", description="the effect in a few words")
     sentence: str = Field(default="", description="what it means to an operator")

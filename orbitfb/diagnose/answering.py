@@ -52,7 +52,7 @@ def _named(
     layout, kind = one.bench.record.layout, entry.kind
     cause, fitted = outcome.final(entry)
     chances = one.probabilities()
-    rivals = [rival.kind.id for rival in one.rivals()]
+    alike = (*(rival.kind.id for rival in one.rivals()), *one.limits())
     within = {
         name
         for other in one.places_within()
@@ -69,9 +69,9 @@ def _named(
         places=devices,
         planes=layout.planes[0] if len(layout.planes) == 1 else planes,
         parameters=_wherever(_parameters(cause, fitted, one.bench), around),
-        probability=departs.chance * sum(chances.get(name, 0.0) for name in (kind.id, *rivals)),
+        probability=departs.chance * sum(chances.get(name, 0.0) for name in (kind.id, *alike)),
         onset_s=float(one.bench.record.time[cause.onset]) if cause.onset else None,
-        alternatives=tuple(dict.fromkeys((*rivals, *kind.also_called))),
+        alternatives=tuple(dict.fromkeys((*alike, *kind.also_called))),
         title=kind.title,
         sentence=kind.sentence,
         label=entry.candidate.group,
@@ -168,7 +168,7 @@ def tournament_rows(outcome: Outcome, rest: Interval) -> Tournament:
     layout = first.bench.record.layout
     chances = first.probabilities()
     accepted = {one.accepted.kind.id for one in outcome.winners if one.accepted is not None}
-    alike = tuple(rival.kind.id for rival in first.rivals())
+    alike = (*(rival.kind.id for rival in first.rivals()), *first.limits())
     alike = (first.accepted.kind.id, *alike) if first.accepted is not None else ()
     rows: dict[str, TournamentRow] = {}
     draws = Draws.of(~first.bench.record.starts, 0)

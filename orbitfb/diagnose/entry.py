@@ -24,6 +24,9 @@ _STRIDES = (16, 8, 4, 2, 1, 1)
 """Rows by which a beginning is moved, one after the other."""
 _SAME = 0.02
 """Two fits leave the same when what they leave differs by less than this share of the gain."""
+_ONE_LAW = 1.0
+"""Two fits are one law when what they leave differs by less, summed over all squares of the white
+innovations: by less than the noise of one reading."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,11 +38,14 @@ class Entry:
         fit: As fitted; None for an effect without a course in time, whose gain is that of the
             scan.
         weight: Log of posterior over prior odds against "no effect", per kind [nats].
+        limit_of: Id of the simpler effect that it amounts to in this record; empty if it is a
+            law of its own.
     """
 
     candidate: Candidate
     fit: Fit | None
     weight: float
+    limit_of: str = ""
 
     @property
     def cause(self) -> Cause:
@@ -149,13 +155,40 @@ def alike_alike(entries: Sequence[Entry]) -> list[Entry]:
             continue
         least = own.inflation
         for other in entries:
-            if other.fit is not None and other.fit.white.shape == own.white.shape:
-                apart = float(np.sum((other.fit.white - own.white) ** 2))
-                if apart < _SAME * own.gain:
-                    least = min(least, other.fit.inflation)
+            if other.fit is not None and _apart(other.fit, own) < _SAME * own.gain:
+                least = min(least, other.fit.inflation)
         weight = entry.weight + own.gain * (1.0 / least - 1.0 / own.inflation)
         judged.append(replace(entry, fit=replace(own, inflation=least), weight=weight))
     return judged
+
+
+def limits(entries: Sequence[Entry]) -> list[Entry]:
+    """Mark what is the same law as an effect with fewer parameters, in a limit of its own.
+
+    Within a play that is wider than all it did, a corrector has a gain error. The simpler law is
+    the answer; the record does not have to decide between the two.
+    """
+    marked: list[Entry] = []
+    for entry in entries:
+        simpler = [
+            other
+            for other in entries
+            if len(other.kind.parameters) < len(entry.kind.parameters)
+            and _apart(entry.fit, other.fit) < _ONE_LAW
+        ]
+        law = min(simpler, key=lambda other: len(other.kind.parameters), default=None)
+        if law is not None:
+            worth = min(entry.weight, law.weight)
+            entry = replace(entry, limit_of=law.kind.id, weight=worth)
+        marked.append(entry)
+    return marked
+
+
+def _apart(one: Fit | None, other: Fit | None) -> float:
+    """Sum of the squared differences of what two fits leave; infinite where none can be said."""
+    if one is None or other is None or one.white.shape != other.white.shape:
+        return np.inf
+    return float(np.sum((one.white - other.white) ** 2))
 
 
 def profiled(bench: Bench, entry: Entry, best: float) -> Entry:

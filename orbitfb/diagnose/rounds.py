@@ -79,9 +79,15 @@ class Round:
         found: dict[str, Entry] = {}
         for entry in self.entries:
             near = self.accepted.weight - entry.weight < CLOSE
-            if near and entry.kind.id != self.accepted.kind.id:
+            if near and not entry.limit_of and entry.kind.id != self.accepted.kind.id:
                 found.setdefault(entry.kind.id, entry)
         return list(found.values())
+
+    def limits(self) -> tuple[str, ...]:
+        """Effects that amount to the winner here: it is a limit of their laws."""
+        law = "" if self.accepted is None else self.accepted.kind.id
+        found = (entry.kind.id for entry in self.entries if entry.limit_of == law)
+        return tuple(dict.fromkeys(found)) if law else ()
 
     def places_within(self) -> list[Entry]:
         """Other places of the winner's kind that the record cannot exclude."""

@@ -14,7 +14,7 @@ import numpy as np
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import SCAN_SHARE, Budget
 from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.entry import HOPELESS, Entry, alike_alike, enter, net, profiled
+from orbitfb.diagnose.entry import HOPELESS, Entry, alike_alike, enter, limits, net, profiled
 from orbitfb.diagnose.noise_levels import level_candidates
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.randomness import level_spares, noise_candidates
@@ -96,14 +96,14 @@ def tournament(
         else:
             again.append(profiled(bench, entry, entries[0].weight))
     tell("fitting", 1.0)
-    again = alike_alike(again)
+    again = limits(alike_alike(again))
     return _ranked((*again, *entries[REFITTED:]))
 
 
 def _ranked(every: Sequence[Entry]) -> list[Entry]:
     """Sort by rank; nothing weighs more than the first one less the difference of their ranks."""
     ranks = [_rank(entry, every) for entry in every]
-    order = sorted(range(len(every)), key=lambda index: ranks[index], reverse=True)
+    order = sorted(range(len(every)), key=lambda index: (-ranks[index], every[index].limit_of))
     if not order:
         return []
     most = every[order[0]].weight - ranks[order[0]]

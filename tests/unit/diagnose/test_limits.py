@@ -1,0 +1,36 @@
+"""Laws that amount to a simpler one in what a record holds."""
+
+import pytest
+from gap_cases import bench
+from test_scans import CORRECTORS, record_with
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.rounds import Round
+from orbitfb.diagnose.tournament import tournament
+from orbitfb.effects.registry import all_effects
+
+KINDS = [all_effects()[name] for name in ("corrector-gain", "corrector-hysteresis")]
+
+
+def round_on(there):
+    entries = tournament(there, KINDS)
+    return Round(there, tuple(entries), len(KINDS), entries[0])
+
+
+def test_a_play_wider_than_all_that_a_corrector_did_is_a_gain_error():
+    found = round_on(bench(with_error=True))
+    first, second = found.entries[:2]
+    assert (first.kind.id, first.limit_of) == ("corrector-gain", "")
+    assert (second.kind.id, second.limit_of) == ("corrector-hysteresis", "corrector-gain")
+    assert second.weight <= first.weight
+    assert found.rivals() == []
+    assert found.limits() == ("corrector-hysteresis",)
+
+
+@pytest.mark.parametrize("width", [2e-3, 2e-2])
+def test_a_play_within_the_moves_of_a_corrector_is_a_law_of_its_own(width):
+    effect = f"corrector-hysteresis:width={width},share=1,names={CORRECTORS[20]}"
+    found = round_on(Bench(record_with(effect, dither=1e-2)))
+    assert found.accepted.kind.id == "corrector-hysteresis"
+    assert not any(entry.limit_of for entry in found.entries)
+    assert found.limits() == ()
