@@ -11,10 +11,11 @@ from orbitfb.diagnose.background import Background
 from orbitfb.diagnose.changed import Change, Explained
 from orbitfb.diagnose.explain import Cause, actuated, explain, restored
 from orbitfb.diagnose.floor import estimate_floor
+from orbitfb.diagnose.healthy_search import Beyond, HealthySearch
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.quick import Quick, Single
-from orbitfb.diagnose.standing import FreeSteps, Innovations, stretches_across
+from orbitfb.diagnose.standing import FreeSteps, stretches_across
 from orbitfb.diagnose.uneven import uneven
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -22,21 +23,9 @@ from orbitfb.physics.optics import Matrix
 _PASSES = 2
 _FEW_LEVELS = 4
 """Of the ladder, while orbit and floor are not yet what they will be."""
-_MOST_STEPS = 8
-_SOLVED = 0.1
-"""Gain of a step of the background's sizes below which they are the best [nats]."""
-_CONVERGENCE = 0.15
-"""Most that a step of the search leaves of what there was to gain."""
 _SEEN = 1e-4
-"""The same as a share of what a change is seen with."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Near:
-    """Sizes of the background, shape (P,), and what they change in the innovations, (N, n)."""
-
-    sizes: Vector
-    change: Single | np.float32
+"""Gain of a step of the healthy errors below which they are the best, as a share of what a change
+is seen with."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +68,6 @@ class Bench:
         self.told_floor = floor is not None
         alike = modes is None and floor is None
         modes = NoiseModes.of(record.layout) if modes is None else modes
-        self._nearby = self._latest = _Near(np.zeros(0), np.zeros((0, 0), np.float32))
         self._base: _Base | None = None
         self._in_single: Quick | None = None
         self._steps: FreeSteps | None = None
@@ -96,15 +84,18 @@ class Bench:
                 record.layout, self.currents, self.orbit, record.starts, background
             )
             self.background.prepare(self.floor, _FEW_LEVELS)
-            self.sizes = self._healed(self.floor.whiten(leftover.left, record.starts))[1]
+            self._healthy = HealthySearch(self._quick, self.background)
+            white = self.floor.whiten(leftover.left, record.starts)
+            self.sizes = self._healthy.healed(white, self._beyond_with(()))[1]
             healthy = self.background.orbit(self.sizes)
             if alike:
                 modes = uneven(leftover.left - healthy, starts, record.layout, self.floor)
         self.floor = floor or estimate_floor(leftover.left - healthy, starts, modes)
         self.background.prepare(self.floor)
-        self.remember(self.sizes)
+        self._healthy = HealthySearch(self._quick, self.background)
+        self._healthy.remember(self.sizes)
         self.white, self.sizes, self.jacobian = self.residual(())
-        self.remember(self.sizes)
+        self._healthy.remember(self.sizes)
         self.slope = self.floor.adjoint(self.white, record.starts)
 
     def residual(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
@@ -117,27 +108,27 @@ class Bench:
             causes by row (N,): the log-likelihood is −½ Σ white² − ½ Σ sizes² + Σ log-Jacobian.
         """
         white, log_jacobian = self._with(causes)
-        return *self._healed(white, causes), log_jacobian
+        return *self._healthy.healed(white, self._beyond_with(causes)), log_jacobian
 
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
         """As `residual`, the sizes of the background left as they are: a first look at many."""
         white, log_jacobian = self._with(causes)
-        near = self._nearby
-        if len(near.sizes):
-            white = self._beyond(white - near.change, causes)
-        return white, near.sizes, log_jacobian
+        near = self._healthy.nearby
+        return self._beyond_with(causes)(white - near.change), near.sizes, log_jacobian
 
-    def _beyond(self, white: Innovations, causes: Sequence[Cause]) -> Innovations:
-        return self.free_steps.beyond(white, (*self.causes, *causes))
+    def _beyond_with(self, causes: Sequence[Cause]) -> Beyond:
+        """What takes out of innovations all that the first kicks of causes are free to do."""
+        every = (*self.causes, *causes)
+        return lambda white: self.free_steps.beyond(white, every)
 
     def _with(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
         """White innovations before healthy errors are taken out, and the log-Jacobian."""
         base = self._beside()
         if not causes:
-            return self._beyond(base.white, ()), base.explained.log_jacobian
+            return self._beyond_with(())(base.white), base.explained.log_jacobian
         change = base.explained.change(causes)
         white = base.white + self._whitened(change)
-        return self._beyond(white, causes), change.log_jacobian
+        return self._beyond_with(causes)(white), change.log_jacobian
 
     def energy(self, change: Matrix) -> float:
         """Sum the squares of a change of the prediction as the noise sees it.
@@ -159,8 +150,8 @@ class Bench:
         """
         white = self.floor.whiten(change, self.record.starts)
         enough = _SEEN * float(np.sum(white**2))
-        white, near = self._descend(white, self._nothing, enough)
-        return float(np.sum(white**2) + np.sum(near.sizes**2))
+        white, sizes = self._healthy.against(white, enough, self._beyond_with(()))
+        return float(np.sum(white**2) + np.sum(sizes**2))
 
     def _beside(self) -> "_Base":
         """What more causes are put beside, computed once for causes, orbit and floor."""
@@ -205,84 +196,12 @@ class Bench:
             z -= change.currents.astype(np.float32) @ made
         return quick.whiten_modes(z)
 
-    def _healed(self, white: Matrix, causes: Sequence[Cause] = ()) -> tuple[Matrix, Vector]:
-        """Take the best healthy errors out of what is left.
-
-        The search begins where the bench's errors are, or those of the last search, or at none,
-        whichever is best: errors that had swallowed a cause are far from those beside it.
-
-        Args:
-            white: What is left, shape (N, n).
-            causes: Whose first kicks are free, beside those of the bench.
-        """
-        start, best, least = self._nothing, white, float(np.vdot(white, white))
-        for near in (self._nearby, self._latest):
-            if len(near.sizes):
-                left = self._beyond(white - near.change, causes)
-                cost = float(np.vdot(left, left) + near.sizes @ near.sizes)
-                if cost < least:
-                    start, best, least = near, left, cost
-        white, self._latest = self._descend(best, start, _SOLVED, causes)
-        return white, self._latest.sizes
-
-    @property
-    def _nothing(self) -> _Near:
-        return _Near(self.background.nothing, np.float32(0.0))
-
-    def _descend(
-        self, white: Matrix, near: _Near, enough: float, causes: Sequence[Cause] = ()
-    ) -> tuple[Matrix, _Near]:
-        """Find the best healthy errors by preconditioned conjugate gradients.
-
-        The ladder's information is nearly exact, so the first step is nearly the answer, except
-        for changes that the record shows very well.
-
-        Args:
-            white: What is left with the errors at hand, shape (N, n).
-            near: Those errors.
-            enough: Gain of a step below which they are the best [nats].
-            causes: As for `_healed`.
-        """
-        quick, background = self._quick, self.background
-        sizes, moved = near.sizes, near.change
-        if not len(sizes):
-            return white, near
-
-        def slope() -> Vector:
-            return background.gradient(quick.adjoint(white.astype(np.float32)), sizes)
-
-        gradient = slope()
-        direction, before = np.zeros_like(sizes), 0.0
-        for _ in range(_MOST_STEPS):
-            step = background.step(gradient)
-            promise = float(gradient @ step)
-            if 0.5 * promise < enough:
-                break
-            direction = step + (promise / before if before else 0.0) * direction
-            before = promise
-            whole = quick.whiten(background.single_orbit(direction))
-            change = self._beyond(whole, causes)
-            length = float(gradient @ direction) / float(
-                np.vdot(change, change) + direction @ direction
-            )
-            sizes = sizes + length * direction
-            moved = moved + np.float32(length) * whole
-            white = white - np.float32(length) * change
-            if 0.5 * _CONVERGENCE * promise < enough:
-                break  # what is left to gain would not be enough: no need to look
-            gradient = slope()
-        return white, _Near(sizes, moved)
-
-    def remember(self, sizes: Vector) -> None:
-        """Begin to look for healthy errors at these, under the floor as it is."""
-        change = self._quick.whiten(self.background.single_orbit(sizes))
-        self._nearby = self._latest = _Near(sizes, change)
-
     def with_floor(self, floor: NoiseFloor) -> "Bench":
         """The same causes judged under another floor; the background's information stays."""
         other = copy.copy(self)
         other.floor = floor
-        other.remember(self.sizes)
+        other._healthy = HealthySearch(other._quick, self.background)
+        other._healthy.remember(self.sizes)
         other.white, other.sizes, other.jacobian = other.residual(())
         other.slope = floor.adjoint(other.white, self.record.starts)
         return other
