@@ -24,9 +24,13 @@ _STRIDES = (16, 8, 4, 2, 1, 1)
 """Rows by which a beginning is moved, one after the other."""
 _SAME = 0.02
 """Two fits leave the same when what they leave differs by less than this share of the gain."""
-_ONE_LAW = 1.0
+_ONE_LAW = 9.0
 """Two fits are one law when what they leave differs by less, summed over all squares of the white
-innovations: by less than the noise of one reading."""
+innovations, for every parameter that one has more: three standard deviations of what noise makes
+of a parameter that is not needed.
+"""
+_AT_MOST = 0.2
+"""The same as a share of the gain: the changes they make have a cosine of 0.95."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,8 +177,8 @@ def limits(entries: Sequence[Entry]) -> list[Entry]:
         simpler = [
             other
             for other in entries
-            if len(other.kind.parameters) < len(entry.kind.parameters)
-            and _apart(entry.fit, other.fit) < _ONE_LAW
+            if _apart(entry.fit, other.fit)
+            < min(_ONE_LAW * _more(entry.kind, other.kind), _AT_MOST * other.gain)
         ]
         law = min(simpler, key=lambda other: len(other.kind.parameters), default=None)
         if law is not None:
@@ -182,6 +186,11 @@ def limits(entries: Sequence[Entry]) -> list[Entry]:
             entry = replace(entry, limit_of=law.kind.id, weight=worth)
         marked.append(entry)
     return marked
+
+
+def _more(one: EffectKind, other: EffectKind) -> int:
+    """How many parameters one has more than the other; 0 if it does not."""
+    return max(len(one.parameters) - len(other.parameters), 0)
 
 
 def _apart(one: Fit | None, other: Fit | None) -> float:
