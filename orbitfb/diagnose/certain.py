@@ -8,6 +8,7 @@ import numpy as np
 from orbitfb.diagnose.answer_parts import Cause
 from orbitfb.diagnose.explain import Cause as Explaining
 from orbitfb.diagnose.finding import Finding
+from orbitfb.diagnose.integrity_repeats import HELD
 from orbitfb.diagnose.naming import devices_and_planes
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.layout import Layout
@@ -32,16 +33,18 @@ class Certain:
         causes: In the form of the answer.
         record: Without the BPMs that stand still; orbits that were read twice are filled in.
         given: Causes that the model has from the beginning.
+        held: BPMs left out because what was recorded is not what they read.
     """
 
     causes: tuple[Cause, ...]
     record: Record
     given: tuple[Explaining, ...] = ()
+    held: tuple[str, ...] = ()
 
     def without_given(self) -> "Certain":
         """The same without what was put into the model: it did not explain the record."""
         kept = tuple(cause for cause in self.causes if cause.effect not in _GIVEN)
-        return Certain(kept, self.record)
+        return Certain(kept, self.record, (), self.held)
 
 
 def certain_causes(record: Record, findings: Sequence[Finding], without: frozenset[str]) -> Certain:
@@ -53,9 +56,10 @@ def certain_causes(record: Record, findings: Sequence[Finding], without: frozens
         without: Ids of effects that must not be named.
     """
     causes: list[Cause] = []
-    frozen: set[int] = set()
+    held = tuple(name for f in findings if f.check == HELD for name in f.devices)
     labels = [record.layout.bpms.label(i) for i in range(len(record.layout.bpms))]
     names = record.layout.bpms.names
+    frozen = {index for index, label in enumerate(labels) if label in held}
     for finding in findings:
         told = finding.effect in (*_CERTAIN, *_GIVEN)
         if not told or not (finding.devices or finding.effect == "missed-read"):
@@ -70,7 +74,7 @@ def certain_causes(record: Record, findings: Sequence[Finding], without: frozens
         cut = with_bpms(cut, keep)
     proved = [f for f in findings if f.effect in _GIVEN and f.effect not in without]
     given = [cause for finding in proved for cause in _given(cut.layout, finding)]
-    return Certain(tuple(causes), cut, tuple(given))
+    return Certain(tuple(causes), cut, tuple(given), held)
 
 
 def _given(layout: Layout, finding: Finding) -> list[Explaining]:

@@ -10,9 +10,12 @@ import math
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.diagnose.finding import Finding, listed
+from orbitfb.diagnose.finding import Finding, Severity, listed
 from orbitfb.diagnose.integrity_steps import inner, runs
 from orbitfb.effects.record import Record
+
+HELD = "held-readings"
+"""Check that finds BPMs of which not every reading was recorded."""
 
 _CHANCE = 1e-6
 _SHORTEST_FREEZE = 8
@@ -26,6 +29,14 @@ _COARSE = 0.25
 _FEW_VALUES = 0.1
 _MARGIN = 1.5
 _FEWEST_OTHERS = 20
+_HELD = 0.05
+"""Share of rows in which a reading that is held repeats."""
+_MOSTLY = 0.8
+"""Share of the values at which they stay, and of their steps, that come only once."""
+_ALIKE = 1e-4
+"""Share of the median step by which steps that are alike differ."""
+_FEWEST_RUNS = 5
+"""Times that they do."""
 
 
 def check_repeats(record: Record) -> list[Finding]:
@@ -36,7 +47,15 @@ def check_repeats(record: Record) -> list[Finding]:
     equal &= inner(record)[:, None] & ~record.filled[1:] & ~record.filled[:-1]
     if len(equal) and np.median(np.ptp(record.readings, axis=0)) == 0.0:
         return _whole_orbits(record, np.ones(len(equal), dtype=np.bool_))
+    # Beside the usual one, at most every tenth BPM may be frozen, so they do not hide a whole.
     usual = float(np.median(equal.mean(axis=0)))
+    whole = (equal.mean(axis=1) >= _WHOLE) & (n >= _FEWEST_BPMS)
+    if usual > 0.0 and usual ** (_WHOLE * n) * len(whole) > _CHANCE:
+        whole[:] = False
+    single = equal & ~whole[:, None]
+    held = _held(record, single)
+    if 2 * len(held) > n:
+        return [_held_finding(record, held, single, everywhere=True)]
     if usual > _COARSE and np.median(_distinct(record)) < _FEW_VALUES:
         text = (
             f"{100 * usual:.0f} % of the readings equal the one before: the BPMs are read more "
@@ -44,18 +63,47 @@ def check_repeats(record: Record) -> list[Finding]:
             "does not hold"
         )
         return [Finding("coarse-readings", "warning", (), None, text)]
-    # Beside the usual one, at most every tenth BPM may be frozen, so they do not hide a whole.
-    whole = (equal.mean(axis=1) >= _WHOLE) & (n >= _FEWEST_BPMS)
-    if usual > 0.0 and usual ** (_WHOLE * n) * len(whole) > _CHANCE:
-        whole[:] = False
     found = _whole_orbits(record, whole)
     if found and found[0].severity == "failure":
         return found
-    single = equal & ~whole[:, None]
     usual = float(np.median(single.mean(axis=0)))
-    for column in np.flatnonzero(single.any(axis=0)):
-        found += _frozen(record, int(column), single[:, column], whole, usual)
-    return found
+    for column in np.flatnonzero(single.any(axis=0)).tolist():
+        found += _frozen(record, column, single[:, column], whole, usual)
+    told = {name for finding in found if finding.effect for name in finding.devices}
+    held = [column for column in held if record.layout.bpms.label(column) not in told]
+    return [_held_finding(record, held, single), *found] if held else found
+
+
+def _held(record: Record, single: Mask) -> list[int]:
+    """Find BPMs that stay for some rows again and again, each time at a value of its own."""
+    share = single.mean(axis=0) if len(single) else np.zeros(single.shape[1])
+    often = np.flatnonzero(share >= _HELD).tolist()
+    return [c for c in often if _ever_another(record.readings[:, c], single[:, c])]
+
+
+def _ever_another(readings: Vector, equal: Mask) -> bool:
+    """Whether there is no rail at which readings stay, and no grid on which they move."""
+    stays = np.array([readings[end] for _, end in runs(equal)])
+    steps = np.abs(np.diff(readings))
+    steps = steps[steps > 0.0]
+    if len(stays) < _FEWEST_RUNS or not len(steps):
+        return False
+    steps = np.round(steps / (_ALIKE * np.median(steps)))
+    return all(len(np.unique(v)) >= _MOSTLY * len(v) for v in (stays, steps))
+
+
+def _held_finding(
+    record: Record, columns: list[int], single: Mask, *, everywhere: bool = False
+) -> Finding:
+    share = float(np.median(single[:, columns].mean(axis=0)))
+    names = tuple(record.layout.bpms.label(column) for column in columns)
+    text = (
+        f"{len(names)} BPMs repeat their readings to the last bit in {100 * share:.0f} % of the "
+        f"rows, but never stay at one value again: {listed(names)}. They were held (by a dead-band "
+        "or a slower rate of what recorded them), not read; record them at every tick"
+    )
+    severity: Severity = "failure" if everywhere and share > _MOST_REPEATS else "warning"
+    return Finding(HELD, severity, () if everywhere else names, None, text)
 
 
 def _distinct(record: Record) -> Vector:
@@ -109,7 +157,7 @@ def _frozen(record: Record, column: int, equal: Mask, whole: Mask, usual: float)
             return [Finding("rail", "warning", (label,), (begin, end), text)]
         return [Finding("frozen-bpm", "warning", (label,), (begin, end), text, effect="bpm-stuck")]
     repeats = int(equal.sum())
-    if usual == 0.0 and repeats >= _PAIRS:
+    if usual == 0.0 and _PAIRS <= repeats < _HELD * len(equal):
         rows = np.flatnonzero(equal) + 1
         span = (int(rows[0]), int(rows[-1]))
         text = f"{label} repeats its reading before, to the last bit, in {repeats} single rows"

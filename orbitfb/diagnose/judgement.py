@@ -13,6 +13,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.ceiling import Ceiling, ceiling
 from orbitfb.diagnose.certain import Certain
 from orbitfb.diagnose.departure import Departure, departure
+from orbitfb.diagnose.finding import listed
 from orbitfb.diagnose.gof import audit, flagged_nats
 from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.rounds import CLOSE, SURE, Round
@@ -85,6 +86,8 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     unknown = None
     if state in ("unknown", "named_plus_remainder"):
         unknown = _unknown(outcome, departures, explained)
+    if certain.held:
+        state, unknown = beside_held(state, unknown, certain.held)
     return Judgement(state, tests, rest, explained, groups, unknown, departures)
 
 
@@ -109,6 +112,23 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
         return judged
     unknown = _unknown(outcome, judged.departures, judged.explained)
     return replace(judged, state=state, unknown=unknown)
+
+
+def beside_held(
+    state: State, unknown: Unknown | None, names: tuple[str, ...]
+) -> tuple[State, Unknown | None]:
+    """Say that BPMs were left out of which not every reading was recorded.
+
+    Args:
+        state: Of the record of the other BPMs.
+        unknown: What is known of its gap without a name.
+        names: Those that were left out.
+    """
+    text = f"Readings of {listed(names)} were held, not read: they are left out."
+    told = unknown or Unknown(stages={"sensor": 1.0}, places=names, text=text)
+    if state == "ambiguous":
+        return state, unknown
+    return ("unknown" if state in ("no_gap", "unknown") else "named_plus_remainder"), told
 
 
 def _state(

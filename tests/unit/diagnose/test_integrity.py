@@ -228,6 +228,39 @@ def test_orbits_that_never_move_are_not_readings_of_few_bits():
     assert found[0].check == "frozen-orbit"
 
 
+def logged(made, columns, band):
+    """What an archive with a dead-band keeps of readings: they stay until they changed by it."""
+    readings = made.readings.copy()
+    for row in range(1, len(readings)):
+        small = np.abs(made.readings[row] - readings[row - 1]) < band
+        same = np.isin(np.arange(len(small)), columns) & small
+        readings[row, same] = readings[row - 1, same]
+    return replace(made, readings=readings)
+
+
+def test_readings_that_an_archive_held_are_told_together():
+    made = record(ticks=400)
+    crate = range(30, 42)
+    found = only(logged(made, crate, 0.3e-6), "held-readings")
+    assert found.severity == "warning"
+    assert found.effect == ""
+    assert found.devices == tuple(made.layout.bpms.label(column) for column in crate)
+
+
+def test_an_archive_that_held_most_readings_is_no_record_of_the_orbit():
+    made = record(ticks=400)
+    found = only(logged(made, range(150), 0.5e-6), "held-readings")
+    assert found.severity == "failure"
+    assert is_hopeless([found])
+
+
+def test_a_few_repeats_are_no_more_than_a_note():
+    made = record(ticks=400)
+    readings = made.readings.copy()
+    readings[100:110:2, 33] = readings[99:109:2, 33]
+    assert only(replace(made, readings=readings), "repeated-readings").severity == "note"
+
+
 def test_readings_of_few_bits_are_not_frozen():
     made = record(ticks=600, steering_rms=30e-6)
     readings = 1e-6 * np.round(made.readings / 1e-6)
