@@ -12,6 +12,8 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate, held_to
 from orbitfb.diagnose.explain import Cause, explain
+from orbitfb.diagnose.innovation import stretches
+from orbitfb.diagnose.standing import stretches_across
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix
 
@@ -83,7 +85,8 @@ def _spectra(bench: Bench) -> tuple[Matrix, Vector, np.ndarray] | None:
     """Mean power (bins, modes) [m²] of the steps, lines per bin, and exp(−iω) of every bin."""
     floor, record = bench.floor, bench.record
     still = np.flatnonzero(floor.gains < _STILL)
-    longest = max(record.stretches, key=lambda part: part.stop - part.start)
+    pieces = stretches(stretches_across(record, bench.causes))
+    longest = max(pieces, key=lambda part: part.stop - part.start)
     if len(still) < _FEWEST_MODES or longest.stop - longest.start < _FEWEST_ROWS:
         return None
     left = explain(record, bench.causes, bench.orbit).left - bench.background.orbit(bench.sizes)

@@ -12,6 +12,8 @@ from scipy.signal.windows import tukey
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause, explain
+from orbitfb.diagnose.innovation import stretches
+from orbitfb.diagnose.standing import stretches_across
 from orbitfb.diagnose.strike_scan import strikes
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
@@ -65,7 +67,7 @@ class Spectra:
         self._shapes = bench.floor.modes.directions.T @ kind.patterns(record.layout)[:, places]
         self._parts: list[tuple[Spectrum, Spectrum, float]] = []
         self._alternate: list[Spectrum] = []
-        for stretch in record.stretches:
+        for stretch in stretches(stretches_across(record, bench.causes)):
             first, end, _ = within.indices(stretch.stop)
             rows = modal[max(stretch.start, first) : end]
             if len(rows) < SHORTEST:

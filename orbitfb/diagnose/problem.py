@@ -129,7 +129,9 @@ _NEGLIGIBLE = 1e-6
 
 def highest(parameter: Parameter, rate: float) -> float:
     """Largest value that a record of a rate [Hz] can tell: a higher frequency is an alias."""
-    return min(parameter.high, 0.5 * rate) if parameter.unit == "Hz" else parameter.high
+    return (
+        min(parameter.high, parameter.of_rate * rate) if parameter.unit == "Hz" else parameter.high
+    )
 
 
 def to_fitted(parameter: Parameter, value: float) -> float:

@@ -44,6 +44,8 @@ class Parameter:
         rough: Whether the likelihood jumps as it moves, because it decides row by row what
             happens: it is then searched without derivatives.
         whole: Whether only whole numbers make sense.
+        of_rate: Of a frequency: the highest that a record can tell, in units of its rate. Half of
+            it, for a line; what dies out within a tick has an answer beyond.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Parameter:
     log: bool = False
     rough: bool = False
     whole: bool = False
+    of_rate: float = 0.5
 
 
 class EffectKind(ABC):

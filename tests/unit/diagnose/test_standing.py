@@ -8,6 +8,7 @@ import pytest
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.noise_walk import walking_candidates
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.standing import FreeSteps
 from orbitfb.diagnose.tournament import _chosen, tournament
@@ -50,6 +51,14 @@ def test_the_first_kick_of_a_gradient_says_nothing_of_its_size(record, kick):
     low, high = best.fit.interval(0)
     assert low < 0.004 < high
     assert best.cause.places == (QUADRUPOLE,)
+
+
+@pytest.mark.parametrize("kick", [1e-6, -3e-6])
+def test_nothing_walks_where_a_first_kick_stayed(record, kick):
+    cause = Cause(GRADIENT, (QUADRUPOLE,), {"gradient": 0.004}, ONSET)
+    bench = Bench(stepped(record, kick), (cause,))
+    for name in ("energy-drift", "bpm-walk"):
+        assert all(one.gain < 9.0 for one in walking_candidates(bench, KINDS[name]))
 
 
 def test_what_a_first_kick_may_have_made_is_left_out_and_nothing_else(record):
