@@ -122,7 +122,8 @@ def added(record: Record, cause: Cause, currents: Matrix, orbit: Matrix) -> Matr
         change = kind.deflect(cause.values, own, currents[tail], orbit[tail])
     else:
         weights = np.zeros(len(kind.places_of(record.layout)))
-        weights[list(cause.places)] = 1.0
+        places = np.array(cause.places, dtype=np.intp)
+        weights[places] = kind.shares(record.layout, places)
         change = source_change(kind, cause.values, own, currents[tail], orbit[tail], weights)
     orbit_added[onset:] = change if kind.grows else change[onset:]
     return orbit_added

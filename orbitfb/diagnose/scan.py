@@ -28,7 +28,7 @@ from orbitfb.diagnose.scan_between import Heights, between
 from orbitfb.diagnose.scan_colour import of_colour
 from orbitfb.diagnose.scan_pairs import of_pairs
 from orbitfb.diagnose.scan_shapes import Changes, Scoring
-from orbitfb.diagnose.scan_special import of_ring, periodic
+from orbitfb.diagnose.scan_special import of_families, of_ring, periodic
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
@@ -61,6 +61,8 @@ class Scanner:
             found = list(of_ring(self._bench, self._scoring, kind))
         elif isinstance(kind, ActuatorKind | SensorKind | SourceKind):
             found = list(self._placed(kind))
+        if isinstance(kind, SourceKind):
+            found += of_families(self._bench, self._scoring, kind)
         if isinstance(kind, SensorKind) and kind.colours:
             found += of_colour(self._bench, kind)
         best: dict[tuple[tuple[int, ...], bool, bool], Candidate] = {}

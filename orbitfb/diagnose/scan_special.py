@@ -1,6 +1,7 @@
 """Scan what has no grid of places: the whole ring, a line of the spectrum."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from orbitfb.diagnose.candidate import (
     best_strength,
     sized,
 )
-from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.explain import Cause, added
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import Values
@@ -46,6 +47,27 @@ def of_ring(bench: Bench, scoring: Scoring, kind: RingKind | ActuatorKind) -> It
             yield Candidate(Cause(kind, (), scaled), float(gain[0]), 1.0)
         if kind.sudden and not kind.grows:
             yield from _ring_onset(bench, scoring, kind, values, change)
+
+
+def of_families(bench: Bench, scoring: Scoring, kind: SourceKind) -> Iterator[Candidate]:
+    """Try the sets of places that an effect may strike together, from the beginning on.
+
+    Args:
+        bench: The record under the causes so far.
+        scoring: On that bench.
+        kind: The effect.
+    """
+    families = kind.families(bench.record.layout)
+    for values in kind.grid(bench.record):
+        for name, places in families.items():
+            cause = Cause(kind, tuple(places.tolist()), values)
+            change = added(bench.record, cause, bench.currents, bench.orbit)
+            # Many places at once act much like healthy errors, which have what they can.
+            info = np.array([bench.information(change)])
+            strength, gain = best_strength(kind, scoring.whole(change)[0], info)
+            if gain[0] > 0:
+                scaled = replace(cause, values=sized(kind, values, float(strength[0])))
+                yield Candidate(scaled, float(gain[0]), float(len(families)), name)
 
 
 def _ring_onset(

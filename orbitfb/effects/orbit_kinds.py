@@ -6,10 +6,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
 
 Courses = NDArray[np.float64]
 """Courses in time of P places: (N, P), (N, 1), or by plane (2, N, P)."""
@@ -34,6 +36,14 @@ class SourceKind(EffectKind):
     @abstractmethod
     def places_of(self, layout: Layout) -> tuple[str, ...]:
         """Names of the P places that it may have (with the plane where that matters)."""
+
+    def families(self, layout: Layout) -> dict[str, Indices]:
+        """Sets of places that it may strike together, by name; none as a rule."""
+        return {}
+
+    def shares(self, layout: Layout, places: Indices) -> Vector:
+        """How much of the effect each of k places has that it strikes together, shape (k,)."""
+        return np.ones(len(places))
 
     @abstractmethod
     def patterns(self, layout: Layout) -> Matrix:

@@ -14,6 +14,7 @@ from orbitfb.physics.optics import Matrix, green
 from orbitfb.physics.places import Indices
 
 _ITERATIONS = 8
+_MOST_FAMILIES = 20
 _APERTURE = 0.03
 """Largest orbit that is looked at; the beam would hit the wall [m]."""
 
@@ -33,7 +34,8 @@ class Sextupole(SourceKind):
             nominal=0.0,
             typical=5.0,
             description="Integrated strength b2L beyond the model's, which has none if it is "
-            "linear.",
+            "linear; of several sextupoles the mean size, their ratios and signs being those of "
+            "the table of places.",
         ),
     )
     title = "sextupole that the model does not have"
@@ -55,29 +57,51 @@ class Sextupole(SourceKind):
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
     ) -> Effect:
         """Find the closed orbit through the sextupoles, tick by tick."""
-        return _ThroughSextupoles(layout, places, values["strength"])
+        strengths = values["strength"] * self.shares(layout, places)
+        return _ThroughSextupoles(layout, places, strengths)
 
     def places_of(self, layout: Layout) -> tuple[str, ...]:
         """Every sextupole."""
         return layout.known_ring.names("SEXT")
+
+    def families(self, layout: Layout) -> dict[str, Indices]:
+        """All of them, which a linear model lacks, and those of one strength in the table."""
+        names, strengths = self.places_of(layout), layout.known_ring.strength("SEXT")
+        _, firsts, family = np.unique(strengths, return_index=True, return_inverse=True)
+        found = {f"family of {names[one]}": family == index for index, one in enumerate(firsts)}
+        whole = {"all": np.ones(len(names), dtype=np.bool_)}
+        kept = found if len(found) <= _MOST_FAMILIES else {}
+        return {name: np.flatnonzero(own) for name, own in {**whole, **kept}.items()}
+
+    def shares(self, layout: Layout, places: Indices) -> Vector:
+        """Strengths in the table, in units of the mean size; 1 of one alone."""
+        strengths = layout.known_ring.strength("SEXT")[places]
+        mean = float(np.mean(np.abs(strengths))) if len(places) > 1 else 0.0
+        return strengths / mean if mean else np.ones(len(places))
 
     def patterns(self, layout: Layout) -> Matrix:
         """Orbit per kick, both planes."""
         return two_planes(layout, "SEXT")
 
     def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
-        """Kicks to second order in the orbit."""
+        """Kicks to second order in the orbit.
+
+        Correctors as a rule hold what makes up for misalignments that nobody knows: then only
+        their changes tell more of the orbit between the BPMs than these do.
+        """
         layout = record.layout
-        besides = orbit - currents @ layout.response.T
+        held = orbit[0] - currents[0] @ layout.response.T
+        moved = currents - currents[:1] if held @ held > orbit[0] @ orbit[0] else currents
+        besides = orbit - moved @ layout.response.T
         x, y = (
-            currents @ layout.orbit_at("SEXT", plane).T
+            moved @ layout.orbit_at("SEXT", plane).T
             + besides @ interpolation(layout, "SEXT", plane).T
             for plane in PLANES
         )
-        return np.stack(_kicks(values["strength"], x, y))
+        return np.stack(_kicks(np.array([values["strength"]]), x, y))
 
 
-def _kicks(strength: float, x: Matrix, y: Matrix) -> tuple[Matrix, Matrix]:
+def _kicks(strength: Vector, x: Matrix, y: Matrix) -> tuple[Matrix, Matrix]:
     return -strength * (x**2 - y**2), 2.0 * strength * x * y
 
 
@@ -88,7 +112,7 @@ class _ThroughSextupoles(Effect):
     currents are remembered from `actuate`, so effects on correctors must come before it.
     """
 
-    def __init__(self, layout: Layout, sextupoles: Indices, strength: float) -> None:
+    def __init__(self, layout: Layout, sextupoles: Indices, strength: Vector) -> None:
         ring = layout.known_ring
         places = ring.places("SEXT")[sextupoles]
         self._response, self._strength = layout.response, strength

@@ -90,7 +90,7 @@ def told(kind, layout, places, values, setpoints, orbit, auxiliary=None):
     if isinstance(kind, RingKind):
         return kind.deflect(values, record, setpoints, orbit)
     weights = np.zeros(len(kind.places_of(layout)))
-    weights[places] = 1.0
+    weights[places] = kind.shares(layout, np.array(places, dtype=np.intp))
     return source_change(kind, values, record, setpoints, orbit, weights)
 
 
@@ -253,6 +253,24 @@ def test_sextupoles_bend_the_orbit_as_the_fixed_point_does(ring, planes):
     near(after - before, wanted, 1e-6)
     change = told(kind, layout, [place], {"strength": strength}, setpoints, np.array(orbits))
     near(change, wanted, 1e-2)  # the orbit in the sextupole, from the BPMs
+
+
+@pytest.mark.parametrize("family", ["all", "family of SM2_C30"])
+def test_sextupoles_that_act_together_have_the_ratios_of_the_table(ring, layout, family):
+    kind = effect("sextupole")
+    places = kind.families(layout)[family]
+    chosen = ring.places("SEXT")[places]
+    strengths = np.zeros_like(ring.table.strength)
+    strengths[chosen] = ring.table.strength[chosen]
+    oracle = SextupoleOrbit(replace(ring, table=replace(ring.table, strength=strengths)))
+    setpoints = currents_of(layout, 4, rms=0.005)
+    kicks = setpoints * ring.calibration("x")
+    orbits = np.array([oracle.solve(row, np.zeros(180)).x for row in kicks])
+    wanted = orbits - setpoints @ layout.response.T
+    values = {"strength": float(np.mean(np.abs(ring.table.strength[chosen])))}
+    after, before = simulated(kind, layout, places, values, setpoints)
+    near(after - before, wanted, 1e-6)
+    near(told(kind, layout, places, values, setpoints, orbits), wanted, 3e-2)
 
 
 def test_an_orbit_of_disturbances_feeds_down(ring, layout):
