@@ -24,7 +24,7 @@ GAIN_RMS = 0.01
 BEAT_RMS = 0.015
 """Beta-beat of gradient errors that is taken as healthy, rms over both planes [1]."""
 
-TUNE_RMS = 0.002
+TUNE_RMS = 0.003
 """By how much a tune may be off: it is measured, and quadrupoles are trimmed until it is right."""
 
 OPTICS_RMS = 0.025

@@ -6,33 +6,28 @@ so a = s / J and the gain is ½ s² / J. δ is a pattern times a driver, so that
 one product with λ and J a sum over a few ladder filters.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import (
-    FIRST_ONSET,
     KEPT,
-    LAST_ONSET,
     Candidate,
     best_strength,
-    sized,
 )
-from orbitfb.diagnose.device_groups import groups_of
-from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.innovation import information
 from orbitfb.diagnose.problem import highest
 from orbitfb.diagnose.scan_between import Heights, between
 from orbitfb.diagnose.scan_colour import of_colour
+from orbitfb.diagnose.scan_groups import Groups, of_groups, of_places
+from orbitfb.diagnose.scan_onsets import growing, onsets
 from orbitfb.diagnose.scan_pairs import of_pairs
 from orbitfb.diagnose.scan_shapes import Changes, Scoring
 from orbitfb.diagnose.scan_special import of_families, of_ring, periodic
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
-from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
 _WORTH = 3.0
@@ -104,16 +99,22 @@ class Scanner:
             shapes = self._scoring.correctors()
             for values in kind.hints(self._bench.currents, shapes.pull, self._bench.record):
                 yield from look(values)
+        layout, groups = self._bench.record.layout, dict[int, Groups]()
         if "all" in closer:
-            yield from self._groups(kind, *closer["all"][1:])
-            if closer["cell"][1] is not closer["all"][1]:
-                yield from self._groups(kind, *closer["cell"][1:])
+            for _, values, changes in (closer["all"], closer["cell"]):
+                if id(changes) not in groups:
+                    own = groups[id(changes)] = Groups.of(self._scoring, layout, kind, changes)
+                    yield from of_groups(kind, values, changes.score, own)
         if kind.sudden and kind.grows:
-            yield from self._growing(kind, grid)
+            yield from growing(self._scoring, kind, grid)
         elif kind.sudden and "single" in closer:
-            yield from self._onsets(kind, *closer["single"][1:])
+            _, values, changes = closer["single"]
+            own = groups.get(id(changes))
+            if own is None and "all" in closer:
+                own = Groups.of(self._scoring, layout, kind, changes)
+            yield from onsets(self._scoring, kind, values, changes, own)
             if isinstance(kind, ActuatorKind) and kind.linear is not None:
-                yield from self._onsets(kind, *closer["single"][1:], free=True)
+                yield from onsets(self._scoring, kind, values, changes, own, free=True)
 
     def _grid(self, kind: EffectKind) -> list[Values]:
         """Values to look at, but those that the rate of the record cannot show."""
@@ -165,134 +166,4 @@ class Scanner:
         if kind.linear is None and score.max(initial=0.0) < _WORTH:
             return  # a change cannot gain more than its score
         info, absorbed = changes.information
-        yield from self._singles(kind, values, score, info * (1.0 - absorbed))
-
-    def _singles(
-        self, kind: EffectKind, values: Values, score: Vector, info: Vector
-    ) -> Iterator[Candidate]:
-        strength, gain = best_strength(kind, score, info)
-        for place in np.argsort(gain)[::-1][:KEPT]:
-            if gain[place] > 0:
-                yield Candidate(
-                    Cause(kind, (int(place),), sized(kind, values, float(strength[place]))),
-                    float(gain[place]),
-                    len(score),
-                )
-
-    def _groups(self, kind: EffectKind, values: Values, changes: Changes) -> Iterator[Candidate]:
-        """Try all devices, those of a plane, and every run of neighbouring cells."""
-        layout = self._bench.record.layout
-        devices = layout.correctors if isinstance(kind, ActuatorKind) else layout.bpms
-        score = changes.score
-        (shapes, drivers), *_ = changes.parts
-        matrix = information(shapes.fine, self._scoring.courses(drivers))
-        absorbed = changes.information[1]
-        keep = np.sqrt(1.0 - absorbed)
-        matrix *= np.outer(keep, keep)
-        groups = list(groups_of(devices.groups(), len(devices), devices.planes))
-        member = np.zeros((len(groups), len(devices)))
-        for row, (_, columns) in enumerate(groups):
-            member[row, columns] = 1.0
-        info = np.einsum("gp,gp->g", member @ matrix, member)
-        strength, gain = best_strength(kind, member @ score, info)
-        yield from self._singles(kind, values, score, np.diagonal(matrix))
-        # a group that gains no more than one of its devices is that device
-        alone = best_strength(kind, score, np.diagonal(matrix))[1]
-        gain[gain <= np.max(member * alone, axis=1)] = 0.0
-        for group in np.argsort(gain)[::-1][:KEPT]:
-            if gain[group] > 0:
-                name, members = groups[int(group)]
-                scaled = sized(kind, values, float(strength[group]))
-                yield Candidate(
-                    Cause(kind, tuple(int(i) for i in members), scaled),
-                    float(gain[group]),
-                    float(len(groups)),
-                    name,
-                )
-
-    def _onsets(
-        self, kind: EffectKind, values: Values, changes: Changes, *, free: bool = False
-    ) -> Iterator[Candidate]:
-        """Try every row as the beginning, place by place; with a free first step if so asked."""
-        score = _sum(shapes.pull * drivers for shapes, drivers in changes.parts)
-        later_score = np.cumsum(score[::-1], axis=0)[::-1]
-        later = np.zeros_like(later_score)
-        row = np.arange(len(score), dtype=np.float64)
-        short = 1.0 / np.maximum(row, 1.0) + 1.0 / (len(row) - row)
-        holds = free or holding(kind)
-        if holds:
-            for shapes, drivers in changes.parts:
-                pull = np.cumsum(shapes.pull[::-1], axis=0)[::-1]
-                later_score = later_score - pull * drivers
-        for shapes, drivers in changes.parts:
-            for shape, course, feedback in zip(
-                shapes.fine,
-                self._scoring.courses(drivers),
-                self._scoring.ladder.feedback,
-                strict=True,
-            ):
-                size = np.sum(shape**2, axis=0)
-                later += size * np.cumsum((course**2)[::-1], axis=0)[::-1]
-                if not holds:
-                    # A step is seen against the rows before it that the filter remembers, by the
-                    # rows after it until the filter has followed.
-                    later += size * drivers**2 / (1.0 - feedback**2 + short)[:, None]
-        strength, gain = best_strength(kind, later_score, later)
-        gain[:FIRST_ONSET] = 0.0
-        gain[len(gain) - LAST_ONSET :] = 0.0
-        best = np.argmax(gain, axis=0)
-        height = gain[best, np.arange(gain.shape[1])]
-        for place in np.argsort(height)[::-1][:KEPT]:
-            row = int(best[place])
-            if height[place] > 0:
-                scaled = sized(kind, values, float(strength[row, place]))
-                yield Candidate(
-                    Cause(kind, (int(place),), scaled, row, free),
-                    float(height[place]),
-                    float(gain.size),
-                )
-
-    def _growing(
-        self, kind: ActuatorKind | SensorKind | SourceKind, grid: Sequence[Values]
-    ) -> Iterator[Candidate]:
-        """Try every row as the beginning of what grows from nothing there.
-
-        Its course is the same from every row on, only later: the scores of all rows are one
-        correlation, and what the record tells of it sums up from the end. A course that all
-        places share is assumed, and one unbroken stretch.
-        """
-        for values in grid:
-            (shapes, drivers), *_ = self._scoring.changes(kind, values).parts
-            rows, course = len(drivers), drivers[:, :1]
-            turned = np.conj(np.fft.rfft(course, 2 * rows, axis=0))
-            pulled = np.fft.rfft(shapes.pull, 2 * rows, axis=0)
-            score = np.fft.irfft(pulled * turned, axis=0)[:rows]
-            info: Vector = np.zeros(score.shape)
-            for shape, left in zip(shapes.fine, self._scoring.courses(course), strict=True):
-                energy = np.cumsum(left[:, 0] ** 2)[::-1]
-                info += energy[:, None] * np.sum(shape**2, axis=0)
-            strength, gain = best_strength(kind, score, info)
-            gain[:FIRST_ONSET] = 0.0
-            gain[rows - LAST_ONSET :] = 0.0
-            best = np.argmax(gain, axis=0)
-            height = gain[best, np.arange(gain.shape[1])]
-            for place in np.argsort(height)[::-1][:KEPT]:
-                row = int(best[place])
-                if height[place] > 0:
-                    scaled = sized(kind, values, float(strength[row, place]))
-                    cause = Cause(kind, (int(place),), scaled, row)
-                    yield Candidate(cause, float(height[place]), float(gain.size))
-
-
-def holding(kind: EffectKind) -> bool:
-    """Whether it makes no step where it begins: a corrector holds what it had, or it is free."""
-    if isinstance(kind, ActuatorKind):
-        return not kind.vanishes
-    return isinstance(kind, SourceKind) and kind.standing
-
-
-def _sum(terms: Iterator[Matrix]) -> Matrix:
-    total = next(terms)
-    for term in terms:
-        total = total + term
-    return total
+        yield from of_places(kind, values, score, info * (1.0 - absorbed))

@@ -102,5 +102,9 @@ def test_currents_that_stand_still_hide_no_leak():
     made = LAYOUT.response[:, first] + share * LAYOUT.response[:, second]
     steered = replace(record, setpoints=setpoints, readings=kept + np.outer(course, made))
     kind = all_effects()["corrector-crosstalk"]
-    found = Scanner(Bench(steered)).candidates(kind)[0]
-    assert tuple(kind.pairs(LAYOUT)[found.cause.places[0]]) == (first, second)
+    pairs = kind.pairs(LAYOUT)
+    found = Scanner(Bench(steered, background=0.0)).candidates(kind)[0]
+    assert tuple(pairs[found.cause.places[0]]) == (first, second)
+    assert found.cause.values["share"] == pytest.approx(share, rel=0.1)
+    beside = [one.cause for one in Scanner(Bench(steered)).candidates(kind)]
+    assert {pairs[cause.places[0]][0] for cause in beside if not cause.onset} == {first}

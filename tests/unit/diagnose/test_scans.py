@@ -264,3 +264,11 @@ def test_tails_of_a_crate_that_are_twice_the_noise_have_their_size():
     found = latent_candidates(bench, all_effects()["noise-tails"])[0]
     assert {BPMS[place] for place in found.cause.places} == {n for n in BPMS if n.endswith("C09")}
     assert abs(found.cause.values["amplitude"] / size - 1.0) < 0.2
+
+
+def test_a_crate_may_begin_to_be_late_in_the_middle_of_a_record():
+    struck = [name for name in BPMS if name.endswith("C09")]
+    record = record_with(f"bpm-latency:ticks=1,names={'+'.join(struck)},from=55s", dither=2e-3)
+    found = best(record, "bpm-latency")
+    assert [BPMS[place] for place in found.cause.places] == struck
+    assert abs(found.cause.onset - 350) < 30  # the record begins after 20 s

@@ -1,0 +1,158 @@
+"""Try every row of a record as the beginning of an effect."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.candidate import (
+    FIRST_ONSET,
+    KEPT,
+    LAST_ONSET,
+    Candidate,
+    best_strength,
+    sized,
+)
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.scan_groups import Groups
+from orbitfb.diagnose.scan_shapes import Changes, Scoring
+from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
+from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.orbit_kinds import SourceKind
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Beginnings:
+    """Best row of S sets of places with strength and gain there, (S,); out of how many rows."""
+
+    row: Indices
+    strength: Vector
+    gain: Vector
+    choices: float
+
+
+def onsets(
+    scoring: Scoring,
+    kind: EffectKind,
+    values: Values,
+    changes: Changes,
+    groups: Groups | None,
+    *,
+    free: bool = False,
+) -> Iterator[Candidate]:
+    """Try every row as the beginning, place by place and group by group.
+
+    Args:
+        scoring: On a bench.
+        kind: The effect.
+        values: That made the changes.
+        changes: Of all places.
+        groups: Of them; None where each is struck by itself.
+        free: Whether the first step is free.
+    """
+    score = _sum(shapes.pull * drivers for shapes, drivers in changes.parts)
+    later_score = np.cumsum(score[::-1], axis=0)[::-1]
+    later = np.zeros_like(later_score)
+    row = np.arange(len(score), dtype=np.float64)
+    short = 1.0 / np.maximum(row, 1.0) + 1.0 / (len(row) - row)
+    holds = free or holding(kind)
+    if holds:
+        for shapes, drivers in changes.parts:
+            pull = np.cumsum(shapes.pull[::-1], axis=0)[::-1]
+            later_score = later_score - pull * drivers
+    for shapes, drivers in changes.parts:
+        for shape, course, feedback in zip(
+            shapes.fine,
+            scoring.courses(drivers),
+            scoring.ladder.feedback,
+            strict=True,
+        ):
+            size = np.sum(shape**2, axis=0)
+            later += size * np.cumsum((course**2)[::-1], axis=0)[::-1]
+            if not holds:
+                # A step is seen against the rows before it that the filter remembers, by the
+                # rows after it until the filter has followed.
+                later += size * drivers**2 / (1.0 - feedback**2 + short)[:, None]
+    single = _highest(kind, later_score, later)
+    sets = [((place,), "") for place in range(later.shape[1])]
+    yield from _beginnings(kind, values, single, sets, free=free)
+    if groups is not None:
+        # from every row on neighbours hide as much of each other as over the whole record
+        member = groups.member
+        hidden = groups.information / np.maximum(member @ groups.alone, 1e-300)
+        found = _highest(kind, later_score @ member.T, (later @ member.T) * hidden)
+        # a group that gains no more than one of its devices is that device
+        found.gain[found.gain <= np.max(member * single.gain, axis=1)] = 0.0
+        sets = [*zip(groups.places, groups.names, strict=True)]
+        yield from _beginnings(kind, values, found, sets, free=free)
+
+
+def growing(
+    scoring: Scoring, kind: ActuatorKind | SensorKind | SourceKind, grid: Sequence[Values]
+) -> Iterator[Candidate]:
+    """Try every row as the beginning of what grows from nothing there.
+
+    Its course is the same from every row on, only later: the scores of all rows are one
+    correlation, and what the record tells of it sums up from the end. A course that all
+    places share is assumed, and one unbroken stretch.
+
+    Args:
+        scoring: On a bench.
+        kind: The effect.
+        grid: Values to try.
+    """
+    for values in grid:
+        (shapes, drivers), *_ = scoring.changes(kind, values).parts
+        rows, course = len(drivers), drivers[:, :1]
+        turned = np.conj(np.fft.rfft(course, 2 * rows, axis=0))
+        pulled = np.fft.rfft(shapes.pull, 2 * rows, axis=0)
+        score = np.fft.irfft(pulled * turned, axis=0)[:rows]
+        info: Vector = np.zeros(score.shape)
+        for shape, left in zip(shapes.fine, scoring.courses(course), strict=True):
+            energy = np.cumsum(left[:, 0] ** 2)[::-1]
+            info += energy[:, None] * np.sum(shape**2, axis=0)
+        sets = [((place,), "") for place in range(score.shape[1])]
+        yield from _beginnings(kind, values, _highest(kind, score, info), sets)
+
+
+def holding(kind: EffectKind) -> bool:
+    """Whether it makes no step where it begins: a corrector holds what it had, or it is free."""
+    if isinstance(kind, ActuatorKind):
+        return not kind.vanishes
+    return isinstance(kind, SourceKind) and kind.standing
+
+
+def _highest(kind: EffectKind, score: Matrix, info: Matrix) -> _Beginnings:
+    """Find the best row of every set from scores and information from every row on, (N, S)."""
+    strength, gain = best_strength(kind, score, info)
+    gain[:FIRST_ONSET] = 0.0
+    gain[len(gain) - LAST_ONSET :] = 0.0
+    row, column = np.argmax(gain, axis=0), np.arange(gain.shape[1])
+    return _Beginnings(row, strength[row, column], gain[row, column], float(gain.size))
+
+
+def _beginnings(
+    kind: EffectKind,
+    values: Values,
+    found: _Beginnings,
+    sets: Sequence[tuple[tuple[int, ...], str]],
+    *,
+    free: bool = False,
+) -> Iterator[Candidate]:
+    """Propose the best of them; sets are the places of each, with a name."""
+    for index in np.argsort(found.gain)[::-1][:KEPT]:
+        if found.gain[index] > 0:
+            places, name = sets[int(index)]
+            scaled = sized(kind, values, float(found.strength[index]))
+            cause = Cause(kind, places, scaled, int(found.row[index]), free)
+            yield Candidate(cause, float(found.gain[index]), found.choices, name)
+
+
+def _sum(terms: Iterator[Matrix]) -> Matrix:
+    total = next(terms)
+    for term in terms:
+        total = total + term
+    return total
