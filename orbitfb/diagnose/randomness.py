@@ -5,7 +5,7 @@ With g = S⁻¹ e, adding κ b bᵀ to the covariance of the innovations changes
 largest where 1 + κ a is the mean of (bᵀ g)² / a.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import comb
 
@@ -40,6 +40,8 @@ EDGE = 60
 """Rows at both ends of a record within which no level changes."""
 _STRIKING = 5.0
 """Standard deviations from which a place is struck for itself, wherever the others stand."""
+_IN_COMMON = 1 / 3
+"""Share of the wandering of healthy levels that neighbours have in common."""
 _MANY_STRIKE = 0.25
 """Share of all places beyond which they are no exceptions."""
 
@@ -63,7 +65,7 @@ def noise_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
     return sorted(found, key=lambda c: c.gain - np.log(c.choices), reverse=True)[:_KEPT]
 
 
-def beyond_healthy(gain: Vector, ratio: Vector, scatter: float = WITHIN) -> Vector:
+def beyond_healthy(gain: Vector, ratio: Vector, scatter: float | Vector = WITHIN) -> Vector:
     """Judge a change of a variance against the wandering of healthy levels too.
 
     Args:
@@ -180,18 +182,18 @@ def _sets(
     for members in (np.flatnonzero(seen * sign > _STRIKING * deviation) for sign in (1.0, -1.0)):
         if 2 <= len(members) <= _MANY_STRIKE * len(seen):
             yield members, "", float(comb(len(seen), len(members)))
-    # All of them are what the floor is made of.
-    groups = [
-        (name, members)
-        for name, members in groups_of(bpms.groups(), len(bpms), bpms.planes)
-        if 2 * len(members) <= len(bpms)
-    ]
-    if not groups:
-        return
+    groups = _crates(bench)
     weight = [abs(float(np.sum(seen[members]))) / np.sqrt(len(members)) for _, members in groups]
     for index in np.argsort(weight)[::-1][:_KEPT]:
         name, members = groups[int(index)]
         yield members, name, float(len(groups))
+
+
+def _crates(bench: Bench) -> list[tuple[str, Indices]]:
+    """Groups of BPMs with names; all of them are what the floor is made of."""
+    bpms = bench.record.layout.bpms
+    groups = groups_of(bpms.groups(), len(bpms), bpms.planes)
+    return [(name, members) for name, members in groups if 2 * len(members) <= len(bpms)]
 
 
 def _scatter(values: Vector, chance: float, least: float) -> float:
@@ -218,6 +220,33 @@ def _sudden(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
                 float(height[place]),
                 float(len(height)),
             )
+    if kind.collective and kind.target == "bpm" and (groups := _crates(bench)):
+        yield from _sudden_crates(bench, kind, squares, size, groups)
+
+
+def _sudden_crates(
+    bench: Bench,
+    kind: NoiseKind,
+    squares: Matrix,
+    size: Vector,
+    groups: Sequence[tuple[str, Indices]],
+) -> Iterator[Candidate]:
+    """The same of BPMs together, each beside its own mean; their gains add up."""
+    usual = np.maximum(squares.mean(axis=0), 1e-300)
+    member = np.zeros((len(groups), squares.shape[1]))
+    for row, (_, members) in enumerate(groups):
+        member[row, members] = 1.0
+    count = member.sum(axis=1)
+    rows, gain, early, late = parted((squares / usual) @ (member / count[:, None]).T)
+    apart = WITHIN * np.hypot(1.0 / np.sqrt(count), _IN_COMMON)
+    height = beyond_healthy(count * gain - np.log(len(squares)), late / early, apart)
+    for index in np.argsort(height)[::-1][:_KEPT]:
+        name, members = groups[int(index)]
+        added = float(late[index] - early[index]) * float(np.mean(usual[members] / size[members]))
+        values = values_of(kind, added, usual_reading(bench, kind, members))
+        if values is not None:
+            cause = Cause(kind, tuple(members.tolist()), values, int(rows[index]))
+            yield Candidate(cause, float(height[index]), float(len(groups)), name)
 
 
 def parted(squares: Matrix) -> tuple[Indices, Vector, Vector, Vector]:

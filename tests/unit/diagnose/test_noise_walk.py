@@ -10,6 +10,7 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_departure import noise_laws
 from orbitfb.diagnose.noise_walk import walking_candidates
 from orbitfb.diagnose.random_values import state
+from orbitfb.diagnose.randomness import noise_candidates
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import build, layout_of
 from orbitfb.effects.registry import all_effects
@@ -35,6 +36,16 @@ def test_a_crate_that_walks_far_below_its_noise_is_found():
     assert found.gain > 50.0
     low, high = state(bench, found.cause).intervals["step"]
     assert low < 15e-9 < high
+
+
+def test_a_crate_may_become_noisier_in_the_middle_of_a_record():
+    record = record_with("noise-level:factor=1.2,cells=C14,from=65s")
+    found = noise_candidates(Bench(record), all_effects()["noise-level"])[0]
+    assert found.group == "C14"
+    assert abs(found.cause.onset - 450) < 30  # the record begins after 20 s
+    assert found.cause.values["factor"] == pytest.approx(1.2, abs=0.05)
+    quiet = noise_candidates(Bench(record_with()), all_effects()["noise-level"])
+    assert all(one.gain - np.log(one.choices) < 3.0 for one in quiet)
 
 
 def test_nothing_walks_in_a_quiet_record():
