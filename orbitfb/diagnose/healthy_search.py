@@ -110,7 +110,7 @@ class HealthySearch:
         for _ in range(_MOST_STEPS):
             step = background.step(gradient)
             promise = float(gradient @ step)
-            if 0.5 * promise < enough:
+            if 0.5 * promise <= enough:  # nothing to gain at all, of a change that is none
                 break
             direction = step + (promise / before if before else 0.0) * direction
             before = promise
@@ -122,7 +122,7 @@ class HealthySearch:
             sizes = sizes + length * direction
             moved = moved + np.float32(length) * whole
             white = white - np.float32(length) * change
-            if 0.5 * _CONVERGENCE * promise < enough:
+            if 0.5 * _CONVERGENCE * promise <= enough:
                 break  # what is left to gain would not be enough: no need to look
             gradient = slope()
         return white, Near(sizes, moved)
