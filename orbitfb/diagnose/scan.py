@@ -6,12 +6,13 @@ so a = s / J and the gain is ½ s² / J. δ is a pattern times a driver, so that
 one product with λ and J a sum over a few ladder filters.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.candidate import (
     KEPT,
     Candidate,
@@ -30,6 +31,8 @@ from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.physics.places import Indices
 
+_STRIKING = 8.0
+"""Gain from which a group that is struck late is looked at closely [nats]."""
 _WORTH = 3.0
 """Gain below which a candidate is not looked at [nats]."""
 
@@ -112,9 +115,27 @@ class Scanner:
             own = groups.get(id(changes))
             if own is None and "all" in closer:
                 own = Groups.of(self._scoring, layout, kind, changes)
-            yield from onsets(self._scoring, kind, values, changes, own)
+            for candidate in onsets(self._scoring, kind, values, changes, own):
+                yield self._at_best_values(candidate, grid)
             if isinstance(kind, ActuatorKind) and kind.linear is not None:
                 yield from onsets(self._scoring, kind, values, changes, own, free=True)
+
+    def _at_best_values(self, candidate: Candidate, grid: Sequence[Values]) -> Candidate:
+        """Judge a group that is struck late at all values of a grid: it was found at one of them.
+
+        The best value of the whole record, where the group is struck in a part of it, is not its.
+        """
+        cause, bench = candidate.cause, self._bench
+        if cause.kind.linear is not None or not candidate.group or candidate.gain < _STRIKING:
+            return candidate
+        heights = [
+            log_likelihood(*bench.roughly((replace(cause, values=values),))) for values in grid
+        ]
+        best = int(np.argmax(heights))
+        gain = heights[best] - bench.log_likelihood
+        if gain <= candidate.gain:
+            return candidate
+        return replace(candidate, cause=replace(cause, values=grid[best]), gain=gain)
 
     def _grid(self, kind: EffectKind) -> list[Values]:
         """Values to look at, but those that the rate of the record cannot show."""
