@@ -13,7 +13,7 @@ import numpy as np
 from orbitfb.core.gap import GapSight
 from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
-from orbitfb.diagnose.ambiguity import NESTED
+from orbitfb.diagnose.ambiguity import NATS
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import Draws, interval
 from orbitfb.diagnose.broken import BREAKING
@@ -102,7 +102,7 @@ def look(record: Record, stamp: float, kinds: Sequence[EffectKind] | None = None
     if not judged or judged[0][0] <= 0.0:
         return _timed(nothing, began)
     alike = [index for index, one in enumerate(judged) if _broken_alike(judged[0], one)]
-    as_good = [index for index in alike if judged[0][0] - judged[index][0] <= NESTED]
+    as_good = [index for index in alike if judged[0][0] - judged[index][0] <= NATS]
     leader = min(as_good, key=lambda index: (judged[index][1].kind.id not in _SIMPLE, index))
     _, cause, by_row, _ = judged[leader]
     size = interval(Draws.of(~record.starts, 0).means(by_row))
