@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
 
@@ -35,3 +36,16 @@ def groups_of(
                     own = members[np.array([planes[int(i)] == plane for i in members])]
                     if len(own) > 1:
                         yield f"{label} {plane}", own
+
+
+def membership(groups: Sequence[tuple[str, Indices]], count: int) -> Matrix:
+    """Tell who is in which group: 1 for a member, shape (groups, count).
+
+    Args:
+        groups: With names, as `groups_of` lists them.
+        count: Of all columns.
+    """
+    member = np.zeros((len(groups), count))
+    for row, (_, columns) in enumerate(groups):
+        member[row, columns] = 1.0
+    return member

@@ -14,7 +14,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate, held_to
-from orbitfb.diagnose.device_groups import groups_of
+from orbitfb.diagnose.device_groups import groups_of, membership
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_colour import colour_of_all
 from orbitfb.diagnose.noise_spectra import usual_reading
@@ -233,9 +233,7 @@ def _sudden_crates(
 ) -> Iterator[Candidate]:
     """The same of BPMs together, each beside its own mean; their gains add up."""
     usual = np.maximum(squares.mean(axis=0), 1e-300)
-    member = np.zeros((len(groups), squares.shape[1]))
-    for row, (_, members) in enumerate(groups):
-        member[row, members] = 1.0
+    member = membership(groups, squares.shape[1])
     count = member.sum(axis=1)
     rows, gain, early, late = parted((squares / usual) @ (member / count[:, None]).T)
     apart = WITHIN * np.hypot(1.0 / np.sqrt(count), _IN_COMMON)

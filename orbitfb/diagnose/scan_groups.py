@@ -7,7 +7,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.candidate import KEPT, Candidate, best_strength, sized
-from orbitfb.diagnose.device_groups import groups_of
+from orbitfb.diagnose.device_groups import groups_of, membership
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import information
 from orbitfb.diagnose.scan_shapes import Changes, Scoring
@@ -48,9 +48,7 @@ class Groups:
         keep = np.sqrt(1.0 - changes.information[1])
         known = information(shapes.fine, scoring.courses(drivers)) * np.outer(keep, keep)
         groups = list(groups_of(devices.groups(), len(devices), devices.planes))
-        member = np.zeros((len(groups), len(devices)))
-        for row, (_, columns) in enumerate(groups):
-            member[row, columns] = 1.0
+        member = membership(groups, len(devices))
         places = [tuple(columns.tolist()) for _, columns in groups]
         return cls(places, [name for name, _ in groups], member, known)
 

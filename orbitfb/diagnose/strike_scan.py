@@ -12,7 +12,7 @@ from scipy.special import expit, logit
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.device_groups import groups_of
+from orbitfb.diagnose.device_groups import groups_of, membership
 from orbitfb.diagnose.explain import Cause
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import LatentKind
@@ -71,9 +71,7 @@ def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) 
     """Best parameters of every BPM, of every run of cells and of all."""
     bpms = bench.record.layout.bpms
     groups = list(groups_of(bpms.groups(), len(bpms), bpms.planes))
-    member = np.zeros((len(groups), len(bpms)))
-    for row, (_, columns) in enumerate(groups):
-        member[row, columns] = 1.0
+    member = membership(groups, len(bpms))
     found: dict[tuple[int, ...], Candidate] = {}
     noisier = _noisier(score, info)
     for values in _latent_grid(kind, score, info):

@@ -15,6 +15,7 @@ from orbitfb.physics.places import Indices
 
 _ITERATIONS = 8
 _MOST_FAMILIES = 20
+"""Different strengths in the table up to which magnets of one strength are taken for a family."""
 _APERTURE = 0.03
 """Largest orbit that is looked at; the beam would hit the wall [m]."""
 
