@@ -13,7 +13,7 @@ KEPT = 3
 LAST_ONSET = 40
 FIRST_ONSET = 20
 """Rows at the ends of a record in which no onset is looked for."""
-_LEAST_INFORMATION = 1e-3
+LEAST_INFORMATION = 1e-3
 """Information below which a change of typical size leaves no trace [nats]."""
 
 
@@ -56,7 +56,7 @@ def best_strength(kind: EffectKind, score: Vector, info: Vector) -> tuple[Vector
     Where the change is linear in the parameter any strength will do; where it is not the change
     itself is at stake, and the grid has others.
     """
-    seen = info > _LEAST_INFORMATION
+    seen = info > LEAST_INFORMATION
     strength = np.divide(score, info, out=np.zeros_like(score), where=seen)
     if kind.linear is None:
         strength = np.ones_like(strength)

@@ -40,13 +40,18 @@ def size_parameter(kind: EffectKind, record: Record) -> Parameter | None:
 
 
 def tried(kind: EffectKind, bench: Bench) -> list[Values]:
-    """Values of the grid in which its size is not nothing, thinned, from small to large."""
+    """Values of the grid in which its size is not nothing, thinned, from small to large.
+
+    One where the change is proportional to the size: it tells all of them.
+    """
     grid = list(kind.grid(bench.record))
     spec = size_parameter(kind, bench.record)
     if spec is None:
         return grid[:1]
     grid = [values for values in grid if values[spec.name] != spec.nominal] or grid
     grid.sort(key=lambda values: _distance(spec, values[spec.name]))
+    if kind.linear == spec.name:
+        return grid[:1]
     steps = _STEPS_OF_RING if kind.target == "ring" else _STEPS
     return [grid[i] for i in np.unique(np.linspace(0, len(grid) - 1, steps).astype(np.intp))]
 

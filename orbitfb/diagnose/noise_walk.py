@@ -6,6 +6,8 @@ floor that is estimated with the record has a share of it in every mode, but not
 together: the likelihoods with and without are compared beside floors of their own.
 """
 
+from copy import copy
+
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench
@@ -56,10 +58,10 @@ def walking_candidates(bench: Bench, kind: NoiseKind) -> list[Candidate]:
 
 def _closer(bench: Bench, kind: NoiseKind, place: int, usual: float) -> tuple[float, float]:
     """Best variance per tick of one place, and its gain, each beside a floor of its own."""
+    known = Spectra(bench, Cause(kind, (place,), _sized(kind, 0.0)))
 
     def height(variance: float) -> float:
-        values = _sized(kind, variance)
-        spectra = Spectra(bench, Cause(kind, (place,), values))
+        values, spectra = _sized(kind, variance), copy(known)
         spectra.profile(values)
         return spectra.log_likelihood(values)
 

@@ -15,6 +15,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.candidate import (
     KEPT,
+    LEAST_INFORMATION,
     Candidate,
     best_strength,
 )
@@ -77,16 +78,18 @@ class Scanner:
         closer: dict[str, tuple[float, Values, Changes]] = {}
         grid = self._grid(kind)
         heights: list[Heights] = []
+        best = _Best()
 
         def look(values: Values) -> Iterator[Candidate]:
             changes = self._scoring.changes(kind, values)
             heights.append(self._heights(kind, changes))
-            steady = list(self._steady(kind, values, changes))
+            steady = list(self._steady(kind, values, changes, best))
             yield from steady
             tried = {"single": max((c.gain for c in steady), default=0.0)}
             if kind.collective and isinstance(kind, ActuatorKind | SensorKind):
-                tried["all"] = self._all(kind, changes)
-                tried["cell"] = self._cell(kind, changes)
+                for what, groups in self._struck(kind).items():
+                    least = closer[what][0] if what in closer else 0.0
+                    tried[what] = self._together(kind, changes, groups, least)
             for what, gain in tried.items():
                 if what not in closer or gain > closer[what][0]:
                     closer[what] = (gain, values, changes)
@@ -151,40 +154,70 @@ class Scanner:
         """Best score of a place, and of a cell whose places are struck alike."""
         heights = {"single": float(changes.score.max(initial=0.0))}
         if kind.collective and isinstance(kind, ActuatorKind | SensorKind):
-            sums = self._by_cell(kind, changes)[1]
-            heights["cell"] = float(sums.max(initial=0.0))
+            cells = self._struck(kind)["cell"]
+            heights["cell"] = max((float(changes.score[own].sum()) for own in cells), default=0.0)
         return heights
 
-    def _by_cell(
-        self, kind: ActuatorKind | SensorKind, changes: Changes
-    ) -> tuple[list[Indices], Vector]:
-        """Places of every cell, and the sum of their scores."""
+    def _struck(self, kind: ActuatorKind | SensorKind) -> dict[str, list[Indices]]:
+        """Places that may be struck alike: all, and those of every cell."""
         layout = self._bench.record.layout
         devices = layout.correctors if isinstance(kind, ActuatorKind) else layout.bpms
-        cells = list(devices.groups().values())
-        return cells, np.array([changes.score[columns].sum() for columns in cells])
+        return {
+            "all": [np.arange(len(devices), dtype=np.intp)],
+            "cell": list(devices.groups().values()),
+        }
 
-    def _cell(self, kind: ActuatorKind | SensorKind, changes: Changes) -> float:
-        """Best gain if every place of one cell were struck alike."""
-        cells, sums = self._by_cell(kind, changes)
-        if not len(sums) or (kind.linear is None and sums.max() < _WORTH):
+    def _together(
+        self, kind: EffectKind, changes: Changes, groups: Sequence[Indices], least: float
+    ) -> float:
+        """Best gain if every place of one group were struck alike; 0 if it is not above a least.
+
+        As far as healthy errors do not do the same.
+        """
+        score = np.array([changes.score[own].sum() for own in groups])
+        most = _most(kind, score, changes.least_together(groups))
+        able = np.flatnonzero(most > max(least, _WORTH))
+        if not len(able):
             return 0.0
-        infos = self._scoring.together(changes, cells)
-        return float(best_strength(kind, sums, infos)[1].max())
+        infos = self._scoring.together(changes, [groups[int(index)] for index in able])
+        return max(float(best_strength(kind, score[able], infos)[1].max()), 0.0)
 
-    def _all(self, kind: EffectKind, changes: Changes) -> float:
-        """Gain if every place were struck alike, as far as healthy errors do not do the same."""
-        (shapes, drivers), *_ = changes.parts
-        score = changes.score.sum(keepdims=True)
-        if kind.linear is None and score[0] < _WORTH:
-            return 0.0  # it cannot gain more than its score
-        keep = np.sqrt(1.0 - changes.information[1])
-        info = self._scoring.seen((drivers * keep) @ shapes.patterns.T)
-        return float(best_strength(kind, score, np.array([info]))[1][0])
-
-    def _steady(self, kind: EffectKind, values: Values, changes: Changes) -> Iterator[Candidate]:
+    def _steady(
+        self, kind: EffectKind, values: Values, changes: Changes, best: "_Best"
+    ) -> Iterator[Candidate]:
+        """Propose single places that may be among the best ones."""
         score = changes.score
-        if kind.linear is None and score.max(initial=0.0) < _WORTH:
-            return  # a change cannot gain more than its score
-        info, absorbed = changes.information
-        yield from of_places(kind, values, score, info * (1.0 - absorbed))
+        able = np.flatnonzero(_most(kind, score, changes.least) > max(best.least, _WORTH))
+        if not len(able):
+            return
+        info, absorbed = self._scoring.information(changes, able)
+        known = np.zeros_like(score)
+        known[able] = info * (1.0 - absorbed)
+        for candidate in of_places(kind, values, score, known):
+            best.add(candidate)
+            yield candidate
+
+
+class _Best:
+    """Gains of the best places of a kind so far."""
+
+    def __init__(self) -> None:
+        self._gains: dict[int, float] = {}
+
+    @property
+    def least(self) -> float:
+        """Gain that a place needs to be among them [nats]."""
+        gains = sorted(self._gains.values(), reverse=True)
+        return gains[KEPT - 1] if len(gains) >= KEPT else 0.0
+
+    def add(self, candidate: Candidate) -> None:
+        """Take notice of a place."""
+        (place,) = candidate.cause.places
+        self._gains[place] = max(candidate.gain, self._gains.get(place, 0.0))
+
+
+def _most(kind: EffectKind, score: Vector, least: Vector) -> Vector:
+    """Gain of changes, at most, by the information on them, at least."""
+    if kind.linear is None:
+        return score - 0.5 * least
+    return 0.5 * score**2 / np.maximum(least, LEAST_INFORMATION)

@@ -53,29 +53,23 @@ def onsets(
         groups: Of them; None where each is struck by itself.
         free: Whether the first step is free.
     """
-    score = _sum(shapes.pull * drivers for shapes, drivers in changes.parts)
-    later_score = np.cumsum(score[::-1], axis=0)[::-1]
-    later = np.zeros_like(later_score)
-    row = np.arange(len(score), dtype=np.float64)
-    short = 1.0 / np.maximum(row, 1.0) + 1.0 / (len(row) - row)
+    rows = len(changes.parts[0][1])
+    later_score, info = (np.zeros((rows, len(changes.score))) for _ in range(2))
     holds = free or holding(kind)
-    if holds:
-        for shapes, drivers in changes.parts:
-            pull = np.cumsum(shapes.pull[::-1], axis=0)[::-1]
-            later_score = later_score - pull * drivers
     for shapes, drivers in changes.parts:
-        for shape, course, feedback in zip(
-            shapes.fine,
-            scoring.courses(drivers),
-            scoring.ladder.feedback,
-            strict=True,
-        ):
-            size = np.sum(shape**2, axis=0)
-            later += size * np.cumsum((course**2)[::-1], axis=0)[::-1]
-            if not holds:
-                # A step is seen against the rows before it that the filter remembers, by the
-                # rows after it until the filter has followed.
-                later += size * drivers**2 / (1.0 - feedback**2 + short)[:, None]
+        later_score += shapes.pull * drivers
+        for shape, course in zip(shapes.fine, scoring.courses(drivers), strict=True):
+            info += np.sum(shape**2, axis=0, dtype=np.float32) * course**2
+    later_score, later = to_the_end(later_score), to_the_end(info)
+    for shapes, drivers in changes.parts:
+        if holds:
+            later_score -= to_the_end(shapes.pull) * drivers
+        else:
+            # A step is seen against the rows before it that the filter remembers, by the
+            # rows after it until the filter has followed.
+            sizes = np.array([np.sum(shape**2, axis=0) for shape in shapes.fine])
+            lasting = 1.0 - np.array(scoring.ladder.feedback) ** 2
+            later += (1.0 / (lasting + short(rows)[:, None])) @ sizes * drivers**2
     single = _highest(kind, later_score, later)
     sets = [((place,), "") for place in range(later.shape[1])]
     yield from _beginnings(kind, values, single, sets, free=free)
@@ -151,8 +145,12 @@ def _beginnings(
             yield Candidate(cause, float(found.gain[index]), found.choices, name)
 
 
-def _sum(terms: Iterator[Matrix]) -> Matrix:
-    total = next(terms)
-    for term in terms:
-        total = total + term
-    return total
+def to_the_end(values: Matrix) -> Matrix:
+    """Sum from every row to the last one, over the first axis."""
+    return np.cumsum(values[::-1], axis=0)[::-1]
+
+
+def short(rows: int) -> Vector:
+    """Tell what a jump near an end of a record costs beside its steady cost, shape (rows,)."""
+    row = np.arange(rows, dtype=np.float64)
+    return 1.0 / np.maximum(row, 1.0) + 1.0 / (rows - row)

@@ -15,6 +15,7 @@ from orbitfb.diagnose.candidate import (
     sized,
 )
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.scan_onsets import short, to_the_end
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import Values
@@ -170,19 +171,19 @@ def _pair_onsets(
     """
     patterns, drivers, change = parts
     pairs = kind.pairs(bench.record.layout)
-    short = _short(len(drivers))
+    brief = short(len(drivers))
     for place in np.argsort(score)[::-1][:_PAIRS_TRIED]:
         pair = pairs[place]
         driven = drivers[:, pair] @ change[place].T
-        gain = _to_the_end(np.sum((bench.slope @ patterns[:, pair]) * driven, axis=1))
+        gain = to_the_end(np.sum((bench.slope @ patterns[:, pair]) * driven, axis=1))
         for shape, course, feedback in zip(
             scoring.ladder.shapes(patterns[:, pair]),
             scoring.courses(driven),
             scoring.ladder.feedback,
             strict=True,
         ):
-            jump = np.sum((driven @ shape.T) ** 2, axis=1) / (1.0 - feedback**2 + short)
-            gain -= 0.5 * (_to_the_end(np.sum((course @ shape.T) ** 2, axis=1)) + jump)
+            jump = np.sum((driven @ shape.T) ** 2, axis=1) / (1.0 - feedback**2 + brief)
+            gain -= 0.5 * (to_the_end(np.sum((course @ shape.T) ** 2, axis=1)) + jump)
         gain[:FIRST_ONSET] = 0.0
         gain[len(gain) - LAST_ONSET :] = 0.0
         row = int(np.argmax(gain))
@@ -209,18 +210,18 @@ def _mixing_onsets(
     change = kind.matrices(record.layout, values) - np.eye(2)
     shapes = scoring.ladder.shapes(np.eye(orbit.shape[1]))
     rows = len(orbit)
-    short = _short(rows)
+    brief = short(rows)
     score, info = np.zeros((rows, len(pairs))), np.zeros((rows, len(pairs)))
     for side in range(2):
         columns = pairs[:, side]
         driven = np.einsum("pb,kpb->kp", change[:, side], orbit[:, pairs])
-        score += _to_the_end(bench.slope[:, columns] * driven)
+        score += to_the_end(bench.slope[:, columns] * driven)
         for shape, course, feedback in zip(
             shapes, scoring.courses(driven), scoring.ladder.feedback, strict=True
         ):
             size = np.sum(shape[:, columns] ** 2, axis=0)
-            info += size * _to_the_end(course**2)
-            info += size * driven**2 / (1.0 - feedback**2 + short)[:, None]
+            info += size * to_the_end(course**2)
+            info += size * driven**2 / (1.0 - feedback**2 + brief)[:, None]
     strength, gain = best_strength(kind, score, info)
     gain[:FIRST_ONSET] = 0.0
     gain[rows - LAST_ONSET :] = 0.0
@@ -270,24 +271,13 @@ def _leak_onsets(
 def _jumps(scoring: Scoring, pull: Matrix, sizes: list[Vector]) -> list[tuple[int, int]]:
     """Rows at which, and correctors whose, a constant kick that begins explains most."""
     rows, count = pull.shape
-    short = _short(rows)
+    brief = short(rows)
     info = np.zeros((rows, count))
     for size, feedback in zip(sizes, scoring.ladder.feedback, strict=True):
-        info += size / (1.0 - feedback**2 + short)[:, None]
-    gain = _to_the_end(pull) ** 2 / np.maximum(info, 1e-300)
+        info += size / (1.0 - feedback**2 + brief)[:, None]
+    gain = to_the_end(pull) ** 2 / np.maximum(info, 1e-300)
     gain[:FIRST_ONSET] = 0.0
     gain[rows - LAST_ONSET :] = 0.0
     best = np.argmax(gain, axis=0)
     order = np.argsort(gain[best, np.arange(count)])[::-1][:_JUMPS_TRIED]
     return [(int(best[column]), int(column)) for column in order]
-
-
-def _to_the_end(values: Matrix) -> Matrix:
-    """Sum from every row to the last one, over the first axis."""
-    return np.cumsum(values[::-1], axis=0)[::-1]
-
-
-def _short(rows: int) -> Vector:
-    """Tell what a jump near an end of a record costs beside its steady cost, shape (rows,)."""
-    row = np.arange(rows, dtype=np.float64)
-    return 1.0 / np.maximum(row, 1.0) + 1.0 / (rows - row)

@@ -15,6 +15,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import Healthy
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.innovation import Ladder
+from orbitfb.diagnose.quick import Single
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.layout import ChannelPlane, Layout
@@ -36,12 +37,14 @@ class Shapes:
         pull: λ · pattern of every row, shape (N, P).
         fine: In the levels of the ladder.
         rough: In the levels of the rough ladder.
+        least: Information on two changes at one tick, at least, per product of their steps, (P, P).
     """
 
     patterns: Matrix
     pull: Matrix
     fine: list[Matrix]
     rough: list[Matrix]
+    least: Matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +55,12 @@ class Changes:
         parts: Pairs of shapes and drivers (N, P) or (N, 1).
         alike: Healthy errors that may act like them, part by part: what has them, and which one
             belongs to which place; None where there are none.
-        measure: Tells the information on them for a scoring.
+        scoring: That tells the information on them.
     """
 
     parts: tuple[tuple[Shapes, Matrix], ...]
     alike: tuple[tuple[Healthy, Indices] | None, ...]
-    measure: "Callable[[Changes], tuple[Vector, Vector]]"
+    scoring: "Scoring"
 
     @cached_property
     def score(self) -> Vector:
@@ -73,7 +76,36 @@ class Changes:
     @cached_property
     def information(self) -> tuple[Vector, Vector]:
         """Information on every place, and the share of it that the background takes away."""
-        return self.measure(self)
+        return self.scoring.information(self, np.arange(len(self.score)))
+
+    @cached_property
+    def steps(self) -> list[Single]:
+        """Change of every part's drivers from row to row."""
+        return [self.scoring.steps(drivers) for _, drivers in self.parts]
+
+    @cached_property
+    def kept(self) -> list[Vector]:
+        """Share of the steps of every part, at least, that healthy errors cannot make."""
+        return [
+            1.0 - self.scoring.copied(steps, its)
+            for steps, its in zip(self.steps, self.alike, strict=True)
+        ]
+
+    @cached_property
+    def least(self) -> Vector:
+        """Information on every place beyond healthy errors, at least, shape (P,)."""
+        total: Vector = np.zeros(1)
+        for (shapes, _), steps, kept in zip(self.parts, self.steps, self.kept, strict=True):
+            energy = np.einsum("kp,kp->p", steps, steps)
+            total = total + np.diagonal(shapes.least) * energy * kept
+        return total
+
+    def least_together(self, groups: Sequence[Indices]) -> Vector:
+        """The same of groups of places that are struck alike, of one part, shape (groups,)."""
+        ((shapes, _), *_), (steps, *_), (kept, *_) = self.parts, self.steps, self.kept
+        weight = np.sqrt(kept)
+        known = (steps.T @ steps) * shapes.least * np.outer(weight, weight)
+        return np.array([known[np.ix_(own, own)].sum() for own in groups])
 
 
 class Scoring:
@@ -93,6 +125,7 @@ class Scoring:
         self._starts = bench.record.starts
         self._known: dict[str, Shapes] = {}
         self._courses: dict[Healthy, list[Matrix]] = {}
+        self._moves: dict[Healthy, Single] = {}
 
     def courses(self, drivers: Matrix) -> list[Matrix]:
         """Filter drivers (N, P) as every level of the ladder does."""
@@ -105,23 +138,22 @@ class Scoring:
     def changes(self, kind: EffectKind, values: Values) -> Changes:
         """Tell how the prediction changes by every place at once."""
         bench, record = self._bench, self._bench.record
-        measure = self._information
         if isinstance(kind, ActuatorKind):
             moved = kind.drive(bench.currents, values, record) - bench.currents
-            return Changes(((self.correctors(), moved),), (("correctors", _own(moved)),), measure)
+            return Changes(((self.correctors(), moved),), (("correctors", _own(moved)),), self)
         if isinstance(kind, SensorKind):
             # What is not small has taken the predicted orbit with it: take the model's own.
             small = bool(kind.parameters)
             orbit = bench.orbit if small else bench.currents @ record.layout.response.T
             moved = kind.distort(orbit, values, record) - orbit
             shapes = self._shapes("bpms", lambda: np.eye(moved.shape[1]))
-            return Changes(((shapes, moved),), (("bpms", _own(moved)),), measure)
+            return Changes(((shapes, moved),), (("bpms", _own(moved)),), self)
         if isinstance(kind, SourceKind):
             patterns = kind.patterns(record.layout)
             drivers = kind.drivers(values, record, bench.currents, bench.orbit)
             if drivers.ndim == 2:
                 shapes = self._shapes(kind.id, lambda: patterns)
-                return Changes(((shapes, drivers),), (None,), measure)
+                return Changes(((shapes, drivers),), (None,), self)
             parts: list[tuple[Shapes, Matrix]] = []
             alike: list[tuple[Healthy, Indices] | None] = []
             beside = _quadrupoles_of(kind, record.layout)
@@ -133,29 +165,54 @@ class Scoring:
                     shapes = self._shapes(f"{kind.id} {plane}", lambda own=own: own)
                     parts.append((shapes, driver))
                     alike.append(None if beside is None else (plane, beside))
-            return Changes(tuple(parts), tuple(alike), measure)
+            return Changes(tuple(parts), tuple(alike), self)
         raise TypeError(f"{kind.id} has no places to scan")
 
     def _shapes(self, name: str, patterns: Callable[[], Matrix]) -> Shapes:
         """Patterns by name, prepared once."""
         if name not in self._known:
             own = patterns()
+            rough = self._rough.shapes(own)
+            # the filter of a level passes (1 + feedback)⁻² of the square of any step at least
+            pairs = zip(rough, self._rough.feedback, strict=True)
+            least = np.sum([s.T @ s / (1.0 + feedback) ** 2 for s, feedback in pairs], axis=0)
             self._known[name] = Shapes(
-                own, self._bench.slope @ own, self.ladder.shapes(own), self._rough.shapes(own)
+                own, self._bench.slope @ own, self.ladder.shapes(own), rough, least
             )
         return self._known[name]
 
-    def _information(self, changes: Changes) -> tuple[Vector, Vector]:
-        """Information on every place, and the share of it that the background takes away."""
-        total: Vector = np.zeros(1)
-        taken: Vector = np.zeros(1)
+    def steps(self, courses: Matrix) -> Single:
+        """Change of courses (N, P) from row to row; none where a stretch begins."""
+        steps = np.zeros(courses.shape, dtype=np.float32)
+        np.subtract(courses[1:], courses[:-1], out=steps[1:], casting="same_kind")
+        steps[self._starts] = 0.0
+        return steps
+
+    def copied(self, steps: Single, its: tuple[Healthy, Indices] | None) -> Vector:
+        """Share of steps (N, P) that healthy errors may make as well, at most, shape (P,)."""
+        if its is None:
+            return np.zeros(steps.shape[1])
+        name, which = its
+        if name not in self._moves:
+            self._moves[name] = self.steps(self._moved_by(name))
+        like = self._moves[name][:, which]
+        both = np.einsum("kp,kp->p", steps, like)
+        own = np.einsum("kp,kp->p", like, like) * np.einsum("kp,kp->p", steps, steps)
+        share = np.divide(both**2, own, out=np.zeros_like(own), where=own > 0.0)
+        return np.clip(share, 0.0, 1.0) * self._bench.background.absorbed(name)[which]
+
+    def information(self, changes: Changes, places: Indices) -> tuple[Vector, Vector]:
+        """Information on some places, and the share of it that the background takes away."""
+        total = np.zeros(len(places))
+        taken = np.zeros(len(places))
         for (shapes, drivers), its in zip(changes.parts, changes.alike, strict=True):
-            sizes = [np.sum(shape**2, axis=0) for shape in shapes.rough]
-            courses = self._rough.filtered(drivers, self._starts)
+            sizes = [np.sum(shape[:, places] ** 2, axis=0) for shape in shapes.rough]
+            shared = drivers.shape[1] == 1
+            courses = self._rough.filtered(drivers if shared else drivers[:, places], self._starts)
             known = _products(sizes, courses, courses)
             total = total + known
             if its is not None:
-                name, which = its
+                name, which = its[0], its[1][places]
                 like = [course[:, which] for course in self._healthy(name)]
                 both, own = _products(sizes, courses, like), _products(sizes, like, like)
                 share = np.clip(both**2 / np.maximum(known * own, 1e-300), 0.0, 1.0)
@@ -174,28 +231,33 @@ class Scoring:
         Returns:
             Shape (groups,).
         """
+        if not groups:
+            return np.zeros(0)
+        places = np.unique(np.concatenate(groups))
         (shapes, drivers), *_ = changes.parts
-        keep = np.sqrt(1.0 - changes.information[1])
-        courses = self._rough.filtered(drivers * keep, self._starts)
+        keep = np.sqrt(1.0 - self.information(changes, places)[1])
+        courses = self._rough.filtered(drivers[:, places] * keep, self._starts)
         known = np.zeros(len(groups))
         for shape, course in zip(shapes.rough, courses, strict=True):
             for index, own in enumerate(groups):
-                one, other = shape[:, own], course[:, own]
+                one, other = shape[:, own], course[:, np.searchsorted(places, own)]
                 known[index] += float(np.vdot(one.T @ one, other.T @ other))
         return known
 
     def _healthy(self, name: Healthy) -> list[Matrix]:
         """Courses of the small errors of all places, filtered as the rough ladder does."""
         if name not in self._courses:
-            bench, layout = self._bench, self._bench.record.layout
-            if name == "correctors":
-                course = bench.currents
-            elif name == "bpms":
-                course = bench.orbit
-            else:
-                course = bench.currents @ layout.orbit_at("QUAD", name).T
-            self._courses[name] = self._rough.filtered(course, self._starts)
+            self._courses[name] = self._rough.filtered(self._moved_by(name), self._starts)
         return self._courses[name]
+
+    def _moved_by(self, name: Healthy) -> Matrix:
+        """Courses of the small errors of all places, shape (N, P)."""
+        bench, layout = self._bench, self._bench.record.layout
+        if name == "correctors":
+            return bench.currents
+        if name == "bpms":
+            return bench.orbit
+        return bench.currents @ layout.orbit_at("QUAD", name).T
 
     def whole(self, change: Matrix) -> tuple[Vector, Vector]:
         """Give score and information, shape (1,), of one change of all readings (N, n)."""

@@ -188,11 +188,9 @@ def _best_course(bench: Bench, pattern: Vector) -> Course | None:
     summed = bench.white @ modal / np.sqrt(weight)
     kept = float(modal**2 @ (1.0 - floor.gains)) / weight
     pulse = 0.5 * float(np.median(sizes[sizes > _LARGE]) * np.sqrt(weight / info[0]))
-    courses = [
-        follow(summed, strength * pulse, kept, probability)
-        for probability in _PROBABILITIES
-        for strength in _STRENGTHS
-    ]
+    probability = np.repeat(_PROBABILITIES, len(_STRENGTHS))
+    strength = np.tile(np.array(_STRENGTHS) * pulse, len(_PROBABILITIES))
+    courses = follow(summed, strength, kept, probability)
     best = max(courses, key=lambda course: course.evidence + course.likelihood)
     return best if len(best.switches) >= _LEAST_SWITCHES else None
 
@@ -212,39 +210,50 @@ def _judged(bench: Bench, pattern: Vector, course: Course) -> tuple[float, float
     )
 
 
-def follow(summed: Vector, strength: float, kept: float, probability: float) -> Course:
-    """Find the states of a hidden chain by a beam search.
+def follow(summed: Vector, strength: Vector, kept: float, probability: Vector) -> list[Course]:
+    """Find the states of hidden chains by a beam search, of S chains at a time.
 
     Args:
         summed: Innovations along the source in unit noise, shape (N,).
-        strength: μ, the pulse that a change of the state by one makes.
+        strength: μ, the pulse that a change of the state by one makes, shape (S,).
         kept: ψ, what is left of a pulse a tick later.
-        probability: Of a change from tick to tick.
+        probability: Of a change from tick to tick, shape (S,).
     """
-    stay, change = np.log1p(-probability), np.log(probability)
-    state = np.array([1.0, -1.0])
-    echo, prior = np.zeros(2), np.full(2, np.log(0.5))
-    told = np.zeros(2)
-    parents = np.zeros((len(summed), _BEAM), dtype=np.int16)
-    turned = np.zeros((len(summed), _BEAM), dtype=np.bool_)
+    chains = len(strength)
+    each = np.arange(chains)[:, None]
+    stay, change = np.log1p(-probability)[:, None], np.log(probability)[:, None]
+    # state, echo, prior and what the rows so far have told, of every course, shape (4, S, courses)
+    course = np.zeros((4, chains, 2))
+    course[0], course[2] = [1.0, -1.0], np.log(0.5)
+    chosen = np.zeros((len(summed), chains, _BEAM), dtype=np.int16)
+    sizes = np.empty(len(summed), dtype=np.int16)
     for row, value in enumerate(summed):
-        size = len(state)
-        echo = kept * np.concatenate([echo, echo])
-        echo[size:] -= 2.0 * state
-        state = np.concatenate([state, -state])
-        prior = np.concatenate([prior + stay, prior + change])
-        pulse = strength * echo
-        told = np.concatenate([told, told]) + value * pulse - 0.5 * pulse**2
-        best = np.argsort(told + prior)[::-1][:_BEAM]
-        parents[row, : len(best)] = best % size
-        turned[row, : len(best)] = best >= size
-        state, echo, prior, told = state[best], echo[best], prior[best], told[best]
-    index, now = 0, float(state[0])
-    states = np.empty(len(summed))
+        size = sizes[row] = course.shape[2]
+        both = np.concatenate([course, course], axis=2)
+        state, echo, prior, told = both
+        echo *= kept
+        echo[:, size:] -= 2.0 * state[:, size:]
+        state[:, size:] *= -1.0
+        prior[:, :size] += stay
+        prior[:, size:] += change
+        pulse = strength[:, None] * echo
+        told += pulse * (value - 0.5 * pulse)
+        best = np.arange(2 * size)[None]
+        if 2 * size > _BEAM:
+            best = np.argpartition(told + prior, 2 * size - _BEAM, axis=1)[:, 2 * size - _BEAM :]
+        chosen[row, :, : best.shape[1]] = best
+        course = both[:, each, best]
+    state, _, prior, told = course
+    total = np.logaddexp.reduce(told + prior, axis=1)
+    chain, index = np.arange(chains), np.argmax(told + prior, axis=1)
+    likelihood, now = told[chain, index], state[chain, index]
+    states = np.empty((len(summed), chains))
     for row in range(len(summed) - 1, -1, -1):
         states[row] = now
-        now = -now if turned[row, index] else now
-        index = int(parents[row, index])
-    likelihood = float(told[0])
-    total = float(np.logaddexp.reduce(told + prior))
-    return Course(states, total - likelihood, likelihood)
+        came = chosen[row, chain, index]
+        now = np.where(came >= sizes[row], -now, now)
+        index = came % sizes[row]
+    return [
+        Course(states[:, one], float(total[one] - likelihood[one]), float(likelihood[one]))
+        for one in range(chains)
+    ]

@@ -1,6 +1,7 @@
 """Places between the devices: the orbits that their kicks make, and the orbit that they see."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -32,6 +33,7 @@ def needs_ring(record: Record, planes: Sequence[ChannelPlane] = ()) -> str:
     return f"needs BPMs in {' and '.join(missing)}" if missing else ""
 
 
+@lru_cache(maxsize=8)
 def source_names(layout: Layout) -> tuple[str, ...]:
     """Names of all places that may kick: quadrupoles, then correctors, plane by plane."""
     ring = layout.known_ring
@@ -54,6 +56,7 @@ def two_planes(layout: Layout, kind: Kind) -> Matrix:
     return total
 
 
+@lru_cache(maxsize=8)
 def interpolation(layout: Layout, kind: Kind, plane: ChannelPlane) -> Matrix:
     """Tell the orbit at places from the orbit at the BPMs, where only quadrupoles kick between.
 
@@ -66,7 +69,7 @@ def interpolation(layout: Layout, kind: Kind, plane: ChannelPlane) -> Matrix:
         plane: Of the orbit.
 
     Returns:
-        Shape (k, n); zero for BPMs of the other plane [m/m].
+        Shape (k, n); zero for BPMs of the other plane [m/m]. Computed once, not to be written to.
     """
     ring = layout.known_ring
     strength = np.nan_to_num(ring.strength("QUAD"))
@@ -82,6 +85,7 @@ def interpolation(layout: Layout, kind: Kind, plane: ChannelPlane) -> Matrix:
     spread = at_bpms @ at_bpms.T
     spread += _UNRESOLVED * np.trace(spread) / len(columns) * np.eye(len(columns))
     found[:, columns] = np.linalg.solve(spread, at_bpms @ at_places.T).T
+    found.setflags(write=False)
     return found
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -83,27 +84,21 @@ class Layout:
     def orbit_per_kick(self, sources: Indices | Kind, plane: Plane) -> Matrix:
         """Orbit at the BPMs per kick in one plane at places of the ring, shape (n, k) [m/rad].
 
-        Rows of BPMs of the other plane are zero (upright magnets do not couple the planes).
+        Rows of BPMs of the other plane are zero (upright magnets do not couple the planes). That of
+        all places of a kind is computed once, and cannot be written to.
         """
-        ring = self.known_ring
-        columns = self.bpms.in_plane(plane)
-        places = _indices(ring, [self.bpms.names[int(i)] for i in columns])
-        count = len(ring.places(sources) if isinstance(sources, str) else sources)
-        orbit = np.zeros((len(self.bpms), count))
-        orbit[columns] = green(ring, places, sources, plane)
-        return orbit
+        if isinstance(sources, str):
+            return _of_kind(self, sources, plane)
+        return _of_places(self, sources, plane)
 
     def orbit_at(self, places: Indices | Kind, plane: Plane) -> Matrix:
-        """Orbit at places of the ring per ampere of every corrector, shape (k, m) [m/A]."""
-        ring = self.known_ring
-        columns = self.correctors.in_plane(plane)
-        sources = _indices(ring, [self.correctors.names[int(i)] for i in columns])
-        table_row = 0 if plane == "x" else 1
-        per_ampere = ring.table.calibration[table_row, sources]
-        count = len(ring.places(places) if isinstance(places, str) else places)
-        orbit = np.zeros((count, len(self.correctors)))
-        orbit[:, columns] = green(ring, places, sources, plane) * per_ampere
-        return orbit
+        """Orbit at places of the ring per ampere of every corrector, shape (k, m) [m/A].
+
+        That at all places of a kind is computed once, and cannot be written to.
+        """
+        if isinstance(places, str):
+            return _at_kind(self, places, plane)
+        return _at_places(self, places, plane)
 
     def dispersion(self) -> Vector:
         """Dispersion at the BPMs, zero in y, shape (n,) [m]."""
@@ -132,6 +127,44 @@ class Layout:
     def planes(self) -> tuple[ChannelPlane, ...]:
         """Planes that have BPMs, x first."""
         return tuple(plane for plane in ("x", "y") if plane in self.bpms.planes)
+
+
+def _of_places(layout: Layout, sources: Indices | Kind, plane: Plane) -> Matrix:
+    """Orbit at the BPMs per kick, zero for those of the other plane, shape (n, k) [m/rad]."""
+    ring = layout.known_ring
+    columns = layout.bpms.in_plane(plane)
+    places = _indices(ring, [layout.bpms.names[int(i)] for i in columns])
+    count = len(ring.places(sources) if isinstance(sources, str) else sources)
+    orbit = np.zeros((len(layout.bpms), count))
+    orbit[columns] = green(ring, places, sources, plane)
+    return orbit
+
+
+def _at_places(layout: Layout, places: Indices | Kind, plane: Plane) -> Matrix:
+    """Orbit at places of the ring per ampere of every corrector, shape (k, m) [m/A]."""
+    ring = layout.known_ring
+    columns = layout.correctors.in_plane(plane)
+    sources = _indices(ring, [layout.correctors.names[int(i)] for i in columns])
+    table_row = 0 if plane == "x" else 1
+    per_ampere = ring.table.calibration[table_row, sources]
+    count = len(ring.places(places) if isinstance(places, str) else places)
+    orbit = np.zeros((count, len(layout.correctors)))
+    orbit[:, columns] = green(ring, places, sources, plane) * per_ampere
+    return orbit
+
+
+@lru_cache(maxsize=32)
+def _of_kind(layout: Layout, kind: Kind, plane: Plane) -> Matrix:
+    orbit = _of_places(layout, kind, plane)
+    orbit.setflags(write=False)
+    return orbit
+
+
+@lru_cache(maxsize=32)
+def _at_kind(layout: Layout, kind: Kind, plane: Plane) -> Matrix:
+    orbit = _at_places(layout, kind, plane)
+    orbit.setflags(write=False)
+    return orbit
 
 
 def _indices(ring: Ring, names: Sequence[str]) -> NDArray[np.intp]:

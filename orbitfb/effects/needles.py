@@ -3,10 +3,12 @@
 The likelihood of a step q is a comb of needles: where the step is wrong by q²/u the multiples of
 q pass a setpoint u by a whole step. A grid misses them all. But the error of rounding,
 q · round(u/q) − u = (q/π) Σ_h (−1)^h/h · sin(2π h u/q), is a Fourier series in u, so that one
-Fourier transform over u of the pull λ = ∂log L/∂θ has the score of every step at once.
+Fourier transform over u of the pull λ = ∂log L/∂θ has the score of every step at once. Peaks that
+are no higher than the highest of so many lines of noise are not looked at.
 """
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.actuating import usual_change
@@ -17,6 +19,8 @@ _BINS = 1 << 20  # along u; finer steps than four bins are not looked for
 _HARMONICS = 4
 _APART = 6  # frequencies between two peaks
 _CLOSER = 12  # peaks of single columns that are looked at closely
+_NODES = 17  # between which the transform of one column is smooth
+_NORMAL = 1.4826  # standard deviation of normal numbers over the median of their sizes
 
 
 def common_steps(setpoints: Matrix, pull: Matrix, finest: float, count: int) -> list[float]:
@@ -32,6 +36,8 @@ def common_steps(setpoints: Matrix, pull: Matrix, finest: float, count: int) -> 
         Steps, likeliest first [A].
     """
     found = _peaks(setpoints.ravel(), pull.ravel(), finest, count, absolute=True)
+    if not found:
+        return []
     steps = [
         _best(setpoints, pull, 1.0 / (frequency + width * np.linspace(-1.0, 1.0, 9)))
         for _, frequency, width in found
@@ -48,10 +54,10 @@ def single_steps(setpoints: Matrix, pull: Matrix, finest: float, count: int) -> 
     found: list[tuple[float, int, float, float]] = []
     for column, (setpoint, its) in enumerate(zip(setpoints.T, pull.T, strict=True)):
         # a column moves over a small part of the range, so the phase is left open at first
-        centre = 0.5 * float(np.max(setpoint) + np.min(setpoint))
-        level = float(np.sqrt(np.mean(its**2))) or 1.0
-        for height, *peak in _peaks(setpoint - centre, its, finest, 2, absolute=False):
-            found.append((height / level, column, peak[0], peak[1]))
+        peaks = _peaks(
+            setpoint - _centre(setpoint), its, finest, 2, absolute=False, others=pull.shape[1]
+        )
+        found += [(height, column, frequency, width) for height, frequency, width in peaks]
     scored: list[tuple[float, float]] = []
     for _, column, frequency, width in sorted(found, reverse=True)[:_CLOSER]:
         one, its = setpoints[:, column], pull[:, column]
@@ -83,9 +89,24 @@ def read_back_steps(record: Record, count: int) -> list[float]:
 
 
 def _peaks(
-    setpoint: Vector, pull: Vector, finest: float, count: int, *, absolute: bool
+    setpoint: Vector,
+    pull: Vector,
+    finest: float,
+    count: int,
+    *,
+    absolute: bool,
+    others: int = 1,
 ) -> list[tuple[float, float, float]]:
-    """Highest scores: height, frequency 1/q, and distance of frequencies [1/A]."""
+    """Highest scores above noise: height over noise, frequency 1/q, and distance of frequencies.
+
+    Args:
+        setpoint: Shape (N,) [A].
+        pull: Shape (N,) [1/A].
+        finest: Step below which nothing is looked for [A].
+        count: How many to give at most.
+        absolute: Whether zero is a multiple of the step; its phase is open otherwise.
+        others: How many columns are looked at in the same way.
+    """
     reach = float(np.max(np.abs(setpoint)))
     span = float(np.ptp(setpoint))
     if not span:
@@ -104,13 +125,20 @@ def _peaks(
             score[: len(there)] -= (-1.0) ** harmonic / harmonic * transform.imag[there]
     else:
         score = np.abs(transform[:usable])
-    score[: min(usable, int(np.ceil(1.0 / (span * spacing))))] = 0.0  # coarser than the range
+    first = min(usable, int(np.ceil(1.0 / (span * spacing))))
+    score[:first] = 0.0  # coarser than the range
+    if first == usable:
+        return []
+    # of normal numbers the highest is this; of the sizes of complex ones too
+    noise = _NORMAL * float(np.median(np.abs(score[first:])))
+    noise /= 1.0 if absolute else _NORMAL * float(np.sqrt(np.log(2.0)))
+    highest = noise * float(np.sqrt((2.0 if absolute else 1.0) * np.log(others * usable)))
     peaks: list[tuple[float, float, float]] = []
     for _ in range(count):
         best = int(np.argmax(score))
-        if score[best] <= 0:
+        if score[best] <= highest:
             break
-        peaks.append((float(score[best]), best * spacing, spacing))
+        peaks.append((float(score[best]) / (noise or 1.0), best * spacing, spacing))
         score[max(0, best - _APART) : best + _APART + 1] = 0.0
     return peaks
 
@@ -119,11 +147,24 @@ def _fine(setpoint: Vector, pull: Vector, frequency: float, width: float) -> flo
     """Find the needle among all whose multiples are right but for whole turns."""
     turn = 1.0 / float(np.max(np.abs(setpoint)))
     quarters = min(1000, int(np.ceil(4.0 * width / turn)))
-    trials = 1.0 / (frequency + 0.25 * turn * np.arange(-quarters, quarters + 1.0))
-    heights = [_significance(setpoint, pull, float(step)) for step in trials]
+    trials = frequency + 0.25 * turn * np.arange(-quarters, quarters + 1.0)
+    # apart from the turns of its middle a column is smooth over all of them
+    centre = _centre(setpoint)
+    nodes = np.linspace(trials[0], trials[-1], _NODES)
+    heights = np.zeros(len(trials))
+    for harmonic in range(1, _HARMONICS + 1):
+        course = np.exp(2j * np.pi * harmonic * np.outer(nodes, setpoint - centre)) @ pull
+        turned = np.exp(2j * np.pi * harmonic * centre * trials)
+        heights += (
+            (-1.0) ** harmonic / harmonic * (CubicSpline(nodes, course)(trials) * turned).imag
+        )
     near = 0.25 * turn * np.linspace(-0.75, 0.75, 7)
-    closer = [1.0 / (1.0 / trials[i] + near) for i in np.argsort(heights)[::-1][:12]]
+    closer = [1.0 / (trials[i] + near) for i in np.argsort(heights)[::-1][:12]]
     return _best(setpoint, pull, np.concatenate(closer))
+
+
+def _centre(setpoint: Vector) -> float:
+    return 0.5 * float(np.max(setpoint) + np.min(setpoint))
 
 
 def _best(setpoints: Matrix, pull: Matrix, steps: Vector) -> float:

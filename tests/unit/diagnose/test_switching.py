@@ -9,7 +9,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.search import search
 from orbitfb.diagnose.simulate import simulate_record
-from orbitfb.diagnose.switching import follow, switching_candidates
+from orbitfb.diagnose.switching import Course, follow, switching_candidates
 from orbitfb.effects.build import build, layout_of
 from orbitfb.effects.registry import all_effects
 from orbitfb.effects.settings import parse_effect
@@ -33,10 +33,15 @@ def pulses(states: np.ndarray, strength: float, kept: float, seed: int) -> np.nd
     return summed
 
 
+def followed(summed: np.ndarray) -> Course:
+    """Follow one chain beside another one, which must not disturb it."""
+    return follow(summed, np.array([2.5, 1.0]), 0.4, np.array([0.03, 0.1]))[0]
+
+
 def test_the_states_of_a_chain_are_found_from_its_pulses():
     rng = np.random.default_rng(1)
     states = np.where(np.cumsum(rng.random(600) < 0.03) % 2, 1.0, -1.0)
-    course = follow(pulses(states, 2.5, 0.4, 2), 2.5, 0.4, 0.03)
+    course = followed(pulses(states, 2.5, 0.4, 2))
     found, true = course.switches, np.flatnonzero(np.diff(states)) + 1
     assert len(true) > 10 and np.array_equal(found, true)
     assert course.evidence < -3.0 * len(true)  # each switch has its price
@@ -44,7 +49,7 @@ def test_the_states_of_a_chain_are_found_from_its_pulses():
 
 
 def test_noise_alone_has_no_course():
-    course = follow(np.random.default_rng(3).standard_normal(600), 2.5, 0.4, 0.03)
+    course = followed(np.random.default_rng(3).standard_normal(600))
     assert course.likelihood + course.evidence < 0.0
 
 
