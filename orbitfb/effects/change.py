@@ -32,11 +32,9 @@ def source_change(
     """
     chosen = np.flatnonzero(weights)
     patterns = kind.patterns(record.layout)[:, chosen] * weights[chosen]
-    courses = kind.drivers(values, record, currents, orbit)
+    courses = kind.drivers_at(chosen, values, record, currents, orbit)
     if courses.shape[-1] == 1:
         patterns = np.sum(patterns, axis=1, keepdims=True)
-    else:
-        courses = courses[..., chosen]
     if courses.ndim == 2:
         return courses @ patterns.T
     added = np.zeros_like(orbit)

@@ -16,9 +16,13 @@ SIGN = {"x": -1.0, "y": 1.0}
 
 
 def gradient_kicks(
-    layout: Layout, gradients: Matrix, currents: Matrix, orbit: Matrix | None = None
+    layout: Layout,
+    places: Indices,
+    gradients: Matrix,
+    currents: Matrix,
+    orbit: Matrix | None = None,
 ) -> Courses:
-    """Kicks of every quadrupole with a gradient error, each alone in the ring, both planes.
+    """Kicks of quadrupoles with a gradient error, each alone in the ring, both planes.
 
     Exact for one thin quadrupole: ∓Δk z / (1 ± Δk G_qq) with z the orbit that the correctors make
     there. The orbit that disturbances make there is left out unless the orbit is given: what
@@ -30,6 +34,7 @@ def gradient_kicks(
 
     Args:
         layout: Devices and ring.
+        places: Quadrupoles, of all in the ring, shape (q,).
         gradients: Δk1L, shape (N, q) or (1, q) [1/m].
         currents: That act on the beam, shape (N, m) [A].
         orbit: At the BPMs, shape (N, n) [m]: to be given where gradients change, because then what
@@ -43,14 +48,14 @@ def gradient_kicks(
     for row, plane in enumerate(PLANES):
         if plane not in layout.planes:
             continue
-        own = np.diag(green(ring, "QUAD", "QUAD", plane))
+        own = np.diag(green(ring, "QUAD", "QUAD", plane))[places]
         strength = SIGN[plane] * gradients
         columns = layout.correctors.in_plane(plane)
-        at = layout.orbit_at("QUAD", plane)[:, columns]
+        at = layout.orbit_at("QUAD", plane)[np.ix_(places, columns)]
         there = currents[:, columns] @ at.T
         if orbit is not None:
             besides = orbit - currents @ layout.response.T
-            there += besides @ interpolation(layout, "QUAD", plane).T
+            there += besides @ interpolation(layout, "QUAD", plane)[places].T
         kicks[row] = there * (strength / (1.0 - strength * own))
     return kicks
 

@@ -65,6 +65,13 @@ class OpticsDrift(SourceKind):
 
     def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
         """Kicks by the orbit in gradients that grow."""
-        strength = np.nan_to_num(record.layout.known_ring.strength("QUAD"))
+        every = np.arange(len(record.layout.known_ring.places("QUAD")))
+        return self.drivers_at(every, values, record, currents, orbit)
+
+    def drivers_at(
+        self, places: Indices, values: Values, record: Record, currents: Matrix, orbit: Matrix
+    ) -> Courses:
+        """The same of some quadrupoles."""
+        strength = np.nan_to_num(record.layout.known_ring.strength("QUAD"))[places]
         gradients = np.outer(values["rate"] * record.time, strength)
-        return gradient_kicks(record.layout, gradients, currents, orbit)
+        return gradient_kicks(record.layout, places, gradients, currents, orbit)

@@ -64,6 +64,13 @@ class SourceKind(EffectKind):
             planes differ: the first for the rows of the x BPMs, the second for those of y.
         """
 
+    def drivers_at(
+        self, places: Indices, values: Values, record: Record, currents: Matrix, orbit: Matrix
+    ) -> Courses:
+        """Courses of k places alone, shape (N, k), (N, 1) or (2, N, k); as `drivers`."""
+        courses = self.drivers(values, record, currents, orbit)
+        return courses if courses.shape[-1] == 1 else courses[..., places]
+
 
 class RingKind(EffectKind):
     """An effect on the whole ring: it has no place."""

@@ -65,5 +65,12 @@ class QuadrupoleGradient(SourceKind):
 
     def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
         """Kicks by the orbit of the correctors, plane by plane."""
-        count = len(record.layout.known_ring.places("QUAD"))
-        return gradient_kicks(record.layout, np.full((1, count), values["gradient"]), currents)
+        every = np.arange(len(record.layout.known_ring.places("QUAD")))
+        return self.drivers_at(every, values, record, currents, orbit)
+
+    def drivers_at(
+        self, places: Indices, values: Values, record: Record, currents: Matrix, orbit: Matrix
+    ) -> Courses:
+        """The same of some quadrupoles."""
+        gradients = np.full((1, len(places)), values["gradient"])
+        return gradient_kicks(record.layout, places, gradients, currents)

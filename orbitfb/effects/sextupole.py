@@ -90,13 +90,20 @@ class Sextupole(SourceKind):
         Correctors as a rule hold what makes up for misalignments that nobody knows: then only
         their changes tell more of the orbit between the BPMs than these do.
         """
+        every = np.arange(len(record.layout.known_ring.places("SEXT")))
+        return self.drivers_at(every, values, record, currents, orbit)
+
+    def drivers_at(
+        self, places: Indices, values: Values, record: Record, currents: Matrix, orbit: Matrix
+    ) -> Courses:
+        """The same of some sextupoles."""
         layout = record.layout
         held = orbit[0] - currents[0] @ layout.response.T
         moved = currents - currents[:1] if held @ held > orbit[0] @ orbit[0] else currents
         besides = orbit - moved @ layout.response.T
         x, y = (
-            moved @ layout.orbit_at("SEXT", plane).T
-            + besides @ interpolation(layout, "SEXT", plane).T
+            moved @ layout.orbit_at("SEXT", plane)[places].T
+            + besides @ interpolation(layout, "SEXT", plane)[places].T
             for plane in PLANES
         )
         return np.stack(_kicks(np.array([values["strength"]]), x, y))
