@@ -19,6 +19,7 @@ _BINS = 1 << 20  # along u; finer steps than four bins are not looked for
 _HARMONICS = 4
 _APART = 6  # frequencies between two peaks
 _CLOSER = 12  # peaks of single columns that are looked at closely
+_TRIED = 30  # frequencies of one column that are tried at the tip of their needle
 _NODES = 17  # between which the transform of one column is smooth
 _NORMAL = 1.4826  # standard deviation of normal numbers over the median of their sizes
 
@@ -159,7 +160,7 @@ def _fine(setpoint: Vector, pull: Vector, frequency: float, width: float) -> flo
             (-1.0) ** harmonic / harmonic * (CubicSpline(nodes, course)(trials) * turned).imag
         )
     near = 0.25 * turn * np.linspace(-0.75, 0.75, 7)
-    closer = [1.0 / (trials[i] + near) for i in np.argsort(heights)[::-1][:12]]
+    closer = [1.0 / (trials[i] + near) for i in np.argsort(heights)[::-1][:_TRIED]]
     return _best(setpoint, pull, np.concatenate(closer))
 
 

@@ -281,3 +281,32 @@ def test_what_begins_late_in_a_crate_is_tried_at_all_its_sizes():
     assert [CORRECTORS[place] for place in found.cause.places] == struck
     assert abs(found.cause.onset - 450) < 40
     assert 2e-3 < found.cause.values["width"] < 4.5e-3
+
+
+BOUNDED = (
+    *("corrector-deadband", "corrector-hysteresis", "corrector-lag", "corrector-saturation"),
+    *("bpm-lowpass", "bpm-nonlinearity", "corrector-gain", "quadrupole-gradient", "thermal-drift"),
+)
+
+
+@pytest.mark.parametrize("name", BOUNDED)
+@pytest.mark.parametrize("dither", [0.0, 3e-3])
+def test_what_a_change_tells_is_never_less_than_its_steps_say(name: str, dither: float):
+    record = record_with("corrector-lag:tau=0.1s,cells=C05", dither=dither, ticks=400)
+    scoring, kind = Scoring(Bench(record)), all_effects()[name]
+    for values in kind.grid(record):
+        changes = scoring.changes(kind, values)
+        information, absorbed = changes.information
+        known = information * (1.0 - absorbed)
+        assert np.all(changes.least <= 1.001 * known + 1e-9)
+        assert np.any(changes.least > 0.0) or not np.any(known > 1e-3)
+
+
+def test_what_cells_tell_together_is_hardly_less_than_their_steps_say():
+    record = record_with("corrector-lag:tau=0.1s,cells=C05", dither=3e-3, ticks=400)
+    scoring, kind = Scoring(Bench(record)), all_effects()["corrector-deadband"]
+    cells = list(record.layout.correctors.groups().values())
+    for values in kind.grid(record):
+        changes = scoring.changes(kind, values)
+        least, known = changes.least_together(cells), scoring.together(changes, cells)
+        assert np.all(least <= 1.05 * known + 1e-9)
