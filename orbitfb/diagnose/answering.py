@@ -52,7 +52,7 @@ def _named(
     layout, kind = one.bench.record.layout, entry.kind
     cause, fitted = outcome.final(entry)
     chances = one.probabilities()
-    alike = (*(rival.kind.id for rival in one.rivals()), *one.limits())
+    alike = one.alike()
     within = {
         name
         for other in one.places_within()
@@ -168,8 +168,7 @@ def tournament_rows(outcome: Outcome, rest: Interval) -> Tournament:
     layout = first.bench.record.layout
     chances = first.probabilities()
     accepted = {one.accepted.kind.id for one in outcome.winners if one.accepted is not None}
-    alike = (*(rival.kind.id for rival in first.rivals()), *first.limits())
-    alike = (first.accepted.kind.id, *alike) if first.accepted is not None else ()
+    alike = (first.accepted.kind.id, *first.alike()) if first.accepted is not None else ()
     rows: dict[str, TournamentRow] = {}
     draws = Draws.of(~first.bench.record.starts, 0)
     for entry in first.entries:

@@ -1,41 +1,65 @@
 """Groups of devices that an effect may strike alike."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from orbitfb.effects.layout import Devices
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
+_ALL_LENGTHS = 40
+"""Cells up to which runs of every length are groups; of more, those that grow by about a third."""
 
-def groups_of(
-    cells: Mapping[str, Indices], count: int, planes: Sequence[str]
-) -> Iterator[tuple[str, Indices]]:
+
+def groups_of(devices: Devices) -> Iterator[tuple[str, Indices]]:
     """List groups that an effect may strike: all, a plane, runs of neighbouring cells.
 
+    Where no name tells a cell every device is one.
+
     Args:
-        cells: Columns of every cell, in order around the ring.
-        count: Of all columns.
-        planes: Of every column.
+        devices: In order around the ring.
     """
-    everything = np.arange(count, dtype=np.intp)
+    everything = np.arange(len(devices), dtype=np.intp)
+    planes = np.array(devices.planes)
     yield "all", everything
-    of_plane = {p: everything[np.array([q == p for q in planes])] for p in sorted(set(planes))}
+    of_plane = {str(plane): everything[planes == plane] for plane in np.unique(planes)}
     if len(of_plane) > 1:
         yield from ((f"all {plane}", members) for plane, members in of_plane.items())
-    names = list(cells)
+    cells = devices.groups() or _one_by_one(devices)
+    names, columns = list(cells), list(cells.values())
+    lengths = _lengths(len(names))
     for begin in range(len(names)):
-        for end in range(begin + 1, min(begin + 1 + len(names) // 2, len(names) + 1)):
-            members = np.concatenate([cells[name] for name in names[begin:end]])
+        for end in (begin + length for length in lengths if begin + length <= len(names)):
+            members = np.concatenate(columns[begin:end])
             if len(members) < 2:
                 continue
             label = names[begin] if end == begin + 1 else f"{names[begin]}–{names[end - 1]}"
             yield label, members
             if len(of_plane) > 1:
                 for plane in of_plane:
-                    own = members[np.array([planes[int(i)] == plane for i in members])]
+                    own = members[planes[members] == plane]
                     if len(own) > 1:
                         yield f"{label} {plane}", own
+
+
+def crates(devices: Devices) -> list[tuple[str, Indices]]:
+    """List those of at most half of the devices: what most do is no fault of theirs.
+
+    Args:
+        devices: In order around the ring.
+    """
+    every = groups_of(devices)
+    return [(name, members) for name, members in every if 2 * len(members) <= len(devices)]
+
+
+def cells(devices: Devices) -> list[Indices]:
+    """Columns of every cell; of every run of four devices, half over the next, if none is known."""
+    known = list(devices.groups().values())
+    if known:
+        return known
+    each = list(_one_by_one(devices).values())
+    return [np.concatenate(each[begin : begin + 4]) for begin in range(0, len(each) - 1, 2)]
 
 
 def membership(groups: Sequence[tuple[str, Indices]], count: int) -> Matrix:
@@ -49,3 +73,22 @@ def membership(groups: Sequence[tuple[str, Indices]], count: int) -> Matrix:
     for row, (_, columns) in enumerate(groups):
         member[row, columns] = 1.0
     return member
+
+
+def _one_by_one(devices: Devices) -> dict[str, Indices]:
+    """Columns of every device, both planes together."""
+    found: dict[str, list[int]] = {}
+    for column, name in enumerate(devices.names):
+        found.setdefault(name, []).append(column)
+    return {name: np.array(columns, dtype=np.intp) for name, columns in found.items()}
+
+
+def _lengths(count: int) -> list[int]:
+    """Lengths of runs of cells, up to half of them."""
+    most = max(count // 2, 1)
+    if count <= _ALL_LENGTHS:
+        return list(range(1, most + 1))
+    lengths = [1]
+    while (longer := lengths[-1] + max(lengths[-1] // 3, 1)) <= most:
+        lengths.append(longer)
+    return lengths

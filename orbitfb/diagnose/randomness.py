@@ -14,7 +14,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate, held_to
-from orbitfb.diagnose.device_groups import groups_of, membership
+from orbitfb.diagnose.device_groups import crates, membership
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_colour import colour_of_all
 from orbitfb.diagnose.noise_spectra import usual_reading
@@ -182,18 +182,11 @@ def _sets(
     for members in (np.flatnonzero(seen * sign > _STRIKING * deviation) for sign in (1.0, -1.0)):
         if 2 <= len(members) <= _MANY_STRIKE * len(seen):
             yield members, "", float(comb(len(seen), len(members)))
-    groups = _crates(bench)
+    groups = crates(bench.record.layout.bpms)
     weight = [abs(float(np.sum(seen[members]))) / np.sqrt(len(members)) for _, members in groups]
     for index in np.argsort(weight)[::-1][:_KEPT]:
         name, members = groups[int(index)]
         yield members, name, float(len(groups))
-
-
-def _crates(bench: Bench) -> list[tuple[str, Indices]]:
-    """Groups of BPMs with names; all of them are what the floor is made of."""
-    bpms = bench.record.layout.bpms
-    groups = groups_of(bpms.groups(), len(bpms), bpms.planes)
-    return [(name, members) for name, members in groups if 2 * len(members) <= len(bpms)]
 
 
 def _scatter(values: Vector, chance: float, least: float) -> float:
@@ -220,7 +213,7 @@ def _sudden(bench: Bench, kind: NoiseKind, patterns: Matrix) -> Iterator[Candida
                 float(height[place]),
                 float(len(height)),
             )
-    if kind.collective and kind.target == "bpm" and (groups := _crates(bench)):
+    if kind.collective and kind.target == "bpm" and (groups := crates(bench.record.layout.bpms)):
         yield from _sudden_crates(bench, kind, squares, size, groups)
 
 

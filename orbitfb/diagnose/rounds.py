@@ -31,6 +31,9 @@ _LEAST_FURTHER = 15.0
 _TIDY = 1.5
 """Scatter of a further cause's scores over what the noise model says that is still tidy."""
 
+_AS_MUCH = 1.0
+"""Two causes explain as much of a record when their gains differ by less [nats]."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
@@ -84,10 +87,29 @@ class Round:
         return list(found.values())
 
     def limits(self) -> tuple[str, ...]:
-        """Effects that amount to the winner here: it is a limit of their laws."""
-        law = "" if self.accepted is None else self.accepted.kind.id
-        found = (entry.kind.id for entry in self.entries if entry.limit_of == law)
-        return tuple(dict.fromkeys(found)) if law else ()
+        """Effects that amount to the winner here, or explain as much by more parameters.
+
+        Nothing but the number of their parameters speaks against these.
+        """
+        best = self.accepted
+        if best is None:
+            return ()
+        found = (
+            entry.kind.id
+            for entry in self.entries
+            if entry.limit_of == best.kind.id
+            or (
+                entry.cause.places == best.cause.places
+                and len(entry.kind.parameters) > len(best.kind.parameters)
+                and entry.gain > best.gain - _AS_MUCH
+            )
+        )
+        return tuple(dict.fromkeys(found))
+
+    def alike(self) -> tuple[str, ...]:
+        """Effects that the winner may be instead: its rivals, and what amounts to it here."""
+        rivals = (rival.kind.id for rival in self.rivals())
+        return tuple(dict.fromkeys((*rivals, *self.limits())))
 
     def places_within(self) -> list[Entry]:
         """Other places of the winner's kind that the record cannot exclude."""

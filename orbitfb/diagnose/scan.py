@@ -19,6 +19,7 @@ from orbitfb.diagnose.candidate import (
     Candidate,
     best_strength,
 )
+from orbitfb.diagnose.device_groups import cells
 from orbitfb.diagnose.problem import highest
 from orbitfb.diagnose.scan_between import Heights, between
 from orbitfb.diagnose.scan_colour import of_colour
@@ -154,8 +155,8 @@ class Scanner:
         """Best score of a place, and of a cell whose places are struck alike."""
         heights = {"single": float(changes.score.max(initial=0.0))}
         if kind.collective and isinstance(kind, ActuatorKind | SensorKind):
-            cells = self._struck(kind)["cell"]
-            heights["cell"] = max((float(changes.score[own].sum()) for own in cells), default=0.0)
+            struck = self._struck(kind)["cell"]
+            heights["cell"] = max((float(changes.score[own].sum()) for own in struck), default=0.0)
         return heights
 
     def _struck(self, kind: ActuatorKind | SensorKind) -> dict[str, list[Indices]]:
@@ -164,7 +165,7 @@ class Scanner:
         devices = layout.correctors if isinstance(kind, ActuatorKind) else layout.bpms
         return {
             "all": [np.arange(len(devices), dtype=np.intp)],
-            "cell": list(devices.groups().values()),
+            "cell": cells(devices),
         }
 
     def _together(

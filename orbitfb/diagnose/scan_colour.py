@@ -12,6 +12,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.device_groups import crates
 from orbitfb.diagnose.explain import Cause
 from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.kinds import Values
@@ -44,14 +45,11 @@ def _coloured(bench: Bench, *, collective: bool) -> Iterator[tuple[Indices, str,
     colour = _colours(bench)
     for place in np.argsort(np.abs(colour))[::-1][:_PLACES]:
         yield np.array([place]), "", float(len(colour))
-    cells = bench.record.layout.bpms.groups() if collective else {}
-    if cells:
-        sums = {
-            name: abs(float(colour[columns].sum())) / np.sqrt(len(columns))
-            for name, columns in cells.items()
-        }
-        name = max(sums, key=lambda cell: sums[cell])
-        yield cells[name], name, float(len(cells))
+    groups = crates(bench.record.layout.bpms) if collective else []
+    if groups:
+        sums = [abs(float(colour[columns].sum())) / np.sqrt(len(columns)) for _, columns in groups]
+        name, columns = groups[int(np.argmax(sums))]
+        yield columns, name, float(len(groups))
 
 
 def _colours(bench: Bench) -> Vector:

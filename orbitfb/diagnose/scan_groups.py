@@ -47,7 +47,7 @@ class Groups:
         (shapes, drivers), *_ = changes.parts
         keep = np.sqrt(1.0 - changes.information[1])
         known = information(shapes.fine, scoring.courses(drivers)) * np.outer(keep, keep)
-        groups = list(groups_of(devices.groups(), len(devices), devices.planes))
+        groups = list(groups_of(devices))
         member = membership(groups, len(devices))
         places = [tuple(columns.tolist()) for _, columns in groups]
         return cls(places, [name for name, _ in groups], member, known)

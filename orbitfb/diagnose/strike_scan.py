@@ -70,7 +70,7 @@ def latent_candidates(bench: Bench, kind: LatentKind) -> list[Candidate]:
 def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) -> list[Candidate]:
     """Best parameters of every BPM, of every run of cells and of all."""
     bpms = bench.record.layout.bpms
-    groups = list(groups_of(bpms.groups(), len(bpms), bpms.planes))
+    groups = list(groups_of(bpms))
     member = membership(groups, len(bpms))
     found: dict[tuple[int, ...], Candidate] = {}
     noisier = _noisier(score, info)

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from orbitfb.core.signals import Vector
+from orbitfb.effects.cells import cells_of
 from orbitfb.effects.layout import ChannelPlane, Devices, Layout
-from orbitfb.effects.places import cell_of, resolve
+from orbitfb.effects.places import resolve
 from orbitfb.effects.settings import EffectSettings
 from orbitfb.physics.effect import Effect, generator
 from orbitfb.physics.optics import Matrix
@@ -65,7 +66,7 @@ def devices_of(
         planes: k planes.
         channels: What a record calls them, if not so.
     """
-    return Devices(tuple(names), tuple(planes), tuple(map(cell_of, names)), tuple(channels))
+    return Devices(tuple(names), tuple(planes), cells_of(names, planes), tuple(channels))
 
 
 def layout_of(ring: Ring, planes: Planes, period: float, response: Matrix | None = None) -> Layout:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.errors import ConfigError
+from orbitfb.effects.cells import cell_of
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.layout import Devices, Layout
@@ -16,15 +17,8 @@ from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.settings import EffectSettings
 from orbitfb.physics.places import Indices, Plane
 
-_CELL = re.compile(r"(?:^|[^A-Za-z0-9])(C\d{1,3})(?=$|[^A-Za-z0-9])")
 _WITH_PLANE = re.compile(r"(.*?)\s*\(([xy])\)")
 _RANGE = re.compile(r"([^-]+?)\s*-\s*([^-]+)")
-
-
-def cell_of(name: str) -> str:
-    """Tell the cell from a name, `PH1A_C30` → `C30`; empty when it does not say."""
-    found = _CELL.search(name)
-    return found[1] if found else ""
 
 
 @dataclass(frozen=True, slots=True)

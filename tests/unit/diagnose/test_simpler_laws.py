@@ -34,3 +34,13 @@ def test_a_play_within_the_moves_of_a_corrector_is_a_law_of_its_own(width):
     assert found.accepted.kind.id == "corrector-hysteresis"
     assert not any(entry.limit_of for entry in found.entries)
     assert found.limits() == ()
+
+
+def test_a_resonance_that_has_settled_when_the_orbit_is_read_is_a_lag():
+    kinds = [all_effects()[name] for name in ("corrector-lag", "corrector-resonance")]
+    effect = f"corrector-resonance:frequency=13Hz,damping=0.4,names={CORRECTORS[20]}"
+    there = Bench(record_with(effect, dither=1e-2))
+    entries = tournament(there, kinds)
+    found = Round(there, tuple(entries), len(kinds), entries[0])
+    assert found.accepted.kind.id == "corrector-lag"
+    assert found.limits() == ("corrector-resonance",)

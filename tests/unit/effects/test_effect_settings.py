@@ -5,8 +5,9 @@ import pytest
 
 from orbitfb.config import load_config
 from orbitfb.core.errors import ConfigError
+from orbitfb.effects.cells import cell_of
 from orbitfb.effects.files import effects_toml, read_effects
-from orbitfb.effects.places import cell_of, resolve
+from orbitfb.effects.places import resolve
 from orbitfb.effects.settings import EffectSettings, parse_effect
 from orbitfb.effects.units import parse_quantity
 

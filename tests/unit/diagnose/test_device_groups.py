@@ -1,0 +1,30 @@
+"""Groups of devices, whatever their names tell."""
+
+from dataclasses import replace
+
+from test_scans import LAYOUT, best, record_with
+
+from orbitfb.diagnose.device_groups import cells, groups_of
+from orbitfb.effects.layout import Devices
+
+NAMELESS = Devices(tuple(f"BPM{i}" for i in range(60)) * 2, ("x",) * 60 + ("y",) * 60, ("",) * 120)
+
+
+def test_where_no_cell_is_known_runs_of_neighbours_are_groups_in_each_plane_and_both():
+    found = {tuple(columns.tolist()): name for name, columns in groups_of(NAMELESS)}
+    assert len(found) < 60 * 3 * 12
+    assert found[tuple(range(60))] == "all x"
+    assert found[7, 8, 9] == "BPM7–BPM9 x"
+    assert found[67, 68, 69] == "BPM7–BPM9 y"
+    assert found[7, 67, 8, 68, 9, 69] == "BPM7–BPM9"
+    assert max(len(columns) for columns in found) == 120
+    covered = {int(column) for members in cells(NAMELESS) for column in members}
+    assert covered == set(range(120))
+
+
+def test_neighbours_without_a_cell_are_found_together():
+    struck = LAYOUT.bpms.names[20:24]
+    record = record_with(f"bpm-gain:gain=0.05,names={'+'.join(struck)}", dither=2e-3)
+    nameless = replace(record.layout.bpms, cells=("",) * len(record.layout.bpms))
+    record = replace(record, layout=replace(record.layout, bpms=nameless))
+    assert best(record, "bpm-gain").cause.places == (20, 21, 22, 23)
