@@ -14,6 +14,7 @@ from orbitfb.core.signals import Channels, Vector
 from orbitfb.diagnose.explain import Cause
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.layout import Layout
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.loop.excitation_design import ExcitationPart, ExcitationSettings, design
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
@@ -191,6 +192,8 @@ def _wanted(layout: Layout, cause: Cause) -> Iterator[tuple[str, Vector]]:
     kind, places = cause.kind, list(cause.places)
     if isinstance(kind, PairKind):
         places = [int(column) for pair in places for column in kind.pairs(layout)[pair]]
+    if isinstance(kind, NoiseKind) and kind.target == "bpm":  # a place may be a group of them
+        places = np.flatnonzero(kind.patterns(layout)[:, places].any(axis=1)).tolist()
     several = np.linspace(0, len(places) - 1, min(_MOST_PLACES, len(places)))
     chosen = [places[int(index)] for index in several]
     for place in chosen:

@@ -148,7 +148,7 @@ def _draw(
         rng = np.random.default_rng([spec.seed, 2, number, attempt])
         draft = maker.draw(case, rng)
         start = _first_row(case, maker, spec, rng, attempt)
-        size, seen, log = _sized(case, maker, draft, start, spec, filter_)
+        size, seen, log = _sized(case, maker, draft, (start, number), spec, filter_)
         attempt += 1
         if len(log.readings) > FEWEST or attempt == TRIES:
             return (start, maker, draft, size, seen), log
@@ -166,10 +166,27 @@ def _first_row(
 
 
 def _sized(
-    case: Conditions, maker: Maker, draft: Draft, start: int, spec: Spec, filter_: Innovations
+    case: Conditions,
+    maker: Maker,
+    draft: Draft,
+    begins: tuple[int, int],
+    spec: Spec,
+    filter_: Innovations,
 ) -> tuple[float, float, Log]:
-    """Search the size that is as detectable as wanted; an effect without a size is taken as is."""
+    """Search the size that is as detectable as wanted; an effect without a size is taken as is.
 
+    Args:
+        case: Circumstances.
+        maker: Of the effect.
+        draft: The effect.
+        begins: Its first row, and its number among the effects of the case.
+        spec: What is asked of the case.
+        filter_: Of the case.
+
+    Returns:
+        Size, d', and the run of this effect alone.
+    """
+    start, number = begins
     healthy = healthy_errors(case, maker, draft) if spec.background else []
     gradients = healthy_gradients(case, maker, draft, filter_)
     leave = None if gradients is None else gradients.leave
@@ -177,7 +194,7 @@ def _sized(
     def look(size: float) -> tuple[float, Log]:
         effects: list[tuple[int, Nature]] = [(start, draft.build(size))]
         seen, log = detectability(
-            case, effects, spec.seed, draft.law, filter_, spec.ticks + 1, healthy, leave
+            case, effects, spec.seed, draft.law, filter_, spec.ticks + 1, healthy, leave, number
         )
         if draft.closed is not None:
             rows = min(spec.ticks + 1, len(log.readings)) - max(start - case.warm, 0)

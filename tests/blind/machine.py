@@ -65,6 +65,7 @@ def run(
     seed: int,
     replay: Array | None = None,
     limit: float = 1.5e-3,
+    number: int = 0,
 ) -> Log:
     """Let the machine run.
 
@@ -74,11 +75,13 @@ def run(
         seed: Of every random number but those of the circumstances.
         replay: Setpoints of every row (rows, m) [A]: no loop, these are in force.
         limit: An orbit of this size stops the run [m], as an interlock would.
+        number: Of the first of the effects among those of the case: each has its own luck,
+            whatever else is there.
     """
-    streams = np.random.SeedSequence(seed).spawn(1 + len(effects))
+    streams = np.random.SeedSequence(seed).spawn(1 + number + len(effects))
     noise = np.random.default_rng(streams[0]).standard_normal((case.rows, len(case.bpm_names)))
     noise *= case.noise
-    for (start, effect), stream in zip(effects, streams[1:], strict=True):
+    for (start, effect), stream in zip(effects, streams[1 + number :], strict=True):
         effect.start = start
         effect.bind(case, np.random.default_rng(stream))
         noise[start:] = effect.noise(noise)[start:]

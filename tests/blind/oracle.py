@@ -61,6 +61,7 @@ def detectability(
     rows: int,
     healthy: Sequence[Nature] = (),
     leave: Callable[[Array, Log], float] | None = None,
+    number: int = 0,
 ) -> tuple[float, Log]:
     """Tell d' of a single effect on the first rows of the record, and give the run itself.
 
@@ -73,8 +74,9 @@ def detectability(
         rows: Of the record that count.
         healthy: Small errors, one standard deviation each, that nobody knows.
         leave: Tells what is seen of a whitened change beside more of them.
+        number: Of the effect among those of the case.
     """
-    log = run(case, effects, seed)
+    log = run(case, effects, seed, number=number)
     without = run(case, [], seed, replay=_extend(case, log.sent))
     rows = min(rows, len(log.readings))
     white = filter_.whiten(log.readings[:rows] - without.readings[:rows])

@@ -21,6 +21,7 @@ from tests.blind.healthy import HealthyGradients
 from tests.blind.machine import Nature, run
 from tests.blind.nature_actuator import Lag, Resonance, Slew
 from tests.blind.nature_limits import BoucWen
+from tests.blind.nature_link import Missed
 from tests.blind.nature_optics import Gradients, Sextupole
 from tests.blind.oracle import Innovations
 from tests.blind.rings import Lattice, beating_errors
@@ -225,6 +226,15 @@ def test_the_second_ring_is_a_ring(tmp_path: Path) -> None:
 
 def test_an_effect_that_is_not_there_changes_nothing(case: Conditions) -> None:
     np.testing.assert_array_equal(run(case, [(0, Nature())], 4).readings, run(case, [], 4).readings)
+
+
+def test_an_effect_has_the_same_luck_alone_as_in_its_pair(case: Conditions) -> None:
+    pair, alone, first = Missed(0.1), Missed(0.1), Missed(0.1)
+    run(case, [(0, Nature()), (0, pair)], 4)
+    run(case, [(0, alone)], 4, number=1)
+    run(case, [(0, first)], 4)
+    np.testing.assert_array_equal(alone.luck, pair.luck)
+    assert np.any(first.luck != pair.luck)
 
 
 def test_innovations_of_the_true_noise_are_white(case: Conditions) -> None:

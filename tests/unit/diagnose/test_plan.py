@@ -13,9 +13,11 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.plan import limits_of, plan, plan_for
 from orbitfb.diagnose.plan_answer import ENOUGH
+from orbitfb.diagnose.plan_candidates import proposals
 from orbitfb.diagnose.plan_file import Plan
 from orbitfb.diagnose.plan_response import answered, loop_gains
 from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.effects.bpm_walk import BpmWalk
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import effect
@@ -143,6 +145,21 @@ def test_a_plan_splits_all_rivals_and_says_which_it_cannot(weak: tuple[Bench, Pl
     assert its.separation_nats is not None and its.separation_nats >= ENOUGH
     assert pair.minutes is not None and its.minutes is not None and alone.experiment.minutes
     assert its.minutes * (its.orbit_cost_um or 1e-9) >= pair.minutes * (pair.orbit_cost_um or 1e-9)
+
+
+def test_noise_of_a_group_is_planned_for_at_the_bpms_of_the_group() -> None:
+    walk = BpmWalk()
+    patterns = walk.patterns(LAYOUT)
+    group = patterns.shape[1] - 2  # a cell: the last one is the whole plane
+    members = {LAYOUT.bpms.label(int(column)) for column in np.flatnonzero(patterns[:, group])}
+    cause = Cause(walk, (group,), {"step": 1e-8})
+    moved = {
+        one.label.removeprefix("the orbit at ")
+        for one in proposals(LAYOUT, [cause], limits_of())
+        if one.label.startswith("the orbit at ")
+    }
+    assert moved
+    assert moved <= members
 
 
 def test_an_effect_without_a_trace_is_planned_for_at_its_typical_size(
