@@ -1,8 +1,9 @@
-"""Whether noise is the noise that its law says: its bits, its colour, its lines."""
+"""Whether noise is the noise that its law says: its bits, its colour, its lines, its course."""
 
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.stats import chi2
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.bits import silent_bit
@@ -14,6 +15,14 @@ _FEW_BPMS = 6
 """BPMs whose single bits are looked at."""
 _COLOURS = 8
 """Cosines over the spectrum: noise of as many ticks' memory."""
+_BLOCKS = 12
+"""Parts of a record that may differ in their noise."""
+_SHORTEST_BLOCK = 20
+"""Rows of the shortest of them."""
+_LAGS = range(1, 51)
+"""Rows over which noise may echo."""
+_CHANCE = 0.99
+"""Share of noise that is always the same whose parts differ no more."""
 _OCCAM = 2.0
 """What the size of a colour or of a line costs [nats]."""
 
@@ -31,6 +40,8 @@ def noise_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
     if isinstance(cause.kind, NoiseKind):
         yield from _bits(bench, cause)
         yield from _spectrum(bench, cause)
+        if not cause.kind.rare:
+            yield from _blocks(bench, cause)
 
 
 def _bits(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
@@ -81,6 +92,27 @@ def _spectrum(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
     turns = spectra.alternating(cause.values) / len(places)
     height = sum(0.5 * _line(float(turn), len(places)) for turn in turns)
     yield "as an offset that alternates from tick to tick", height - _OCCAM
+
+
+def _blocks(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
+    """Ask whether every part of the record has as much of it, each by its own variance."""
+    places, kind = places_struck(bench, cause), cause.kind
+    rows = np.flatnonzero(~bench.record.starts)
+    rows = rows[rows >= cause.onset]
+    if not 0 < len(places) <= MOST_PLACES or len(rows) < _BLOCKS * _SHORTEST_BLOCK:
+        return
+    assert isinstance(kind, NoiseKind)  # noqa: S101
+    seen = bench.floor.modes.directions.T @ kind.patterns(bench.record.layout)[:, list(places)]
+    seen /= np.sqrt(bench.floor.innovation_variance)[:, None]
+    course = bench.white[rows] @ (seen / np.linalg.norm(seen, axis=0))
+    squares = np.mean(course**2, axis=1)
+    parts = np.array_split(squares, _BLOCKS)
+    surplus = sum(len(part) * np.log(np.mean(squares) / np.mean(part)) for part in parts)
+    # Rows that are alike count once (M. S. Bartlett, Nature 161 (1948) 686).
+    echoes = [np.sum(course[lag:] * course[:-lag]) / np.sum(course**2) for lag in _LAGS]
+    alike = 1.0 + 2.0 * float(np.sum(np.square(echoes)))
+    nats = 0.5 * len(places) * float(surplus) / alike
+    yield "as noise that comes and goes", nats - 0.5 * float(chi2.ppf(_CHANCE, _BLOCKS - 1))
 
 
 def _line(surplus: float, members: int) -> float:

@@ -21,6 +21,7 @@ class NoiseModes:
         spread: Reading noise of every BPM over the usual one, geometric mean 1, shape (n,).
         scatter: How far healthy BPMs differ from each other: standard deviation of the logarithm
             of their variance.
+        deaf: BPMs that tell nothing of the orbit, whatever their noise.
 
     Attributes:
         directions: z = y · directions, shape (n, n).
@@ -29,10 +30,18 @@ class NoiseModes:
     axes: Matrix
     spread: Vector
     scatter: float = 0.0
+    deaf: tuple[int, ...] = ()
     directions: Matrix = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "directions", self.axes / self.spread[:, None])
+
+    @property
+    def levels(self) -> Vector:
+        """Logarithm of every BPM's noise variance over the usual one, 0 of the deaf; shape (n,)."""
+        levels = 2.0 * np.log(self.spread)
+        levels[list(self.deaf)] = 0.0
+        return levels
 
     @classmethod
     def even(cls, axes: Matrix) -> "NoiseModes":
@@ -44,7 +53,13 @@ class NoiseModes:
         return cls(axes, np.ones(len(axes)))
 
     @classmethod
-    def of(cls, layout: Layout, spread: Vector | None = None, scatter: float = 0.0) -> "NoiseModes":
+    def of(
+        cls,
+        layout: Layout,
+        spread: Vector | None = None,
+        scatter: float = 0.0,
+        deaf: tuple[int, ...] = (),
+    ) -> "NoiseModes":
         """Those of the orbits that quadrupoles make, each moving alone.
 
         Without a ring those of the response.
@@ -53,6 +68,7 @@ class NoiseModes:
             layout: Devices.
             spread: As above; None: all BPMs are alike.
             scatter: As above.
+            deaf: As above; each is a mode of its own, the last ones.
         """
         if layout.ring is None or not len(layout.ring.places("QUAD")):
             covariance = layout.response @ layout.response.T
@@ -61,5 +77,9 @@ class NoiseModes:
             moved = [layout.orbit_per_kick("QUAD", plane) * strength for plane in layout.planes]
             covariance = np.sum([orbit @ orbit.T for orbit in moved], axis=0)
         spread = np.ones(len(covariance)) if spread is None else spread
-        axes = np.linalg.eigh(covariance / np.outer(spread, spread))[1][:, ::-1]
-        return cls(axes, spread, scatter)
+        covariance /= np.outer(spread, spread)
+        for column in deaf:
+            covariance[column] = covariance[:, column] = 0.0
+            covariance[column, column] = -1.0
+        axes = np.linalg.eigh(covariance)[1][:, ::-1]
+        return cls(axes, spread, scatter, deaf)

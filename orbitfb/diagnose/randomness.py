@@ -143,7 +143,7 @@ def _scattered(bench: Bench, kind: NoiseKind, patterns: Matrix) -> _Scatter:
     over = over - (np.median(over) if len(over) > _MANY else 0.0)
     seen = over
     if kind.relative and not bench.told_floor:  # a reference knows each BPM by itself
-        seen = over + 2.0 * np.log(bench.floor.modes.spread)
+        seen = over + bench.floor.modes.levels
         seen = seen - (np.median(seen) if len(seen) > _MANY else 0.0)
         healthy = bench.floor.modes.scatter
     least = _LEAST_COLOUR if kind.lag else _LEAST_SCATTER

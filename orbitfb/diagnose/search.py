@@ -7,6 +7,7 @@ import numpy as np
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import Budget
+from orbitfb.diagnose.deafened import without_bpms
 from orbitfb.diagnose.entry import Entry, price
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
@@ -87,7 +88,7 @@ def search(
     tell = progress or (lambda what, share: None)
     nominal = Bench(record, given, floor)
     worth = _worth(nominal, floor) if given else 0.0
-    bench = nominal
+    bench = heard = nominal
     rounds: list[Round] = []
     causes: tuple[Cause, ...] = ()
     left = list(kinds)
@@ -110,18 +111,22 @@ def search(
         causes = (*causes, best.cause)
         if best.fit is None:
             # It has no law in time: what it did is taken out of the record, where that is known.
-            cleaned = _cleaned(bench, best.cause)
-            if cleaned is None:
+            if (deaf := without_bpms(bench, best.cause)) is not None:
+                nominal = Bench(deaf[0], given, None, deaf[1])
+            elif (cleaned := _cleaned(bench, best.cause)) is not None:
+                told = floor if nominal.told_floor else None
+                clean = Bench(cleaned, given, told, nominal.floor.modes)
+                nominal, heard = clean, clean if heard is nominal else heard
+                left = [kind for kind in left if not _kin(kind, best.kind)]
+            else:
                 break  # the floor does not have it, so that what is left is its own doing first
-            record = cleaned
-            nominal = Bench(record, given, floor, nominal.floor.modes)
-            left = [kind for kind in left if not _kin(kind, best.kind)]
-        bench = Bench(record, (*given, *_moving(causes)), floor, nominal.floor.modes)
+        told = floor if nominal.told_floor else None
+        bench = Bench(nominal.record, (*given, *_moving(causes)), told, nominal.floor.modes)
     rounds, joint, moving = _without_void(nominal, bench, rounds)
     causes = tuple(one.accepted.cause for one in rounds if one.accepted is not None)
-    final = bench
-    if joint is not None:
-        final = Bench(record, (*given, *moving), floor, nominal.floor.modes)
+    final = heard  # with the BPMs that were left out of the search
+    if moving:
+        final = Bench(heard.record, (*given, *moving), floor, heard.floor.modes)
     still = [cause for cause in causes if isinstance(cause.kind, LatentKind | NoiseKind)]
     tell("done", 1.0)
     untried = dict.fromkeys(c.cause.kind.id for one in rounds for c in one.untried)
