@@ -33,9 +33,9 @@ def begun_noise(bench: Bench, candidate: Candidate) -> Candidate:
         return candidate
     course, size = projections(bench, kind.patterns(bench.record.layout)[:, list(cause.places)])
     squares = course**2 / size
-    rows, gain, before, after = parted(squares.mean(axis=1, keepdims=True))
+    rows, gain, before, after = parted(squares.mean(axis=1, keepdims=True), len(cause.places))
     row = int(rows[0])
-    beyond = len(cause.places) * float(gain[0]) - float(np.log(len(squares)))
+    beyond = float(gain[0]) - float(np.log(len(squares)))
     if beyond < _ONSET_WORTH:
         return candidate
     early, late = squares[:row].mean(axis=0), squares[row:].mean(axis=0)

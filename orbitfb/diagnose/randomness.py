@@ -224,13 +224,13 @@ def _sudden_crates(
     size: Vector,
     groups: Sequence[tuple[str, Indices]],
 ) -> Iterator[Candidate]:
-    """The same of BPMs together, each beside its own mean; their gains add up."""
+    """The same of BPMs together, each beside its own mean."""
     usual = np.maximum(squares.mean(axis=0), 1e-300)
     member = membership(groups, squares.shape[1])
     count = member.sum(axis=1)
-    rows, gain, early, late = parted((squares / usual) @ (member / count[:, None]).T)
+    rows, gain, early, late = parted((squares / usual) @ (member / count[:, None]).T, count)
     apart = WITHIN * np.hypot(1.0 / np.sqrt(count), _IN_COMMON)
-    height = beyond_healthy(count * gain - np.log(len(squares)), late / early, apart)
+    height = beyond_healthy(gain - np.log(len(squares)), late / early, apart)
     for index in np.argsort(height)[::-1][:_KEPT]:
         name, members = groups[int(index)]
         added = float(late[index] - early[index]) * float(np.mean(usual[members] / size[members]))
@@ -240,28 +240,36 @@ def _sudden_crates(
             yield Candidate(cause, float(height[index]), float(len(groups)), name)
 
 
-def parted(squares: Matrix) -> tuple[Indices, Vector, Vector, Vector]:
+def parted(squares: Matrix, count: Vector | float = 1.0) -> tuple[Indices, Vector, Vector, Vector]:
     """Find the row that parts every course of squares best into two of a variance each.
 
+    Squares that scatter more within the parts than those of normal noise do tell less of its
+    variance, by as much.
+
     Args:
-        squares: Of white noise, shape (N, P).
+        squares: Of white noise, or means of several, shape (N, P).
+        count: Of how many each is the mean, shape (P,).
 
     Returns:
-        First row of the later part, gain over one variance for all rows [nats], and the variances
-        before and after, each of shape (P,).
+        First row of the later part, gain of all together over one variance for all rows [nats],
+        and the variances before and after, each of shape (P,).
     """
     before = np.cumsum(squares, axis=0)
     rows = np.arange(1, len(squares) + 1)[:, None]
-    total, count = before[-1], float(len(squares))
+    total, length = before[-1], float(len(squares))
     early = np.maximum(before / rows, 1e-9)
-    left = np.maximum(count - rows, 1)
+    left = np.maximum(length - rows, 1)
     late = np.maximum((total - before) / left, 1e-9)
-    gain = -0.5 * (rows * np.log(early) + left * np.log(late) - count * np.log(total / count))
+    gain = -0.5 * (rows * np.log(early) + left * np.log(late) - length * np.log(total / length))
     gain[:EDGE] = 0.0
     gain[-EDGE:] = 0.0
     best = np.argmax(gain, axis=0)
     every = np.arange(gain.shape[1])
-    return best + 1, gain[best, every], early[best, every], late[best, every]
+    means = early[best, every], late[best, every]
+    apart = squares - np.where(rows <= best + 1, *means)
+    normal = (best + 1) * means[0] ** 2 + (length - best - 1) * means[1] ** 2
+    heavy = 0.5 * count * np.sum(apart**2, axis=0) / normal
+    return best + 1, count * gain[best, every] / np.maximum(heavy, 1.0), *means
 
 
 def values_of(kind: NoiseKind, variance: float, reading: float) -> Values | None:

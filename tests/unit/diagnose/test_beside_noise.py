@@ -11,6 +11,7 @@ from orbitfb.diagnose.deafened import without_bpms
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_departure import noise_laws
 from orbitfb.diagnose.noise_modes import NoiseModes
+from orbitfb.diagnose.randomness import parted
 from orbitfb.diagnose.search import search
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import build
@@ -67,3 +68,23 @@ def test_noise_of_a_part_of_the_record_is_not_the_noise_of_its_law(burst, said):
     bench = Bench(replace(record, readings=readings))
     told = dict(noise_laws(bench, Cause(LEVEL, (20,), {"factor": 2.0})))
     assert (told["as noise that comes and goes"] > 20.0) is said
+
+
+def test_heavy_tails_are_no_change_of_the_level():
+    rng = np.random.default_rng(3)
+    squares = rng.standard_normal((1500, 4)) ** 2
+    squares[1000:, 0] *= 2.0
+    squares[:, 1] = rng.standard_t(2.5, 1500) ** 2
+    rows, gain, before, after = parted(squares)
+    assert abs(rows[0] - 1000) < 100
+    assert gain[0] > 20.0
+    assert after[0] / before[0] == pytest.approx(2.0, abs=0.3)
+    assert np.all(gain[1:] < np.log(1500))
+
+
+def test_the_change_of_several_adds_up():
+    squares = np.random.default_rng(4).standard_normal((1500, 5)) ** 2
+    squares[1000:] *= 1.5
+    each = parted(squares)[1]
+    together = parted(squares.mean(axis=1, keepdims=True), 5.0)[1]
+    assert together[0] == pytest.approx(np.sum(each), rel=0.2)
