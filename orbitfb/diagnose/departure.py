@@ -40,6 +40,10 @@ _COST = 5.0
 """What a course has to gain to be seen at all: its size, and the choice among all [nats]."""
 _MEMORIES = (5.0, 20.0, 80.0, 300.0)
 """Time constants of slow followers [ticks]."""
+_PARTS = (5, 20, 80)
+"""Rows of the parts of a record in which a cause may have a strength of its own."""
+_STRENGTHS = np.array([0.1, 0.3, 1.0])
+"""Scatter of it, over the fitted one."""
 _RANK = 2
 _SMALL = 0.05
 """Part of an orbit's largest shape below which another one is not looked at."""
@@ -99,7 +103,32 @@ def departure(bench: Bench, cause: Cause, gain: float) -> Departure:
         if height > top:
             best, top = name, height
     nats = top - float(np.log(tried)) - _OCCAM
+    uneven = _uneven(bench, cause)
+    if uneven > max(nats, 0.0):
+        best, nats = "with a strength that comes and goes", uneven
     return Departure(best, nats, gain) if nats > 0.0 else Departure("", 0.0, gain)
+
+
+def _uneven(bench: Bench, cause: Cause) -> float:
+    """What a strength of a cause that is drawn anew for every part of a record gains [nats].
+
+    The likelihood ratio of a part whose strength is normal about the fitted one. What a BPM does
+    to its noise goes with the noise itself: of BPMs it tells nothing.
+    """
+    if isinstance(cause.kind, SensorKind) or cause.kind.target == "bpm":
+        return 0.0
+    others = [one for one in bench.causes if one is not cause]
+    without = Bench(bench.record, others, bench.floor, bench.floor.modes)
+    change = without.residual(())[0] - without.residual((cause,))[0]
+    score, info = np.sum(change * bench.white, axis=1), np.sum(change**2, axis=1)
+    heights: list[float] = []
+    for rows in _PARTS:
+        begins = np.arange(0, len(score), rows)
+        pull, known = np.add.reduceat(score, begins), np.add.reduceat(info, begins)
+        for variance in _STRENGTHS**2:
+            spread = 1.0 + variance * known
+            heights.append(float(np.sum(variance * pull**2 / spread - np.log(spread))))
+    return 0.5 * max(heights) - float(np.log(len(heights))) - _OCCAM
 
 
 def _trials(bench: Bench, cause: Cause) -> Iterator[tuple[str, Matrix]]:

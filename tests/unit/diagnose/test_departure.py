@@ -57,6 +57,27 @@ def test_the_nearest_effect_of_another_law_is_told_from_it():
     assert its.chance < 0.01
 
 
+class Breathes(ColumnsEffect):
+    """A law of no library: a gain that comes and goes."""
+
+    def __init__(self, places, gain, cycle):
+        super().__init__(places)
+        self._gain, self._cycle, self._row, self._first = gain, cycle, 0, None
+
+    def follow(self, wanted):
+        self._first = wanted.copy() if self._first is None else self._first
+        self._row += 1
+        gain = self._gain * (1.0 - np.cos(2.0 * np.pi * self._row / self._cycle))
+        return wanted + gain * (wanted - self._first)
+
+
+def test_a_strength_that_comes_and_goes_is_told_from_one_that_stays():
+    its, gain = departs(Breathes(np.array([COLUMN]), 0.3, 70.0))
+    assert its.course == "with a strength that comes and goes"
+    assert its.nats > 0.1 * gain
+    assert its.chance < 0.01
+
+
 class Leaks(ColumnsEffect):
     """A law of no library: what is set leaks away, slower than the record is long."""
 
