@@ -4,9 +4,10 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
-# Tests that start services, on a computer busy with others: what failed is tried once more, alone.
-# Both results are printed; one that failed once is a bug of the test or of the program.
-twice = $(PYTEST) $(1) || { test $$? -eq 1 && echo "once more, alone:" && $(PYTEST) --last-failed $(1); }
+# Tests that start services, on a computer busy with others: what failed is tried again, alone, and
+# once more after a while. All results are printed; what failed once is a bug of test or program.
+again = { test $$? -eq 1 && echo "again, alone:" && sleep $(2) && $(PYTEST) --last-failed $(1)$(3); }
+tried = $(PYTEST) $(1) || $(call again,$(1),1, || $(call again,$(1),60))
 
 # make docs: the pages as a site in site/.
 .PHONY: run test test-system test-docs docs newcomer venv lint types layers audit format bench clean blind chaos soak
@@ -18,7 +19,7 @@ run: venv
 # on two cores several at once take as long, and what they say about time is no longer true.
 test: venv
 	$(PYTEST) tests/unit -n logical --maxprocesses 8 --dist loadscope --no-loadscope-reorder
-	$(call twice,--ignore tests/unit)
+	$(call tried,--ignore tests/unit)
 
 venv: $(STAMP)
 
@@ -71,7 +72,7 @@ soak: venv
 # What needs programs of Debian, and every page: some minutes.
 test-system: venv
 	@tests/debian/install
-	$(call twice,-m "slow or debian" tests/debian tests/system/test_docs_snippets.py)
+	$(call tried,-m "slow or debian" tests/debian tests/system/test_docs_snippets.py)
 
 clean:
 	rm -rf .venv build dist

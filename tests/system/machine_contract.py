@@ -61,7 +61,7 @@ def slow_channels_are_known_in_si(bench: Bench) -> None:
 
 def an_orbit_is_never_returned_twice(bench: Bench) -> None:
     times = [bench.machine.read(bench.timeout).orbit.time for _ in range(10)]
-    assert np.all(np.diff(times) > 0.5 * bench.period)
+    assert np.all(np.diff(times) > 0.0)  # after a standstill two may come in quick succession
 
 
 def values_returned_are_not_changed_later(bench: Bench) -> None:

@@ -28,6 +28,8 @@ PROGRAM = (sys.executable, "-W", "error::ResourceWarning", "-m", "orbitfb")
 CHANNELS = Ring.load().channels("x")
 START = 120.0
 """How long a start may take on a loaded computer [s]."""
+PATIENCE = 4.0
+"""How much longer what takes a while on an idle computer may take on a loaded one."""
 POLL = 0.02
 """From one look to the next [s]."""
 
@@ -71,11 +73,11 @@ def refused(*arguments: object, **environment: str | None) -> str:
 
 
 def wait_for(what: str, look: Callable[[], Any], timeout: float = START) -> Any:
-    """Look again and again until there is something to see.
+    """Look again and again until there is something to see, `timeout` at most if idle.
 
     Looks are counted, not seconds: a computer that stands still for a while looks no more often.
     """
-    for _ in range(math.ceil(timeout / POLL)):
+    for _ in range(math.ceil(min(PATIENCE * timeout, max(timeout, START)) / POLL)):
         if seen := look():
             return seen
         time.sleep(POLL)

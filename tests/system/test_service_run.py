@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from ioc_clients import KICK, run_client
 from service_process import (
+    START,
     Ioc,
     Process,
     Service,
@@ -132,12 +133,11 @@ def test_planes_y_and_xy(tmp_path: Path):
 
     with start("y") as y, start("xy") as xy:
         for planes, process in (("y", y), ("xy", xy)):
-            assert process.popen.wait(40) == 0, process.err
+            assert process.popen.wait(START) == 0, process.err
             archived = transitions(tmp_path / planes)
             assert archived.orbit.shape[1] == 180 * len(planes)
-            begin = archived.time[np.argmax(archived.closed)]
-            late = archived.time > begin + 5.0
-            for part in np.split(archived.orbit[late], len(planes), axis=1):
+            whole = np.isfinite(archived.orbit).all(axis=1)  # two at once: a tick may be in pieces
+            for part in np.split(archived.orbit[whole][-10:], len(planes), axis=1):
                 assert rms(part).max() < 1e-6
             summary = json.loads((tmp_path / f"{planes}.json").read_text())
             assert (summary["state"], summary["bpms"]) == ("CLOSED", 180 * len(planes))
