@@ -146,7 +146,7 @@ def draw(kind: EffectKind, seed: int, ticks: int, later: bool) -> Case:
         size, early = np.abs(quiet.setpoints), ticks * 2 // 5
         reached = size[:early].max(axis=0)
         best = int(np.argmax(size[early:].max(axis=0) - reached))
-        places, values = (best,), {"limit": float(reached[best])}
+        places, values = (best,), {"limit": float(reached[best]), "side": 0.0}
     onset = ticks * 2 // 5 if later or kind.id in LATER else 0
     return Case(Cause(kind, places, values, onset), planes, seed)
 

@@ -21,6 +21,7 @@ class ParameterValue(Part):
     unstable: bool = Field(
         default=False, description="parts of the record disagree about it by more than 4 sigma"
     )
+    meaning: str = Field(default="", description="what the value stands for, where it is a choice")
 
 
 class Cause(Part):

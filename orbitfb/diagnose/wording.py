@@ -129,7 +129,8 @@ def parameter(value: ParameterValue) -> str:
     text = _plain(value.value)
     if value.low is not None and value.high is not None:
         text += f" [{_plain(value.low)}, {_plain(value.high)}]"
-    return text if value.unit in ("", "1") else f"{text} {value.unit}"
+    text = text if value.unit in ("", "1") else f"{text} {value.unit}"
+    return f"{text} ({value.meaning})" if value.meaning else text
 
 
 def _unknown(unknown: Unknown | None, effects: int) -> str:

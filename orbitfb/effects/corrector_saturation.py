@@ -29,7 +29,7 @@ class CorrectorSaturation(ActuatorKind):
         "beyond is lost until the setpoint comes back. Give the feedback the true limit, or "
         "unload the corrector by moving magnets or the reference orbit."
     )
-    equation = "θ_n = clip(u_n, ± m)"
+    equation = "θ_n = clip(u_n, ± m), or on one side alone"
     parameters = (
         Parameter(
             name="limit",
@@ -41,13 +41,31 @@ class CorrectorSaturation(ActuatorKind):
             description="Largest current m, either sign.",
             log=True,
         ),
+        Parameter(
+            name="side",
+            unit="1",
+            low=-2.0,
+            high=2.0,
+            nominal=0.0,
+            typical=0.0,
+            description="Which limit there is.",
+            whole=True,
+            meanings={1: "θ ≤ m", 2: "θ ≤ −m", -1: "θ ≥ −m", -2: "θ ≥ m", 0: "both, ± m"},
+        ),
     )
     confused_with = ("corrector-stuck", "corrector-gain")
     splits = "A slow ramp of this corrector through the suspected limit, at both signs."
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Clip."""
-        return np.clip(setpoints, -values["limit"], values["limit"])
+        limit, side = values["limit"], round(values["side"])
+        least = {0: -limit, -1: -limit, -2: limit}.get(side, -np.inf)
+        most = {0: limit, 1: limit, 2: -limit}.get(side, np.inf)
+        return np.clip(setpoints, least, most)
+
+    def fitted(self, record: Record) -> tuple[Parameter, ...]:
+        """Fit the limit; on which side it is, is found by the scan."""
+        return self.parameters[:1]
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """At most 30 limits: dense near the largest setpoint, and over all sizes that are reached.
@@ -59,29 +77,43 @@ class CorrectorSaturation(ActuatorKind):
         near = reach - widest_range(record) * np.linspace(0.05, 1.0, 5)
         sizes = np.quantile(np.abs(record.setpoints), np.linspace(0.1, 0.999, 7))
         limits = np.concatenate([near, sizes, reach * np.geomspace(0.05, 0.98, 6)])
-        return ladder("limit", {}, np.unique(limits[(limits > 0) & (limits < reach)]))
+        return ladder("limit", {"side": 0.0}, np.unique(limits[(limits > 0) & (limits < reach)]))
 
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:
-        """Limits within the ranges of the correctors that are pulled most to a smaller current."""
-        size = np.abs(setpoints)
-        top, reach = size.max(axis=0), np.ptp(size, axis=0)
-        limits = top - reach * _SHARES[:, None]
-        cuts = np.sign(setpoints) * np.minimum(limits[:, None, :] - size, 0.0)
-        pulled = np.einsum("km,skm->sm", pull, cuts).max(axis=0)
-        columns = np.argsort(pulled)[::-1][:_HINTED]
-        return ladder("limit", {}, np.sort(limits[:, columns][limits[:, columns] > 0.0]))
+        """Limits within the ranges of the correctors that are pulled most to what they leave."""
+        sign = np.sign(setpoints)
+        sets = [{"limit": m, "side": 0.0} for m in _pulled(np.abs(setpoints), sign * pull) if m > 0]
+        for upper in (1.0, -1.0):
+            sets += [
+                {"limit": abs(m), "side": upper * (1.0 if m >= 0.0 else 2.0)}
+                for m in _pulled(upper * setpoints, upper * pull)
+            ]
+        return tuple(sets)
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
     ) -> Effect:
         """Clip tick by tick."""
-        return _Saturation(places, values["limit"])
+        return _Saturation(places, values["limit"], int(values["side"]))
+
+
+def _pulled(courses: Matrix, pull: Matrix) -> list[float]:
+    """Limits from above of the courses that are pulled most to what they leave [A]."""
+    top, reach = courses.max(axis=0), np.ptp(courses, axis=0)
+    limits = top - reach * _SHARES[:, None]
+    cuts = np.minimum(limits[:, None, :] - courses, 0.0)
+    pulled = np.einsum("km,skm->sm", pull, cuts).max(axis=0)
+    columns = np.argsort(pulled)[::-1][:_HINTED]
+    return np.sort(limits[:, columns], axis=None).tolist()
 
 
 class _Saturation(ColumnsEffect):
-    def __init__(self, places: Indices, limit: float) -> None:
+    def __init__(self, places: Indices, limit: float, side: int) -> None:
         super().__init__(places)
-        self._limit = limit
+        self._limit, self._side = limit, side
 
     def follow(self, wanted: Vector) -> Vector:
-        return np.where(np.abs(wanted) > self._limit, np.sign(wanted) * self._limit, wanted)
+        if self._side == 0:
+            return np.where(np.abs(wanted) > self._limit, np.sign(wanted) * self._limit, wanted)
+        edge = self._limit if self._side in (1, -2) else -self._limit
+        return np.minimum(wanted, edge) if self._side > 0 else np.maximum(wanted, edge)

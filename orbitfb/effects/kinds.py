@@ -12,7 +12,7 @@ separately on purpose, so that recovering what was simulated tests both.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -46,6 +46,7 @@ class Parameter:
         whole: Whether only whole numbers make sense.
         of_rate: Of a frequency: the highest that a record can tell, in units of its rate. Half of
             it, for a line; what dies out within a tick has an answer beyond.
+        meanings: What single values stand for, in words; for whole numbers that count nothing.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Parameter:
     rough: bool = False
     whole: bool = False
     of_rate: float = 0.5
+    meanings: Mapping[float, str] = field(default_factory=dict)
 
 
 class EffectKind(ABC):

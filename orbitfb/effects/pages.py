@@ -100,9 +100,10 @@ def _page(kind: EffectKind, note: str) -> Iterator[str]:
 
 def _row(p: Parameter) -> str:
     size = " (its order of magnitude)" if p.log else ""
+    choices = "".join(f" {value:g}: {means}." for value, means in sorted(p.meanings.items()))
     return (
         f"| `{p.name}` | {p.unit} | {p.low:g} to {p.high:g} | {p.nominal:g} | {p.typical:g}{size} "
-        f"| {_cell(p.description)} |"
+        f"| {_cell(p.description + choices)} |"
     )
 
 

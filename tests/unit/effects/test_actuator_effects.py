@@ -28,7 +28,10 @@ SIZES = {
     ],
     "corrector-quantisation": [{"step": 1e-4}, {"step": 3e-3}, {"step": 1.0}],
     "corrector-deadband": [{"width": 5e-4}, {"width": 3e-3}, {"width": 0.02}],
-    "corrector-saturation": [{"limit": 0.01}, {"limit": 0.04}, {"limit": 0.0}],
+    "corrector-saturation": [
+        {"limit": limit, "side": side}
+        for limit, side in ((0.01, 0), (0.04, 0), (0.0, 0), (0.002, 1), (0.001, 2), (0.02, -2))
+    ],
     "corrector-hysteresis": [
         {"width": 1e-3, "share": 1.0},
         {"width": 8e-3, "share": 0.3},
@@ -38,6 +41,8 @@ SIZES = {
 DELAYS = [{"ticks": 0.4}, {"ticks": 1.0}, {"ticks": 2.75}]
 CASES = [(name, values) for name, sizes in SIZES.items() for values in sizes]
 CASES += [("loop-delay", values) for values in DELAYS]
+LOWER = ("corrector-saturation", {"limit": 0.002, "side": -1})
+"""It touches but one of three courses."""
 PAIRS = {
     "corrector-swap": {},
     "corrector-crosstalk": {"share": 0.3},
@@ -51,7 +56,7 @@ def test_every_actuator_effect_is_in_these_tests():
     assert all(effect(name).id == name for name in modules)
 
 
-@pytest.mark.parametrize(("name", "values"), CASES)
+@pytest.mark.parametrize(("name", "values"), [*CASES, LOWER])
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_a_record_is_told_what_the_plant_does(layout, name, values, seed):
