@@ -9,6 +9,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.departure import departure
 from orbitfb.diagnose.entry import Entry
+from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 SURE = 0.99
@@ -32,7 +33,7 @@ _TIDY = 1.5
 """Scatter of a further cause's scores over what the noise model says that is still tidy."""
 
 _AS_MUCH = 1.0
-"""Two causes explain as much of a record when their gains differ by less [nats]."""
+"""Two causes explain as much when their gains differ by less, and one has more values [nats]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,9 +88,10 @@ class Round:
         return list(found.values())
 
     def limits(self) -> tuple[str, ...]:
-        """Effects that amount to the winner here, or explain as much by more parameters.
+        """Effects that amount to the winner here, or explain as much at the same devices.
 
-        Nothing but the number of their parameters speaks against these.
+        Nothing but the number of their parameters, or what all of a kind pay for the choice of
+        their places, speaks against these.
         """
         best = self.accepted
         if best is None:
@@ -97,14 +99,22 @@ class Round:
         found = (
             entry.kind.id
             for entry in self.entries
-            if entry.limit_of == best.kind.id
-            or (
-                entry.cause.places == best.cause.places
-                and len(entry.kind.parameters) > len(best.kind.parameters)
-                and entry.gain > best.gain - _AS_MUCH
-            )
+            if entry.limit_of == best.kind.id or self._as_much(entry, best)
         )
         return tuple(dict.fromkeys(found))
+
+    def _as_much(self, entry: Entry, best: Entry) -> bool:
+        """Whether another effect explains as much at the same devices."""
+        if entry.kind.id == best.kind.id or self._devices(entry) != self._devices(best):
+            return False
+        more = len(entry.kind.parameters) > len(best.kind.parameters)
+        return entry.gain > best.gain - (_AS_MUCH if more else CLOSE)
+
+    def _devices(self, entry: Entry) -> tuple[int, ...]:
+        """Its places; all correctors, of what acts on their currents in the whole ring."""
+        if isinstance(entry.kind, ActuatorKind) and entry.kind.target == "ring":
+            return tuple(range(len(self.bench.record.layout.correctors)))
+        return entry.cause.places
 
     def alike(self) -> tuple[str, ...]:
         """Effects that the winner may be instead: its rivals, and what amounts to it here."""

@@ -44,3 +44,12 @@ def test_a_resonance_that_has_settled_when_the_orbit_is_read_is_a_lag():
     found = Round(there, tuple(entries), len(kinds), entries[0])
     assert found.accepted.kind.id == "corrector-lag"
     assert found.limits() == ("corrector-resonance",)
+
+
+def test_a_little_delay_of_the_loop_may_be_a_lag_of_all_correctors():
+    kinds = [all_effects()[name] for name in ("loop-delay", "corrector-lag")]
+    there = Bench(record_with("loop-delay:ticks=0.02", dither=1e-3))
+    found = Round(there, entries := tuple(tournament(there, kinds)), len(kinds), entries[0])
+    assert found.accepted.kind.id == "loop-delay"
+    assert found.rivals() == []  # one of 180 correctors, of a cell or of all: it pays for that
+    assert found.limits() == ("corrector-lag",)
