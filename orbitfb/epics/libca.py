@@ -100,6 +100,7 @@ def bind(path: str) -> ctypes.CDLL:
     library.ca_current_context.argtypes = []
     library.ca_attach_context.argtypes = [pointer]
     library.ca_replace_printf_handler.argtypes = [pointer]
+    library.eltc.argtypes = [ctypes.c_int]
     library.ca_create_channel.argtypes = [
         text, pointer, pointer, ctypes.c_uint, ctypes.POINTER(pointer)
     ]  # fmt: skip
@@ -134,6 +135,8 @@ class Context:
         self.check("ca_context_create", self.library.ca_context_create(1))
         self._handle: int = self.library.ca_current_context()
         self.library.ca_replace_printf_handler(_print_nothing)
+        # A circuit that breaks is told past that handler, to the terminal; the loop says it itself.
+        self.library.eltc(0)
 
     def attach(self) -> None:
         """Make this the context of the calling thread: `flush` and `pend_io` act on it."""

@@ -28,7 +28,7 @@ from orbitfb.commands import ARGUMENTS
 
 pytestmark = pytest.mark.system
 
-DURATION = 20.0
+DURATION = 40.0
 SUMMARY = {
     "orbit_rms_um": {"first", "last_10s", "true_last_10s"},
     "latency_ms": {"p50", "p99"},
