@@ -18,6 +18,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause, columns_of, explain, restored
 from orbitfb.diagnose.noise_departure import noise_laws
+from orbitfb.diagnose.rhythm import rhythm
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
@@ -60,17 +61,19 @@ class Departure:
         course: In words; empty where there is none.
         nats: What it gains, less the price of the choice; at least 0 [nats].
         gain: Of the cause itself [nats].
+        excused: Share of that by which nature may depart so from a law that is right.
     """
 
     course: str
     nats: float
     gain: float
+    excused: float = IDEAL
 
     @property
     def chance(self) -> float:
         """Probability that the law is the cause's own, given that it is the best of the library."""
         gain = max(self.gain, 0.0)
-        right = float(expit(IDEAL * gain - self.nats)) if self.nats > 0.0 else 1.0
+        right = float(expit(self.excused * gain - self.nats)) if self.nats > 0.0 else 1.0
         missed = min(1.0, UNTOLD + _COST / gain) if gain > 0.0 else 1.0
         return right * (1.0 - OUTSIDE * missed)
 
@@ -80,18 +83,22 @@ class Departure:
         return self.nats > STAND_IN * self.gain
 
 
-def departure(bench: Bench, cause: Cause, gain: float) -> Departure:
+def departure(bench: Bench, cause: Cause, gain: float, before: Bench | None = None) -> Departure:
     """Look for a course of a cause's devices that its law does not have.
 
     Args:
         bench: The record under all causes.
-        cause: One of them; those without a course in time have nothing to depart from.
+        cause: One of them.
         gain: Of the cause [nats].
+        before: The record under the causes before it, for one whose strikes were taken out; None
+            where there were none.
 
     Returns:
         The best course; one that gains nothing where the law leaves nothing.
     """
     if isinstance(cause.kind, LatentKind | NoiseKind):
+        if (clock := 0.0 if before is None else rhythm(before, cause)) > 0.0:
+            return Departure("by a clock, always after as many ticks", clock, gain, 0.0)
         course, nats = max(noise_laws(bench, cause), key=lambda law: law[1], default=("", 0.0))
         return Departure(course, nats, gain) if nats > 0.0 else Departure("", 0.0, gain)
     echoes = _echoes(bench, cause)

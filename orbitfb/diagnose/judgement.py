@@ -73,8 +73,8 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     worth = None if random else flagged_nats(tests)
     flagged = worth is not None and worth >= _SMALL * named
     departures = tuple(
-        departure(outcome.bench, outcome.final(entry)[0], entry.gain)
-        for entry in (one.accepted for one in outcome.winners)
+        departure(outcome.bench, outcome.final(entry)[0], entry.gain, one.bench)
+        for one, entry in ((one, one.accepted) for one in outcome.winners)
         if entry is not None
     )
     other_law = any(its.chance < _HALF for its in departures)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from orbitfb.core.signals import Mask
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.strike_scan import latent_odds
@@ -27,9 +28,7 @@ def without_strikes(bench: Bench, kind: LatentKind, cause: Cause) -> Record:
         The record without the strikes; as it was when they are too many, or never certain.
     """
     record = bench.record
-    struck = latent_odds(bench, kind, cause.values) > _LIKELY
-    if kind.per_bpm:
-        struck[:, [i for i in range(struck.shape[1]) if i not in cause.places]] = False
+    struck = _struck(bench, kind, cause)
     if struck.mean() > _MOST or not struck.any():
         return record
     if kind.per_bpm:
@@ -40,3 +39,21 @@ def without_strikes(bench: Bench, kind: LatentKind, cause: Cause) -> Record:
     for row in np.flatnonzero(struck[:, 0] & ~record.starts):
         setpoints[row] = setpoints[row - 1]
     return replace(record, setpoints=setpoints)
+
+
+def struck_rows(bench: Bench, kind: LatentKind, cause: Cause) -> Mask:
+    """Tell which rows were struck more likely than not, shape (N,).
+
+    Args:
+        bench: The record under the causes so far.
+        kind: What strikes.
+        cause: Where, with which parameters.
+    """
+    return np.asarray(_struck(bench, kind, cause).any(axis=1), dtype=bool)
+
+
+def _struck(bench: Bench, kind: LatentKind, cause: Cause) -> Mask:
+    struck = latent_odds(bench, kind, cause.values) > _LIKELY
+    if kind.per_bpm:
+        struck[:, [i for i in range(struck.shape[1]) if i not in cause.places]] = False
+    return struck

@@ -154,6 +154,17 @@ def without_switching(bench: Bench, cause: Cause) -> Record | None:
     return replace(bench.record, readings=bench.record.readings - moved)
 
 
+def states_of(bench: Bench, cause: Cause) -> Vector | None:
+    """States ±1 of a source that switches, shape (N,); None where it cannot be followed.
+
+    Args:
+        bench: The record under the causes before it.
+        cause: The source, with its place.
+    """
+    found = _course_of(bench, cause)
+    return None if found is None else found[0].states
+
+
 def _course_of(bench: Bench, cause: Cause) -> tuple[Course, float, float, Vector] | None:
     """Course of a source, its kick, the information on that, and its orbit per kick."""
     kind = cause.kind
