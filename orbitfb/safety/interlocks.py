@@ -114,7 +114,10 @@ class InterlockSettings(Settings):
         description="Growth of the rms over that stretch from which the loop trips.",
     )
     divergence_floor: float = Field(
-        default=5e-6, ge=0, description="Rms [m] below which growth is taken for noise."
+        default=5e-6,
+        ge=0,
+        description="Rms [m] below which growth is taken for noise: nothing trips, and only ticks "
+        "that grow by their share of the factor count.",
     )
     frozen_ticks: int = Field(
         default=1,

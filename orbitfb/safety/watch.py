@@ -33,12 +33,17 @@ class Growth:
 def divergence(rms: float, memory: Growth, settings: InterlockSettings) -> tuple[Verdict, Growth]:
     """Trip when the rms grows tick by tick, by a factor, to above the noise.
 
+    In the noise every other tick grows by a little: there one counts that grows by its share of the
+    factor, so that a single kick after a few of those is no divergence.
+
     Args:
         rms: Of the orbit error [m].
         memory: What the last call returned.
         settings: Thresholds.
     """
-    if rms <= memory.last:
+    noisy = memory.last <= settings.divergence_floor
+    share = settings.divergence_factor ** (1.0 / settings.divergence_ticks) if noisy else 1.0
+    if rms <= share * memory.last:
         return FINE, Growth(rms, rms, 0)
     grown = Growth(memory.start, rms, memory.ticks + 1)
     if grown.ticks < settings.divergence_ticks:

@@ -30,6 +30,12 @@ def test_growth_that_is_short_small_or_in_the_noise_does_not_trip():
     assert Action.TRIP not in feed([0.1e-6, 0.2e-6, 0.4e-6, 1e-6, 3e-6, 5e-6])
 
 
+def test_a_kick_after_a_few_rises_of_the_noise_is_no_divergence():
+    noise = [0.20e-6, 0.21e-6, 0.22e-6, 0.23e-6, 0.24e-6]
+    assert Action.TRIP not in feed([*noise, 50e-6, 30e-6])
+    assert feed([*noise, 0.5e-6, 1e-6, 3e-6, 10e-6])[-1] is Action.TRIP  # it diverges from there
+
+
 def test_an_rms_that_is_not_a_number_does_not_end_the_growth():
     assert feed([10e-6, 12e-6, NAN, 18e-6, 25e-6])[-1] is Action.TRIP
     assert feed([10e-6, NAN, NAN, NAN, NAN])[-1] is Action.TRIP
@@ -37,10 +43,13 @@ def test_an_rms_that_is_not_a_number_does_not_end_the_growth():
 
 @given(st.lists(st.floats(0, 1e-3), max_size=30))
 def test_divergence_agrees_with_looking_back_over_the_whole_list(values):
+    def least(before):
+        return before if before > 5e-6 else before * 2.0 ** (1 / 4)
+
     actions = feed(values)
     for end in range(len(values)):
         begin = end
-        while begin > 0 and values[begin] > values[begin - 1]:
+        while begin > 0 and values[begin] > least(values[begin - 1]):
             begin -= 1
         grown = end - begin >= 4 and values[end] > 5e-6 and values[end] >= 2 * values[begin]
         assert (actions[end] is Action.TRIP) == grown
