@@ -105,9 +105,8 @@ def _parameters(cause: Cause, fitted: Fit | None, bench: Bench) -> dict[str, Par
             unstable=fitted.unstable[index],
         )
     for parameter in cause.kind.parameters:
-        value = cause.values[parameter.name]
-        if parameter.whole and parameter.name not in values and value != parameter.nominal:
-            meaning = parameter.meanings.get(value, "")
+        if parameter.meanings and (value := cause.values[parameter.name]) != parameter.nominal:
+            meaning = parameter.meanings[value]
             values[parameter.name] = ParameterValue(
                 value=value, unit=parameter.unit, meaning=meaning
             )

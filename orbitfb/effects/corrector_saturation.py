@@ -38,7 +38,7 @@ class CorrectorSaturation(ActuatorKind):
             high=_NONE,
             nominal=_NONE,
             typical=0.05,
-            description="Largest current m, either sign.",
+            description="The limit m, without its sign.",
             log=True,
         ),
         Parameter(

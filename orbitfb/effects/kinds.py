@@ -46,7 +46,7 @@ class Parameter:
         whole: Whether only whole numbers make sense.
         of_rate: Of a frequency: the highest that a record can tell, in units of its rate. Half of
             it, for a line; what dies out within a tick has an answer beyond.
-        meanings: What single values stand for, in words; for whole numbers that count nothing.
+        meanings: What each value stands for, in words, where the values are choices (not fitted).
     """
 
     name: str

@@ -73,15 +73,17 @@ def refused(*arguments: object, **environment: str | None) -> str:
 
 
 def wait_for(what: str, look: Callable[[], Any], timeout: float = START) -> Any:
-    """Look again and again until there is something to see, `timeout` at most if idle.
+    """Look again and again until there is something to see.
 
-    Looks are counted, not seconds: a computer that stands still for a while looks no more often.
+    A loaded computer gets more time than `timeout`, as much as for a start at most. Looks are
+    counted, not seconds: a computer that stands still for a while looks no more often.
     """
-    for _ in range(math.ceil(min(PATIENCE * timeout, max(timeout, START)) / POLL)):
+    most = min(PATIENCE * timeout, max(timeout, START))
+    for _ in range(math.ceil(most / POLL)):
         if seen := look():
             return seen
         time.sleep(POLL)
-    raise AssertionError(f"no {what} within {timeout} s")
+    raise AssertionError(f"no {what} within {most} s")
 
 
 def read_log(data: Path) -> list[dict[str, Any]]:
