@@ -67,7 +67,7 @@ SIZES: dict[str, Values] = {
     "corrector-deadband": {"width": 1e-3},
     "corrector-gain": {"gain": 0.15},
     "corrector-hysteresis": {"width": 1e-3, "share": 0.7},
-    "corrector-lag": {"tau": 0.1},
+    "corrector-lag": {"tau": 0.1, "second": 0.03},
     "corrector-quantisation": {"step": 1.5e-3},
     "corrector-resonance": {"frequency": 2.0, "damping": 0.2},
     "corrector-roll": {"angle": 0.2},
@@ -146,7 +146,9 @@ def draw(kind: EffectKind, seed: int, ticks: int, later: bool) -> Case:
         size, early = np.abs(quiet.setpoints), ticks * 2 // 5
         reached = size[:early].max(axis=0)
         best = int(np.argmax(size[early:].max(axis=0) - reached))
-        places, values = (best,), {"limit": float(reached[best]), "side": 0.0}
+        corner = 0.05 * float(np.ptp(quiet.setpoints[:, best]))
+        places = (best,)
+        values = {"limit": float(reached[best]), "side": 0.0, "rounding": corner}
     onset = ticks * 2 // 5 if later or kind.id in LATER else 0
     return Case(Cause(kind, places, values, onset), planes, seed)
 

@@ -231,7 +231,7 @@ def _group(entries: list[Entry]) -> Group:
     """Let the simplest lead among those that are about as good as the best."""
     best = entries[0].weight
     rivals = [entry for entry in entries if best - entry.weight <= NESTED]
-    leader = min(rivals, key=lambda entry: len(entry.kind.parameters))
+    leader = min(rivals, key=lambda entry: entry.size)
     ordered = (leader, *(entry for entry in entries if entry is not leader))
     others = [entry.kind for entry in ordered if entry.kind.id != leader.kind.id]
     if not others:

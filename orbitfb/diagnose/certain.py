@@ -10,6 +10,7 @@ from orbitfb.diagnose.explain import Cause as Explaining
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.integrity_repeats import HELD
 from orbitfb.diagnose.naming import devices_and_planes
+from orbitfb.diagnose.tournament import Shown
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
@@ -75,6 +76,18 @@ def certain_causes(record: Record, findings: Sequence[Finding], without: frozens
     proved = [f for f in findings if f.effect in _GIVEN and f.effect not in without]
     given = [cause for finding in proved for cause in _given(cut.layout, finding)]
     return Certain(tuple(causes), cut, tuple(given), held)
+
+
+def shown_by(findings: Sequence[Finding], record: Record) -> Shown:
+    """List what readbacks show, and at which corrector: evidence, where several laws would do."""
+    devices = record.layout.correctors
+    return frozenset(
+        (finding.effect, column)
+        for finding in findings
+        if finding.effect and all_effects()[finding.effect].target == "corrector"
+        for column in range(len(devices))
+        if {devices.names[column], devices.label(column)} & set(finding.devices)
+    )
 
 
 def _given(layout: Layout, finding: Finding) -> list[Explaining]:

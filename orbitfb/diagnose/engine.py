@@ -11,7 +11,7 @@ from orbitfb.diagnose.answer_parts import Finding as Told
 from orbitfb.diagnose.answer_parts import NotTested, Provenance
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import SEARCH_SECONDS, Budget
-from orbitfb.diagnose.certain import beside, certain_causes
+from orbitfb.diagnose.certain import beside, certain_causes, shown_by
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.judgement import judge
@@ -61,17 +61,18 @@ def diagnose(
     first, later = put_aside(whole) if holdout is None else (whole, beside(holdout, whole))
     given = certain.given
     budget = Budget(search_seconds)
+    shown = shown_by(findings, whole)
 
     def look(part: Record, begin: float, end: float) -> Outcome:
         def tell(what: str, share: float) -> None:
             progress(what, begin + share * (end - begin))
 
-        return search(part, kinds, floor, given, tell, budget)
+        return search(part, kinds, floor, given, tell, budget, shown)
 
     outcome = look(first, 0.0, 0.7)
     if certain.given and not budget.over():
         # The screen judges channels by few rows: what it proves must also explain the record best.
-        free = search(first, kinds, floor, (), budget=budget)
+        free = search(first, kinds, floor, (), budget=budget, shown=shown)
         better = free.bench.full_log_likelihood > outcome.bench.full_log_likelihood
         if better or _taken_back(given, outcome):
             certain, outcome = certain.without_given(), free

@@ -11,7 +11,9 @@ from orbitfb.diagnose.candidate import FIRST_ONSET, LAST_ONSET, Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.noise_onset import begun_noise
+from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.layout import Layout
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 HOPELESS = 0.25
@@ -29,6 +31,12 @@ _ONE_LAW = 9.0
 innovations, for every parameter that one has more: three standard deviations of what noise makes
 of a parameter that is not needed.
 """
+_WORTH_MORE = 2.0
+"""What a fuller law must gain beyond the simpler one [nats]."""
+_UNKNOWN = 10.0
+"""Ends of a 90 % interval that are further apart by this factor do not tell a value."""
+_NEARLY = 0.8
+"""Share of the gain from which another law of the same devices bears witness."""
 _AT_MOST = 0.2
 """The same as a share of the gain: the changes they make have a cosine of 0.95."""
 
@@ -62,6 +70,11 @@ class Entry:
         return self.candidate.cause.kind
 
     @property
+    def size(self) -> int:
+        """Number of values that its law has."""
+        return len(self.kind.parameters if self.fit is None else self.fit.parameters)
+
+    @property
     def gain(self) -> float:
         """Gain of the log-likelihood with its best values [nats]."""
         return self.candidate.gain if self.fit is None else self.fit.gain
@@ -85,7 +98,8 @@ def enter(bench: Bench, candidate: Candidate) -> Entry:
         return Entry(begun, None, net(begun) - len(kind.parameters))
     entry = _begun(bench, _fitted(bench, candidate))
     entry = _struck(bench, entry)
-    return max((entry, *_later(bench, entry)), key=lambda one: one.weight)
+    entry = max((entry, *_later(bench, entry)), key=lambda one: one.weight)
+    return _fuller(bench, entry)
 
 
 def _fitted(bench: Bench, candidate: Candidate) -> Entry:
@@ -145,11 +159,30 @@ def _later(bench: Bench, entry: Entry) -> list[Entry]:
     return [_fitted(bench, candidate)]
 
 
-def alike_alike(entries: Sequence[Entry]) -> list[Entry]:
-    """Charge candidates that leave the same the same inflation.
+def devices(cause: Cause, layout: Layout) -> tuple[int, ...]:
+    """Places of a cause; all correctors, of what acts on their currents in the whole ring."""
+    if isinstance(cause.kind, ActuatorKind) and cause.kind.target == "ring":
+        return tuple(range(len(layout.correctors)))
+    return cause.places
+
+
+def _fuller(bench: Bench, entry: Entry) -> Entry:
+    """Try the law with its optional parameters, where it is worth something without."""
+    values = entry.kind.fuller(entry.cause.values, bench.record) if entry.weight > 0.0 else None
+    if values is None:
+        return entry
+    cause = replace(entry.cause, values=values)
+    full = _fitted(bench, replace(entry.candidate, cause=cause))
+    better = full.gain > entry.gain + _WORTH_MORE and full.weight > entry.weight
+    return full if better else entry
+
+
+def alike_alike(entries: Sequence[Entry], layout: Layout) -> list[Entry]:
+    """Charge candidates that leave the same the same inflation, and those of the same devices.
 
     The mean over the values of a fit falls with every value to which the record is blind, so
-    that one that is not needed would pay for itself.
+    that one that is not needed would pay for itself. What the laws of the same devices leave is
+    the same surplus; the value of one may move just with it, as a delay does with its jitter.
     """
     judged: list[Entry] = []
     for entry in entries:
@@ -158,12 +191,31 @@ def alike_alike(entries: Sequence[Entry]) -> list[Entry]:
             judged.append(entry)
             continue
         least = own.inflation
+        here = devices(entry.cause, layout)
         for other in entries:
-            if other.fit is not None and _apart(other.fit, own) < _SAME * own.gain:
+            if other.fit is not None and (
+                _apart(other.fit, own) < _SAME * own.gain
+                or (other.fit.gain > _NEARLY * own.gain and devices(other.cause, layout) == here)
+            ):
                 least = min(least, other.fit.inflation)
         weight = entry.weight + own.gain * (1.0 / least - 1.0 / own.inflation)
         judged.append(replace(entry, fit=replace(own, inflation=least), weight=weight))
     return judged
+
+
+def says_little(entry: Entry) -> bool:
+    """Whether a value that is fitted by its logarithm is known to no factor.
+
+    A corrector with a time constant far beyond the record is stuck.
+    """
+    if entry.fit is None:
+        return False
+    ends = [
+        entry.fit.interval(index)
+        for index, (_, parameter) in enumerate(entry.fit.parameters)
+        if parameter.log
+    ]
+    return any(high > _UNKNOWN * low for low, high in ends)
 
 
 def limits(entries: Sequence[Entry]) -> list[Entry]:
@@ -178,19 +230,14 @@ def limits(entries: Sequence[Entry]) -> list[Entry]:
             other
             for other in entries
             if _apart(entry.fit, other.fit)
-            < min(_ONE_LAW * _more(entry.kind, other.kind), _AT_MOST * other.gain)
+            < min(_ONE_LAW * max(entry.size - other.size, 0), _AT_MOST * other.gain)
         ]
-        law = min(simpler, key=lambda other: len(other.kind.parameters), default=None)
+        law = min(simpler, key=lambda other: other.size, default=None)
         if law is not None:
             worth = min(entry.weight, law.weight)
             entry = replace(entry, limit_of=law.kind.id, weight=worth)
         marked.append(entry)
     return marked
-
-
-def _more(one: EffectKind, other: EffectKind) -> int:
-    """How many parameters one has more than the other; 0 if it does not."""
-    return max(len(one.parameters) - len(other.parameters), 0)
 
 
 def _apart(one: Fit | None, other: Fit | None) -> float:

@@ -21,7 +21,7 @@ class Cause:
     Args:
         kind: What it is.
         places: Columns, pairs (of a `PairKind`) or places (of a `SourceKind`); empty for a ring.
-        values: All parameters, SI.
+        values: All parameters, SI; optional ones that are left out have no effect.
         onset: Row from which on it acts.
         free: Whether its step at the onset says nothing: it acts on what changes from then on.
     """
@@ -31,6 +31,11 @@ class Cause:
     values: Values
     onset: int = 0
     free: bool = False
+
+    def __post_init__(self) -> None:
+        spare = {p.name: p.nominal for p in self.kind.parameters if p.optional}
+        if not spare.keys() <= self.values.keys():
+            object.__setattr__(self, "values", {**spare, **self.values})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -111,7 +111,7 @@ def fit(bench: Bench, causes: Sequence[Cause], *, precise: bool = False) -> Fit:
     """
     problem = Problem(bench, causes)
     best, now = tuned(problem, problem.start, problem.residual(problem.start))
-    if problem.smooth == [0] and len(best) == 1 and causes[0].kind.linear is None:
+    if problem.smooth[:1] == [0] and len(causes) == 1 and causes[0].kind.linear is None:
         best, now = line_search(problem, best, now)
     searched = [index for index in range(len(best)) if index not in problem.smooth]
     for index in searched:

@@ -1,5 +1,7 @@
 """Search parameters whose likelihood no derivative describes: jumps, whole numbers, waves."""
 
+from typing import Any
+
 import numpy as np
 from scipy.optimize import minimize_scalar
 
@@ -31,24 +33,27 @@ NINETY = 0.05
 
 
 def line_search(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left]:
-    """Search one parameter in which the likelihood is continuous but bends."""
+    """Search the first parameter, in which the likelihood is continuous but bends."""
     reach = 0.35 * problem.scale[0] if problem.parameters[0][1].log else 0.5 * abs(best[0])
     low = max(problem.low[0], best[0] - reach)
     high = min(problem.high[0], best[0] + reach)
     if not high > low:
         return best, now
 
+    def at(number: float) -> Vector:
+        return np.array([number, *best[1:]])
+
     def depth(number: float) -> float:
-        return -log_likelihood(*problem.residual(np.array([number])))
+        return -log_likelihood(*problem.residual(at(number)))
 
     trials = np.linspace(low, high, _FIRST_LOOK)
     heights = [problem.likelihood(best, 0, float(number), roughly=True) for number in trials]
     lowest = int(np.argmax(heights))
     around = trials[max(lowest - 1, 0)], trials[min(lowest + 1, len(trials) - 1)]
-    found = minimize_scalar(depth, bounds=around, method="bounded", options={"maxiter": 10})
+    found: Any = minimize_scalar(depth, bounds=around, method="bounded", options={"maxiter": 10})
+    there = at(float(found.x))
     if -float(found.fun) <= log_likelihood(*now):
         return best, now
-    there = np.array([float(found.x)])
     return there, problem.residual(there)
 
 

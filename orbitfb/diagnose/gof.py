@@ -17,7 +17,9 @@ from orbitfb.diagnose.answer_blocks import Audit, GoodnessTest
 from orbitfb.diagnose.answer_values import numbers
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.gap_maps import lagged, projected
+from orbitfb.diagnose.gof_lines import line_tests
 from orbitfb.diagnose.naming import column_names
+from orbitfb.effects.kinds import Stage
 from orbitfb.physics.optics import Matrix
 
 RATE = 0.01
@@ -35,6 +37,7 @@ _WINDOWS = 10
 _SHOWN = 8
 _QUANTILES = 301
 _FEWEST = 60
+_LINE_TESTS = 3
 
 
 def audit(bench: Bench) -> Audit:
@@ -56,18 +59,43 @@ def audit(bench: Bench) -> Audit:
         _level, _by_bpm, _by_mode, _mean, _colour, _own_colour, _steered, _tails, _own_tails,
         _tick, _reading, _stationary,
     )  # fmt: skip
-    rate = RATE / len(tests)
+    rate = RATE / (len(tests) + _LINE_TESTS)
     squares = np.mean(channels**2, axis=0)
     by_row = np.zeros(len(bench.record))
     by_row[counted] = np.mean(white**2, axis=1)
     return Audit(
-        tests=tuple(test(bench, white, channels, rate) for test in tests),
+        tests=(
+            *(test(bench, white, channels, rate) for test in tests),
+            *line_tests(channels, names, rate),
+        ),
         quantiles=numbers(np.quantile(white, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)),
         autocorrelation=numbers([_correlation(white, lag).mean() for lag in range(1, 11)]),
         autocorrelation_limit=COLOUR + _sigmas(rate, _LAGS) / np.sqrt(white.size),
         worst_channels={names[i]: float(squares[i]) for i in np.argsort(squares)[::-1][:_SHOWN]},
         worst_ticks={str(i): float(by_row[i]) for i in np.argsort(by_row)[::-1][:_SHOWN]},
     )
+
+
+_STAGES: dict[str, Stage] = {
+    "line of all BPMs": "disturbance",
+    "line of a BPM": "sensor",
+    "rhythm of the scatter": "noise",
+    "variance by BPM": "noise",
+    "steadiness by BPM": "noise",
+    "kurtosis by BPM": "noise",
+    "mean by BPM": "sensor",
+    "autocorrelation by BPM": "sensor",
+    "largest reading": "sensor",
+    "correlation with changes of a corrector": "actuator",
+}
+"""Where what a test finds most likely comes from; the others tell no stage."""
+
+
+def flagged_stage(its: Audit) -> Stage | None:
+    """Tell where what the flagged test that is worth most finds comes from; None: nobody knows."""
+    flagged = [test for test in its.tests if test.flagged]
+    worst = max(flagged, key=lambda test: float(test.nats or 0.0), default=None)
+    return None if worst is None else _STAGES.get(worst.name)
 
 
 def flagged_nats(its: Audit) -> float | None:

@@ -14,7 +14,7 @@ from orbitfb.diagnose.ceiling import Ceiling, ceiling
 from orbitfb.diagnose.certain import Certain
 from orbitfb.diagnose.departure import Departure, departure
 from orbitfb.diagnose.finding import listed
-from orbitfb.diagnose.gof import audit, flagged_nats
+from orbitfb.diagnose.gof import audit, flagged_nats, flagged_stage
 from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.rounds import CLOSE, SURE, Round
 from orbitfb.diagnose.search import Outcome
@@ -85,7 +85,7 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     state = _state(outcome, certain, departures, remains=remains, explained=explained)
     unknown = None
     if state in ("unknown", "named_plus_remainder"):
-        unknown = _unknown(outcome, departures, explained)
+        unknown = _unknown(outcome, tests, departures, explained)
     if certain.held:
         state, unknown = beside_held(state, unknown, certain.held)
     return Judgement(state, tests, rest, explained, groups, unknown, departures)
@@ -110,7 +110,7 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
         state = "named_plus_remainder"
     else:
         return judged
-    unknown = _unknown(outcome, judged.departures, judged.explained)
+    unknown = _unknown(outcome, judged.audit, judged.departures, judged.explained)
     return replace(judged, state=state, unknown=unknown)
 
 
@@ -175,11 +175,16 @@ def _of_no_kind(one: Round) -> bool:
     )
 
 
-def _unknown(outcome: Outcome, departures: Sequence[Departure], explained: float) -> Unknown:
+def _unknown(
+    outcome: Outcome, tests: Audit, departures: Sequence[Departure], explained: float
+) -> Unknown:
     first = outcome.rounds[0]
     courses = [its.course for its in departures if its.chance < _HALF]
+    stages, flagged = stage_shares(first), flagged_stage(tests)
+    if flagged is not None and all(entry.weight <= 0.0 for entry in first.entries):
+        stages = dict[str, float | None]({flagged: 1.0})  # no effect says anything, but a test does
     return Unknown(
-        stages=stage_shares(first),
+        stages=stages,
         places=_places(outcome.bench),
         text=f"What is left goes {courses[0]}." if courses else "",
         nearest=first.entries[0].kind.id if first.entries else "",

@@ -146,12 +146,17 @@ class Parts:
         return compared, net.note
 
     def _rivals(self) -> tuple[Cause, ...]:
-        """The best that were not accepted: a stand-in must not be judged by itself alone."""
+        """The best that were not accepted: a stand-in must not be judged by itself alone.
+
+        One that is worth nothing would bring in what healthy errors do at its place.
+        """
         named = {(cause.kind.id, cause.places) for cause in self.outcome.causes}
         found = [
             entry.cause
             for entry in self.outcome.rounds[0].entries
-            if entry.fit is not None and (entry.kind.id, entry.cause.places) not in named
+            if entry.fit is not None
+            and entry.weight > 0.0
+            and (entry.kind.id, entry.cause.places) not in named
         ]
         return tuple(found[:_RIVALS])
 

@@ -22,6 +22,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import GAIN_RMS
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause, added, columns_of
+from orbitfb.diagnose.problem import left_out
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.kinds import Parameter
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
@@ -158,7 +159,7 @@ def separation(view: Outlook, first: Cause, second: Cause | None) -> float:
 
 def _closest(view: Outlook, target: Matrix, healthy: Sequence[Matrix], cause: Cause) -> Cause:
     """Move the parameters to where the cause is most like the target."""
-    free = [p for p in cause.kind.parameters if p.high > p.low]
+    free = [p for p in cause.kind.parameters if p.high > p.low and not left_out(p, cause)]
     for parameter in free:
         cause = _along(view, target, healthy, cause, parameter)
     if len(free) > 1:

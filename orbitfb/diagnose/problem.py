@@ -42,7 +42,7 @@ class Problem:
             (index, parameter)
             for index, cause in enumerate(causes)
             for parameter in cause.kind.fitted(bench.record)
-            if parameter.high > parameter.low
+            if parameter.high > parameter.low and not left_out(parameter, cause)
         )
         self.start = np.array(
             [to_fitted(p, self.causes[i].values[p.name]) for i, p in self.parameters]
@@ -121,6 +121,11 @@ class Problem:
         best = there[linear[0]] - 0.5 * self.scale[linear[0]] * gradient / curvature
         there[linear[0]] = float(np.clip(best, self.low[linear[0]], self.high[linear[0]]))
         return height + 0.5 * gradient**2 / curvature, there
+
+
+def left_out(parameter: Parameter, cause: Cause) -> bool:
+    """Whether a cause has the simpler law, without an optional parameter."""
+    return parameter.optional and cause.values[parameter.name] == parameter.nominal
 
 
 _NEGLIGIBLE = 1e-6

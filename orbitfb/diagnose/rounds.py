@@ -8,8 +8,7 @@ import numpy as np
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.departure import departure
-from orbitfb.diagnose.entry import Entry
-from orbitfb.effects.device_kinds import ActuatorKind
+from orbitfb.diagnose.entry import Entry, devices
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 SURE = 0.99
@@ -105,16 +104,12 @@ class Round:
 
     def _as_much(self, entry: Entry, best: Entry) -> bool:
         """Whether another effect explains as much at the same devices."""
-        if entry.kind.id == best.kind.id or self._devices(entry) != self._devices(best):
+        layout = self.bench.record.layout
+        here = devices(best.cause, layout)
+        if entry.kind.id == best.kind.id or devices(entry.cause, layout) != here:
             return False
-        more = len(entry.kind.parameters) > len(best.kind.parameters)
+        more = entry.size > best.size
         return entry.gain > best.gain - (_AS_MUCH if more else CLOSE)
-
-    def _devices(self, entry: Entry) -> tuple[int, ...]:
-        """Its places; all correctors, of what acts on their currents in the whole ring."""
-        if isinstance(entry.kind, ActuatorKind) and entry.kind.target == "ring":
-            return tuple(range(len(self.bench.record.layout.correctors)))
-        return entry.cause.places
 
     def alike(self) -> tuple[str, ...]:
         """Effects that the winner may be instead: its rivals, and what amounts to it here."""

@@ -16,7 +16,7 @@ from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.rounds import Round, winner
 from orbitfb.diagnose.strikes import without_strikes
 from orbitfb.diagnose.switching import without_switching
-from orbitfb.diagnose.tournament import tournament
+from orbitfb.diagnose.tournament import Shown, tournament
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
@@ -73,6 +73,7 @@ def search(
     given: Sequence[Cause] = (),
     progress: Progress | None = None,
     budget: Budget | None = None,
+    shown: Shown = frozenset(),
 ) -> Outcome:
     """Find the causes of a record's gap.
 
@@ -83,6 +84,7 @@ def search(
         given: Causes without a size that are known to be there.
         progress: Told what is done and which share of all.
         budget: Time for it; None: all there is.
+        shown: What the readbacks show.
     """
     budget = budget or Budget(np.inf)
     tell = progress or (lambda what, share: None)
@@ -102,6 +104,7 @@ def search(
             left,
             lambda what, s, share=share: tell(what, share + s / (MOST_CAUSES + 1)),
             budget,
+            shown,
         )
         one = Round(bench, tuple(entries), len(left), None, budget.taken())
         best = winner(one, rounds, worth) if number < MOST_CAUSES else None

@@ -14,14 +14,26 @@ import numpy as np
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import SCAN_SHARE, Budget
 from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.entry import HOPELESS, Entry, alike_alike, enter, limits, net, profiled
+from orbitfb.diagnose.entry import (
+    HOPELESS,
+    Entry,
+    alike_alike,
+    devices,
+    enter,
+    limits,
+    net,
+    profiled,
+    says_little,
+)
 from orbitfb.diagnose.noise_levels import level_candidates
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.randomness import level_spares, noise_candidates
+from orbitfb.diagnose.same_group import other_laws
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.strike_scan import latent_candidates
 from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.layout import Layout
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 FINALISTS = 10
@@ -35,8 +47,15 @@ _SURE_NOISE = 10.0
 """Weight of a noise that is there for sure [nats]."""
 REFITTED = 6
 """Finalists that are judged again, each under the floor that it leaves itself."""
+_TIE = 2.0
+"""Within so much of each other [nats] the law with fewer parameters is the answer."""
+_SHOWN = 7.0
+"""What it says for a cause that the readback of its corrector shows it [nats]: 1000 to 1."""
 _ABSURD = 1.2
 """Rms of the background's sizes, in units of their scatter, that no healthy ring has."""
+
+Shown = frozenset[tuple[str, int]]
+"""Ids of effects, and correctors whose readbacks show them."""
 
 
 def tournament(
@@ -44,6 +63,7 @@ def tournament(
     kinds: Sequence[EffectKind],
     progress: Progress | None = None,
     budget: Budget | None = None,
+    shown: Shown = frozenset(),
 ) -> list[Entry]:
     """Let every kind compete to explain what a bench leaves.
 
@@ -52,6 +72,7 @@ def tournament(
         kinds: Those that the record can show.
         progress: Told what is done and which share of all.
         budget: Time for it; what there was no time for is told to it. None: all there is.
+        shown: What the readbacks show.
 
     Returns:
         The entries that were fitted, best first; several places of a kind may be among them.
@@ -87,6 +108,8 @@ def tournament(
                 budget.untried.append(candidate)
             else:
                 entries.append(enter(bench, candidate))
+    if not budget.over():
+        entries += [enter(bench, candidate) for candidate in other_laws(bench, entries, kinds)]
     entries.sort(key=lambda entry: entry.weight, reverse=True)
     again: list[Entry] = []
     for entry in entries[:REFITTED]:
@@ -96,18 +119,56 @@ def tournament(
         else:
             again.append(profiled(bench, entry, entries[0].weight))
     tell("fitting", 1.0)
-    again = limits(alike_alike(again))
-    return _ranked((*again, *entries[REFITTED:]))
+    layout = bench.record.layout
+    again = limits(alike_alike(again, layout))
+    return _ranked((*again, *entries[REFITTED:]), layout, shown)
 
 
-def _ranked(every: Sequence[Entry]) -> list[Entry]:
-    """Sort by rank; nothing weighs more than the first one less the difference of their ranks."""
-    ranks = [_rank(entry, every) for entry in every]
+def _ranked(every: Sequence[Entry], layout: Layout, shown: Shown) -> list[Entry]:
+    """Sort by rank; nothing weighs more than the first one less the difference of their ranks.
+
+    Of laws of the same devices that the record puts as high, the simplest comes first; of those
+    that are as simple, one whose values are known. The others amount to it.
+    """
+    ranks = [_rank(entry, every) + _evidence(entry, shown) for entry in every]
     order = sorted(range(len(every)), key=lambda index: (-ranks[index], every[index].limit_of))
     if not order:
         return []
-    most = every[order[0]].weight - ranks[order[0]]
-    return [replace(every[i], weight=min(every[i].weight, most + ranks[i])) for i in order]
+    top = every[order[0]]
+    ties = [
+        index
+        for index in order
+        if ranks[order[0]] - ranks[index] < _TIE and _same_devices(every[index], top, layout)
+    ]
+    simplest = min(ties, key=lambda index: _plainness(every[index]))
+    first = every[simplest]
+    ranked = [first]
+    for index in order:
+        entry = every[index]
+        if index != simplest:
+            if index in ties and not entry.limit_of and _plainness(entry) > _plainness(first):
+                entry = replace(entry, limit_of=first.kind.id)
+            weight = first.weight + min(ranks[index] - ranks[simplest], 0.0)
+            ranked.append(replace(entry, weight=min(entry.weight, weight)))
+    return ranked
+
+
+def _plainness(entry: Entry) -> tuple[int, bool]:
+    """Key that sorts laws, the plainest first."""
+    return entry.size, says_little(entry)
+
+
+def _same_devices(entry: Entry, first: Entry, layout: Layout) -> bool:
+    """Whether it is the first one, or another law of the same devices."""
+    if entry.fit is None or first.fit is None:
+        return entry is first
+    return devices(entry.cause, layout) == devices(first.cause, layout)
+
+
+def _evidence(entry: Entry, shown: Shown) -> float:
+    """What the readbacks say for an entry [nats]."""
+    told = len(entry.cause.places) == 1 and (entry.kind.id, entry.cause.places[0]) in shown
+    return _SHOWN if told else 0.0
 
 
 def _rank(entry: Entry, every: Sequence[Entry]) -> float:

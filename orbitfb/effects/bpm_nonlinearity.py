@@ -41,6 +41,7 @@ class BpmNonlinearity(SensorKind):
         "(R. E. Shafer, AIP Conf. Proc. 212 (1990) 26)"
     )
     sudden = False
+    scales = True  # by its slope where the orbit is
     confused_with = ("bpm-gain", "sextupole")
     splits = "a closed bump through the BPM at three levels or more, with both signs"
 

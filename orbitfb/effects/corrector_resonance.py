@@ -52,10 +52,10 @@ class CorrectorResonance(ActuatorKind):
             name="damping",
             unit="1",
             low=1e-3,
-            high=3.0,
+            high=1.0,
             nominal=0.3,
             typical=0.3,
-            description="Damping ratio ζ; above 1 it does not ring but has two time constants.",
+            description="Damping ratio ζ; above 1 it would be a lag with two time constants.",
             log=True,
         ),
     )

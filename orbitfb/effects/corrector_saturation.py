@@ -1,5 +1,7 @@
 """A corrector whose current has a limit that its setpoint knows nothing of."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -13,13 +15,23 @@ from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
 _NONE = 1e3  # [A]; no corrector reaches it
+_SHARP = 1e-6  # [A]; no corner is sharper
 _HINTED = 3
 """Correctors whose own ranges are looked at."""
-_SHARES = np.array([0.1, 0.2, 0.3, 0.4, 0.55, 0.75])
+_CORNERS = (
+    (0.0, (0.1, 0.2, 0.3, 0.4, 0.55, 0.75)),
+    (0.05, (0.0, 0.05, 0.1, 0.2, 0.4)),
+    (0.15, (-0.3, -0.1, 0.1, 0.3)),
+)
+"""Roundings that are tried, and distances of the limit below the top, as shares of the range."""
 
 
 class CorrectorSaturation(ActuatorKind):
-    """Currents clipped at a limit."""
+    """Currents that a limit holds back: clipped, or bent over a rounded corner.
+
+    What is above an upper limit m is lost, θ = u − w log(1 + exp((u − m)/w)) with the rounding w:
+    clip(u, m) where w is small, iron that saturates where it is not.
+    """
 
     id = "corrector-saturation"
     stage = "actuator"
@@ -29,7 +41,10 @@ class CorrectorSaturation(ActuatorKind):
         "beyond is lost until the setpoint comes back. Give the feedback the true limit, or "
         "unload the corrector by moving magnets or the reference orbit."
     )
-    equation = "θ_n = clip(u_n, ± m), or on one side alone"
+    equation = (
+        "θ_n = u_n − s(u_n − m) + s(−m − u_n), or on one side alone, with what is beyond, "
+        "s(d) = w log(1 + exp(d/w)): clip(u_n, ± m) for a sharp corner"
+    )
     parameters = (
         Parameter(
             name="limit",
@@ -52,20 +67,29 @@ class CorrectorSaturation(ActuatorKind):
             whole=True,
             meanings={1: "θ ≤ m", 2: "θ ≤ −m", -1: "θ ≥ −m", -2: "θ ≥ m", 0: "both, ± m"},
         ),
+        Parameter(
+            name="rounding",
+            unit="A",
+            low=_SHARP,
+            high=10.0,
+            nominal=_SHARP,
+            typical=_SHARP,
+            description="Width w of the rounded corner; 0.69 w is lost at the limit itself.",
+            log=True,
+            optional=True,
+        ),
     )
     confused_with = ("corrector-stuck", "corrector-gain")
     splits = "A slow ramp of this corrector through the suspected limit, at both signs."
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
-        """Clip."""
-        limit, side = values["limit"], round(values["side"])
-        least = {0: -limit, -1: -limit, -2: limit}.get(side, -np.inf)
-        most = {0: limit, 1: limit, 2: -limit}.get(side, np.inf)
-        return np.clip(setpoints, least, most)
+        """Hold back."""
+        return _held(setpoints, values)
 
     def fitted(self, record: Record) -> tuple[Parameter, ...]:
-        """Fit the limit; on which side it is, is found by the scan."""
-        return self.parameters[:1]
+        """Fit limit and rounding; on which side it is, is found by the scan."""
+        limit, _, rounding = self.parameters
+        return limit, rounding
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """At most 30 limits: dense near the largest setpoint, and over all sizes that are reached.
@@ -77,43 +101,79 @@ class CorrectorSaturation(ActuatorKind):
         near = reach - widest_range(record) * np.linspace(0.05, 1.0, 5)
         sizes = np.quantile(np.abs(record.setpoints), np.linspace(0.1, 0.999, 7))
         limits = np.concatenate([near, sizes, reach * np.geomspace(0.05, 0.98, 6)])
-        return ladder("limit", {"side": 0.0}, np.unique(limits[(limits > 0) & (limits < reach)]))
+        others = {"side": 0.0, "rounding": _SHARP}
+        return ladder("limit", others, np.unique(limits[(limits > 0) & (limits < reach)]))
 
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:
         """Limits within the ranges of the correctors that are pulled most to what they leave."""
         sign = np.sign(setpoints)
-        sets = [{"limit": m, "side": 0.0} for m in _pulled(np.abs(setpoints), sign * pull) if m > 0]
-        for upper in (1.0, -1.0):
-            sets += [
-                {"limit": abs(m), "side": upper * (1.0 if m >= 0.0 else 2.0)}
-                for m in _pulled(upper * setpoints, upper * pull)
+        found: list[Values] = []
+        for corner in _CORNERS:
+            found += [
+                {"limit": m, "side": 0.0, "rounding": w}
+                for m, w in _pulled(np.abs(setpoints), sign * pull, *corner)
+                if m > 0
             ]
-        return tuple(sets)
+            for upper in (1.0, -1.0):
+                found += [
+                    {"limit": abs(m), "side": upper * (1.0 if m >= 0.0 else 2.0), "rounding": w}
+                    for m, w in _pulled(upper * setpoints, upper * pull, *corner)
+                ]
+        return tuple(found)
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
     ) -> Effect:
-        """Clip tick by tick."""
-        return _Saturation(places, values["limit"], int(values["side"]))
+        """Hold back tick by tick."""
+        return _Saturation(places, values)
 
 
-def _pulled(courses: Matrix, pull: Matrix) -> list[float]:
-    """Limits from above of the courses that are pulled most to what they leave [A]."""
+def _held(wanted: Matrix, values: Values) -> Matrix:
+    """What comes of currents [A]."""
+    limit, side = values["limit"], round(values["side"])
+    rounding = values.get("rounding", _SHARP)
+    edges = {0: (-limit, limit), 1: (None, limit), 2: (None, -limit)}
+    least, most = {**edges, -1: (-limit, None), -2: (limit, None)}[side]
+    beyond = np.zeros_like(wanted)
+    if most is not None:
+        beyond += _beyond(wanted - most, rounding)
+    if least is not None:
+        beyond -= _beyond(least - wanted, rounding)
+    return wanted - beyond
+
+
+def _beyond(distance: Matrix, rounding: float | Vector) -> Matrix:
+    """What is lost at a distance above a limit with a rounded corner; both [A]."""
+    return rounding * np.logaddexp(0.0, distance / rounding)
+
+
+def _pulled(
+    courses: Matrix, pull: Matrix, rounding: float, below: Sequence[float]
+) -> list[tuple[float, float]]:
+    """Limits from above of the courses that are pulled most to what they leave, with roundings.
+
+    Args:
+        courses: Of all correctors, shape (rows, m) [A].
+        pull: Derivative of the log-likelihood by their currents, the same shape.
+        rounding: As a share of the range of each.
+        below: How far the limits are below the top, the same.
+    """
     top, reach = courses.max(axis=0), np.ptp(courses, axis=0)
-    limits = top - reach * _SHARES[:, None]
-    cuts = np.minimum(limits[:, None, :] - courses, 0.0)
-    pulled = np.einsum("km,skm->sm", pull, cuts).max(axis=0)
-    columns = np.argsort(pulled)[::-1][:_HINTED]
-    return np.sort(limits[:, columns], axis=None).tolist()
+    limits = top - reach * np.array(below)[:, None]
+    width = np.maximum(rounding * reach, _SHARP)
+    pulled = np.stack([np.sum(pull * -_beyond(courses - limit, width), axis=0) for limit in limits])
+    columns = np.argsort(pulled.max(axis=0))[::-1][:_HINTED]
+    return [
+        (float(limit), float(width[column]))
+        for column in columns
+        for limit in np.sort(limits[:, column])
+    ]
 
 
 class _Saturation(ColumnsEffect):
-    def __init__(self, places: Indices, limit: float, side: int) -> None:
+    def __init__(self, places: Indices, values: Values) -> None:
         super().__init__(places)
-        self._limit, self._side = limit, side
+        self._values = values
 
     def follow(self, wanted: Vector) -> Vector:
-        if self._side == 0:
-            return np.where(np.abs(wanted) > self._limit, np.sign(wanted) * self._limit, wanted)
-        edge = self._limit if self._side in (1, -2) else -self._limit
-        return np.minimum(wanted, edge) if self._side > 0 else np.maximum(wanted, edge)
+        return _held(wanted, self._values)

@@ -55,8 +55,8 @@ class SensorKind(EffectKind):
 
     Attributes:
         colours: Whether it filters the noise of the readings, so that it shows by that alone.
-        scales: Whether it scales the noise with the readings (by 1 + its `linear` parameter), so
-            that it shows by that alone.
+        scales: Whether it scales the noise with the readings (by 1 + its `linear` parameter if it
+            has one), so that it shows by that alone.
     """
 
     target = "bpm"

@@ -46,6 +46,8 @@ class Parameter:
         whole: Whether only whole numbers make sense.
         of_rate: Of a frequency: the highest that a record can tell, in units of its rate. Half of
             it, for a line; what dies out within a tick has an answer beyond.
+        optional: Whether the law is complete without it: values may leave it out, and where it
+            has its nominal value it is not fitted.
         meanings: What each value stands for, in words, where the values are choices (not fitted).
     """
 
@@ -60,6 +62,7 @@ class Parameter:
     rough: bool = False
     whole: bool = False
     of_rate: float = 0.5
+    optional: bool = False
     meanings: Mapping[float, str] = field(default_factory=dict)
 
 
@@ -149,3 +152,15 @@ class EffectKind(ABC):
         else:
             steps = np.linspace(first.low, first.high, 9)
         return tuple({**typical, first.name: float(step)} for step in steps)
+
+    def fuller(self, values: Values, record: Record) -> Values | None:
+        """Values with the optional parameters at work, to try beside those of the simpler law.
+
+        Args:
+            values: Best ones of the simpler law.
+            record: That they were fitted to.
+
+        Returns:
+            Values to begin with; None where there is nothing fuller.
+        """
+        return None

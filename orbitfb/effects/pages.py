@@ -110,7 +110,8 @@ def _row(p: Parameter) -> str:
 def _example(kind: EffectKind) -> str:
     # A unit that begins with a digit, as 1/m, would run into the number.
     units = {p.name: "" if p.unit[:1].isdigit() else p.unit for p in kind.parameters}
-    words = [f"{p.name}={p.typical:g}{units[p.name]}" for p in kind.parameters]
+    own = [p for p in kind.parameters if not p.optional]
+    words = [f"{p.name}={p.typical:g}{units[p.name]}" for p in own]
     return f"{kind.id}:{','.join(words)}" if words else kind.id
 
 

@@ -82,7 +82,7 @@ def lag_cause():
         },
         probability=0.98,
         onset_s=112.4,
-        title="first-order lag of a corrector",
+        title="lag of a corrector",
         sentence="The field follows the setpoint with a delay, as behind a thick chamber.",
         label="cells C04-C06",
         held_out_nats=412.0,

@@ -82,7 +82,7 @@ def test_the_sentence_says_cause_place_size_probability_and_shrink():
     said = examples.named().headline
     for words in (
         "0.42 [0.39, 0.45] nats/tick",
-        "first-order lag of a corrector on cells C04-C06",
+        "lag of a corrector on cells C04-C06",
         "tau = 0.093 [0.088, 0.098] s",
         "from 112.4 s on",
         "P = 0.98",

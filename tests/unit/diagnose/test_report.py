@@ -70,7 +70,7 @@ def test_a_full_diagnosis_has_all_its_pictures_inside(rich):
 
 def test_the_headline_comes_first(rich):
     text = "".join(read(rich).text)
-    assert text.index("first-order lag") < text.index("Where the gap lies")
+    assert text.index("lag of a corrector") < text.index("Where the gap lies")
 
 
 @pytest.mark.parametrize("name", ["named", "bare", "unknown", "broken"])

@@ -18,7 +18,9 @@ SIZES = {
     "corrector-polarity": [{}],
     "corrector-stuck": [{"left": 1.0}, {"left": 0.0}, {"left": 0.4}],
     "corrector-slew": [{"rate": 1e-3}, {"rate": 0.02}, {"rate": 0.08}],
-    "corrector-lag": [{"tau": 0.03}, {"tau": 0.1}, {"tau": 3.0}],
+    "corrector-lag": [
+        {"tau": tau, "second": second} for tau in (0.03, 0.1, 3.0) for second in (1e-6, 0.1)
+    ],
     "corrector-resonance": [
         {"frequency": 0.3, "damping": 0.05},
         {"frequency": 4.0, "damping": 0.3},
@@ -29,8 +31,9 @@ SIZES = {
     "corrector-quantisation": [{"step": 1e-4}, {"step": 3e-3}, {"step": 1.0}],
     "corrector-deadband": [{"width": 5e-4}, {"width": 3e-3}, {"width": 0.02}],
     "corrector-saturation": [
-        {"limit": limit, "side": side}
+        {"limit": limit, "side": side, "rounding": rounding}
         for limit, side in ((0.01, 0), (0.04, 0), (0.0, 0), (0.002, 1), (0.001, 2), (0.02, -2))
+        for rounding in (1e-6, 1e-3)
     ],
     "corrector-hysteresis": [
         {"width": 1e-3, "share": 1.0},
@@ -41,7 +44,7 @@ SIZES = {
 DELAYS = [{"ticks": 0.4}, {"ticks": 1.0}, {"ticks": 2.75}]
 CASES = [(name, values) for name, sizes in SIZES.items() for values in sizes]
 CASES += [("loop-delay", values) for values in DELAYS]
-LOWER = ("corrector-saturation", {"limit": 0.002, "side": -1})
+LOWER = ("corrector-saturation", {"limit": 0.002, "side": -1, "rounding": 1e-6})
 """It touches but one of three courses."""
 PAIRS = {
     "corrector-swap": {},

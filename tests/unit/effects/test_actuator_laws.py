@@ -21,21 +21,34 @@ def test_a_lag_answers_a_step_as_an_exponential(layout):
     assert_allclose(got, np.where(since > 0, 1 - np.exp(-since / 0.25), 0), rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize(("frequency", "damping"), [(0.5, 0.02), (3.0, 0.3), (8.0, 0.1), (1, 1.7)])
-def test_a_resonance_follows_its_differential_equation(layout, frequency, damping):
-    setpoints = course(6, 1, rows=60)
-    fine, omega = 200, 2 * np.pi * frequency
-    system = StateSpace(
-        [[0, 1], [-(omega**2), -2 * damping * omega]], [[0], [omega**2]], [[1, 0]], [[0]]
-    )
+def follows(system, rest, layout, kind, values):
+    """Compare an effect with what a solver makes of a system that begins at rest."""
+    setpoints, fine = course(6, 1, rows=60), 200
     held = np.repeat(setpoints[1:, 0], fine)  # row k is in force from reading k − 1 to k
     held = np.append(held, held[-1])
     time = np.arange(len(held)) * layout.period / fine
-    rest = [setpoints[0, 0], 0.0]
-    _, answer, _ = lsim(system, held, time, X0=rest, interp=False)
-    values = {"frequency": frequency, "damping": damping}
-    got = effect("corrector-resonance").drive(setpoints, values, record_of(layout, setpoints))
+    start = setpoints[0, 0] * np.array(rest)
+    _, answer, _ = lsim(system, held, time, X0=start, interp=False)
+    got = effect(kind).drive(setpoints, values, record_of(layout, setpoints))
     assert_allclose(got[:, 0], answer[::fine], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(0.5, 0.02), (3.0, 0.3), (8.0, 0.1), (1, 0.9)])
+def test_a_resonance_follows_its_differential_equation(layout, frequency, damping):
+    omega = 2 * np.pi * frequency
+    system = StateSpace(
+        [[0, 1], [-(omega**2), -2 * damping * omega]], [[0], [omega**2]], [[1, 0]], [[0]]
+    )
+    values = {"frequency": frequency, "damping": damping}
+    follows(system, [1, 0], layout, "corrector-resonance", values)
+
+
+@pytest.mark.parametrize(("tau", "second"), [(0.3, 0.05), (0.02, 0.4), (0.1, 0.1), (2.0, 1e-3)])
+def test_a_lag_with_two_time_constants_follows_its_differential_equation(layout, tau, second):
+    system = StateSpace(
+        [[-1 / tau, 1 / tau], [0, -1 / second]], [[0], [1 / second]], [[1, 0]], [[0]]
+    )
+    follows(system, [1, 1], layout, "corrector-lag", {"tau": tau, "second": second})
 
 
 def test_a_slew_limit_lets_small_steps_pass_and_finishes_large_ones(layout):
