@@ -53,3 +53,49 @@ def test_a_little_delay_of_the_loop_may_be_a_lag_of_all_correctors():
     assert found.accepted.kind.id == "loop-delay"
     assert found.rivals() == []  # one of 180 correctors, of a cell or of all: it pays for that
     assert found.limits() == ("corrector-lag",)
+
+
+def test_a_lag_of_two_time_constants_is_no_resonance():
+    kinds = [all_effects()[name] for name in ("corrector-resonance", "corrector-lag")]
+    effect = f"corrector-lag:tau=0.15s,second=0.1s,names={CORRECTORS[20]}"
+    best, *_ = tournament(Bench(record_with(effect, dither=1e-2)), kinds)
+    assert (best.kind.id, best.cause.places) == ("corrector-lag", (20,))
+    (tau, second) = sorted(best.fit.interval(index) for index in range(2))
+    assert tau[0] < 0.1 < tau[1]
+    assert second[0] < 0.15 < second[1]
+
+
+def test_a_lag_that_has_one_time_constant_is_told_with_one():
+    effect = f"corrector-lag:tau=0.15s,names={CORRECTORS[20]}"
+    best, *_ = tournament(Bench(record_with(effect, dither=1e-2)), [all_effects()["corrector-lag"]])
+    assert [parameter.name for _, parameter in best.fit.parameters] == ["tau"]
+
+
+STILL = ("corrector-lag", "corrector-slew", "corrector-stuck")
+
+
+def test_what_a_readback_shows_is_evidence():
+    effect = f"corrector-stuck:left=1,names={CORRECTORS[20]},from=35s"
+    there = Bench(record_with(effect, dither=3e-3))
+    shown = round_of(there, STILL, frozenset({("corrector-stuck", 20)}))
+    assert shown.accepted.kind.id == "corrector-stuck"
+    assert shown.rivals() == []
+    assert round_of(there, STILL).rivals() != []
+
+
+def round_of(there, names, shown=frozenset()):
+    kinds = [all_effects()[name] for name in names]
+    entries = tuple(tournament(there, kinds, shown=shown))
+    return Round(there, entries, len(kinds), entries[0])
+
+
+def test_the_laws_that_the_best_is_confused_with_are_tried_at_its_group():
+    cell = [name for name in CORRECTORS if name.endswith("C09")][1:5]
+    effect = f"corrector-lag:tau=0.1s,names={'+'.join(cell)}"
+    there = Bench(record_with(effect, dither=3e-3))
+    found = round_of(there, ("corrector-lag", "corrector-resonance"))
+    places = found.accepted.cause.places
+    assert [CORRECTORS[place] for place in places] == cell
+    assert any(
+        e.kind.id == "corrector-resonance" and e.cause.places == places for e in found.entries
+    )
