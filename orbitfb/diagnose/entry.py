@@ -31,14 +31,14 @@ _ONE_LAW = 9.0
 innovations, for every parameter that one has more: three standard deviations of what noise makes
 of a parameter that is not needed.
 """
+_AT_MOST = 0.2
+"""The same as a share of the gain: the changes they make have a cosine of 0.95."""
 _WORTH_MORE = 2.0
 """What a fuller law must gain beyond the simpler one [nats]."""
 _UNKNOWN = 10.0
 """Ends of a 90 % interval that are further apart by this factor do not tell a value."""
 _NEARLY = 0.8
 """Share of the gain from which another law of the same devices bears witness."""
-_AT_MOST = 0.2
-"""The same as a share of the gain: the changes they make have a cosine of 0.95."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,7 +168,7 @@ def devices(cause: Cause, layout: Layout) -> tuple[int, ...]:
 
 def _fuller(bench: Bench, entry: Entry) -> Entry:
     """Try the law with its optional parameters, where it is worth something without."""
-    values = entry.kind.fuller(entry.cause.values, bench.record) if entry.weight > 0.0 else None
+    values = entry.kind.fuller(entry.cause.values) if entry.weight > 0.0 else None
     if values is None:
         return entry
     cause = replace(entry.cause, values=values)

@@ -176,4 +176,18 @@ class _Saturation(ColumnsEffect):
         self._values = values
 
     def follow(self, wanted: Vector) -> Vector:
-        return _held(wanted, self._values)
+        limit, side = self._values["limit"], round(self._values["side"])
+        width = self._values.get("rounding", _SHARP)
+        edge = limit if side in (0, 1, -2) else -limit
+        lost = np.zeros_like(wanted)
+        if side >= 0:
+            lost += _excess(wanted - edge, width)
+        if side <= 0:
+            lower = -limit if side == 0 else edge
+            lost -= _excess(lower - wanted, width)
+        return wanted - lost
+
+
+def _excess(distance: Vector, width: float) -> Vector:
+    """What is beyond an edge with a rounded corner [A]."""
+    return np.maximum(distance, 0.0) + width * np.log1p(np.exp(-np.abs(distance) / width))
