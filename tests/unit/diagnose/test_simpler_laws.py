@@ -5,7 +5,9 @@ from gap_cases import bench
 from test_scans import CORRECTORS, record_with
 
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.entry import enter
 from orbitfb.diagnose.rounds import Round
+from orbitfb.diagnose.same_group import other_laws
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.registry import all_effects
 
@@ -93,9 +95,12 @@ def test_the_laws_that_the_best_is_confused_with_are_tried_at_its_group():
     cell = [name for name in CORRECTORS if name.endswith("C09")][1:5]
     effect = f"corrector-lag:tau=0.1s,names={'+'.join(cell)}"
     there = Bench(record_with(effect, dither=3e-3))
-    found = round_of(there, ("corrector-lag", "corrector-resonance"))
-    places = found.accepted.cause.places
-    assert [CORRECTORS[place] for place in places] == cell
-    assert any(
-        e.kind.id == "corrector-resonance" and e.cause.places == places for e in found.entries
+    lag, *others = (
+        all_effects()[f"corrector-{name}"] for name in ("lag", "resonance", "quantisation")
     )
+    entries = tournament(there, [lag])
+    places = entries[0].cause.places
+    assert [CORRECTORS[place] for place in places] == cell
+    (proposed,) = other_laws(there, entries, [lag, *others])
+    assert (proposed.cause.kind.id, proposed.cause.places) == ("corrector-resonance", places)
+    assert other_laws(there, [*entries, enter(there, proposed)], [lag, *others]) == []
