@@ -8,7 +8,7 @@ import numpy as np
 from orbitfb.diagnose.answer_parts import Cause
 from orbitfb.diagnose.explain import Cause as Explaining
 from orbitfb.diagnose.finding import Finding
-from orbitfb.diagnose.integrity_repeats import HELD
+from orbitfb.diagnose.integrity_repeats import HELD, shared_repeats
 from orbitfb.diagnose.naming import devices_and_planes
 from orbitfb.diagnose.tournament import Shown
 from orbitfb.effects.device_kinds import PairKind
@@ -121,21 +121,28 @@ def _cause(record: Record, finding: Finding) -> Cause:
 
 
 def _without_repeats(record: Record) -> Record:
-    """Fill in orbits that repeat the one before exactly, from the orbits before and after."""
-    same = np.zeros(len(record), dtype=np.bool_)
-    same[1:] = (record.readings[1:] == record.readings[:-1]).all(axis=1)
-    same &= ~record.starts
-    if not same.any() or same.mean() > _MOST_REPEATS:
+    """Fill in readings that repeat the ones before, whole orbits or crates at once.
+
+    They are taken from those before and after.
+    """
+    whole = np.zeros(len(record), dtype=np.bool_)
+    whole[1:] = (record.readings[1:] == record.readings[:-1]).all(axis=1)
+    whole &= ~record.starts
+    same = shared_repeats(record) | whole[:, None]
+    rows = same.any(axis=1)
+    if not rows.any() or rows.mean() > _MOST_REPEATS:
         return record
     readings = record.readings.copy()
     moved = np.zeros_like(readings)
     moved[1:] = np.diff(record.setpoints, axis=0) @ record.layout.response.T
-    for row in np.flatnonzero(same):
+    for row in np.flatnonzero(rows):
+        own = same[row]
         ahead = readings[row - 1] + moved[row]
-        follows = row + 1 < len(record) and not (same[row + 1] or record.starts[row + 1])
-        back = readings[row + 1] - moved[row + 1] if follows else ahead
-        readings[row] = 0.5 * (ahead + back)
-    return replace(record, readings=readings, filled=record.filled | same[:, None])
+        back = ahead
+        if row + 1 < len(record) and not record.starts[row + 1]:
+            back = np.where(same[row + 1], ahead, readings[row + 1] - moved[row + 1])
+        readings[row, own] = 0.5 * (ahead + back)[own]
+    return replace(record, readings=readings, filled=record.filled | same)
 
 
 def beside(other: Record, record: Record) -> Record:

@@ -67,7 +67,7 @@ def diagnose(
         def tell(what: str, share: float) -> None:
             progress(what, begin + share * (end - begin))
 
-        return search(part, kinds, floor, given, tell, budget, shown)
+        return search(part, kinds, floor, given, tell, budget, shown, beside=bool(certain.causes))
 
     outcome = look(first, 0.0, 0.7)
     if certain.given and not budget.over():
@@ -76,10 +76,15 @@ def diagnose(
         better = free.bench.full_log_likelihood > outcome.bench.full_log_likelihood
         if better or _taken_back(given, outcome):
             certain, outcome = certain.without_given(), free
-    if not outcome.sure and first is not whole and not budget.over():
+    given = certain.given
+    if (
+        not outcome.sure
+        and first is not whole
+        and not budget.over()
+        and (given or outcome.hopeful or look(_end(whole, first), 0.7, 0.75).hopeful)
+    ):
         # Nothing sure yet: the end of the record may show what its beginning does not.
-        given = certain.given
-        again = look(whole, 0.7, 0.85)
+        again = look(whole, 0.75, 0.85)
         if again.sure or (not outcome.winners and (again.winners or not given)):
             outcome, later = again, None
     judged = judge(outcome, certain, seed)
@@ -95,6 +100,11 @@ def diagnose(
             ),
         }
     )
+
+
+def _end(whole: Record, first: Record) -> Record:
+    """As many of the first rows as there are others, and these: what began late shows there."""
+    return whole.rows(max(2 * len(first) - len(whole), 0), len(whole))
 
 
 def _taken_back(given: Sequence[Cause], outcome: Outcome) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench, log_likelihood
-from orbitfb.diagnose.bystanders import without_bystander
+from orbitfb.diagnose.bystanders import with_neighbour, without_bystander
 from orbitfb.diagnose.candidate import FIRST_ONSET, LAST_ONSET, Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
@@ -22,6 +22,8 @@ _ONSET_WORTH = 4.0
 """Rows before an onset must speak against the effect by this much [nats]."""
 _THROWN_OFF = 50.0
 """Weight of a cause beyond which orbit and healthy errors are wrong without it [nats]."""
+_RIVAL = 0.5
+"""Share of the best weight from which a fit is judged again with everything that it puts right."""
 _STRIDES = (16, 8, 4, 2, 1, 1)
 """Rows by which a beginning is moved, one after the other."""
 _SAME = 0.02
@@ -97,7 +99,7 @@ def enter(bench: Bench, candidate: Candidate) -> Entry:
         begun = begun_noise(bench, candidate)
         return Entry(begun, None, net(begun) - len(kind.parameters))
     entry = _begun(bench, _fitted(bench, candidate))
-    entry = _struck(bench, entry)
+    entry = _joined(bench, _struck(bench, entry))
     entry = max((entry, *_later(bench, entry)), key=lambda one: one.weight)
     return _fuller(bench, entry)
 
@@ -116,8 +118,8 @@ def price(candidate: Candidate) -> float:
 def _begun(bench: Bench, entry: Entry) -> Entry:
     """Look for the row of the beginning that explains the record best, near the one proposed."""
     cause = entry.cause
-    if not cause.onset or entry.weight < 0.0:
-        return entry
+    if not cause.onset or entry.gain < price(entry.candidate):
+        return entry  # what begins a few rows off scatters as a wrong law does
     row, rows = cause.onset, len(bench.record)
     best = log_likelihood(*bench.roughly((cause,)))
     for step in _STRIDES:
@@ -141,6 +143,16 @@ def _struck(bench: Bench, entry: Entry) -> Entry:
             break
         entry = fewer
     return entry
+
+
+def _joined(bench: Bench, entry: Entry) -> Entry:
+    """Take neighbours in that are struck too, one after the other."""
+    wider, cause = entry.candidate, entry.cause
+    while entry.weight > 0.0 and (more := with_neighbour(bench, wider, cause)) is not None:
+        wider, cause = more, more.cause
+    if wider is entry.candidate:
+        return entry
+    return max((entry, _fitted(bench, wider)), key=lambda one: one.weight)
 
 
 def _later(bench: Bench, entry: Entry) -> list[Entry]:
@@ -168,7 +180,8 @@ def devices(cause: Cause, layout: Layout) -> tuple[int, ...]:
 
 def _fuller(bench: Bench, entry: Entry) -> Entry:
     """Try the law with its optional parameters, where it is worth something without."""
-    values = entry.kind.fuller(entry.cause.values) if entry.weight > 0.0 else None
+    record = bench.record
+    values = entry.kind.fuller(entry.cause.values, record) if entry.weight > 0.0 else None
     if values is None:
         return entry
     cause = replace(entry.cause, values=values)
@@ -252,10 +265,10 @@ def profiled(bench: Bench, entry: Entry, best: float) -> Entry:
 
     Where the best entry is worth much more has been thrown off than the floor.
     """
-    if entry.fit is None or entry.weight < 0.0:
+    if entry.fit is None or entry.weight < 0.0 or entry.weight < HOPELESS * best:
         return entry
     floor = bench.floor_without(entry.fit.causes)
-    if best > _THROWN_OFF and entry.weight > HOPELESS * best:
+    if best > _THROWN_OFF and entry.weight > _RIVAL * best:
         own = bench.cleared_of(entry.fit.causes)
     else:
         own = bench.with_floor(floor)

@@ -18,6 +18,10 @@ HELD = "held-readings"
 """Check that finds BPMs of which not every reading was recorded."""
 
 _CHANCE = 1e-6
+_TOGETHER = 3
+"""BPMs that repeat at once and are no chance."""
+_MOSTLY_READ_TWICE = 0.5
+"""Share of these rows in which a BPM repeats that belongs to them."""
 _SHORTEST_FREEZE = 8
 _WHOLE = 0.9
 _FEWEST_BPMS = 4
@@ -70,8 +74,46 @@ def check_repeats(record: Record) -> list[Finding]:
     for column in np.flatnonzero(single.any(axis=0)).tolist():
         found += _frozen(record, column, single[:, column], whole, usual)
     told = {name for finding in found if finding.effect for name in finding.devices}
+    crate = _crates(record, shared_repeats(record), told)
+    known = {name for finding in crate for name in finding.devices}
+    found = [*crate, *(one for one in found if one.effect or not known & set(one.devices))]
     held = [column for column in held if record.layout.bpms.label(column) not in told]
     return [_held_finding(record, held, single), *found] if held else found
+
+
+def shared_repeats(record: Record) -> Mask:
+    """Tell which readings repeat the one before to the last bit, with others but not all, (N, n).
+
+    Where readings never repeat by chance, three that do at once were not read but kept.
+    """
+    same = np.zeros(record.readings.shape, dtype=np.bool_)
+    same[1:] = (np.diff(record.readings, axis=0) == 0.0) & inner(record)[:, None]
+    same[1:] &= ~record.filled[1:] & ~record.filled[:-1]
+    same[np.mean(same, axis=1) >= _WHOLE] = False
+    share = same.mean(axis=0)
+    if np.median(share) > 0.0:
+        return np.zeros_like(same)
+    same[:, share >= _HELD] = False
+    same[np.count_nonzero(same, axis=1) < _TOGETHER] = False
+    return same
+
+
+def _crates(record: Record, shared: Mask, told: set[str]) -> list[Finding]:
+    """Find BPMs that were not read at some ticks, all of a crate at once."""
+    rows = np.flatnonzero(shared.any(axis=1))
+    labels = [record.layout.bpms.label(column) for column in range(shared.shape[1])]
+    often = shared[rows].mean(axis=0) if len(rows) else np.zeros(len(labels))
+    names = tuple(
+        label for label, share in zip(labels, often, strict=True) if share > _MOSTLY_READ_TWICE
+    )
+    if len(names) < _TOGETHER or told & set(names):
+        return []
+    text = (
+        f"{listed(names)} repeat their readings, to the last bit, at the same {len(rows)} rows "
+        f"(first {rows[0]}): those readings were missed and the old ones kept"
+    )
+    span = (int(rows[0]), int(rows[-1]))
+    return [Finding("repeated-crate", "warning", names, span, text, effect="missed-read")]
 
 
 def _held(record: Record, single: Mask) -> list[int]:

@@ -27,6 +27,8 @@ _SMALL = 0.01
 _STAND_IN = 3.0
 """Scatter of a winner's scores over what its noise model says, beyond which it is none."""
 _HALF = 0.5
+_NO_NAME = 0.1
+"""Chance of the first cause's law below which its name is none."""
 _STAND_IN_SHRINK = 0.2
 """Share of a resolved gap on held-out data below which the causes only stood in for another."""
 _NO_TRACE = 1e-6
@@ -144,7 +146,8 @@ def _state(
             return "named_plus_remainder" if remains else "named"
         return "unknown" if remains or _of_no_kind(outcome.rounds[0]) else "no_gap"
     first = outcome.winners[0]
-    if _stand_in(first) or departures[0].stand_in or explained < _HALF:
+    law = departures[0]
+    if _stand_in(first) or law.stand_in or law.chance < _NO_NAME or explained < _HALF:
         return "unknown"
     if not first.sure:
         return "unknown" if remains or _of_no_kind(first) else "ambiguous"

@@ -131,7 +131,20 @@ class Round:
         ]
 
 
-def winner(one: Round, before: Sequence[Round], given: float = 0.0) -> Entry | None:
+def least_weight(kinds: int, *, further: bool) -> float:
+    """Weight that the best of so many kinds needs to be accepted, if there is nothing else [nats].
+
+    Args:
+        kinds: That compete.
+        further: Whether causes are known already.
+    """
+    likely = float(np.log(kinds * LIKELY / (1.0 - LIKELY))) if kinds else 0.0
+    return _LEAST_FURTHER if further else likely
+
+
+def winner(
+    one: Round, before: Sequence[Round], given: float = 0.0, *, beside: bool = False
+) -> Entry | None:
     """The best entry, if something of its kind (or of a close one) is likely to be there.
 
     A further cause must be sure. It must not be what the first ones left because they are not
@@ -142,11 +155,12 @@ def winner(one: Round, before: Sequence[Round], given: float = 0.0) -> Entry | N
         one: The tournament.
         before: Those before it.
         given: What the causes that were known from the beginning are worth [nats]; 0: none were.
+        beside: Whether there are others that are known and have left no trace in what competes.
     """
     if not one.entries:
         return None
     best = one.entries[0]
-    further = given > 0.0 or bool(before)
+    further = beside or given > 0.0 or bool(before)
     least = SURE if further else LIKELY
     if best.held_out <= 0.0 or sum(one.probabilities().values()) < least:
         return None

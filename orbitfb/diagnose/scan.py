@@ -35,8 +35,8 @@ from orbitfb.physics.places import Indices
 
 _STRIKING = 8.0
 """Gain from which a group that is struck late is looked at closely [nats]."""
-_WORTH = 3.0
-"""Gain below which a candidate is not looked at [nats]."""
+_WORTH = 5.0
+"""Gain below which a candidate is not looked at: what its choice among all places costs [nats]."""
 
 
 class Scanner:

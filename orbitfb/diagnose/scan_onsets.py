@@ -2,8 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.candidate import (
@@ -101,9 +103,10 @@ def growing(
     for values in grid:
         (shapes, drivers), *_ = scoring.changes(kind, values).parts
         rows, course = len(drivers), drivers[:, :1]
-        turned = np.conj(np.fft.rfft(course, 2 * rows, axis=0))
-        pulled = np.fft.rfft(shapes.pull, 2 * rows, axis=0)
-        score = np.fft.irfft(pulled * turned, axis=0)[:rows]
+        lines = cast("int", next_fast_len(2 * rows, real=True))
+        turned = np.conj(np.fft.rfft(course, lines, axis=0))
+        pulled = np.fft.rfft(shapes.pull, lines, axis=0)
+        score = np.fft.irfft(pulled * turned, lines, axis=0)[:rows]
         info: Vector = np.zeros(score.shape)
         for shape, left in zip(shapes.fine, scoring.courses(course), strict=True):
             energy = np.cumsum(left[:, 0] ** 2)[::-1]

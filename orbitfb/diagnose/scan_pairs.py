@@ -14,7 +14,7 @@ from orbitfb.diagnose.candidate import (
     best_strength,
     sized,
 )
-from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.explain import Cause, restored
 from orbitfb.diagnose.scan_onsets import short, to_the_end
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.effects.device_kinds import PairKind
@@ -50,8 +50,11 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
     if kind.target == "corrector":
         patterns, drivers = record.layout.response, bench.currents
     else:
-        # What is not small has taken the predicted orbit with it: take the model's own.
-        orbit = bench.orbit if kind.parameters else bench.currents @ record.layout.response.T
+        orbit = bench.orbit
+        if not kind.parameters:
+            # What is not small has taken the predicted orbit with it. What is its own inverse, S,
+            # changes readings y by (S − 1) S y = (S − 1)(−y), with the gain to second order exact.
+            orbit = -restored(record, bench.causes)[0]
         patterns, drivers = np.eye(orbit.shape[1]), orbit
     choices = _choices(kind, record.layout)
     scores = (bench.slope @ patterns).T @ drivers

@@ -14,6 +14,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import Healthy
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.explain import restored
 from orbitfb.diagnose.innovation import Ladder
 from orbitfb.diagnose.quick import Single
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
@@ -100,12 +101,16 @@ class Changes:
             total = total + np.diagonal(shapes.least) * energy * kept
         return total
 
-    def least_together(self, groups: Sequence[Indices]) -> Vector:
-        """The same of groups of places that are struck alike, of one part, shape (groups,)."""
+    @cached_property
+    def both_least(self) -> Matrix:
+        """The same of every two places that are struck alike, of one part, shape (P, P)."""
         ((shapes, _), *_), (steps, *_), (kept, *_) = self.parts, self.steps, self.kept
         weight = np.sqrt(kept)
-        known = (steps.T @ steps) * shapes.least * np.outer(weight, weight)
-        return np.array([known[np.ix_(own, own)].sum() for own in groups])
+        return (steps.T @ steps) * shapes.least * np.outer(weight, weight)
+
+    def least_together(self, groups: Sequence[Indices]) -> Vector:
+        """The same of groups of places that are struck alike, of one part, shape (groups,)."""
+        return np.array([self.both_least[np.ix_(own, own)].sum() for own in groups])
 
 
 class Scoring:
@@ -142,9 +147,11 @@ class Scoring:
             moved = kind.drive(bench.currents, values, record) - bench.currents
             return Changes(((self.correctors(), moved),), (("correctors", _own(moved)),), self)
         if isinstance(kind, SensorKind):
-            # What is not small has taken the predicted orbit with it: take the model's own.
-            small = bool(kind.parameters)
-            orbit = bench.orbit if small else bench.currents @ record.layout.response.T
+            orbit = bench.orbit
+            if not kind.parameters:
+                # What is not small has taken the predicted orbit with it: take what would have
+                # been read. A change of the readings has its gain to second order exactly.
+                orbit = kind.restore(restored(record, bench.causes)[0], values, record)[0]
             moved = kind.distort(orbit, values, record) - orbit
             shapes = self._shapes("bpms", lambda: np.eye(moved.shape[1]))
             return Changes(((shapes, moved),), (("bpms", _own(moved)),), self)

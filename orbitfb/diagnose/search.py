@@ -8,12 +8,12 @@ import numpy as np
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import Budget
 from orbitfb.diagnose.deafened import without_bpms
-from orbitfb.diagnose.entry import Entry, price
+from orbitfb.diagnose.entry import HOPELESS, Entry, price
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.progress import Progress
-from orbitfb.diagnose.rounds import Round, winner
+from orbitfb.diagnose.rounds import Round, least_weight, winner
 from orbitfb.diagnose.strikes import without_strikes
 from orbitfb.diagnose.switching import without_switching
 from orbitfb.diagnose.tournament import Shown, tournament
@@ -55,6 +55,13 @@ class Outcome:
         """Whether the first cause is surely there."""
         return bool(self.winners) and self.winners[0].sure
 
+    @property
+    def hopeful(self) -> bool:
+        """Whether anything may be there of which more rows could make sure."""
+        first = self.rounds[0]
+        needed = least_weight(first.kinds, further=self.given > 0.0)
+        return any(entry.weight > HOPELESS * needed for entry in first.entries)
+
     def final(self, entry: Entry) -> tuple[Cause, Fit | None]:
         """Give an accepted cause with its values of the joint fit, if it has a course in time."""
         if entry.fit is None or self.joint is None:
@@ -74,6 +81,8 @@ def search(
     progress: Progress | None = None,
     budget: Budget | None = None,
     shown: Shown = frozenset(),
+    *,
+    beside: bool = False,
 ) -> Outcome:
     """Find the causes of a record's gap.
 
@@ -85,6 +94,7 @@ def search(
         progress: Told what is done and which share of all.
         budget: Time for it; None: all there is.
         shown: What the readbacks show.
+        beside: Whether there are causes that are known and have been taken out of the record.
     """
     budget = budget or Budget(np.inf)
     tell = progress or (lambda what, share: None)
@@ -105,9 +115,10 @@ def search(
             lambda what, s, share=share: tell(what, share + s / (MOST_CAUSES + 1)),
             budget,
             shown,
+            least_weight(len(left), further=bool(beside or given or rounds)),
         )
         one = Round(bench, tuple(entries), len(left), None, budget.taken())
-        best = winner(one, rounds, worth) if number < MOST_CAUSES else None
+        best = winner(one, rounds, worth, beside=beside) if number < MOST_CAUSES else None
         rounds.append(replace(one, accepted=best))
         if best is None:
             break

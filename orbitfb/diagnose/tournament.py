@@ -6,7 +6,7 @@ what the choice of values, place, onset and kind costs. Nothing here is calibrat
 cases: a candidate that is wrong leaves scores that scatter more than they should, and pays.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,24 +25,14 @@ from orbitfb.diagnose.entry import (
     profiled,
     says_little,
 )
-from orbitfb.diagnose.noise_levels import level_candidates
 from orbitfb.diagnose.progress import Progress
-from orbitfb.diagnose.randomness import level_spares, noise_candidates
+from orbitfb.diagnose.proposals import propose
 from orbitfb.diagnose.same_group import other_laws
-from orbitfb.diagnose.scan import Scanner
-from orbitfb.diagnose.strike_scan import latent_candidates
 from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
-FINALISTS = 10
-"""Candidates that are fitted exactly, beside those without a size."""
-_KINDS = 7
-"""Kinds of which at least the best one is."""
-_LEAST_FINALISTS = 3
-_RIVAL = 0.2
-"""Share of what the best of a kind promises from which one that was always there is fitted too."""
 _SURE_NOISE = 10.0
 """Weight of a noise that is there for sure [nats]."""
 REFITTED = 6
@@ -64,6 +54,7 @@ def tournament(
     progress: Progress | None = None,
     budget: Budget | None = None,
     shown: Shown = frozenset(),
+    least: float = 0.0,
 ) -> list[Entry]:
     """Let every kind compete to explain what a bench leaves.
 
@@ -73,6 +64,7 @@ def tournament(
         progress: Told what is done and which share of all.
         budget: Time for it; what there was no time for is told to it. None: all there is.
         shown: What the readbacks show.
+        least: Weight that a cause needs to be accepted [nats].
 
     Returns:
         The entries that were fitted, best first; several places of a kind may be among them.
@@ -95,7 +87,7 @@ def tournament(
     entries: list[Entry] = []
     for index, candidate in enumerate(proposals):
         tell("fitting", 0.5 + 0.3 * index / len(proposals))
-        best = max((entry.weight for entry in entries), default=0.0)
+        best = max((least, *(entry.weight for entry in entries)))
         # What has no size is fitted at no cost, and scanned badly: it is never small. How well a
         # noise explains the record is known, whatever it is worth beside healthy ones.
         promise = max(net(candidate), candidate.alone or 0.0)
@@ -198,96 +190,3 @@ def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
         cause = candidate.cause
         kept.setdefault((cause.kind.id, cause.places, cause.onset > 0, cause.free), candidate)
     return list(kept.values())
-
-
-def propose(
-    bench: Bench,
-    kinds: Sequence[EffectKind],
-    progress: Progress | None = None,
-    budget: Budget | None = None,
-) -> list[Candidate]:
-    """List the candidates that deserve a fit, best first.
-
-    Args:
-        bench: The record under the causes accepted so far.
-        kinds: Those that the record can show.
-        progress: Told what is done and which share of all.
-        budget: Time for it; kinds that are not reached are told to it. None: all there is.
-    """
-    scanner = Scanner(bench)
-    found: list[Candidate] = []
-    for index, kind in enumerate(kinds):
-        if budget is not None and budget.over(SCAN_SHARE) and not bench.causes:
-            budget.unseen += [kind.id] if kind.id not in budget.unseen else []
-            continue
-        if budget is not None and budget.over():
-            budget.leave("further causes were looked for among some effects only")
-            break
-        if isinstance(kind, NoiseKind):
-            found += noise_candidates(bench, kind)
-        elif isinstance(kind, LatentKind):
-            found += latent_candidates(bench, kind)
-        else:
-            found += scanner.candidates(kind)
-        if progress is not None:
-            progress(kind.id, (index + 1) / len(kinds))
-    found += level_candidates(bench, kinds)
-    found = [*_without_levels(bench, found, kinds), *_scaled_noise(found, kinds)]
-    found.sort(key=net, reverse=True)
-    worth = sum(net(candidate) > 0.0 for candidate in found)
-    return _chosen(found[: max(worth, _LEAST_FINALISTS)])
-
-
-def _without_levels(
-    bench: Bench, found: Sequence[Candidate], kinds: Sequence[EffectKind]
-) -> Iterator[Candidate]:
-    """Charge what changes the noise of a BPM with what healthy noise may differ."""
-    noise = next((kind for kind in kinds if kind.id == "noise-level"), None)
-    spares = level_spares(bench, noise) if isinstance(noise, NoiseKind) else None
-    for one in found:
-        kind, places = one.cause.kind, one.cause.places
-        noisy = isinstance(kind, SensorKind) and (kind.colours or kind.scales)
-        if spares is not None and noisy and len(places) == 1:
-            yield replace(one, alone=one.gain + float(spares[places[0]]))
-        else:
-            yield one
-
-
-def _scaled_noise(found: Sequence[Candidate], kinds: Sequence[EffectKind]) -> Iterator[Candidate]:
-    """Try what scales readings, noise and all, wherever the noise has another level.
-
-    Where the orbit hardly moves the noise alone shows it: only the fit tells the two apart.
-    """
-    for kind in kinds:
-        if isinstance(kind, SensorKind) and kind.scales and kind.linear is not None:
-            for one in found:
-                if one.cause.kind.id == "noise-level" and one.cause.places:
-                    size = one.cause.values["factor"] - 1.0
-                    cause = replace(one.cause, kind=kind, values={kind.linear: size})
-                    yield replace(one, cause=cause)
-
-
-def _chosen(found: Sequence[Candidate]) -> list[Candidate]:
-    """Take the best of the best kinds, every one without a size, and the best of the rest.
-
-    One that begins late is there with the one that was always there: that is the simpler law,
-    and the scan tells the two apart roughly. So it does for one with a free first step, and for
-    one device and a group of them.
-    """
-    firsts: dict[str, Candidate] = {}
-    twins: dict[tuple[str, bool, bool, bool], Candidate] = {}
-    for candidate in found:
-        cause = candidate.cause
-        first = firsts.setdefault(cause.kind.id, candidate)
-        if net(candidate) > _RIVAL * net(first):
-            group = len(cause.places) > 1
-            twins.setdefault((cause.kind.id, cause.onset > 0, cause.free, group), candidate)
-    kept = [*firsts.values()][:_KINDS]
-    kept += [
-        twin
-        for (_, late, free, _), twin in twins.items()
-        if (free or not late) and twin not in kept
-    ]
-    kept += [one for one in firsts.values() if not one.cause.kind.parameters and one not in kept]
-    kept += [one for one in found if one not in kept][: max(FINALISTS - len(kept), 0)]
-    return sorted(kept, key=net, reverse=True)

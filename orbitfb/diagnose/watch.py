@@ -21,7 +21,7 @@ from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.load_rows import Transition, join
-from orbitfb.diagnose.tournament import propose
+from orbitfb.diagnose.proposals import propose
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.layout import Devices, Layout

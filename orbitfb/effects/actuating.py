@@ -9,6 +9,8 @@ answer there.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -103,27 +105,56 @@ def filtered(courses: Matrix, numerator: Vector, denominator: Vector, record: Re
     return passed
 
 
-def followed(
-    courses: Matrix, record: Record, step: Callable[[Vector, Vector, Vector], object]
-) -> Matrix:
+@dataclass(frozen=True, slots=True)
+class Arithmetic:
+    """What a law of one column is written with, so that it serves numbers and whole rows alike.
+
+    Args:
+        least: The smaller of two.
+        most: The larger of two.
+        either: The second if the first is true, else the third.
+    """
+
+    least: Callable[[Any, Any], Any]
+    most: Callable[[Any, Any], Any]
+    either: Callable[[Any, Any, Any], Any]
+
+
+_NUMBERS = Arithmetic(min, max, lambda true, one, other: one if true else other)
+_ROWS = Arithmetic(np.minimum, np.maximum, np.where)
+_FEW = 12
+"""Columns up to which plain numbers, column by column, are quicker than rows of few."""
+
+Law = Callable[[Arithmetic, Any, Any], Any]
+"""What comes of what is wanted now and what was held before."""
+
+
+def followed(courses: Matrix, record: Record, law: Law) -> Matrix:
     """Pass all columns through a memory, row by row; at the start of a stretch it is at rest.
 
     Args:
         courses: Shape (N, k).
         record: Where the stretches begin.
-        step: Called with what is wanted now, what was before, and the row to be filled in.
+        law: Of one column.
 
     Returns:
         Shape (N, k).
     """
     held = np.empty_like(courses)
     starts = record.starts.tolist()
-    for row, wanted in enumerate(courses):
-        if starts[row]:
-            held[row] = wanted
-        else:
-            step(wanted, held[row - 1], held[row])
+    if courses.shape[1] > _FEW:
+        _follow(courses, held, starts, law, _ROWS)
+    else:
+        for column, wanted in enumerate(courses.T.tolist()):
+            kept = wanted.copy()
+            _follow(wanted, kept, starts, law, _NUMBERS)
+            held[:, column] = kept
     return held
+
+
+def _follow(wanted: Any, held: Any, starts: list[bool], law: Law, arithmetic: Arithmetic) -> None:
+    for row, starting in enumerate(starts):
+        held[row] = wanted[row] if starting else law(arithmetic, wanted[row], held[row - 1])
 
 
 def changes(courses: Matrix, record: Record) -> Matrix:

@@ -1,9 +1,18 @@
 """A corrector that ignores small changes of its setpoint."""
 
+from typing import Any
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.actuating import ColumnsEffect, followed, ladder, largest_change, widths
+from orbitfb.effects.actuating import (
+    Arithmetic,
+    ColumnsEffect,
+    followed,
+    ladder,
+    largest_change,
+    widths,
+)
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
@@ -54,11 +63,10 @@ class CorrectorDeadband(ActuatorKind):
         """Hold or follow, row by row."""
         width = values["width"]
 
-        def step(wanted: Vector, before: Vector, now: Vector) -> None:
-            np.copyto(now, before)
-            np.copyto(now, wanted, where=np.abs(wanted - before) > width)
+        def law(own: Arithmetic, wanted: Any, held: Any) -> Any:
+            return own.either(abs(wanted - held) > width, wanted, held)
 
-        return followed(setpoints, record, step)
+        return followed(setpoints, record, law)
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """Widths up to several times the largest change: it is dead to them or not."""

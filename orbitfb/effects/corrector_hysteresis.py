@@ -1,11 +1,13 @@
 """A corrector whose field depends on where its current came from."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.actuating import (
+    Arithmetic,
     ColumnsEffect,
     followed,
     ladder,
@@ -72,16 +74,11 @@ class CorrectorHysteresis(ActuatorKind):
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Drag, row by row."""
         half, share = 0.5 * values["width"], values["share"]
-        low, high = setpoints - half, setpoints + half
-        rows = iter(zip(low[~record.starts], high[~record.starts], strict=True))
 
-        def step(wanted: Vector, before: Vector, now: Vector) -> None:
-            least, most = next(rows)
-            np.maximum(before, least, out=now)
-            np.minimum(now, most, out=now)
+        def law(own: Arithmetic, wanted: Any, held: Any) -> Any:
+            return own.least(own.most(held, wanted - half), wanted + half)
 
-        dragged = followed(setpoints, record, step)
-        return setpoints + share * (dragged - setpoints)
+        return setpoints + share * (followed(setpoints, record, law) - setpoints)
 
     def fitted(self, record: Record) -> tuple[Parameter, ...]:
         """Both, the width up to half the range: within a wider play what is lost is a gain."""

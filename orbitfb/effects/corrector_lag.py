@@ -89,7 +89,7 @@ class CorrectorLag(ActuatorKind):
         steps = record.layout.period * np.geomspace(0.2, 50.0, 15)
         return ladder("tau", {"second": _NONE}, steps)
 
-    def fuller(self, values: Values) -> Values | None:
+    def fuller(self, values: Values, record: Record) -> Values | None:
         """Two time constants, with a sum that is nearly the same."""
         if _second(values) > _NONE:
             return None

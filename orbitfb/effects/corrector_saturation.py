@@ -1,7 +1,5 @@
 """A corrector whose current has a limit that its setpoint knows nothing of."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -16,14 +14,18 @@ from orbitfb.physics.places import Indices
 
 _NONE = 1e3  # [A]; no corrector reaches it
 _SHARP = 1e-6  # [A]; no corner is sharper
+_CORNER = 40.0
+"""Roundings from the limit beyond which a corner is straight to the last digit."""
 _HINTED = 3
 """Correctors whose own ranges are looked at."""
+_TRIED = 4
+"""Corners of each that are, those that stand out most from what a change so large makes alone."""
 _CORNERS = (
     (0.0, (0.1, 0.2, 0.3, 0.4, 0.55, 0.75)),
     (0.05, (0.0, 0.05, 0.1, 0.2, 0.4)),
     (0.15, (-0.3, -0.1, 0.1, 0.3)),
 )
-"""Roundings that are tried, and distances of the limit below the top, as shares of the range."""
+"""Roundings, and with each distances of the limit below the top, as shares of the range."""
 
 
 class CorrectorSaturation(ActuatorKind):
@@ -107,18 +109,16 @@ class CorrectorSaturation(ActuatorKind):
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:
         """Limits within the ranges of the correctors that are pulled most to what they leave."""
         sign = np.sign(setpoints)
-        found: list[Values] = []
-        for corner in _CORNERS:
+        found = [
+            {"limit": m, "side": 0.0, "rounding": w}
+            for m, w in _pulled(np.abs(setpoints), sign * pull)
+            if m > 0
+        ]
+        for upper in (1.0, -1.0):
             found += [
-                {"limit": m, "side": 0.0, "rounding": w}
-                for m, w in _pulled(np.abs(setpoints), sign * pull, *corner)
-                if m > 0
+                {"limit": abs(m), "side": upper * (1.0 if m >= 0.0 else 2.0), "rounding": w}
+                for m, w in _pulled(upper * setpoints, upper * pull)
             ]
-            for upper in (1.0, -1.0):
-                found += [
-                    {"limit": abs(m), "side": upper * (1.0 if m >= 0.0 else 2.0), "rounding": w}
-                    for m, w in _pulled(upper * setpoints, upper * pull, *corner)
-                ]
         return tuple(found)
 
     def simulate(
@@ -144,30 +144,37 @@ def _held(wanted: Matrix, values: Values) -> Matrix:
 
 def _beyond(distance: Matrix, rounding: float | Vector) -> Matrix:
     """What is lost at a distance above a limit with a rounded corner; both [A]."""
-    return rounding * np.logaddexp(0.0, distance / rounding)
+    lost = np.maximum(distance, 0.0)
+    near = np.abs(distance) < _CORNER * rounding
+    if near.any():
+        width = np.broadcast_to(rounding, distance.shape)[near]
+        lost[near] = width * np.logaddexp(0.0, distance[near] / width)
+    return lost
 
 
-def _pulled(
-    courses: Matrix, pull: Matrix, rounding: float, below: Sequence[float]
-) -> list[tuple[float, float]]:
+def _pulled(courses: Matrix, pull: Matrix) -> list[tuple[float, float]]:
     """Limits from above of the courses that are pulled most to what they leave, with roundings.
 
     Args:
         courses: Of all correctors, shape (rows, m) [A].
         pull: Derivative of the log-likelihood by their currents, the same shape.
-        rounding: As a share of the range of each.
-        below: How far the limits are below the top, the same.
     """
     top, reach = courses.max(axis=0), np.ptp(courses, axis=0)
-    limits = top - reach * np.array(below)[:, None]
-    width = np.maximum(rounding * reach, _SHARP)
-    pulled = np.stack([np.sum(pull * -_beyond(courses - limit, width), axis=0) for limit in limits])
-    columns = np.argsort(pulled.max(axis=0))[::-1][:_HINTED]
-    return [
-        (float(limit), float(width[column]))
-        for column in columns
-        for limit in np.sort(limits[:, column])
-    ]
+    corners = [(below, rounding) for rounding, shares in _CORNERS for below in shares]
+    score = np.zeros((len(corners), courses.shape[1]))
+    clear = np.zeros_like(score)
+    for index, (below, rounding) in enumerate(corners):
+        lost = _beyond(courses - (top - reach * below), np.maximum(rounding * reach, _SHARP))
+        moved = np.sqrt(np.sum(np.diff(lost, axis=0) ** 2, axis=0))
+        score[index] = -np.sum(pull * lost, axis=0)
+        clear[index] = np.divide(score[index], moved, out=np.zeros_like(moved), where=moved > 0.0)
+    found: list[tuple[float, float]] = []
+    for column in np.argsort(score.max(axis=0))[::-1][:_HINTED]:
+        for index in np.argsort(clear[:, column])[::-1][:_TRIED]:
+            below, rounding = corners[int(index)]
+            width = max(rounding * reach[column], _SHARP)
+            found.append((float(top[column] - below * reach[column]), float(width)))
+    return found
 
 
 class _Saturation(ColumnsEffect):

@@ -1,9 +1,17 @@
 """A power supply that cannot change its current faster than a certain rate."""
 
+from typing import Any
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.actuating import ColumnsEffect, followed, ladder, largest_change
+from orbitfb.effects.actuating import (
+    Arithmetic,
+    ColumnsEffect,
+    followed,
+    ladder,
+    largest_change,
+)
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
@@ -43,16 +51,10 @@ class CorrectorSlew(ActuatorKind):
         """Ramp, row by row."""
         most = values["rate"] * record.layout.period
 
-        def step(wanted: Vector, before: Vector, now: Vector) -> None:
-            np.subtract(wanted, before, out=now)
-            np.maximum(now, -most, out=now)
-            np.minimum(now, most, out=now)
-            # so that a step that is not cut short arrives exactly, and not up to rounding
-            exact = np.abs(now) < most
-            np.add(now, before, out=now)
-            np.copyto(now, wanted, where=exact)
+        def law(own: Arithmetic, wanted: Any, held: Any) -> Any:
+            return own.least(own.most(wanted, held - most), held + most)
 
-        return followed(setpoints, record, step)
+        return followed(setpoints, record, law)
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """24 rates up to that of the largest step of the record."""

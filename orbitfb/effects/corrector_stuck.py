@@ -1,9 +1,11 @@
 """A corrector that no longer follows its setpoint."""
 
+import math
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.actuating import ColumnsEffect
+from orbitfb.effects.actuating import ColumnsEffect, ladder
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
@@ -12,9 +14,14 @@ from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
+_AT_ONCE = 1e-9  # [s]
+_FROZEN = 0.999
+
 
 class CorrectorStuck(ActuatorKind):
     """A current that stays what it was, or falls to a share of it, from the onset on.
+
+    A magnet's inductance lets it fall over a time of its own, which is an optional parameter.
 
     `drive` holds the first row that it is given: for an onset it wants the record that begins
     there (`Record.rows`). Later stretches hold the same current: a gap in time frees nothing.
@@ -28,7 +35,10 @@ class CorrectorStuck(ActuatorKind):
         "(the whole current is left) or has tripped (nothing is left). Compare its readback "
         "with its setpoint, reset it, or take it out of the correction."
     )
-    equation = "θ_n = s · u_onset for n ≥ onset; s = 1: frozen, s = 0: tripped"
+    equation = (
+        "θ_n = u_onset (s + (1 − s) exp(−t/τ)), t the time since the tick before the onset; "
+        "s = 1: frozen, s = 0: tripped"
+    )
     parameters = (
         Parameter(
             name="left",
@@ -39,33 +49,57 @@ class CorrectorStuck(ActuatorKind):
             typical=1.0,
             description="Share s of the current at the onset that is left: 1 frozen, 0 tripped.",
         ),
+        Parameter(
+            name="decay",
+            unit="s",
+            low=_AT_ONCE,
+            high=1e3,
+            nominal=_AT_ONCE,
+            typical=_AT_ONCE,
+            description="Time constant τ with which the current falls.",
+            log=True,
+            optional=True,
+        ),
     )
     vanishes = False
     confused_with = ("corrector-gain", "corrector-saturation", "corrector-deadband", "local-kick")
     splits = "The readback of its current, or a step of this corrector alone: nothing moves."
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
-        """Hold the first row."""
-        return np.broadcast_to(values["left"] * setpoints[:1], setpoints.shape).copy()
+        """Hold the first row, or let it fall."""
+        since = np.arange(1, len(setpoints) + 1) * record.layout.period
+        fallen = np.exp(-since / values.get("decay", _AT_ONCE))
+        share = values["left"] + (1.0 - values["left"]) * fallen
+        return share[:, None] * setpoints[:1]
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """Frozen, and tripped."""
-        return ({"left": 1.0}, {"left": 0.0})
+        return ladder("left", {"decay": _AT_ONCE}, (1.0, 0.0))
+
+    def fuller(self, values: Values, record: Record) -> Values | None:
+        """A fall over a tick."""
+        if values["left"] > _FROZEN or values.get("decay", _AT_ONCE) > _AT_ONCE:
+            return None
+        return {**values, "decay": record.layout.period}
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
     ) -> Effect:
-        """Hold what is wanted at the first tick."""
-        return _Stuck(places, values["left"])
+        """Hold what is wanted at the first tick, or lose it by the tick."""
+        kept = math.exp(-layout.period / values.get("decay", _AT_ONCE))
+        return _Stuck(places, values["left"], kept)
 
 
 class _Stuck(ColumnsEffect):
-    def __init__(self, places: Indices, left: float) -> None:
+    def __init__(self, places: Indices, left: float, kept: float) -> None:
         super().__init__(places)
-        self._left = left
-        self._held: Vector | None = None
+        self._left, self._kept = left, kept
+        self._lost: Vector | None = None
+        self._held = np.zeros(0)
 
     def follow(self, wanted: Vector) -> Vector:
-        if self._held is None:
+        if self._lost is None:
             self._held = self._left * wanted
-        return self._held
+            self._lost = wanted - self._held
+        self._lost = self._kept * self._lost
+        return self._held + self._lost

@@ -153,11 +153,12 @@ class EffectKind(ABC):
             steps = np.linspace(first.low, first.high, 9)
         return tuple({**typical, first.name: float(step)} for step in steps)
 
-    def fuller(self, values: Values) -> Values | None:
+    def fuller(self, values: Values, record: Record) -> Values | None:
         """Values with the optional parameters at work, to try beside those of the simpler law.
 
         Args:
             values: Best ones of the simpler law.
+            record: That shows it.
 
         Returns:
             Values to begin with; None where there is nothing fuller.

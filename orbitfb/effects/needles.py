@@ -7,7 +7,10 @@ Fourier transform over u of the pull λ = ∂log L/∂θ has the score of every 
 are no higher than the highest of so many lines of noise are not looked at.
 """
 
+from typing import cast
+
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
 
 from orbitfb.core.signals import Vector
@@ -113,7 +116,7 @@ def _peaks(
     if not span:
         return []
     width = max(finest / 4.0, 2.0 * reach / _BINS)
-    bins = int(np.ceil(2.0 * reach / width)) + 2
+    bins = cast("int", next_fast_len(int(np.ceil(2.0 * reach / width)) + 2, real=True))
     place = np.round(setpoint / width).astype(np.intp)
     course = np.bincount(np.mod(place, 2 * bins), weights=pull, minlength=2 * bins)
     transform = np.fft.rfft(course)

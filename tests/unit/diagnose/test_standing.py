@@ -9,9 +9,10 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_walk import walking_candidates
+from orbitfb.diagnose.proposals import _chosen
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.standing import FreeSteps
-from orbitfb.diagnose.tournament import _chosen, tournament
+from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.build import build, layout_of
 from orbitfb.effects.registry import all_effects
 from orbitfb.effects.settings import parse_effect
