@@ -72,7 +72,7 @@ SIZES: dict[str, Values] = {
     "corrector-resonance": {"frequency": 2.0, "damping": 0.2},
     "corrector-roll": {"angle": 0.2},
     "corrector-slew": {"rate": 3e-3},
-    "corrector-stuck": {"left": 1.0},
+    "corrector-stuck": {"left": 0.3, "decay": 0.2},
     "energy-ramp": {"rate": 5e-7},
     "energy-offset": {"offset": 1e-5},
     "energy-drift": {"step": 3e-7},

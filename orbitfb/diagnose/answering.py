@@ -151,8 +151,7 @@ def place_names(layout: Layout, kind: EffectKind, places: Sequence[int]) -> tupl
         return devices.names[column] if single else devices.label(column)
 
     if isinstance(kind, PairKind):
-        pairs = kind.pairs(layout)
-        columns = [int(i) for place in places for i in pairs[place]]
+        columns = [column for place in places for column in kind.struck(layout, place)]
         return tuple(dict.fromkeys(name(column) for column in columns))
     if isinstance(kind, NoiseKind) and kind.target == "bpm":
         struck = kind.patterns(layout)[:, list(places)].any(axis=1)

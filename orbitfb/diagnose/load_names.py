@@ -183,8 +183,9 @@ def known_ring(raw: Raw, named: Sequence[Named], ring: Ring) -> tuple[Ring | Non
             (),
             None,
             f"{len(strange)} of {total} names, first {each.names[row]!r}, are in no known places "
-            "table: effects of the optics and of sources between the devices are not tested; give "
-            "the places table of your ring to test them",
+            "table: effects of the optics are not tested, and what kicks between the devices is "
+            "looked for at the correctors only, as if these kicked 50 µrad/A; give the places "
+            "table of your ring",
         )
     ]
 

@@ -65,7 +65,8 @@ def effects_of(
 def _columns(cause: Cause, layout: Layout) -> Indices:
     places = np.array(cause.places, dtype=np.intp)
     if isinstance(cause.kind, PairKind):
-        return np.asarray(cause.kind.pairs(layout)[places], dtype=np.intp).ravel()
+        struck = [column for place in cause.places for column in cause.kind.struck(layout, place)]
+        return np.array(struck, dtype=np.intp)
     return places
 
 

@@ -64,7 +64,10 @@ def contrast(
         net: Fitted to the same ticks; None: left out.
     """
     rivals = tuple(replace(rival, onset=0) for rival in rivals)
-    causes = tuple(replace(cause, onset=0) for cause in bench.causes)
+    causes = tuple(
+        replace(cause, onset=0, values=cause.kind.long_after(cause.values))
+        for cause in bench.causes
+    )
     same = bool(later.time[0] > bench.record.time[-1])
     later = _since_onset(bench, causes, _on_one_clock(bench.record, later))
     replay = Replay.later(bench, causes, later)

@@ -136,8 +136,7 @@ def places_of(cause: Cause, layout: Layout) -> tuple[tuple[str, ...], tuple[str,
         return tuple(known[place] for place in cause.places), ("",) * len(cause.places)
     columns = list(cause.places)
     if isinstance(cause.kind, PairKind):
-        pairs = cause.kind.pairs(layout)
-        columns = [int(column) for place in cause.places for column in pairs[place]]
+        columns = [c for place in cause.places for c in cause.kind.struck(layout, place)]
     elif isinstance(cause.kind, NoiseKind):
         struck = cause.kind.patterns(layout)[:, columns].any(axis=1)
         columns = [int(column) for column in np.flatnonzero(struck)]

@@ -45,8 +45,12 @@ class CorrectorCrosstalk(PairKind):
         return "" if len(self.pairs(record.layout)) else "needs two correctors"
 
     def pairs(self, layout: Layout) -> Indices:
-        """(from, to): any two of a plane, the planes of one corrector, and any two of a cell."""
-        return pairs_of(layout, cells=True)
+        """(from, to): any two of a plane, and of a cell; but not the coils of one corrector.
+
+        That a share of the one appears in the other is a roll of it.
+        """
+        pairs, names = pairs_of(layout, cells=True), np.array(layout.correctors.names)
+        return pairs[names[pairs[:, 0]] != names[pairs[:, 1]]]
 
     def matrix(self, values: Values) -> Matrix:
         """Add the first to the second."""

@@ -76,6 +76,10 @@ class CorrectorStuck(ActuatorKind):
         """Frozen, and tripped."""
         return ladder("left", {"decay": _AT_ONCE}, (1.0, 0.0))
 
+    def long_after(self, values: Values) -> Values:
+        """What falls has fallen."""
+        return {**values, "decay": _AT_ONCE}
+
     def fuller(self, values: Values, record: Record) -> Values | None:
         """A fall over a tick."""
         if values["left"] > _FROZEN or values.get("decay", _AT_ONCE) > _AT_ONCE:

@@ -113,6 +113,10 @@ class PairKind(EffectKind):
         `corrector` (and acted on the currents).
         """
 
+    def struck(self, layout: Layout, place: int) -> tuple[int, ...]:
+        """Columns of the devices at fault at a pair: those of both, by default."""
+        return tuple(self.pairs(layout)[place].tolist())
+
     def matrices(self, layout: Layout, values: Values) -> Matrix:
         """Shape (P, 2, 2): `matrix` of every pair of `pairs`, in its order.
 

@@ -5,11 +5,9 @@ import math
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.kicks import needs_ring
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.random_kinds import NoiseKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
@@ -40,10 +38,6 @@ class GroundMotionLevel(NoiseKind):
     confused_with = ("noise-level", "corrector-quantisation", "telegraph", "energy-drift")
     splits = "the spectrum: motion falls with 1/f², reading noise is white; a quiet record"
 
-    def unavailable(self, record: Record) -> str:
-        """It needs the optics."""
-        return needs_ring(record)
-
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
     ) -> Effect:
@@ -51,12 +45,17 @@ class GroundMotionLevel(NoiseKind):
         return _Enlarged(layout.response, values["factor"])
 
     def places_of(self, layout: Layout) -> tuple[str, ...]:
-        """Every quadrupole, by plane; they move all together."""
+        """Every quadrupole, by plane; they move all together. Correctors, in an unknown ring."""
+        if layout.ring is None:
+            devices = layout.correctors
+            return tuple(devices.label(column) for column in range(len(devices)))
         names = layout.known_ring.names("QUAD")
         return tuple(f"{name} ({plane})" for plane in layout.planes for name in names)
 
     def patterns(self, layout: Layout) -> Matrix:
-        """Orbit per displacement [m/m]."""
+        """Orbit per displacement [m/m]; in a ring that is not known per current [m/A]."""
+        if layout.ring is None:
+            return layout.response  # what moves stands among the correctors
         strength = np.nan_to_num(layout.known_ring.strength("QUAD"))
         blocks = [layout.orbit_per_kick("QUAD", plane) * strength for plane in layout.planes]
         return np.hstack(blocks)

@@ -15,6 +15,9 @@ from orbitfb.physics.places import Indices, Kind
 _UNRESOLVED = 1e-5
 """Share of the orbit's variance that the interpolation takes for noise."""
 
+CALIBRATION = 5e-5
+"""Kick per ampere that is assumed of correctors that are in no table [rad/A]."""
+
 _KICKING: tuple[Kind, ...] = ("QUAD", "COR")
 
 NO_RING = "needs a places table that knows the names of the record"
@@ -35,14 +38,27 @@ def needs_ring(record: Record, planes: Sequence[ChannelPlane] = ()) -> str:
 
 @lru_cache(maxsize=8)
 def source_names(layout: Layout) -> tuple[str, ...]:
-    """Names of all places that may kick: quadrupoles, then correctors, plane by plane."""
-    ring = layout.known_ring
+    """Names of all places that may kick: quadrupoles, then correctors, plane by plane.
+
+    In a ring that is not known these are the columns of the correctors: what kicks stands among
+    them.
+    """
+    ring = layout.ring
+    if ring is None:
+        correctors = layout.correctors
+        return tuple(correctors.label(column) for column in range(len(correctors)))
     names = (*ring.names("QUAD"), *ring.names("COR"))
     return tuple(f"{name} ({plane})" for plane in layout.planes for name in names)
 
 
 def source_patterns(layout: Layout) -> Matrix:
-    """Orbit per kick at the places of `source_names`, shape (n, P) [m/rad]."""
+    """Orbit per kick at the places of `source_names`, shape (n, P) [m/rad].
+
+    What correctors of an unknown ring kick per ampere is not known: kicks are told as if it were
+    `CALIBRATION`.
+    """
+    if layout.ring is None:
+        return layout.response / CALIBRATION
     return np.hstack(
         [layout.orbit_per_kick(kind, plane) for plane in layout.planes for kind in _KICKING]
     )

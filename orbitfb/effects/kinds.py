@@ -127,7 +127,7 @@ class EffectKind(ABC):
 
     def unavailable(self, record: Record) -> str:
         """Say why this record cannot show the effect; empty when it can."""
-        if self.target in ("quadrupole", "sextupole", "source") and record.layout.ring is None:
+        if self.target in ("quadrupole", "sextupole") and record.layout.ring is None:
             return "needs a places table that knows the names of the record"
         return ""
 
@@ -152,6 +152,10 @@ class EffectKind(ABC):
         else:
             steps = np.linspace(first.low, first.high, 9)
         return tuple({**typical, first.name: float(step)} for step in steps)
+
+    def long_after(self, values: Values) -> Values:
+        """Values with which it acts on a record that begins long after it did; the same."""
+        return values
 
     def fuller(self, values: Values, record: Record) -> Values | None:
         """Values with the optional parameters at work, to try beside those of the simpler law.

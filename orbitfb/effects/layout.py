@@ -72,7 +72,7 @@ class Layout:
         response: Nominal response, shape (n, m) [m/A].
         period: From one orbit to the next [s].
         ring: The ring that the names belong to; None when they are of no known ring. Effects of
-            the optics and of sources between the devices then cannot be tested.
+            the optics then cannot be tested, and sources are looked for at the correctors only.
     """
 
     bpms: Devices

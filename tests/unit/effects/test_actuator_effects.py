@@ -152,10 +152,10 @@ def test_a_pair_is_told_as_the_plant_mixes_it(layout, both_planes):
         pairs, matrices = kind.pairs(its), kind.matrices(its, values)
         assert matrices.shape == (len(pairs), 2, 2)
         for number in (0, len(pairs) // 2, len(pairs) - 1):
-            pair = pairs[number]
+            pair, struck = pairs[number], np.array(kind.struck(its, number))
             want = setpoints.copy()
             want[:, pair] = setpoints[:, pair] @ matrices[number].T
-            got = simulated(kind, its, values, setpoints, places=pair)
+            got = simulated(kind, its, values, setpoints, places=struck)
             assert_allclose(got, want, rtol=0, atol=1e-15)
             assert np.max(np.abs(got - setpoints)) > 1e-4
 
@@ -178,14 +178,17 @@ def test_which_pairs_there_are(layout, both_planes):
     assert len(effect("corrector-swap").pairs(both_planes)) == 180 * 179 + 180
     roll = effect("corrector-roll").pairs(both_planes)
     names, planes = both_planes.correctors.names, both_planes.correctors.planes
-    assert len(roll) == 180
+    assert len(roll) == 3 * 180  # the magnet, or the coil of one plane
+    assert effect("corrector-roll").struck(both_planes, 7) == (7, 187)
+    assert effect("corrector-roll").struck(both_planes, 187) == (7,)
+    assert effect("corrector-roll").struck(both_planes, 367) == (187,)
     assert all(names[x] == names[y] and planes[x] == "x" and planes[y] == "y" for x, y in roll)
     talk = effect("corrector-crosstalk").pairs(both_planes).tolist()
     cells = both_planes.correctors.cells
     across = [(a, b) for a, b in talk if planes[a] != planes[b]]
-    assert [0, 180] in talk and [180, 0] in talk
+    assert [0, 180] not in talk and [180, 0] not in talk  # that is a roll
     assert all(cells[a] == cells[b] for a, b in across)
-    assert len(across) == 180 * 6 * 2  # six correctors in a cell
+    assert len(across) == 180 * 5 * 2  # six correctors in a cell
 
 
 def test_a_roll_turns_kicks_and_not_currents(ring, both_planes):
@@ -240,3 +243,22 @@ def test_a_stuck_corrector_stays_where_it_was_when_it_began(layout):
     assert_array_equal(later, np.broadcast_to(setpoints[70], later.shape))
     tripped = kind.drive(setpoints[70:], {"left": 0.0}, record.rows(70, ROWS))
     assert_array_equal(tripped, 0.0)
+
+
+def test_a_tripped_current_falls_as_its_magnet_lets_it(layout):
+    """L dI/dt = −R I from the tick before the onset on: by the tick T the current is exp(−T/τ)."""
+    kind, setpoints = effect("corrector-stuck"), course(2, 180)
+    values = {"left": 0.25, "decay": 0.3}
+    later = record_of(layout, setpoints).rows(70, ROWS)
+    told = kind.drive(setpoints[70:], values, later)
+    since = layout.period * np.arange(1, len(told) + 1)[:, None]
+    assert_allclose(told / setpoints[70], 0.25 + 0.75 * np.exp(-since / 0.3) + 0 * told, rtol=1e-9)
+    plant = kind.simulate(layout, PLACES, values, np.random.default_rng(0))
+    for row in range(30):
+        current = plant.actuate(setpoints[70 + row], row)
+        assert_allclose(current[PLACES], told[row, PLACES], rtol=1e-9)
+    assert kind.long_after(values)["left"] == 0.25
+    assert_allclose(
+        kind.drive(setpoints[70:], kind.long_after(values), later),
+        0.25 * setpoints[[70] * len(told)],
+    )

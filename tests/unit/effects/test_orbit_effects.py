@@ -419,9 +419,31 @@ def test_a_stretch_of_fixed_size_is_scanned_quickly(both_planes):
         assert time.process_time() - begin < 3.0
 
 
-@pytest.mark.parametrize("name", ALL)
-def test_without_a_ring_the_optics_cannot_be_tested(layout, name):
+KICKING = {"local-kick", "thermal-drift", "periodic-disturbance", "insertion-device", "telegraph"}
+ANYWHERE = {*KICKING, "ground-motion-level"}
+
+
+def unknown_record(layout):
     unknown = replace(layout, ring=None)
     setpoints = currents_of(layout)
-    record = record_of(unknown, setpoints, setpoints @ layout.response.T)
-    assert "places table" in effect(name).unavailable(record)
+    return record_of(unknown, setpoints, setpoints @ layout.response.T)
+
+
+@pytest.mark.parametrize("name", sorted(set(ALL) - ANYWHERE))
+def test_without_a_ring_the_optics_cannot_be_tested(layout, name):
+    assert "places table" in effect(name).unavailable(unknown_record(layout))
+
+
+@pytest.mark.parametrize("name", sorted(ANYWHERE))
+def test_without_a_ring_sources_are_looked_for_at_the_correctors(layout, name):
+    record, kind = unknown_record(layout), effect(name)
+    patterns = kind.patterns(record.layout)
+    names = kind.places_of(record.layout)
+    assert "places table" not in kind.unavailable(record)
+    assert len(names) == patterns.shape[1] == len(layout.correctors)
+    assert names[3].startswith(layout.correctors.names[3])
+    cosine = patterns[:, 3] @ layout.response[:, 3]
+    cosine /= np.linalg.norm(patterns[:, 3]) * np.linalg.norm(layout.response[:, 3])
+    assert cosine == pytest.approx(1.0)
+    if name in KICKING:  # told as if a corrector kicked 50 µrad/A
+        assert_allclose(5e-5 * patterns[:, 3], layout.response[:, 3])
