@@ -22,11 +22,12 @@ from orbitfb.diagnose.candidate import (
 from orbitfb.diagnose.device_groups import cells
 from orbitfb.diagnose.problem import highest
 from orbitfb.diagnose.scan_between import Heights, between
+from orbitfb.diagnose.scan_changes import Changes
 from orbitfb.diagnose.scan_colour import of_colour
 from orbitfb.diagnose.scan_groups import Groups, of_groups, of_places
 from orbitfb.diagnose.scan_onsets import growing, onsets
 from orbitfb.diagnose.scan_pairs import of_pairs
-from orbitfb.diagnose.scan_shapes import Changes, Scoring
+from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.diagnose.scan_special import of_families, of_ring, periodic
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values

@@ -10,7 +10,8 @@ from orbitfb.diagnose.candidate import KEPT, Candidate, best_strength, sized
 from orbitfb.diagnose.device_groups import groups_of, membership
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import information
-from orbitfb.diagnose.scan_shapes import Changes, Scoring
+from orbitfb.diagnose.scan_changes import Changes
+from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.layout import Layout

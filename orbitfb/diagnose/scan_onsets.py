@@ -17,8 +17,9 @@ from orbitfb.diagnose.candidate import (
     sized,
 )
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.scan_changes import Changes
 from orbitfb.diagnose.scan_groups import Groups
-from orbitfb.diagnose.scan_shapes import Changes, Scoring
+from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import SourceKind

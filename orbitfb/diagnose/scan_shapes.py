@@ -6,8 +6,6 @@ the bench alone are prepared once.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -17,6 +15,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import restored
 from orbitfb.diagnose.innovation import Ladder
 from orbitfb.diagnose.quick import Single
+from orbitfb.diagnose.scan_changes import Changes, Shapes
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.layout import ChannelPlane, Layout
@@ -27,90 +26,6 @@ from orbitfb.physics.places import Indices
 _PLANES: tuple[ChannelPlane, ...] = ("x", "y")
 _ROUGH = 4
 """Levels of the ladder for the first look at a whole grid of values."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Shapes:
-    """Patterns of P places, and what depends on nothing else.
-
-    Args:
-        patterns: Shape (n, P).
-        pull: λ · pattern of every row, shape (N, P).
-        fine: In the levels of the ladder.
-        rough: In the levels of the rough ladder.
-        least: Information on two changes at one tick, at least, per product of their steps, (P, P).
-    """
-
-    patterns: Matrix
-    pull: Matrix
-    fine: list[Matrix]
-    rough: list[Matrix]
-    least: Matrix
-
-
-@dataclass(frozen=True, eq=False)
-class Changes:
-    """Changes of the prediction by P places: Σ over parts of pattern · driver.
-
-    Args:
-        parts: Pairs of shapes and drivers (N, P) or (N, 1).
-        alike: Healthy errors that may act like them, part by part: what has them, and which one
-            belongs to which place; None where there are none.
-        scoring: That tells the information on them.
-    """
-
-    parts: tuple[tuple[Shapes, Matrix], ...]
-    alike: tuple[tuple[Healthy, Indices] | None, ...]
-    scoring: "Scoring"
-
-    @cached_property
-    def score(self) -> Vector:
-        """Score of every place, shape (P,)."""
-        total: Vector = np.zeros(1)
-        for shapes, drivers in self.parts:
-            if drivers.shape[1] == 1:
-                total = total + drivers[:, 0] @ shapes.pull
-            else:
-                total = total + np.einsum("kp,kp->p", shapes.pull, drivers)
-        return total
-
-    @cached_property
-    def information(self) -> tuple[Vector, Vector]:
-        """Information on every place, and the share of it that the background takes away."""
-        return self.scoring.information(self, np.arange(len(self.score)))
-
-    @cached_property
-    def steps(self) -> list[Single]:
-        """Change of every part's drivers from row to row."""
-        return [self.scoring.steps(drivers) for _, drivers in self.parts]
-
-    @cached_property
-    def kept(self) -> list[Vector]:
-        """Share of the steps of every part, at least, that healthy errors cannot make."""
-        return [
-            1.0 - self.scoring.copied(steps, its)
-            for steps, its in zip(self.steps, self.alike, strict=True)
-        ]
-
-    @cached_property
-    def least(self) -> Vector:
-        """Information on every place beyond healthy errors, at least, shape (P,)."""
-        total: Vector = np.zeros(1)
-        for (shapes, _), steps, kept in zip(self.parts, self.steps, self.kept, strict=True):
-            energy = np.einsum("kp,kp->p", steps, steps)
-            total = total + np.diagonal(shapes.least) * energy * kept
-        return total
-
-    @cached_property
-    def both_least(self) -> Matrix:
-        """The same of every two places that are struck alike, of one part, shape (P, P)."""
-        ((shapes, _), *_), (steps, *_), (kept, *_) = self.parts, self.steps, self.kept
-        weight = np.sqrt(kept)
-        return (steps.T @ steps) * shapes.least * np.outer(weight, weight)
-
-    def least_together(self, groups: Sequence[Indices]) -> Vector:
-        """The same of groups of places that are struck alike, of one part, shape (groups,)."""
-        return np.array([self.both_least[np.ix_(own, own)].sum() for own in groups])
 
 
 class Scoring:
@@ -147,12 +62,9 @@ class Scoring:
             moved = kind.drive(bench.currents, values, record) - bench.currents
             return Changes(((self.correctors(), moved),), (("correctors", _own(moved)),), self)
         if isinstance(kind, SensorKind):
-            orbit = bench.orbit
-            if not kind.parameters:
-                # What is not small has taken the predicted orbit with it: take what would have
-                # been read. A change of the readings has its gain to second order exactly.
-                orbit = kind.restore(restored(record, bench.causes)[0], values, record)[0]
-            moved = kind.distort(orbit, values, record) - orbit
+            moved = self._restored(kind, values)
+            if moved is None:
+                moved = kind.distort(bench.orbit, values, record) - bench.orbit
             shapes = self._shapes("bpms", lambda: np.eye(moved.shape[1]))
             return Changes(((shapes, moved),), (("bpms", _own(moved)),), self)
         if isinstance(kind, SourceKind):
@@ -174,6 +86,19 @@ class Scoring:
                     alike.append(None if beside is None else (plane, beside))
             return Changes(tuple(parts), tuple(alike), self)
         raise TypeError(f"{kind.id} has no places to scan")
+
+    def _restored(self, kind: SensorKind, values: Values) -> Matrix | None:
+        """Change by what is read as it should have been, all BPMs at once, shape (N, n).
+
+        What is not small has taken the predicted orbit with it; the readings themselves tell what
+        undoing an effect gains, to second order exactly. None for one that can be small, or that
+        scales or filters the noise of the readings.
+        """
+        if kind.linear is not None:
+            return None
+        readings = restored(self._bench.record, self._bench.causes)[0]
+        undone, jacobian = kind.restore(readings, values, self._bench.record)
+        return None if np.any(jacobian) else readings - undone
 
     def _shapes(self, name: str, patterns: Callable[[], Matrix]) -> Shapes:
         """Patterns by name, prepared once."""

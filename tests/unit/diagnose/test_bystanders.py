@@ -1,9 +1,12 @@
 """Groups of which not all members are struck."""
 
 import pytest
-from test_scans import CORRECTORS, record_with
+from test_scans import BPMS, CORRECTORS, record_with
 
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.bystanders import with_neighbour
+from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.registry import all_effects
 
@@ -21,3 +24,29 @@ def test_a_crate_need_not_end_where_its_cell_does(spared):
     assert found.candidate.group == f"C09{without}"
     low, high = found.fit.interval(0)
     assert low < 0.1 < high
+
+
+def test_a_crate_may_reach_over_the_end_of_a_cell():
+    """A tick late at four BPMs, the last two of a cell and the first two of the next."""
+    order = [*BPMS]
+    first = order.index(next(name for name in order if name.endswith("C10")))
+    struck = order[first - 2 : first + 2]
+    assert {name[-3:] for name in struck} == {"C09", "C10"}
+    bench = Bench(record_with(f"bpm-latency:ticks=1,names={'+'.join(struck)}", dither=1e-4))
+    found, *_ = tournament(bench, [all_effects()["bpm-latency"]])
+    assert [BPMS[place] for place in found.cause.places] == struck
+    assert found.candidate.group == ""
+
+
+def test_one_device_stays_one():
+    bench = Bench(record_with(f"bpm-gain:gain=-0.2,names={BPMS[40]}", dither=2e-3))
+    found, *_ = tournament(bench, [all_effects()["bpm-gain"]])
+    assert found.cause.places == (40,)
+    assert with_neighbour(bench, found.candidate, found.cause) is None
+
+
+def test_what_strikes_all_has_no_neighbours():
+    bench = Bench(record_with("loop-delay:ticks=0.5", dither=2e-3))
+    kind = all_effects()["loop-delay"]
+    cause = Cause(kind, (), {"ticks": 0.5})
+    assert with_neighbour(bench, Candidate(cause, 10.0, 1.0), cause) is None

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from record_files import record, ring
 
+from orbitfb.diagnose.certain import certain_causes
 from orbitfb.diagnose.integrity import is_hopeless, screen
 from orbitfb.diagnose.integrity_channels import _evened, _whole
 from orbitfb.diagnose.integrity_steps import Steps
@@ -210,6 +211,28 @@ def test_a_frozen_bpm():
         "missed-read",
         (200, 200),
     )
+
+
+def test_a_crate_that_is_not_read_at_some_ticks():
+    made = record(ticks=400)
+    readings = made.readings.copy()
+    crate, rows = [40, 41, 42, 43], [60, 61, 150, 333]
+    for row in rows:
+        readings[row, crate] = readings[row - 1, crate]
+    readings[250, 7] = readings[249, 7]  # by itself, once: nothing can be said of it
+    kept = replace(made, readings=readings)
+    (found,) = screen(kept)
+    labels = tuple(made.layout.bpms.label(column) for column in crate)
+    assert (found.check, found.effect, found.devices) == ("repeated-crate", "missed-read", labels)
+    assert found.rows == (60, 333)
+    certain = certain_causes(kept, [found], frozenset())
+    assert [cause.effect for cause in certain.causes] == ["missed-read"]
+    filled = np.zeros(readings.shape, dtype=bool)
+    filled[np.ix_(rows, crate)] = True
+    np.testing.assert_array_equal(certain.record.filled, filled)
+    off = np.abs(certain.record.readings - made.readings)
+    assert np.median(off[filled]) < 2.0 * np.median(np.abs(np.diff(made.readings, axis=0)))
+    np.testing.assert_array_equal(certain.record.readings[~filled], readings[~filled])
 
 
 def test_all_bpms_frozen_make_a_diagnosis_nonsense():
