@@ -9,12 +9,14 @@ from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
-from orbitfb.effects.layout import Devices
+from orbitfb.effects.layout import Devices, Layout
 
 _MOST = 40
 """Members up to which each is left out in turn: of a longer run a few more say little."""
 _LEAST = 5.0
 """What leaving a member out, or taking one in, must gain beyond the choice of it [nats]."""
+GAP = 2.0
+"""What speaks against a gap among neighbours that share a rack [nats]."""
 _BUT = " without "
 
 
@@ -51,7 +53,7 @@ def without_bystander(bench: Bench, candidate: Candidate, cause: Cause) -> Candi
 
 
 def with_neighbour(bench: Bench, candidate: Candidate, cause: Cause) -> Candidate | None:
-    """Find the neighbour with which devices that are struck alike explain the record best.
+    """Find the neighbour, or the next two, with which what is struck explains the record best.
 
     Args:
         bench: The record under the causes so far.
@@ -70,11 +72,12 @@ def with_neighbour(bench: Bench, candidate: Candidate, cause: Cause) -> Candidat
     beside = _beside(devices, cause.places)
     if not beside:
         return None
-    more = [tuple(sorted((*cause.places, *columns))) for columns in beside]
+    more = [tuple(sorted((*cause.places, *columns))) for columns, _ in beside]
     heights = [log_likelihood(*bench.roughly((replace(cause, places=own),))) for own in more]
-    best = int(np.argmax(heights))
+    best = int(np.argmax([h - GAP * gap for h, (_, gap) in zip(heights, beside, strict=True)]))
     choice = float(np.log(len(more)))
-    if heights[best] < log_likelihood(*bench.roughly((cause,))) + choice + _LEAST:
+    least = log_likelihood(*bench.roughly((cause,))) + choice + _LEAST
+    if heights[best] < least + GAP * beside[best][1]:
         return None
     return replace(
         candidate,
@@ -84,18 +87,58 @@ def with_neighbour(bench: Bench, candidate: Candidate, cause: Cause) -> Candidat
     )
 
 
-def _beside(devices: Devices, members: Sequence[int]) -> list[tuple[int, ...]]:
-    """Columns of the devices next to members around the ring, in the planes of these."""
+def without_gaps(candidate: Candidate, cause: Cause, layout: Layout) -> Candidate | None:
+    """Take in what stands between two that are struck; None where nothing does.
+
+    Args:
+        candidate: Devices that are struck alike.
+        cause: The same with its best values.
+        layout: The devices.
+    """
+    devices = layout.correctors if isinstance(cause.kind, ActuatorKind) else layout.bpms
+    names, columns = _around(devices, cause.places)
+    own = {devices.names[column] for column in cause.places}
+    count = len(names)
+    between = [
+        name
+        for index, name in enumerate(names)
+        if name not in own and {names[index - 1], names[(index + 1) % count]} <= own
+    ]
+    if not between:
+        return None
+    added = [column for name in between for column in columns[name]]
+    places = tuple(sorted((*cause.places, *added)))
+    return replace(candidate, cause=replace(cause, places=places), group="")
+
+
+def _around(devices: Devices, members: Sequence[int]) -> tuple[list[str], dict[str, list[int]]]:
+    """Names of the devices around the ring, and their columns in the planes of some members."""
     columns: dict[str, list[int]] = {}
     planes = {devices.planes[column] for column in members}
     for column, name in enumerate(devices.names):
         if devices.planes[column] in planes:
             columns.setdefault(name, []).append(column)
-    names = list(columns)
+    return list(columns), columns
+
+
+def _beside(devices: Devices, members: Sequence[int]) -> list[tuple[tuple[int, ...], bool]]:
+    """Columns of the devices next to members around the ring, in the planes of these.
+
+    Returns:
+        The next one on either side of each, the next two, or the second one with a gap.
+    """
+    names, columns = _around(devices, members)
     own = {devices.names[column] for column in members}
-    at = [index for index, name in enumerate(names) if name in own]
-    near = {names[(index + step) % len(names)] for index in at for step in (-1, 1)}
-    return [tuple(columns[name]) for name in sorted(near - own, key=names.index)]
+    found: dict[tuple[int, ...], bool] = {}
+    for index in (i for i, name in enumerate(names) if name in own):
+        for step in (-1, 1):
+            first, second = (names[(index + step * far) % len(names)] for far in (1, 2))
+            if first not in own:
+                found[tuple(columns[first])] = False
+                if second not in own:
+                    found[tuple(sorted((*columns[first], *columns[second])))] = False
+                    found.setdefault(tuple(columns[second]), True)
+    return list(found.items())
 
 
 def _without(group: str, name: str) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench, log_likelihood
-from orbitfb.diagnose.bystanders import with_neighbour, without_bystander
+from orbitfb.diagnose.bystanders import GAP, with_neighbour, without_bystander, without_gaps
 from orbitfb.diagnose.candidate import FIRST_ONSET, LAST_ONSET, Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
@@ -146,13 +146,16 @@ def _struck(bench: Bench, entry: Entry) -> Entry:
 
 
 def _joined(bench: Bench, entry: Entry) -> Entry:
-    """Take neighbours in that are struck too, one after the other."""
-    wider, cause = entry.candidate, entry.cause
-    while entry.weight > 0.0 and (more := with_neighbour(bench, wider, cause)) is not None:
-        wider, cause = more, more.cause
-    if wider is entry.candidate:
-        return entry
-    return max((entry, _fitted(bench, wider)), key=lambda one: one.weight)
+    """Take neighbours in that are struck too, one after the other, each with a fit of all."""
+    best = now = entry
+    while now.weight > 0.0 and (more := with_neighbour(bench, now.candidate, now.cause)):
+        now = _fitted(bench, more)
+        best = max((best, now), key=lambda one: one.weight)
+    layout = bench.record.layout
+    if best is not entry and (whole := without_gaps(best.candidate, best.cause, layout)):
+        filled = _fitted(bench, whole)
+        best = filled if filled.weight > best.weight - GAP else best
+    return best
 
 
 def _later(bench: Bench, entry: Entry) -> list[Entry]:
