@@ -268,13 +268,14 @@ def profiled(bench: Bench, entry: Entry, best: float) -> Entry:
 
     Where the best entry is worth much more has been thrown off than the floor.
     """
-    if entry.fit is None or entry.weight < 0.0 or entry.weight < HOPELESS * best:
+    thrown_off = best > _THROWN_OFF
+    least = max((_RIVAL if thrown_off else HOPELESS) * best, 0.0)
+    if entry.fit is None or entry.weight < least:
         return entry
-    floor = bench.floor_without(entry.fit.causes)
-    if best > _THROWN_OFF and entry.weight > _RIVAL * best:
+    if thrown_off:
         own = bench.cleared_of(entry.fit.causes)
     else:
-        own = bench.with_floor(floor)
+        own = bench.with_floor(bench.floor_without(entry.fit.causes))
     found = fit(own, entry.fit.causes)
     # By the other floor alone; where that is better without the cause too, nothing is gained by it.
     lost = min(own.full_log_likelihood - bench.full_log_likelihood, 0.0)

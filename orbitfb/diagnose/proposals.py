@@ -73,8 +73,7 @@ def _without_early(found: Sequence[Candidate]) -> list[Candidate]:
     return [
         one
         for one in found
-        if one.cause.free
-        or not 0 < one.cause.onset < 2 * FIRST_ONSET
+        if not 0 < one.cause.onset < 2 * FIRST_ONSET
         or (one.cause.kind.id, one.cause.places) not in always
     ]
 

@@ -50,23 +50,25 @@ def test_what_has_only_stand_ins_is_no_quiet_record(gain, scatter, state):
 
 
 @pytest.mark.parametrize(
-    ("sure", "rivals", "remains", "state"),
+    ("sure", "rivals", "remains", "chance", "state"),
     [
-        (True, (), False, "named"),
-        (True, ("another",), False, "ambiguous"),
-        (True, (), True, "named_plus_remainder"),
-        (False, (), False, "ambiguous"),  # with nothing at all
-        (False, (), True, "unknown"),
+        (True, (), False, 0.9, "named"),
+        (True, ("another",), False, 0.9, "ambiguous"),
+        (True, (), True, 0.9, "named_plus_remainder"),
+        (True, (), True, 0.2, "named_plus_remainder"),  # its probability says the rest
+        (True, (), True, 0.05, "unknown"),  # what acts by another law is not that effect
+        (False, (), False, 0.9, "ambiguous"),  # with nothing at all
+        (False, (), True, 0.9, "unknown"),
     ],
 )
-def test_a_name_needs_certainty(sure, rivals, remains, state):
+def test_a_name_needs_certainty(sure, rivals, remains, chance, state):
     fit = SimpleNamespace(gain=20.0, inflation=1.0)
     entry = SimpleNamespace(fit=fit, weight=7.0, held_out=19.0)
     first = SimpleNamespace(
         sure=sure, rivals=lambda: rivals, accepted=entry, entries=(entry,), kinds=45
     )
     outcome = SimpleNamespace(rounds=(first,), winners=(first,))
-    departures = (SimpleNamespace(stand_in=False),)
+    departures = (SimpleNamespace(stand_in=False, chance=chance),)
     told = _state(outcome, None, departures, remains=remains, explained=1.0)  # type: ignore[arg-type]
     assert told == state
 
