@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from orbitfb.diagnose import engine
 from orbitfb.diagnose.answer import Diagnosis, document
 from orbitfb.diagnose.engine import diagnose
 from orbitfb.diagnose.simulate import simulate_record
@@ -70,3 +71,32 @@ def test_the_same_record_and_seed_give_the_same_answer(healthy):
     volatile = {"provenance"}
     assert first.model_dump(exclude=volatile) == second.model_dump(exclude=volatile)
     assert np.isfinite(first.gap.nats_per_tick if first.gap else np.nan)
+
+
+def searched(monkeypatch, record) -> list[int]:
+    """Rows of the records that were searched, one after the other."""
+    lengths: list[int] = []
+    search = engine.search
+
+    def counted(part, *rest, **named):
+        lengths.append(len(part))
+        return search(part, *rest, **named)
+
+    monkeypatch.setattr(engine, "search", counted)
+    diagnose(record, None, None, seed=1, progress=lambda what, share: None)
+    return lengths
+
+
+@pytest.mark.parametrize(
+    ("effects", "looks"),
+    [
+        ((), [1, 0.5]),  # nothing in the first rows, nothing at the end
+        ((f"bpm-offset:offset=3um,names={LAYOUT.bpms.names[30]},from=95s",), [1, 0.5, 1.25]),
+    ],
+)
+def test_the_end_of_a_record_is_looked_at_before_all_of_it(monkeypatch, effects, looks):
+    """The record has 800 rows and begins at 20 s: the first four fifths end at 84 s."""
+    plant_effects = build([parse_effect(text) for text in effects], LAYOUT, 3)
+    record = simulate_record(RING, "x", 800, 3, plant_effects, period=LAYOUT.period)
+    lengths = searched(monkeypatch, record)
+    assert [length / lengths[0] for length in lengths] == pytest.approx(looks, abs=0.01)

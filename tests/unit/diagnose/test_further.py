@@ -56,3 +56,19 @@ def test_noise_has_no_law_to_keep():
 def test_beside_what_the_screen_is_certain_of_it_must_be_worth_a_share_too(worth, believed):
     best = entry(DRIFT, 100.0)
     assert (rounds.winner(round_of(best), [], worth) is best) is believed
+
+
+@pytest.mark.parametrize(("weight", "believed"), [(9.0, False), (40.0, True)])
+def test_beside_what_was_taken_out_of_the_record_it_must_be_sure(weight, believed):
+    best = entry(DRIFT, weight)
+    alone = round_of(best)
+    assert rounds.winner(alone, []) is best
+    assert (rounds.winner(alone, [], beside=True) is best) is believed
+
+
+def test_what_a_cause_has_to_be_worth_is_what_makes_it_likely():
+    """The least weight is that at which one kind of so many has a probability of 0.9."""
+    needed = rounds.least_weight(45, further=False)
+    one = rounds.Round(None, (entry(DRIFT, needed),), 45, None)
+    assert one.probabilities()[DRIFT.id] == pytest.approx(0.9)
+    assert rounds.least_weight(45, further=True) > needed
