@@ -52,7 +52,7 @@ class CorrectorRoll(PairKind):
     linear = "angle"
     collective = False
     confused_with = ("bpm-roll", "skew-coupling", "corrector-crosstalk")
-    splits = "Steps in each plane by itself: a roll is antisymmetric, and of this corrector only."
+    splits = "Steps in each plane by itself: a roll kicks into the other at this corrector only."
 
     def unavailable(self, record: Record) -> str:
         """Need a corrector with both planes."""

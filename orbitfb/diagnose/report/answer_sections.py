@@ -94,7 +94,7 @@ def causes(its: Diagnosis) -> str:
         pieces.append(
             paragraph(
                 f"<b>Cannot be told apart:</b> {listed(tuple(map(member, one.effects)))}{why}. "
-                + (f"What would split them: {text(one.splits)}." if one.splits else "")
+                + (f"What would split them: {text(one.splits.rstrip('.'))}." if one.splits else "")
             )
         )
     pieces.append(_unknown(its))
