@@ -17,12 +17,15 @@ from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.quick import Quick, Single
 from orbitfb.diagnose.standing import FreeSteps, stretches_across
 from orbitfb.diagnose.uneven import uneven
+from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 
 _PASSES = 2
 _FEW_LEVELS = 4
 """Of the ladder, while orbit and floor are not yet what they will be."""
+_ENOUGH = 300
+"""Rows from which those before them are predicted."""
 _SEEN = 1e-4
 """Gain of a step of the healthy errors below which they are the best, as a share of what a change
 is seen with."""
@@ -128,7 +131,43 @@ class Bench:
             return self._beyond_with(())(base.white), base.explained.log_jacobian
         change = base.explained.change(causes)
         white = base.white + self._whitened(change)
-        return self._beyond_with(causes)(white), change.log_jacobian
+        log_jacobian = change.log_jacobian
+        for cause in causes:
+            log_jacobian = log_jacobian - self._unread(cause, white)
+        return self._beyond_with(causes)(white), log_jacobian
+
+    def _unread(self, cause: Cause, after: Matrix) -> Vector:
+        """What a cause owes for readings that it has no use for, shape (N,) [nats].
+
+        They stay as likely as they are without it; what stands for those that it lacks says
+        nothing. A cause would gain by leaving out what it does not explain otherwise.
+        """
+        kind, owed = cause.kind, np.zeros(len(self.record))
+        rows = kind.unread(cause.values) if isinstance(kind, SensorKind) else 0
+        if not rows:
+            return owed
+        columns = list(cause.places)
+        for piece in self.record.stretches:
+            begin = max(piece.start, cause.onset)
+            count = min(rows, piece.stop - begin)
+            if count > 0:
+                lost = self.white[begin : begin + count]
+                if begin == piece.start:
+                    lost = self._backwards(slice(begin, piece.stop), count)
+                filled = slice(piece.stop - count, piece.stop)
+                squares = [self.floor.by_bpm(own)[:, columns] ** 2 for own in (lost, after[filled])]
+                owed[filled] = 0.5 * np.sum(squares[0] - squares[1], axis=1)
+        return owed
+
+    def _backwards(self, piece: slice, count: int) -> Matrix:
+        """Innovations of the first rows of a stretch, predicted from those after them: (count, n).
+
+        A random walk goes backwards as it goes forwards.
+        """
+        left = self._beside().explained.left - self.background.orbit(self.sizes)
+        turned = left[piece][_ENOUGH + count - 1 :: -1]
+        starts = np.arange(len(turned)) == 0
+        return self.floor.whiten(turned, starts)[-count:][::-1]
 
     def energy(self, change: Matrix) -> float:
         """Sum the squares of a change of the prediction as the noise sees it.

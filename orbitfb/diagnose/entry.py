@@ -22,7 +22,7 @@ _ONSET_WORTH = 4.0
 """Rows before an onset must speak against the effect by this much [nats]."""
 _THROWN_OFF = 50.0
 """Weight of a cause beyond which orbit and healthy errors are wrong without it [nats]."""
-_RIVAL = 0.5
+_RIVAL = 0.7
 """Share of the best weight from which a fit is judged again with everything that it puts right."""
 _STRIDES = (16, 8, 4, 2, 1, 1)
 """Rows by which a beginning is moved, one after the other."""

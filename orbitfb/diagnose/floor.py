@@ -13,7 +13,7 @@ from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
-LADDER = np.exp(np.linspace(-13.0, 4.5, 30))
+LADDER = np.exp(np.linspace(-13.0, 10.0, 39))
 """Ratios q / r² that a mode is tried with."""
 _PASSES = 30
 _NEIGHBOURS = 4.0

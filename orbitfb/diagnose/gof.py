@@ -134,24 +134,34 @@ def _level(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> Goodne
 
 
 def _variances(
-    name: str, columns: Matrix, names: tuple[str, ...], rate: float, *, less: bool = True
+    name: str,
+    columns: Matrix,
+    names: tuple[str, ...],
+    rate: float,
+    known: Vector | float = 0.0,
+    *,
+    less: bool = True,
 ) -> GoodnessTest:
-    """Variance of each channel against the others', which may scatter; too little, if so asked."""
-    logarithm = np.log(np.mean(columns**2, axis=0))
-    logarithm -= np.median(logarithm)
+    """Variance of each channel against the others', which may scatter; too little, if so asked.
+
+    Those that differ by what is known of them differ by that from the others too.
+    """
+    left = np.log(np.mean(columns**2, axis=0))
+    left -= np.median(left)
+    logarithm = left + known
     chance = np.sqrt(2.0 / len(columns))
     spread = 1.4826 * float(np.median(np.abs(logarithm)))
     more = np.hypot(LEVEL, np.sqrt(max(spread**2 - chance**2, 0.0)))
     worst = int(np.argmax(np.abs(logarithm) if less else logarithm))
     limit = _sigmas(rate, columns.shape[1]) * float(np.hypot(chance, more))
     note = f"logarithm of the variance over the median, {names[worst]}"
-    value = float(logarithm[worst])
-    return _judged(name, value, limit, _of_variance(len(columns), float(np.exp(value))), note)
+    nats = _of_variance(len(columns), float(np.exp(left[worst])))
+    return _judged(name, float(logarithm[worst]), limit, nats, note)
 
 
 def _by_bpm(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:
     names = column_names(bench.record.layout.bpms)
-    return _variances("variance by BPM", channels, names, rate)
+    return _variances("variance by BPM", channels, names, rate, bench.floor.modes.levels)
 
 
 def _by_mode(bench: Bench, white: Matrix, channels: Matrix, rate: float) -> GoodnessTest:

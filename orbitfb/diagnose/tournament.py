@@ -71,19 +71,23 @@ def tournament(
     """
     tell = progress or (lambda what, share: None)
     budget = budget or Budget(np.inf)
-    proposals = propose(bench, kinds, lambda what, share: tell(what, 0.5 * share), budget)
     # What noise is worth is the scan's word: beside none of the errors that every ring has it would
     # be worth these too.
+    random = [kind for kind in kinds if isinstance(kind, NoiseKind | LatentKind)]
     swallowed = [kind for kind in kinds if not isinstance(kind, NoiseKind | LatentKind)]
+    seen = random
     if np.sum(bench.sizes**2) <= _ABSURD**2 * len(bench.sizes):
+        seen = kinds
         # What has no size is never small: healthy errors hide it even if they stay healthy.
         swallowed = [] if bench.causes else [kind for kind in kinds if not kind.parameters]
-    if swallowed and budget.over(SCAN_SHARE):
+    proposals = propose(bench, seen, lambda what, share: tell(what, 0.4 * share), budget)
+    if swallowed and seen is kinds and budget.over(SCAN_SHARE):
         budget.leave("causes that healthy errors may hide were not looked for")
     elif swallowed:
         told = bench.floor if bench.told_floor else None
         bare = Bench(bench.record, bench.causes, told, bench.floor.modes, 0.0)
-        proposals = _distinct([*propose(bare, swallowed), *proposals])
+        hidden = propose(bare, swallowed, lambda what, share: tell(what, 0.4 + 0.1 * share), budget)
+        proposals = _distinct([*hidden, *proposals])
     entries: list[Entry] = []
     for index, candidate in enumerate(proposals):
         tell("fitting", 0.5 + 0.3 * index / len(proposals))

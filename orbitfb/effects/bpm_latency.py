@@ -58,6 +58,10 @@ class BpmLatency(SensorKind):
         later = np.minimum(rows + _ticks(values), last)
         return readings[later], np.zeros(len(readings))
 
+    def unread(self, values: Values) -> int:
+        """The ticks."""
+        return _ticks(values)
+
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Hold back; the first row of a stretch stands for those before it."""
         rows = np.arange(len(orbit))

@@ -77,6 +77,16 @@ class SensorKind(EffectKind):
             over the k BPMs, of every row, shape (N,).
         """
 
+    def unread(self, values: Values) -> int:
+        """Count the rows at the end of a stretch for which `restore` finds no readings.
+
+        As many from its beginning are of no use to it.
+
+        Args:
+            values: All parameters.
+        """
+        return 0
+
     @abstractmethod
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Tell what the BPMs make of an orbit: the inverse of `restore`.

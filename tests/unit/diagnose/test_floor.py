@@ -20,3 +20,17 @@ def test_strong_modes_keep_their_own_walk_beside_weak_ones():
     np.testing.assert_allclose(floor.walk[:8], walk[:8], rtol=0.25)
     # Mean squares of 1000 rows scatter by 0.045.
     np.testing.assert_allclose(np.mean(floor.whiten(readings, starts) ** 2, axis=0), 1.0, atol=0.15)
+
+
+def test_a_walk_far_beyond_the_reading_noise_has_its_own_level():
+    rows, far = 1000, 3000.0
+    walk = np.array([far, 90.0, 5.0, 1.0, 0.5, 0.2, 0.1, 0.05])
+    rng = np.random.default_rng(1)
+    readings = np.cumsum(rng.normal(size=(rows, len(walk))) * np.sqrt(walk), axis=0)
+    readings += rng.normal(size=readings.shape)
+    starts = np.arange(rows) == 0
+
+    floor = estimate_floor(readings, starts, NoiseModes.even(np.eye(len(walk))))
+
+    assert abs(floor.walk[0] / far - 1.0) < 0.15
+    np.testing.assert_allclose(np.mean(floor.whiten(readings, starts) ** 2, axis=0), 1.0, atol=0.15)

@@ -1,5 +1,6 @@
 """What a right model leaves passes every test; what is not white is flagged by its own test."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from gap_cases import GAIN, PLACE, bench
 
 from orbitfb.diagnose.gof import audit, flagged_nats
+from orbitfb.diagnose.noise_modes import NoiseModes
 
 RIGHT = ((PLACE, GAIN),)
 
@@ -38,6 +40,25 @@ def test_no_gap_passes(seed):
 
 def test_white_noise_passes():
     assert flagged_nats(audit(disturbed(lambda channels: None))) is None
+
+
+def test_a_bpm_in_the_tail_of_unequal_healthy_noise_is_no_finding():
+    its = bench(False)
+    rng = np.random.default_rng(4)
+    n = its.white.shape[1]
+    spread = np.exp(0.15 * rng.standard_normal(n))
+    spread[3] = np.exp(0.3)
+    modes = NoiseModes.of(its.record.layout, spread)
+    channels = rng.standard_normal((401, n))
+    channels[:, 3] *= 1.3  # beyond what the floor takes as this BPM's own
+
+    def flagged(modes):
+        floor = replace(its.floor, modes=modes)
+        white = channels @ modes.axes
+        return flags(audit(SimpleNamespace(record=its.record, floor=floor, white=white)))
+
+    assert flagged(NoiseModes.even(modes.axes)) == {"variance by BPM"}
+    assert not flagged(modes)
 
 
 def _louder(channels):
