@@ -200,6 +200,57 @@ def test_a_plane_that_there_is_not_is_refused(engine, record):
     assert isinstance(run(record, "--planes", "z").exception, ConfigError)
 
 
+@pytest.mark.parametrize("out", ["", " "])
+def test_an_empty_name_is_not_the_current_directory(engine, record, tmp_path, monkeypatch, out):
+    monkeypatch.chdir(tmp_path)
+    result = run(record, "--out", out)
+    assert result.exit_code == 2
+    assert "it is empty" in result.output
+    assert not engine.calls
+
+
+def test_a_name_that_is_too_long_is_refused(engine, record, tmp_path):
+    result = run(record, "--out", tmp_path / ("x" * 300))
+    assert isinstance(result.exception, RecordError)
+    assert "too long" in str(result.exception)
+
+
+@pytest.mark.parametrize("name", ["diagnosis.json", "effect.toml"])
+def test_a_directory_in_the_place_of_a_file_is_refused_before_the_work(
+    engine, record, tmp_path, name
+):
+    (tmp_path / "out" / name).mkdir(parents=True)
+    result = run(record, "--out", tmp_path / "out")
+    assert isinstance(result.exception, RecordError)
+    assert f"{tmp_path / 'out' / name} is a directory" in str(result.exception)
+    assert not engine.calls
+    assert [its.name for its in (tmp_path / "out").iterdir()] == [name]
+
+
+def test_planes_that_are_not_those_of_the_model_are_the_option_s_fault(engine, record, tmp_path):
+    engine.findings = (Finding("swapped-planes", "failure", (), None, "of the other plane"),)
+    assert run(record).exit_code == 3
+    result = run(record, "--planes", "y")
+    assert isinstance(result.exception, ConfigError)
+    assert "--planes y" in str(result.exception)
+
+
+def test_whoever_interrupts_the_writing_keeps_the_old_files(engine, record, tmp_path, monkeypatch):
+    run(record)
+    out = tmp_path / "shift.diagnosis"
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    engine.answer = examples.unknown()
+
+    def interrupted(diagnosis):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writing, "fragment", interrupted)
+    result = run(record)
+    assert result.exit_code == 130
+    assert "interrupted; nothing was written" in result.stderr
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
 def test_a_write_that_fails_leaves_the_old_file_whole(monkeypatch, tmp_path):
     writing.write(examples.unknown(), tmp_path)
     before = (tmp_path / "diagnosis.json").read_text(encoding="utf-8")
