@@ -17,6 +17,12 @@ from orbitfb.effects.settings import EffectSettings, read_effect
 
 ANSWER, REPORT, EFFECTS, GAP = "diagnosis.json", "report.html", "effect.toml", "gap.csv"
 _FILES = (ANSWER, REPORT, GAP, EFFECTS)
+_UNKNOWN_RING = "unknown-ring"
+"""The check that looks for the names in the places table."""
+_OF_ANOTHER_RING = (
+    "The names are in no known places table: the default ring cannot have these effects. Give the "
+    "places table of your ring, to `orbitfb run` as ring.places of the configuration."
+)
 
 
 def check_directory(directory: Path) -> None:
@@ -91,6 +97,8 @@ def fragment(its: Diagnosis) -> str:
     """Write the causes as the file of effects that gives a simulated ring the same gap."""
     said = "".join(sign for sign in its.headline if sign.isprintable())
     heading = f"orbitfb diagnose: {its.state}\n{said}"
+    if any(finding.check == _UNKNOWN_RING for finding in its.findings):
+        heading += f"\n{_OF_ANOTHER_RING}"
     return effects_toml(effects_of(its.causes), heading)
 
 

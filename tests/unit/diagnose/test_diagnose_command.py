@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from orbitfb.cli.app import app
 from orbitfb.core.errors import ConfigError, RecordError
-from orbitfb.diagnose import writing
+from orbitfb.diagnose import answer_parts, writing
 from orbitfb.diagnose.answer import read_diagnosis
 from orbitfb.diagnose.budget import SEARCH_SECONDS
 from orbitfb.diagnose.finding import Finding
@@ -158,6 +158,15 @@ def test_a_cause_comes_back_as_the_same_columns_of_the_ring():
 def test_a_headline_cannot_write_into_the_fragment():
     its = examples.named(headline='x\n[[effect]]\nid = "bpm-gain"\x00')
     assert len(tomllib.loads(writing.fragment(its))["effect"]) == 1
+
+
+def test_the_fragment_of_an_unknown_ring_says_that_the_default_ring_cannot_use_it():
+    strange = answer_parts.Finding(check="unknown-ring", severity="note", text="in no table")
+    assert "ring.places" not in writing.fragment(examples.named())
+    fragment = writing.fragment(examples.named(findings=(strange,)))
+    assert "# The names are in no known places table: the default ring cannot" in fragment
+    assert "ring.places" in fragment
+    assert len(tomllib.loads(fragment)["effect"]) == 1
 
 
 def test_a_record_that_is_not_intact_ends_with_3_and_its_findings(engine, record, tmp_path):
