@@ -26,6 +26,8 @@ NOT_INTACT = 3
 """Exit code when the record failed the integrity screen."""
 INTERRUPTED = 130
 """Exit code after ctrl-C, as shells have it."""
+_UNBROKEN = 10_000
+"""Width of lines that are no terminal's: a file or a program wants a row in one line."""
 
 diagnose = typer.Typer(
     cls=RecordFirst,
@@ -161,6 +163,8 @@ def _show(answer: "Diagnosis", written: tuple[Path, ...]) -> None:
     from orbitfb.diagnose.wording import parameter, places
 
     console = Console()
+    if not console.is_terminal:
+        console.width = _UNBROKEN
 
     def say(text: str) -> None:
         # what a record brought must move no cursor
@@ -176,8 +180,9 @@ def _show(answer: "Diagnosis", written: tuple[Path, ...]) -> None:
         for cause in answer.causes:
             values = [f"{name} = {parameter(its)}" for name, its in cause.parameters.items()]
             sure = "-" if cause.probability is None else f"{min(cause.probability, 0.999):.3g}"
-            cells = (cause.effect, places(cause) or "ring", ", ".join(values), sure)
-            table.add_row(*(Text(cell) for cell in (*cells, ", ".join(cause.alternatives) or "-")))
+            together = ", ".join((cause.effect, *cause.alternatives)) if cause.alternatives else "-"
+            cells = (cause.effect, places(cause) or "ring", ", ".join(values), sure, together)
+            table.add_row(*map(Text, cells))
         console.print(table)
     if answer.experiment is not None:
         say(f"experiment: {answer.experiment.text}")

@@ -94,6 +94,15 @@ def test_a_record_is_answered_with_its_files_beside_it(engine, record, tmp_path,
     assert engine.search_seconds == SEARCH_SECONDS
 
 
+def test_a_cause_stands_in_one_line_where_there_is_no_terminal(engine, record):
+    cause = examples.lag_cause().model_copy(update={"alternatives": ("corrector-slew",)})
+    engine.answer = examples.named(causes=(cause,))
+    lines = run(record).stdout.splitlines()
+    (row,) = (line for line in lines if line.startswith("corrector-lag "))
+    assert "tau = 0.093 [0.088, 0.098] s" in row
+    assert row.rstrip().endswith(" corrector-lag, corrector-slew")
+
+
 def test_the_word_record_may_be_typed_and_options_may_come_first(engine, record, tmp_path):
     assert run("record", record).exit_code == 0
     assert run("--out", tmp_path / "here", record).exit_code == 0
