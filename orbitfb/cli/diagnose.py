@@ -1,5 +1,6 @@
 """The command that diagnoses a record."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -7,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from orbitfb.cli.options import AsJson, PlacesTable, RecordPlanes, RingParameters, planes_of
+from orbitfb.cli.options import (
+    AsJson,
+    PlacesTable,
+    RecordPlanes,
+    RingParameters,
+    path_of,
+    planes_of,
+)
 from orbitfb.cli.record_first import DEFAULT, RecordFirst
 
 if TYPE_CHECKING:
@@ -16,6 +24,10 @@ if TYPE_CHECKING:
 
 NOT_INTACT = 3
 """Exit code when the record failed the integrity screen."""
+INTERRUPTED = 130
+"""Exit code after ctrl-C, as shells have it."""
+_UNBROKEN = 10_000
+"""Width of lines that are no terminal's: a file or a program wants a row in one line."""
 
 diagnose = typer.Typer(
     cls=RecordFirst,
@@ -46,8 +58,10 @@ def diagnose_record(
     out: Annotated[
         Path | None,
         typer.Option(
+            parser=path_of,
+            metavar="PATH",
             help="Directory for diagnosis.json, report.html and effect.toml [beside the record, "
-            "NAME.diagnosis]."
+            "NAME.diagnosis].",
         ),
     ] = None,
     planes: RecordPlanes = None,
@@ -80,19 +94,20 @@ def diagnose_record(
     target = out or beside(record)
     check_directory(target)
     known = Ring.load(places, ring)
-    with progress_bar(as_json) as progress:
-        answer = diagnose_files(
-            record,
-            reference,
-            holdout,
-            planes=chosen,
-            ring=known,
-            seed=seed,
-            without=left_out,
-            search_seconds=search_seconds,
-            progress=progress,
-        )
-    written = write(answer, target)
+    with told_when_interrupted():
+        with progress_bar(as_json) as progress:
+            answer = diagnose_files(
+                record,
+                reference,
+                holdout,
+                planes=chosen,
+                ring=known,
+                seed=seed,
+                without=left_out,
+                search_seconds=search_seconds,
+                progress=progress,
+            )
+        written = write(answer, target)
     if as_json:
         print(document(answer), end="")
     else:
@@ -106,6 +121,16 @@ def beside(record: Path) -> Path:
     whole = record.resolve()
     name = whole.name if whole.is_dir() else whole.stem
     return whole.with_name(f"{name}.diagnosis")
+
+
+@contextmanager
+def told_when_interrupted() -> Iterator[None]:
+    """Say that what ctrl-C ended has written nothing."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print("orbitfb: interrupted; nothing was written", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED) from None
 
 
 @contextmanager
@@ -138,6 +163,8 @@ def _show(answer: "Diagnosis", written: tuple[Path, ...]) -> None:
     from orbitfb.diagnose.wording import parameter, places
 
     console = Console()
+    if not console.is_terminal:
+        console.width = _UNBROKEN
 
     def say(text: str) -> None:
         # what a record brought must move no cursor
@@ -153,8 +180,9 @@ def _show(answer: "Diagnosis", written: tuple[Path, ...]) -> None:
         for cause in answer.causes:
             values = [f"{name} = {parameter(its)}" for name, its in cause.parameters.items()]
             sure = "-" if cause.probability is None else f"{min(cause.probability, 0.999):.3g}"
-            cells = (cause.effect, places(cause) or "ring", ", ".join(values), sure)
-            table.add_row(*(Text(cell) for cell in (*cells, ", ".join(cause.alternatives) or "-")))
+            together = ", ".join((cause.effect, *cause.alternatives)) if cause.alternatives else "-"
+            cells = (cause.effect, places(cause) or "ring", ", ".join(values), sure, together)
+            table.add_row(*map(Text, cells))
         console.print(table)
     if answer.experiment is not None:
         say(f"experiment: {answer.experiment.text}")

@@ -1,11 +1,19 @@
 """The command that plans the experiment that a record asks for."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from orbitfb.cli.options import AsJson, PlacesTable, RecordPlanes, RingParameters, planes_of
+from orbitfb.cli.options import (
+    AsJson,
+    PlacesTable,
+    RecordPlanes,
+    RingParameters,
+    path_of,
+    planes_of,
+)
 
 
 def diagnose_plan(
@@ -13,7 +21,9 @@ def diagnose_plan(
     out: Annotated[
         Path,
         typer.Option(
-            help="File for `orbitfb run --excite`: a description (TOML), or a waveform (.npz)."
+            parser=path_of,
+            metavar="PATH",
+            help="File for `orbitfb run --excite`: a description (TOML), or a waveform (.npz).",
         ),
     ],
     wanted: Annotated[
@@ -39,13 +49,16 @@ def diagnose_plan(
 ) -> None:
     """Plan the experiment that tells effects apart, within limits of orbit, current and time.
 
-    Without --for all effects compete, and the best two are to be told apart.
+    Without --for all effects compete, and the best two are to be told apart. Exit code 3: the
+    record is not intact, and nothing is written.
     """
-    from orbitfb.cli.diagnose import progress_bar
+    from orbitfb.cli.diagnose import NOT_INTACT, progress_bar, told_when_interrupted
     from orbitfb.core.errors import ConfigError
     from orbitfb.diagnose.bench import Bench
+    from orbitfb.diagnose.integrity import is_hopeless, screen
     from orbitfb.diagnose.load import load
     from orbitfb.diagnose.plan import limits_of, plan_for
+    from orbitfb.diagnose.planes import check_planes
     from orbitfb.effects.registry import all_effects, effect
     from orbitfb.physics.places import Ring
 
@@ -54,24 +67,37 @@ def diagnose_plan(
         raise ConfigError("--against: needs --for, the effect that is to be told from it")
     kinds = list(all_effects().values()) if wanted is None else [effect(wanted)]
     rival = None if against is None else effect(against)
-    loaded = load(record, planes=chosen, ring=Ring.load(places, ring)).record
+    if rival in kinds and wanted is not None:
+        raise ConfigError(f"--against {against}: it is the effect of --for; name another one")
+    read = load(record, planes=chosen, ring=Ring.load(places, ring))
+    loaded = read.record
+    found = [*read.findings, *screen(loaded)]
+    check_planes(chosen, found)
+    for finding in found:
+        if finding.severity != "note":
+            print(f"{finding.severity}: {finding.text}", file=sys.stderr)
+    if is_hopeless(found):
+        print("the record is not intact: nothing was planned or written", file=sys.stderr)
+        raise typer.Exit(NOT_INTACT)
     for kind in (*(kinds if wanted else ()), *((rival,) if rival else ())):
         if reason := kind.unavailable(loaded):
             raise ConfigError(f"{kind.id}: this record cannot show it: {reason}")
     limit = None if orbit_limit is None else orbit_limit * 1e-6
-    with progress_bar(as_json) as progress:
-        progress("reading", 0.0)
-        chosen = plan_for(
-            Bench(loaded),
-            [kind for kind in kinds if not kind.unavailable(loaded)],
-            limits_of(limit, minutes),
-            rival,
-            seed,
-            progress,
-        )
-    experiment = chosen.experiment
-    if chosen.settings is not None:
-        chosen.write(out)
+    with told_when_interrupted():
+        with progress_bar(as_json) as progress:
+            progress("reading", 0.0)
+            planned = plan_for(
+                Bench(loaded),
+                [kind for kind in kinds if not kind.unavailable(loaded)],
+                limits_of(limit, minutes),
+                rival,
+                seed,
+                progress,
+            )
+        if planned.settings is not None:
+            planned.write(out)
+    experiment = planned.experiment
+    if planned.settings is not None:
         experiment = experiment.model_copy(update={"file": str(out)})
     if as_json:
         print(experiment.model_dump_json(indent=1))

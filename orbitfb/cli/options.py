@@ -128,6 +128,17 @@ def planes_of(text: str | None) -> "physics_places.Planes | None":
             raise ConfigError(f"--planes: there is no {text!r}; choose x, y or xy")
 
 
+def path_of(text: str) -> Path:
+    """Take a path; an empty one, which would be the current directory, is none.
+
+    Raises:
+        typer.BadParameter: It is empty.
+    """
+    if not text.strip():
+        raise typer.BadParameter("it is empty; name a path, or . for the current directory")
+    return Path(text)
+
+
 def make_out(directory: Path) -> None:
     """Make the directory of an evaluation, before the work that is to end there.
 

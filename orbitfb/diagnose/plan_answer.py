@@ -10,6 +10,7 @@ from orbitfb.diagnose.answer_parts import Experiment
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.plan_candidates import Limits, Proposal
 from orbitfb.diagnose.plan_file import Plan
+from orbitfb.diagnose.wording import quantity
 from orbitfb.effects.layout import Layout
 
 ENOUGH = 30.0
@@ -102,10 +103,10 @@ def advice(layout: Layout, causes: Sequence[Cause]) -> Plan:
         causes: What is to be seen, or to be told from all that follow.
     """
     ways = dict.fromkeys(_otherwise(causes[0], cause) for cause in causes[1:] or causes)
-    told = f": {'; '.join(ways)}"
     experiment = Experiment(
         kind="read-only-test",
-        text=f"No movement of the correctors within the limits helps to {_names(causes)}{told}.",
+        text=f"No movement of the correctors within the limits helps to {_names(causes)}. Beyond "
+        f"the limits, or without the correctors: {'; '.join(ways)}.",
         splits=tuple(cause.kind.id for cause in causes),
         separation_nats=0.0,
     )
@@ -139,7 +140,7 @@ def _names(causes: Sequence[Cause]) -> str:
         kind, values = causes[0].kind, causes[0].values
         own = (p for p in kind.parameters if p.name == (kind.linear or p.name))
         moved = next((p for p in own if values[p.name] != p.nominal), None)
-        size = f" of {values[moved.name]:.3g} {moved.unit}" if moved else ""
+        size = f" of {quantity(values[moved.name], moved.unit)}" if moved else ""
         return f"see {kind.id}{size} better"
     *others, last = [cause.kind.id for cause in causes[1:]]
     return f"tell {causes[0].kind.id} from {', '.join(others) + ' and ' if others else ''}{last}"

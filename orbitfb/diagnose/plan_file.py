@@ -1,5 +1,6 @@
 """A planned experiment, and the file of its excitation that `orbitfb run --excite` executes."""
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from orbitfb.diagnose.plan_candidates import channels_of
 from orbitfb.effects.layout import Layout
 from orbitfb.loop.excitation import Waveform
 from orbitfb.loop.excitation_design import ExcitationSettings, design
+from orbitfb.policies.files import replace_file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,26 +47,33 @@ class Plan:
     def write(self, path: Path) -> None:
         """Write what `orbitfb run --excite` reads: an `.npz` waveform, else a description.
 
+        An experiment is never half in its file: a machine executes what is there.
+
         Raises:
             EstimationError: No excitation helps.
             RecordError: The file cannot be written.
         """
-        waveform = self.waveform()
+        if path.suffix == ".npz":
+            content = self._npz()
+        else:
+            content = _toml(self.experiment.text, self._runnable).encode()
         try:
-            if path.suffix == ".npz":
-                moved = waveform.excursion.any(axis=0)
-                devices = self.layout.correctors
-                np.savez_compressed(
-                    path,
-                    waveform=waveform.excursion[:, moved],
-                    corr_names=np.array(devices.names)[moved],
-                    planes=np.array(devices.planes)[moved],
-                    start_s=np.float64(waveform.wait * self.layout.period),
-                )
-            else:
-                path.write_text(_toml(self.experiment.text, self._runnable), encoding="utf-8")
+            replace_file(path, content)
         except OSError as error:
             raise RecordError(f"{path}: it cannot be written ({error.strerror})") from error
+
+    def _npz(self) -> bytes:
+        waveform, devices = self.waveform(), self.layout.correctors
+        moved = waveform.excursion.any(axis=0)
+        file = io.BytesIO()
+        np.savez_compressed(
+            file,
+            waveform=waveform.excursion[:, moved],
+            corr_names=np.array(devices.names)[moved],
+            planes=np.array(devices.planes)[moved],
+            start_s=np.float64(waveform.wait * self.layout.period),
+        )
+        return file.getvalue()
 
 
 def _toml(text: str, settings: ExcitationSettings) -> str:

@@ -12,6 +12,7 @@ from orbitfb.diagnose.engine import diagnose
 from orbitfb.diagnose.finding import Finding as Found
 from orbitfb.diagnose.integrity import screen
 from orbitfb.diagnose.load import load
+from orbitfb.diagnose.planes import check_planes
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
 from orbitfb.diagnose.wording import headline
@@ -51,6 +52,7 @@ def diagnose_files(
     Raises:
         RecordError: A record cannot be read, or has an array that is wrong; or reference or later
             record are of other devices, of another rate, or not intact.
+        ConfigError: The planes asked for are not those of the record.
     """
     progress("reading", 0.0)
     loaded = load(record, planes=planes, ring=ring)
@@ -60,6 +62,7 @@ def diagnose_files(
     ]
     progress("screening", 0.0)
     found = (*loaded.findings, *screen(loaded.record))
+    check_planes(planes, found)
     findings = reported(found)
     if any(finding.severity == "failure" for finding in findings):
         return _refused(loaded.record, findings, seed)

@@ -129,8 +129,17 @@ def parameter(value: ParameterValue) -> str:
     text = _plain(value.value)
     if value.low is not None and value.high is not None:
         text += f" [{_plain(value.low)}, {_plain(value.high)}]"
-    text = text if value.unit in ("", "1") else f"{text} {value.unit}"
+    text = _with_unit(text, value.unit)
     return f"{text} ({value.meaning})" if value.meaning else text
+
+
+def quantity(value: float, unit: str) -> str:
+    """Write a number with its unit."""
+    return _with_unit(_plain(value), unit)
+
+
+def _with_unit(text: str, unit: str) -> str:
+    return text if unit in ("", "1") else f"{text} {unit}"
 
 
 def _unknown(unknown: Unknown | None, effects: int) -> str:

@@ -1,7 +1,7 @@
-"""Write `diagnosis.json`, `report.html`, `gap.csv` and `effect.toml`, each whole or not at all."""
+"""Write `diagnosis.json`, `report.html`, `gap.csv` and `effect.toml`, all of them or none."""
 
 import os
-import uuid
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,19 +16,40 @@ from orbitfb.effects.registry import effect
 from orbitfb.effects.settings import EffectSettings, read_effect
 
 ANSWER, REPORT, EFFECTS, GAP = "diagnosis.json", "report.html", "effect.toml", "gap.csv"
+_FILES = (ANSWER, REPORT, GAP, EFFECTS)
+_UNKNOWN_RING = "unknown-ring"
+"""The check that looks for the names in the places table."""
+_OF_ANOTHER_RING = (
+    "The names are in no known places table: the default ring cannot have these effects. Give the "
+    "places table of your ring, to `orbitfb run` as ring.places of the configuration."
+)
 
 
 def check_directory(directory: Path) -> None:
     """See to it that a diagnosis can be written, before the work for it; make nothing.
 
     Raises:
-        RecordError: It is a file, or cannot be made or written to.
+        RecordError: It is a file, or cannot be made or written to; or a directory stands where a
+            file is to be.
     """
     nearest = directory
-    while not nearest.exists() and nearest != nearest.parent:
-        nearest = nearest.parent
-    if not nearest.is_dir():
-        raise RecordError(f"--out {directory}: {nearest} is no directory; name one, or a new one")
+    try:
+        while not nearest.exists() and nearest != nearest.parent:
+            nearest = nearest.parent
+        if not nearest.is_dir():
+            raise RecordError(
+                f"--out {directory}: {nearest} is no directory; name one, or a new one"
+            )
+        taken = [name for name in _FILES if (directory / name).is_dir()]
+    except OSError as error:
+        raise RecordError(
+            f"--out {directory}: cannot be looked at ({error.strerror}); name another directory"
+        ) from error
+    if taken:
+        raise RecordError(
+            f"--out {directory}: {directory / taken[0]} is a directory where a file is to be "
+            "written; remove it, or name another directory"
+        )
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise RecordError(
             f"--out {directory}: {nearest} cannot be written to; name another directory"
@@ -38,6 +59,8 @@ def check_directory(directory: Path) -> None:
 def write(its: Diagnosis, directory: Path) -> tuple[Path, ...]:
     """Write the files of a diagnosis; what an earlier one left is replaced.
 
+    All are made before the first is replaced: whoever interrupts this keeps the old ones.
+
     Args:
         its: The diagnosis.
         directory: Where; made when it is not there.
@@ -46,31 +69,36 @@ def write(its: Diagnosis, directory: Path) -> tuple[Path, ...]:
         The files written.
 
     Raises:
-        RecordError: They cannot be written; each is then the old one or the new one.
+        RecordError: They cannot be written; those there are the old ones.
         ConfigError: A cause is no effect that the simulator could have.
     """
+    check_directory(directory)
+    texts = {ANSWER: document(its), REPORT: page(its)}
+    if not its.failed:
+        texts |= {GAP: gap_csv(its), EFFECTS: fragment(its)}
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        _replace(directory / ANSWER, document(its))
-        _replace(directory / REPORT, page(its))
-        if its.failed:
-            for stale in (EFFECTS, GAP):
-                (directory / stale).unlink(missing_ok=True)
-            return directory / ANSWER, directory / REPORT
-        _replace(directory / GAP, gap_csv(its))
-        _replace(directory / EFFECTS, fragment(its))
+        with tempfile.TemporaryDirectory(prefix=".new.", dir=directory) as made:
+            for name, text in texts.items():
+                _write_through(Path(made, name), text)
+            for name in texts:
+                Path(made, name).replace(directory / name)
+        for name in set(_FILES) - set(texts):
+            (directory / name).unlink(missing_ok=True)
     except OSError as error:
         raise RecordError(
-            f"--out {directory}: {error.filename or directory}: {error.strerror}; the files there "
-            "are whole, but may be of different diagnoses"
+            f"--out {directory}: cannot be written ({error.strerror}); make room there, or name "
+            "another directory"
         ) from error
-    return tuple(directory / name for name in (ANSWER, REPORT, GAP, EFFECTS))
+    return tuple(directory / name for name in texts)
 
 
 def fragment(its: Diagnosis) -> str:
     """Write the causes as the file of effects that gives a simulated ring the same gap."""
     said = "".join(sign for sign in its.headline if sign.isprintable())
     heading = f"orbitfb diagnose: {its.state}\n{said}"
+    if any(finding.check == _UNKNOWN_RING for finding in its.findings):
+        heading += f"\n{_OF_ANOTHER_RING}"
     return effects_toml(effects_of(its.causes), heading)
 
 
@@ -105,13 +133,8 @@ def _within(kind: EffectKind, name: str, value: float) -> float:
     return min(max(value, low), high)
 
 
-def _replace(path: Path, content: str) -> None:
-    new = path.parent / f".{path.name}.{uuid.uuid4().hex}"
-    try:
-        with new.open("x", encoding="utf-8", errors="replace") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(path)
-    finally:
-        new.unlink(missing_ok=True)
+def _write_through(path: Path, content: str) -> None:
+    with path.open("x", encoding="utf-8", errors="replace") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())

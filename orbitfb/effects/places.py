@@ -131,7 +131,8 @@ def _by_names(
             close = difflib.get_close_matches(name, there.names, n=3) or there.names[:3]
             raise ConfigError(
                 f"effect {settings.id}, names: the ring has no {there.what} called {name!r}; "
-                f"{len(set(there.names))} there are, {', '.join(close)} for some"
+                f"{len(set(there.names))} there are, {', '.join(close)} for some; devices of "
+                "another ring need its places table (ring.places of the configuration)"
             )
         found += hits
     return np.array(list(dict.fromkeys(found)), dtype=np.intp)

@@ -73,12 +73,22 @@ def read_excitation(path: Path, channels: Channels, response: Matrix, period: fl
     try:
         settings = ExcitationSettings.model_validate(tree)
     except ValidationError as error:
-        problems = "; ".join(
-            f"{'.'.join(map(str, p['loc']))}: {p['msg']}, got {p['input']!r}"
-            for p in error.errors()
-        )
-        raise ConfigError(f"--excite {path}: {problems}") from None
+        raise ConfigError(f"--excite {path}: {_problems(error)}") from None
     return design(settings, channels, response, period, f"--excite {path}")
+
+
+def _problems(error: ValidationError) -> str:
+    """Say what is wrong, each once: a list with a part that is wrong is not also too short."""
+    found = error.errors()
+    outer = {each["loc"][:depth] for each in found for depth in range(len(each["loc"]))}
+    told: list[str] = []
+    for each in found:
+        if each["loc"] not in outer:
+            where = " ".join(str(key + 1 if isinstance(key, int) else key) for key in each["loc"])
+            given = each["input"]
+            got = f", got {given!r:.60}" if isinstance(given, str | int | float) else ""
+            told.append(f"{where}: {each['msg']}{got}")
+    return "; ".join(told)
 
 
 def _from_arrays(path: Path, channels: Channels, period: float) -> Waveform:

@@ -13,6 +13,7 @@ from orbitfb.diagnose.report.html import (
     paragraph,
     percent,
     section,
+    sentence,
     table,
     text,
 )
@@ -73,7 +74,7 @@ def findings(its: Diagnosis) -> str:
         (
             f'<b style="color: {_SEVERITIES[finding.severity]}">{finding.severity}</b>',
             text(finding.check),
-            text(finding.text),
+            sentence(finding.text),
             listed(finding.devices) or "all",
             "all" if finding.rows is None else f"{finding.rows[0]}–{finding.rows[1]}",
             text(finding.effect),
@@ -129,7 +130,7 @@ def _cause(cause: Cause) -> str:
         more = figure_of(cause.departs_nats)
         facts.append(f"its law lacks what goes {cause.departs}: {more} nats")
     if cause.alternatives:
-        facts.append(f"its class: {listed(cause.alternatives)}")
+        facts.append(f"its class: {listed((cause.effect, *cause.alternatives))}")
     where = text(cause.label) or listed(cause.places) or "the whole ring"
     names = f" ({listed(cause.places)})" if cause.label and cause.places else ""
     near = (

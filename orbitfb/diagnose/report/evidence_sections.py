@@ -15,6 +15,7 @@ from orbitfb.diagnose.report.html import (
     paragraph,
     percent,
     section,
+    sentence,
     table,
     text,
 )
@@ -238,7 +239,7 @@ def limits(its: Diagnosis) -> str:
     else:
         pieces.append(missing("Detectable sizes"))
     if its.not_tested:
-        rows = [(text(one.effect), text(one.reason)) for one in its.not_tested]
+        rows = [(text(one.effect), sentence(one.reason)) for one in its.not_tested]
         pieces += ["<h3>Not tested</h3>", table(("effect", "reason"), rows)]
     return section("limits", "What this record can and cannot tell", *pieces)
 
@@ -265,7 +266,7 @@ def _audit(its: Audit) -> list[str]:
                 figure_of(test.limit),
                 '<span class="flag">flagged</span>' if test.flagged else "passed",
                 figure_of(test.nats),
-                text(test.note),
+                sentence(test.note) if test.note else "",
             )
             for test in its.tests
         ]

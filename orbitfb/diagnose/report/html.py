@@ -10,8 +10,9 @@ body { font: 15px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 72rem;
   padding: 1.5rem 1.25rem 4rem; color: var(--ink); background: #fff }
 h1 { font-size: 1.5rem; margin: 0 0 .2rem } h2 { font-size: 1.2rem; margin: 2.4rem 0 .4rem;
   padding-top: .6rem; border-top: 1px solid var(--line) } h3 { font-size: 1rem; margin: 1.2rem 0 0 }
-p { margin: .5rem 0; max-width: 60rem } nav { margin: 1rem 0; font-size: .9rem }
-nav a { margin-right: 1rem; color: #0072b2; white-space: nowrap }
+p { margin: .5rem 0; max-width: 60rem }
+nav { display: flex; flex-wrap: wrap; gap: 0 1rem; margin: 1rem 0; font-size: .9rem }
+nav a { color: #0072b2; white-space: nowrap }
 .source, .note, figcaption { color: var(--soft); font-size: .88rem }
 .card { border: 1px solid var(--line); border-left: .5rem solid var(--badge, #5b6670);
   border-radius: .4rem; padding: 1rem 1.2rem; margin: 1rem 0; background: var(--fill) }
@@ -26,7 +27,7 @@ nav a { margin-right: 1rem; color: #0072b2; white-space: nowrap }
 .wide { overflow-x: auto } table { border-collapse: collapse; margin: .6rem 0;
   font-variant-numeric: tabular-nums; font-size: .92rem }
 th, td { border-bottom: 1px solid var(--line); padding: .25rem .7rem .25rem 0; text-align: left;
-  vertical-align: top } th { color: var(--soft); font-weight: 600 }
+  vertical-align: top } .sentence { min-width: 16rem } th { color: var(--soft); font-weight: 600 }
 .missing { color: var(--soft); border: 1px dashed var(--line); padding: .4rem .7rem;
   border-radius: .3rem; font-style: italic }
 figure { margin: .8rem 0 } figure img { max-width: 100%; height: auto; display: block }
@@ -71,6 +72,11 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     head = "".join(f"<th>{cell}</th>" for cell in heads)
     body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>" for row in rows)
     return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
+
+
+def sentence(content: str) -> str:
+    """Write a cell of a table that stays wide enough for a sentence, on any screen."""
+    return f'<div class="sentence">{text(content)}</div>'
 
 
 def paragraph(content: str, kind: str = "") -> str:

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from orbitfb.cli.app import app
 from orbitfb.core.errors import ConfigError, RecordError
-from orbitfb.diagnose import writing
+from orbitfb.diagnose import answer_parts, writing
 from orbitfb.diagnose.answer import read_diagnosis
 from orbitfb.diagnose.budget import SEARCH_SECONDS
 from orbitfb.diagnose.finding import Finding
@@ -94,6 +94,15 @@ def test_a_record_is_answered_with_its_files_beside_it(engine, record, tmp_path,
     assert engine.search_seconds == SEARCH_SECONDS
 
 
+def test_a_cause_stands_in_one_line_where_there_is_no_terminal(engine, record):
+    cause = examples.lag_cause().model_copy(update={"alternatives": ("corrector-slew",)})
+    engine.answer = examples.named(causes=(cause,))
+    lines = run(record).stdout.splitlines()
+    (row,) = (line for line in lines if line.startswith("corrector-lag "))
+    assert "tau = 0.093 [0.088, 0.098] s" in row
+    assert row.rstrip().endswith(" corrector-lag, corrector-slew")
+
+
 def test_the_word_record_may_be_typed_and_options_may_come_first(engine, record, tmp_path):
     assert run("record", record).exit_code == 0
     assert run("--out", tmp_path / "here", record).exit_code == 0
@@ -160,6 +169,15 @@ def test_a_headline_cannot_write_into_the_fragment():
     assert len(tomllib.loads(writing.fragment(its))["effect"]) == 1
 
 
+def test_the_fragment_of_an_unknown_ring_says_that_the_default_ring_cannot_use_it():
+    strange = answer_parts.Finding(check="unknown-ring", severity="note", text="in no table")
+    assert "ring.places" not in writing.fragment(examples.named())
+    fragment = writing.fragment(examples.named(findings=(strange,)))
+    assert "# The names are in no known places table: the default ring cannot" in fragment
+    assert "ring.places" in fragment
+    assert len(tomllib.loads(fragment)["effect"]) == 1
+
+
 def test_a_record_that_is_not_intact_ends_with_3_and_its_findings(engine, record, tmp_path):
     out = tmp_path / "shift.diagnosis"
     run(record)
@@ -198,6 +216,57 @@ def test_a_directory_that_is_a_file_is_refused_before_the_work(engine, record, t
 
 def test_a_plane_that_there_is_not_is_refused(engine, record):
     assert isinstance(run(record, "--planes", "z").exception, ConfigError)
+
+
+@pytest.mark.parametrize("out", ["", " "])
+def test_an_empty_name_is_not_the_current_directory(engine, record, tmp_path, monkeypatch, out):
+    monkeypatch.chdir(tmp_path)
+    result = run(record, "--out", out)
+    assert result.exit_code == 2
+    assert "it is empty" in result.output
+    assert not engine.calls
+
+
+def test_a_name_that_is_too_long_is_refused(engine, record, tmp_path):
+    result = run(record, "--out", tmp_path / ("x" * 300))
+    assert isinstance(result.exception, RecordError)
+    assert "too long" in str(result.exception)
+
+
+@pytest.mark.parametrize("name", ["diagnosis.json", "effect.toml"])
+def test_a_directory_in_the_place_of_a_file_is_refused_before_the_work(
+    engine, record, tmp_path, name
+):
+    (tmp_path / "out" / name).mkdir(parents=True)
+    result = run(record, "--out", tmp_path / "out")
+    assert isinstance(result.exception, RecordError)
+    assert f"{tmp_path / 'out' / name} is a directory" in str(result.exception)
+    assert not engine.calls
+    assert [its.name for its in (tmp_path / "out").iterdir()] == [name]
+
+
+def test_planes_that_are_not_those_of_the_model_are_the_option_s_fault(engine, record, tmp_path):
+    engine.findings = (Finding("swapped-planes", "failure", (), None, "of the other plane"),)
+    assert run(record).exit_code == 3
+    result = run(record, "--planes", "y")
+    assert isinstance(result.exception, ConfigError)
+    assert "--planes y" in str(result.exception)
+
+
+def test_whoever_interrupts_the_writing_keeps_the_old_files(engine, record, tmp_path, monkeypatch):
+    run(record)
+    out = tmp_path / "shift.diagnosis"
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    engine.answer = examples.unknown()
+
+    def interrupted(diagnosis):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writing, "fragment", interrupted)
+    result = run(record)
+    assert result.exit_code == 130
+    assert "interrupted; nothing was written" in result.stderr
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
 def test_a_write_that_fails_leaves_the_old_file_whole(monkeypatch, tmp_path):

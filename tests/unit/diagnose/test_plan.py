@@ -64,6 +64,7 @@ def test_a_weak_gain_that_a_passive_record_hides_is_seen_after_the_plan(
     rows = its.waveform().excursion
     after = Bench(recorded("corrector-gain", 50, {"gain": 0.08}, 250 + len(rows), excitation=rows))
     seen = best(after, "corrector-gain", 50, [{"gain": 0.08}])
+    assert its.experiment.text.startswith("To see corrector-gain of 0.08 better: ")
     assert hidden.gain < 0.5 * ENOUGH
     assert seen.gain > hidden.gain + 0.5 * ENOUGH
     assert seen.causes[0].values["gain"] == pytest.approx(0.08, abs=0.02)
@@ -127,6 +128,9 @@ def test_what_no_corrector_can_split_is_said_in_words(weak: tuple[Bench, Plan]) 
     its = plan(bench, missed, [jitter])
     assert its.settings is None
     assert "time stamps" in its.experiment.text
+    assert "helps to tell missed-write from clock-jitter. Beyond the limits, or without" in (
+        its.experiment.text
+    )
     with pytest.raises(EstimationError, match="nothing to run"):
         its.waveform()
 

@@ -3,12 +3,14 @@
 import base64
 import functools
 import re
+from html import escape
 from html.parser import HTMLParser
 from xml.etree import ElementTree
 
 import examples
 import pytest
 
+from orbitfb.diagnose.report import answer_sections
 from orbitfb.diagnose.report.page import page
 
 HOSTILE = "<script>alert(1)</script>\"'&$x^$\x1b[2J\u202e"
@@ -143,3 +145,16 @@ def test_names_from_a_record_can_neither_run_nor_break_a_picture():
 
 def test_the_same_diagnosis_gives_the_same_page():
     assert page(examples.unknown()) == drawn("unknown")
+
+
+def test_on_a_narrow_screen_links_wrap_and_sentences_stay_wide(rich):
+    assert re.search(r"nav \{[^}]*flex-wrap: wrap", rich)
+    assert re.search(r"\.sentence \{[^}]*min-width: 16rem", rich)
+    told = re.findall(r'<td><div class="sentence">(.*?)</div></td>', rich)
+    assert escape(examples.named().findings[0].text) in told
+
+
+def test_the_class_of_a_cause_has_the_cause_itself_in_it():
+    cause = examples.lag_cause().model_copy(update={"alternatives": ("corrector-slew",)})
+    said = answer_sections.causes(examples.named(causes=(cause,)))
+    assert "its class: corrector-lag, corrector-slew" in said

@@ -161,6 +161,7 @@ def test_places(layout, both_planes):
     ("text", "words"),
     [
         ("example-gain:names=PL1A_C01", "no correctors called 'PL1A_C01'"),
+        ("example-gain:names=C5", "of another ring need its places table"),
         ("example-gain:cells=31", "'31' is no cell with correctors"),
         ("example-gain:planes=y", "no correctors are left in planes y"),
         ("example-ring:cells=3", "is on the whole ring"),

@@ -161,13 +161,28 @@ def test_wrong_arrays(tmp_path, arrays, words):
         ('[[part]]\nkind="prbs"\namplitude=1\nduration=1', "either modes or correctors"),
         ('[[part]]\nkind="prbs"\nmodes=[5]\namplitude=1\nduration=1', "numbered from 1 to 4"),
         ('[[part]]\nkind="prbs"\nmodes=[1]\namplitude=[1,2]\nduration=1', "2 amplitudes for 1"),
-        ('[[part]]\nkind="sine"\nmodes=[1]\namplitude=1\nduration=1', "part.0.kind"),
+        ('[[part]]\nkind="sine"\nmodes=[1]\namplitude=1\nduration=1', "part 1 kind: .*got .sine."),
     ],
 )
 def test_wrong_descriptions(tmp_path, text, words):
     path = tmp_path / "excite.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=words):
+        read_excitation(path, CHANNELS, RESPONSE, 0.1)
+
+
+def test_a_wrong_part_is_told_once_and_a_file_is_not_printed(tmp_path):
+    path = tmp_path / "excite.toml"
+    path.write_text(
+        '[[part]]\nkind = "prbs"\nmodes = [1]\namplitude = 1\nhold = 0\nduration = nan\n'
+    )
+    with pytest.raises(ConfigError) as raised:
+        read_excitation(path, CHANNELS, RESPONSE, 0.1)
+    said = str(raised.value)
+    assert "part 1 hold: " in said and said.endswith("got nan")
+    assert "at least 1 item" not in said and "{" not in said
+    path.write_text("")
+    with pytest.raises(ConfigError, match=r"part: Field required$"):
         read_excitation(path, CHANNELS, RESPONSE, 0.1)
 
 
