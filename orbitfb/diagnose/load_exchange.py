@@ -41,21 +41,14 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
         if name in raw.numbers and name != "model_R"
     }
     time = _time(raw, scaled, rows, meta, found)
-    if "next_orbit" in scaled:
-        follows = _following(raw, scaled["orbit"], scaled["next_orbit"])
-    else:
-        follows = np.ones(rows - 2, dtype=np.bool_)
+    made = "next_orbit" not in scaled
+    if made:
         found.append(_made("next_orbit", "the orbit of the row after it is taken instead"))
-        scaled = {name: values[:-1] for name, values in scaled.items() if name != "reference"} | {
-            "next_orbit": scaled["orbit"][1:],
-            **({"reference": _reference(scaled, rows)[:-1]} if "reference" in scaled else {}),
-        }
-        time = time[:-1]
+        scaled["next_orbit"] = np.roll(scaled["orbit"], -1, axis=0)
+        follows = np.ones(rows - 1, dtype=np.bool_)
+    else:
+        follows = _following(raw, scaled["orbit"], scaled["next_orbit"])
     _complete_currents(scaled, follows, found)
-    if len(time) < FEWEST_ROWS:
-        raise raw.wrong(
-            "orbit", f"has {len(time)} rows", f"a diagnosis needs {FEWEST_ROWS}, better 1000"
-        )
     transition = Transition(
         time=time,
         orbit=scaled["orbit"],
@@ -65,9 +58,15 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
         follows=follows,
         readback=scaled.get("readback"),
         dither=scaled.get("dither"),
-        reference=_reference(scaled, len(time)) if "reference" in scaled else None,
-        auxiliary=_auxiliary(raw, scaled, len(time)),
+        reference=_reference(scaled, rows) if "reference" in scaled else None,
+        auxiliary=_auxiliary(raw, scaled, rows),
     )
+    if made:  # the last row has no row after it
+        transition = transition.take(np.arange(rows) < rows - 1)
+    if len(transition) < FEWEST_ROWS:
+        raise raw.wrong(
+            "orbit", f"has {len(transition)} rows", f"a diagnosis needs {FEWEST_ROWS}, better 1000"
+        )
     return transition, found
 
 
@@ -207,9 +206,9 @@ def _complete_currents(scaled: dict[str, Vector], follows: Mask, found: list[Fin
             )
         )
     elif "action" not in scaled:
-        step = np.zeros_like(scaled["setpoint"])
-        step[:-1] = np.diff(scaled["setpoint"], axis=0) * follows[:, None]
-        scaled["action"] = step
+        step = np.full_like(scaled["setpoint"], np.nan)
+        step[:-1][follows] = np.diff(scaled["setpoint"], axis=0)[follows]
+        scaled["action"] = step  # NaN where no next row tells it
         found.append(
             _made("action", "the change of setpoint is taken instead: lost writes do not show")
         )
