@@ -15,6 +15,9 @@ _NEEDED = ("orbit", "bpm_names", "corr_names")
 _EXACT = 1e-6
 """Share of the largest value by which equal numbers may differ after a change of their type."""
 
+_LARGEST = 1e30
+"""Beyond any measurement, whatever its unit; the inverse is below any."""
+
 _NOWHERE = 0.2
 
 
@@ -33,6 +36,7 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
     for name in NUMBERS:
         if name in raw.numbers:
             _check_finite(raw, name)
+            _check_size(raw, name)
     found: list[Finding] = []
     rows = shapes[0]
     scaled = {
@@ -127,6 +131,17 @@ def _check_finite(raw: Raw, name: str) -> None:
         f"is {value} in row {where[0]}{column} ({int(bad.sum())} such values)",
         "leave such rows out, or save what was read",
     )
+
+
+def _check_size(raw: Raw, name: str) -> None:
+    """See that squares of the values are numbers, and not all zero."""
+    largest = float(np.abs(raw.numbers[name]).max(initial=0.0))
+    if largest and not 1.0 / _LARGEST < largest < _LARGEST:
+        raise raw.wrong(
+            name,
+            f"is at most {largest:.3g}",
+            "no unit makes that a measurement; save what was read",
+        )
 
 
 def _column(raw: Raw, name: str, column: int) -> str:

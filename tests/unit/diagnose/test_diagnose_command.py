@@ -104,13 +104,17 @@ def test_the_word_record_may_be_typed_and_options_may_come_first(engine, record,
 
 
 def test_reference_and_later_record_reach_the_engine(engine, record, tmp_path):
-    quiet, later = tmp_path / "quietly.npz", tmp_path / "afterwards.npz"
+    quiet, later = tmp_path / "quiet1.npz", tmp_path / "later12.npz"
     quiet.write_bytes(b"")
     later.write_bytes(b"")
     options = ("--reference", quiet, "--holdout", later, "--search-seconds", 20)
     assert run(record, *options).exit_code == 0
     assert engine.search_seconds == 20.0
-    assert [its.name for its in engine.calls[0][:3]] == ["shift.npz", "quietly.npz", "afterwards.npz"]
+    assert [its.name for its in engine.calls[0][:3]] == [
+        "shift.npz",
+        "quiet1.npz",
+        "later12.npz",
+    ]
 
 
 @pytest.mark.parametrize("option", ["--reference", "--holdout"])
