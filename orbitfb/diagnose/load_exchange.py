@@ -10,6 +10,7 @@ from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.load_meta import Meta
 from orbitfb.diagnose.load_raw import CURRENTS, NUMBERS, VECTORS, Raw
 from orbitfb.diagnose.load_rows import FEWEST_ROWS, Transition
+from orbitfb.diagnose.load_time import time_of
 
 _NEEDED = ("orbit", "bpm_names", "corr_names")
 _EXACT = 1e-6
@@ -44,7 +45,9 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
         for name in NUMBERS
         if name in raw.numbers and name != "model_R"
     }
-    time = _time(raw, scaled, rows, meta, found)
+    time = time_of(raw, scaled.get("t"), rows, meta.period)
+    if "t" not in scaled:
+        found.append(_made("t", f"rows are taken to be {meta.period:g} s apart, without gaps"))
     made = "next_orbit" not in scaled
     if made:
         found.append(_made("next_orbit", "the orbit of the row after it is taken instead"))
@@ -149,27 +152,6 @@ def _column(raw: Raw, name: str, column: int) -> str:
     names = raw.texts.get(array, ())
     device = f" ({names[column]})" if name != "model_R" and column < len(names) else ""
     return f", column {column}{device}"
-
-
-def _time(
-    raw: Raw, scaled: dict[str, Vector], rows: int, meta: Meta, found: list[Finding]
-) -> Vector:
-    if "t" not in scaled:
-        if meta.period is None:
-            raise raw.wrong("t", "is missing, and meta gives no dt_s", "add the time of every row")
-        found.append(_made("t", f"rows are taken to be {meta.period:g} s apart, without gaps"))
-        return np.arange(rows, dtype=np.float64) * meta.period
-    time = scaled["t"]
-    back = np.flatnonzero(np.diff(time) <= 0)
-    if len(back):
-        row = int(back[0]) + 1
-        raise raw.wrong(
-            "t",
-            f"does not increase at row {row}: {time[row]:.6f} s after {time[row - 1]:.6f} s "
-            f"({len(back)} such rows)",
-            "put the rows in the order in which they were read, each once",
-        )
-    return time
 
 
 def _following(raw: Raw, orbit: Vector, next_orbit: Vector) -> Mask:

@@ -73,6 +73,7 @@ WRONG = {
     "NaN in model": (put("model_R", 2, np.nan), ["'model_R'", "row 2"]),
     "time goes back": (put("t", 60, 1.0), ["'t'", "row 60", "does not increase"]),
     "time stands": (replace("t", np.zeros_like), ["'t'", "row 1"]),
+    "time of float32": (replace("t", lambda a: (a + 1.7e9).astype("f4")), ["'t'", "float32"]),
     "next orbit is the orbit": (
         lambda made: made.update(next_orbit=made["orbit"]),
         ["'next_orbit'", "row 0", "orbit itself"],
