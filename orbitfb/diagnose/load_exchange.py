@@ -93,12 +93,19 @@ def _check_shapes(raw: Raw) -> tuple[int, int, int]:
     """See that all arrays fit together, shape (T, n, m) of the record."""
     orbit = raw.numbers["orbit"]
     moved = "action" if "action" in raw.numbers else "setpoint"
-    for name in ("orbit", moved):
-        if raw.numbers[name].ndim != 2 or 0 in raw.numbers[name].shape:
+    for name, names in (("orbit", "bpm_names"), (moved, "corr_names")):
+        shape, devices = raw.numbers[name].shape, len(raw.texts[names])
+        if len(shape) != 2 or 0 in shape:
             raise raw.wrong(
                 name,
-                f"has shape {raw.numbers[name].shape}",
+                f"has shape {shape}",
                 "give one row per tick (at least one) and one column per device",
+            )
+        if shape[0] == devices != shape[1]:
+            raise raw.wrong(
+                name,
+                f"has shape {shape}, and {names} has {devices} names: its rows are devices",
+                "transpose it, and every other array that lies so: rows are ticks",
             )
     rows, n = orbit.shape
     m = raw.numbers[moved].shape[1]

@@ -52,6 +52,11 @@ def read_hdf5(path: Path, largest: int) -> Raw:
     try:
         with h5py.File(path, "r") as file:
             found = _datasets(path, file)
+            if not found and len(file):
+                raise RecordError(
+                    f"{path}: holds only groups ({', '.join(list(file)[:5])}); put "
+                    "the arrays of the record into the root of the file"
+                )
             size = sum(int(np.prod(d.shape, dtype=object)) * d.dtype.itemsize for d in found)
             if size > largest:
                 raise RecordError(

@@ -92,6 +92,7 @@ WRONG = {
     ),
     "too few rows in action": (replace("action", lambda a: a[:-1]), ["'action'", "(119, 10)"]),
     "orbit turned": (replace("next_orbit", np.transpose), ["'next_orbit'", "transpose it"]),
+    "only orbit turned": (replace("orbit", np.transpose), ["'orbit'", "12 names", "transpose"]),
     "model turned": (replace("model_R", np.transpose), ["'model_R'", "(10, 12)", "transpose it"]),
     "orbit of one dimension": (replace("orbit", np.ravel), ["'orbit'", "shape"]),
     "orbit of three dimensions": (replace("orbit", lambda a: a[None]), ["'orbit'", "shape"]),
@@ -261,6 +262,10 @@ def test_a_link_out_of_an_hdf5_file(tmp_path):
         file.create_dataset("orbit", shape=(10**6, 10**6), chunks=(10, 10), dtype="f8")
     with pytest.raises(RecordError, match="are allowed"):
         load(tmp_path / "large.h5")
+    with h5py.File(tmp_path / "group.h5", "w") as file:
+        file["lab/orbit"] = np.zeros((3, 3))
+    with pytest.raises(RecordError, match=r"holds only groups \(lab\)"):
+        load(tmp_path / "group.h5")
 
 
 def test_planes_and_models_that_do_not_fit(tmp_path):
