@@ -149,7 +149,7 @@ def _check_size(raw: Raw, name: str) -> None:
     if largest and not 1.0 / _LARGEST < largest < _LARGEST:
         raise raw.wrong(
             name,
-            f"is at most {largest:.3g}",
+            f"has {largest:.3g} as its largest value",
             "no unit makes that a measurement; save what was read",
         )
 
@@ -214,7 +214,11 @@ def _complete_currents(scaled: dict[str, Vector], follows: Mask, found: list[Fin
         step[:-1][follows] = np.diff(scaled["setpoint"], axis=0)[follows]
         scaled["action"] = step  # NaN where no next row tells it
         found.append(
-            _made("action", "the change of setpoint is taken instead: lost writes do not show")
+            _made(
+                "action",
+                "the change of setpoint is taken instead, and the last row of every stretch is "
+                "left out: lost writes do not show",
+            )
         )
 
 
