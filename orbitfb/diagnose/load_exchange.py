@@ -10,10 +10,14 @@ from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.load_meta import Meta
 from orbitfb.diagnose.load_raw import CURRENTS, NUMBERS, VECTORS, Raw
 from orbitfb.diagnose.load_rows import FEWEST_ROWS, Transition
+from orbitfb.diagnose.load_time import time_of
 
 _NEEDED = ("orbit", "bpm_names", "corr_names")
 _EXACT = 1e-6
 """Share of the largest value by which equal numbers may differ after a change of their type."""
+
+_LARGEST = 1e30
+"""Beyond any measurement, whatever its unit; the inverse is below any."""
 
 _NOWHERE = 0.2
 
@@ -33,6 +37,7 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
     for name in NUMBERS:
         if name in raw.numbers:
             _check_finite(raw, name)
+            _check_size(raw, name)
     found: list[Finding] = []
     rows = shapes[0]
     scaled = {
@@ -40,22 +45,17 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
         for name in NUMBERS
         if name in raw.numbers and name != "model_R"
     }
-    time = _time(raw, scaled, rows, meta, found)
-    if "next_orbit" in scaled:
-        follows = _following(raw, scaled["orbit"], scaled["next_orbit"])
-    else:
-        follows = np.ones(rows - 2, dtype=np.bool_)
+    time = time_of(raw, scaled.get("t"), rows, meta.period)
+    if "t" not in scaled:
+        found.append(_made("t", f"rows are taken to be {meta.period:g} s apart, without gaps"))
+    made = "next_orbit" not in scaled
+    if made:
         found.append(_made("next_orbit", "the orbit of the row after it is taken instead"))
-        scaled = {name: values[:-1] for name, values in scaled.items() if name != "reference"} | {
-            "next_orbit": scaled["orbit"][1:],
-            **({"reference": _reference(scaled, rows)[:-1]} if "reference" in scaled else {}),
-        }
-        time = time[:-1]
+        scaled["next_orbit"] = np.roll(scaled["orbit"], -1, axis=0)
+        follows = np.ones(rows - 1, dtype=np.bool_)
+    else:
+        follows = _following(raw, scaled["orbit"], scaled["next_orbit"])
     _complete_currents(scaled, follows, found)
-    if len(time) < FEWEST_ROWS:
-        raise raw.wrong(
-            "orbit", f"has {len(time)} rows", f"a diagnosis needs {FEWEST_ROWS}, better 1000"
-        )
     transition = Transition(
         time=time,
         orbit=scaled["orbit"],
@@ -65,9 +65,15 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
         follows=follows,
         readback=scaled.get("readback"),
         dither=scaled.get("dither"),
-        reference=_reference(scaled, len(time)) if "reference" in scaled else None,
-        auxiliary=_auxiliary(raw, scaled, len(time)),
+        reference=_reference(scaled, rows) if "reference" in scaled else None,
+        auxiliary=_auxiliary(raw, scaled, rows),
     )
+    if made:  # the last row has no row after it
+        transition = transition.take(np.arange(rows) < rows - 1)
+    if len(transition) < FEWEST_ROWS:
+        raise raw.wrong(
+            "orbit", f"has {len(transition)} rows", f"a diagnosis needs {FEWEST_ROWS}, better 1000"
+        )
     return transition, found
 
 
@@ -87,12 +93,19 @@ def _check_shapes(raw: Raw) -> tuple[int, int, int]:
     """See that all arrays fit together, shape (T, n, m) of the record."""
     orbit = raw.numbers["orbit"]
     moved = "action" if "action" in raw.numbers else "setpoint"
-    for name in ("orbit", moved):
-        if raw.numbers[name].ndim != 2 or 0 in raw.numbers[name].shape:
+    for name, names in (("orbit", "bpm_names"), (moved, "corr_names")):
+        shape, devices = raw.numbers[name].shape, len(raw.texts[names])
+        if len(shape) != 2 or 0 in shape:
             raise raw.wrong(
                 name,
-                f"has shape {raw.numbers[name].shape}",
+                f"has shape {shape}",
                 "give one row per tick (at least one) and one column per device",
+            )
+        if shape[0] == devices != shape[1]:
+            raise raw.wrong(
+                name,
+                f"has shape {shape}, and {names} has {devices} names: its rows are devices",
+                "transpose it, and every other array that lies so: rows are ticks",
             )
     rows, n = orbit.shape
     m = raw.numbers[moved].shape[1]
@@ -130,32 +143,22 @@ def _check_finite(raw: Raw, name: str) -> None:
     )
 
 
+def _check_size(raw: Raw, name: str) -> None:
+    """See that squares of the values are numbers, and not all zero."""
+    largest = float(np.abs(raw.numbers[name]).max(initial=0.0))
+    if largest and not 1.0 / _LARGEST < largest < _LARGEST:
+        raise raw.wrong(
+            name,
+            f"has {largest:.3g} as its largest value",
+            "no unit makes that a measurement; save what was read",
+        )
+
+
 def _column(raw: Raw, name: str, column: int) -> str:
     array = "bpm_names" if name in VECTORS else "corr_names"
     names = raw.texts.get(array, ())
     device = f" ({names[column]})" if name != "model_R" and column < len(names) else ""
     return f", column {column}{device}"
-
-
-def _time(
-    raw: Raw, scaled: dict[str, Vector], rows: int, meta: Meta, found: list[Finding]
-) -> Vector:
-    if "t" not in scaled:
-        if meta.period is None:
-            raise raw.wrong("t", "is missing, and meta gives no dt_s", "add the time of every row")
-        found.append(_made("t", f"rows are taken to be {meta.period:g} s apart, without gaps"))
-        return np.arange(rows, dtype=np.float64) * meta.period
-    time = scaled["t"]
-    back = np.flatnonzero(np.diff(time) <= 0)
-    if len(back):
-        row = int(back[0]) + 1
-        raise raw.wrong(
-            "t",
-            f"does not increase at row {row}: {time[row]:.6f} s after {time[row - 1]:.6f} s "
-            f"({len(back)} such rows)",
-            "put the rows in the order in which they were read, each once",
-        )
-    return time
 
 
 def _following(raw: Raw, orbit: Vector, next_orbit: Vector) -> Mask:
@@ -207,11 +210,15 @@ def _complete_currents(scaled: dict[str, Vector], follows: Mask, found: list[Fin
             )
         )
     elif "action" not in scaled:
-        step = np.zeros_like(scaled["setpoint"])
-        step[:-1] = np.diff(scaled["setpoint"], axis=0) * follows[:, None]
-        scaled["action"] = step
+        step = np.full_like(scaled["setpoint"], np.nan)
+        step[:-1][follows] = np.diff(scaled["setpoint"], axis=0)[follows]
+        scaled["action"] = step  # NaN where no next row tells it
         found.append(
-            _made("action", "the change of setpoint is taken instead: lost writes do not show")
+            _made(
+                "action",
+                "the change of setpoint is taken instead, and the last row of every stretch is "
+                "left out: lost writes do not show",
+            )
         )
 
 

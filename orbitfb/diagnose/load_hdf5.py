@@ -1,5 +1,6 @@
 """Read the exchange format's arrays from the root of an HDF5 file."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,11 @@ def read_hdf5(path: Path, largest: int) -> Raw:
     try:
         with h5py.File(path, "r") as file:
             found = _datasets(path, file)
+            if not found and len(file):
+                raise RecordError(
+                    f"{path}: holds only groups ({', '.join(list(file)[:5])}); put "
+                    "the arrays of the record into the root of the file"
+                )
             size = sum(int(np.prod(d.shape, dtype=object)) * d.dtype.itemsize for d in found)
             if size > largest:
                 raise RecordError(
@@ -59,6 +65,7 @@ def read_hdf5(path: Path, largest: int) -> Raw:
                 )
             arrays = {str(d.name).strip("/"): _read(path, d) for d in found}
             arrays = {name: array for name, array in arrays.items() if array is not None}
+            units = {canonical(str(d.name).strip("/")): _unit(d) for d in found}
             if "meta" not in arrays and isinstance(text := file.attrs.get("meta"), str):
                 arrays["meta"] = np.array(text[:LONGEST_TEXT])
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
@@ -67,7 +74,14 @@ def read_hdf5(path: Path, largest: int) -> Raw:
         raise RecordError(
             f"{path}: its arrays do not fit into the memory; cut the record into pieces"
         ) from error
-    return sort_arrays(path, arrays)
+    stated = {name: unit for name, unit in units.items() if unit and name in NUMBERS}
+    return replace(sort_arrays(path, arrays), units=stated)
+
+
+def _unit(dataset: h5py.Dataset) -> str:
+    unit = dataset.attrs.get("units", "")
+    text = unit.decode(errors="replace") if isinstance(unit, bytes) else unit
+    return text.strip() if isinstance(text, str) else ""
 
 
 def _datasets(path: Path, file: h5py.File) -> list[h5py.Dataset]:

@@ -1,11 +1,12 @@
 """What the text `meta` of a record says, and units."""
 
+import difflib
 import json
-import math
+import re
 from dataclasses import dataclass
 from typing import Any
 
-from orbitfb.diagnose.load_raw import Raw
+from orbitfb.diagnose.load_raw import NUMBERS, Raw, canonical
 
 _SIZES = {
     "orbit": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
@@ -18,6 +19,8 @@ _SIZES = {
 _USUAL = {"orbit": "mm", "action": "A", "model_R": "mm/A", "t": "s"}
 _ALSO = {"next_orbit": "orbit", "reference": "orbit", "setpoint": "action", "dither": "action"}
 _ALSO["readback"] = "action"
+_UNUSUAL = {unit for kind in _USUAL for unit in _SIZES[kind]} - set(_USUAL.values())
+_ALIKE = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,7 @@ class Meta:
             return _guessed(raw, name)
         if unit not in _SIZES[kind]:
             raise raw.wrong(
-                "meta",
+                name if raw.units.get(name) == unit else "meta",
                 f"says that {name} is in {unit!r}",
                 f"use one of {', '.join(_SIZES[kind])}, or leave units.{name} out",
             )
@@ -77,7 +80,7 @@ def read_meta(raw: Raw) -> Meta:
         planes=_planes(raw, content),
         bpm_planes=_each_plane(raw, content, "bpm_planes"),
         corr_planes=_each_plane(raw, content, "corr_planes"),
-        units=_units(content.get("units")),
+        units=_units(raw, content.get("units")),
     )
 
 
@@ -86,8 +89,8 @@ def _period(raw: Raw, content: dict[str, Any]) -> float | None:
     if period is None:
         return None
     number = isinstance(period, int | float) and not isinstance(period, bool)
-    if not number or not math.isfinite(period) or not 0 < period < 1e6:
-        raise raw.wrong("meta", f"has dt_s = {period!r}", "give the period in seconds, above 0")
+    if not number or not 0 < period < 1e6:  # an integer may be too long for a float
+        raise raw.wrong("meta", f"has dt_s = {period!r:.40}", "give the period in seconds, above 0")
     return float(period)
 
 
@@ -108,11 +111,39 @@ def _each_plane(raw: Raw, content: dict[str, Any], key: str) -> tuple[str, ...]:
     return tuple(planes)
 
 
-def _units(units: Any) -> dict[str, str]:
-    """Take units by array; free text about units is for people."""
-    if not isinstance(units, dict):
-        return {}
-    return {str(k): v.strip() for k, v in units.items() if isinstance(v, str)}
+def _units(raw: Raw, units: Any) -> dict[str, str]:
+    """Take units by array, from `meta` and from beside the arrays."""
+    advice = 'write "units": {"orbit": "um"}, one text for every array in another unit than usual'
+    if isinstance(units, str) and not _UNUSUAL & set(re.findall(r"[\w/]+", units)):
+        units = None  # for people
+    if not isinstance(units, dict | None):
+        raise raw.wrong("meta", f"has units = {units!r:.40}, which says not of what", advice)
+    stated: dict[str, str] = {}
+    for key, unit in (units or {}).items():
+        name = canonical(key)
+        near = difflib.get_close_matches(name, NUMBERS, 1, _ALIKE)
+        if near and name not in raw.numbers and name not in NUMBERS:
+            raise raw.wrong(
+                "meta", f"gives a unit of {key!r}, which is no array", f"do you mean {near[0]}?"
+            )
+        if not isinstance(unit, str | None):
+            raise raw.wrong("meta", f"has units.{key} = {unit!r:.40}", advice)
+        if unit:
+            stated[name] = unit.strip()
+    for name, unit in raw.units.items():
+        said = stated.get(name, stated.get(_ALSO.get(name, name), unit))
+        if said != unit:
+            raise raw.wrong(
+                name, f"is in {unit!r} by its attribute, in {said!r} by meta", "correct one of them"
+            )
+    stated = dict(raw.units) | stated
+    if "orbit" not in stated and stated.get("next_orbit", _USUAL["orbit"]) != _USUAL["orbit"]:
+        raise raw.wrong(
+            "orbit",
+            f"has no unit, but next_orbit is said to be in {stated['next_orbit']!r}",
+            "state the unit of both: units.orbit in meta holds for both",
+        )
+    return stated
 
 
 def _guessed(raw: Raw, name: str) -> float:

@@ -167,6 +167,12 @@ def known_ring(raw: Raw, named: Sequence[Named], ring: Ring) -> tuple[Ring | Non
     if not strange:
         return ring, []
     each, row = strange[0]
+    if set(each.names) <= set(ring.names("COR" if _KINDS[each.array] == "BPM" else "BPM")):
+        raise raw.wrong(
+            each.array,
+            f"has {each.names[row]!r} in row {row} and only devices of the other kind",
+            "exchange bpm_names and corr_names",
+        )
     if total - len(strange) >= _MOSTLY * total:
         near = difflib.get_close_matches(each.names[row], ring.names(_KINDS[each.array]), 1)
         hint = f" (do you mean {near[0]}?)" if near else ""
@@ -179,7 +185,7 @@ def known_ring(raw: Raw, named: Sequence[Named], ring: Ring) -> tuple[Ring | Non
     return None, [
         Finding(
             "unknown-ring",
-            "note",
+            "warning",
             (),
             None,
             f"{len(strange)} of {total} names, first {each.names[row]!r}, are in no known places "

@@ -1,7 +1,7 @@
 """The arrays of a record as they lie in a file, before anything is believed of them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +47,13 @@ class Raw:
         path: The file.
         numbers: Arrays of finite or not finite float64.
         texts: Lists of texts; `meta` is a list of one.
+        units: What the file says beside an array of its unit.
     """
 
     path: Path
     numbers: Mapping[str, Vector]
     texts: Mapping[str, tuple[str, ...]]
+    units: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def wrong(self, array: str, problem: str, advice: str) -> RecordError:
         """Make the error about one array."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfb.core.errors import RecordError
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.digest import digest_of
 from orbitfb.diagnose.finding import Finding
@@ -16,6 +17,9 @@ from orbitfb.physics.places import Indices
 
 FEWEST_ROWS = 30
 """Fewest transitions of which anything can be said."""
+
+_ROUNDING = 0.05
+"""Most that setpoints may be beside the sums of the actions, of the actions' rms [1]."""
 
 _GAP = 0.6
 _ABOUT = 4
@@ -109,9 +113,20 @@ def join(rows: Transition, layout: Layout, source: str) -> tuple[Record, list[Fi
         source: Where they came from, for people.
     """
     jumps = time_jumps(rows.time, layout.period)
-    broken = ~rows.follows | jumps
-    ends = np.append(broken, True)
-    begins = np.insert(broken, 0, True)
+    # What follows over a jump of the clock is the orbit of much later.
+    late = np.append(rows.follows & jumps, False)
+    whole, rows = rows, replace(rows, follows=rows.follows & ~jumps)
+    after = _after(rows)
+    known = np.isfinite(after).all(axis=1) & ~late
+    if known.sum() < FEWEST_ROWS:
+        raise RecordError(
+            f"{source}: of {int(known.sum())} of {len(rows)} rows it is known what the correctors "
+            f"did until the next orbit, {FEWEST_ROWS} are needed; give 'action', and rows in the "
+            "order in which they were read"
+        )
+    rows, after = rows.take(known), after[known]
+    ends = np.append(~rows.follows, True)
+    begins = np.insert(~rows.follows, 0, True)
     # Place of every transition's row in the record, and of the extra row of every stretch.
     position = np.arange(len(rows)) + np.concatenate([[0], np.cumsum(ends[:-1])])
     extra = position[ends] + 1
@@ -122,17 +137,16 @@ def join(rows: Transition, layout: Layout, source: str) -> tuple[Record, list[Fi
         out[position], out[extra] = columns, last
         return out
 
-    after = rows.setpoints[ends] + rows.requested[ends]
     readings = spread(rows.orbit, rows.next_orbit[ends])
-    setpoints = spread(rows.setpoints, after)
+    setpoints = spread(rows.setpoints, after[ends])
     starts = np.zeros(total, dtype=np.bool_)
     starts[position[begins]] = True
     filled = ~np.isfinite(readings)
     time = spread(rows.time, rows.time[ends] + layout.period) - rows.time[0]
-    requested = spread(rows.requested, np.full_like(after, np.nan))
+    requested = spread(rows.requested, np.full_like(after[ends], np.nan))
     readback = None
     if rows.readback is not None:
-        readback = spread(rows.readback, rows.readback[ends] + rows.requested[ends])
+        readback = spread(rows.readback, (rows.readback + after - rows.setpoints)[ends])
     record = Record(
         layout=layout,
         time=time,
@@ -141,7 +155,7 @@ def join(rows: Transition, layout: Layout, source: str) -> tuple[Record, list[Fi
         setpoints=setpoints,
         requested=requested,
         readback=readback,
-        dither=None if rows.dither is None else spread(rows.dither, np.zeros_like(after)),
+        dither=None if rows.dither is None else spread(rows.dither, np.zeros_like(after[ends])),
         reference=None if rows.reference is None else spread(rows.reference, rows.reference[ends]),
         filled=filled,
         auxiliary={name: spread(each, each[ends]) for name, each in rows.auxiliary.items()},
@@ -149,7 +163,22 @@ def join(rows: Transition, layout: Layout, source: str) -> tuple[Record, list[Fi
         digest=digest_of(time, readings, setpoints, np.nan_to_num(requested), layout.response),
         began=float(rows.time[0]),
     )
-    return record, [*_gap_findings(rows, position, jumps), *_filled_findings(record)]
+    before = position[np.maximum(np.cumsum(known) - 1, 0)]
+    return record, [*_gap_findings(whole, before, jumps), *_filled_findings(record)]
+
+
+def _after(rows: Transition) -> Matrix:
+    """Setpoints in force at every next orbit, shape (T, m) [A]; NaN where nobody knows.
+
+    The next row tells them. At the end of a stretch only the change asked for does, and that is
+    believed if, elsewhere, the setpoints are its sums.
+    """
+    told, told_by_next = rows.setpoints + rows.requested, rows.setpoints[1:][rows.follows]
+    error = np.abs(told_by_next - told[:-1][rows.follows]).max(initial=0.0)
+    size = np.sqrt(np.mean(rows.requested[:-1][rows.follows] ** 2)) if rows.follows.any() else 0.0
+    after = told if error <= _ROUNDING * size else np.full_like(told, np.nan)
+    after[:-1][rows.follows] = told_by_next
+    return after
 
 
 def _filled(readings: Matrix, setpoints: Matrix, response: Matrix) -> Matrix:

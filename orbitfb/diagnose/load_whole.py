@@ -178,7 +178,7 @@ def _period(time: Vector, wanted: float | None, told: float | None, found: list[
         return measured
     if abs(told / measured - 1.0) > _PERIODS_AGREE:
         text = (
-            f"meta says that orbits are dt_s = {told:g} s apart, array 't' says {measured:g} s; "
+            f"meta says that orbits are dt_s = {told:g} s apart, array 't' says {measured:.4g} s; "
             "'t' is believed"
         )
         found.append(Finding("period", "warning", (), None, text))

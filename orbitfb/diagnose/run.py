@@ -4,6 +4,8 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
 from orbitfb.core.errors import RecordError
 from orbitfb.diagnose.answer import Diagnosis
 from orbitfb.diagnose.answer_parts import Finding, Provenance
@@ -22,6 +24,12 @@ from orbitfb.physics.places import Planes, Ring
 
 _SAME_PERIOD = 0.1
 """Share by which the periods of two records may differ: what moves per tick goes with it."""
+
+_SAME_MODEL = 1e-3
+"""Difference of two models that comes of the type they are saved in, of their largest value [1]."""
+
+_MOST_SHARED = 0.5
+"""Share of its rows that a record may have in common with another one of few bits [1]."""
 
 
 def diagnose_files(
@@ -51,7 +59,7 @@ def diagnose_files(
 
     Raises:
         RecordError: A record cannot be read, or has an array that is wrong; or reference or later
-            record are of other devices, of another rate, or not intact.
+            record are of other devices, of another rate or model, the same data, or not intact.
         ConfigError: The planes asked for are not those of the record.
     """
     progress("reading", 0.0)
@@ -98,10 +106,31 @@ def _beside(record: Record, path: Path, planes: Planes | None, ring: Ring | None
             f"{path}: array 't' says that orbits are {other.period:g} s apart, in {record.source} "
             f"they are {own.period:g} s apart; give a record of the same rate"
         )
+    error, largest = np.abs(other.response - own.response).max(), np.abs(own.response).max()
+    if error > _SAME_MODEL * largest:
+        raise RecordError(
+            f"{path}: array 'model_R' is not that of {record.source}: it differs by up to "
+            f"{error * 1e3:.3g} mm/A, the largest there is {largest * 1e3:.3g} mm/A; give both the "
+            "model that is in question"
+        )
+    if _shared(record, loaded.record) > _MOST_SHARED:
+        raise RecordError(
+            f"{path}: array 'orbit' has the rows of {record.source}, and the same data tells "
+            "nothing more; give a record of another time, or leave the option out"
+        )
     for finding in (*loaded.findings, *screen(loaded.record)):
         if finding.severity == "failure":
             raise RecordError(f"{path}: not intact: {finding.text}")
     return loaded.record
+
+
+def _shared(first: Record, second: Record) -> float:
+    """Share of the rows of the shorter record that are, to the last bit, in the other one."""
+    rows = [
+        {row.tobytes() for row in np.hstack([its.readings, its.setpoints])}
+        for its in (first, second)
+    ]
+    return len(rows[0] & rows[1]) / min(map(len, rows))
 
 
 def _first_difference(its: Devices, wanted: Devices) -> str:

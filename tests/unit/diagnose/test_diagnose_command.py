@@ -7,6 +7,7 @@ import tomllib
 from types import ModuleType, SimpleNamespace
 
 import examples
+import numpy as np
 import pytest
 import record_files
 from typer.testing import CliRunner
@@ -41,6 +42,7 @@ def engine(monkeypatch):
     run = importlib.import_module("orbitfb.diagnose.run")
 
     layout = SimpleNamespace(bpms="ab", correctors="a", planes=("x",), period=0.1)
+    layout.response = np.ones((2, 1))
 
     class Record(SimpleNamespace):
         def __len__(self):
@@ -50,6 +52,7 @@ def engine(monkeypatch):
         if not path.exists():
             raise RecordError(f"{path}: cannot be read")
         record = Record(name=path.name, layout=layout, digest="aa", source=str(path))
+        record.readings = record.setpoints = np.full((7, 2), float(len(path.stem)))
         return SimpleNamespace(record=record, findings=its.noticed)
 
     its.page = writing.page  # some seconds of pictures: one test looks at them
@@ -110,12 +113,17 @@ def test_the_word_record_may_be_typed_and_options_may_come_first(engine, record,
 
 
 def test_reference_and_later_record_reach_the_engine(engine, record, tmp_path):
-    later = tmp_path / "later.npz"
+    quiet, later = tmp_path / "quiet1.npz", tmp_path / "later12.npz"
+    quiet.write_bytes(b"")
     later.write_bytes(b"")
-    options = ("--reference", record, "--holdout", later, "--search-seconds", 20)
+    options = ("--reference", quiet, "--holdout", later, "--search-seconds", 20)
     assert run(record, *options).exit_code == 0
     assert engine.search_seconds == 20.0
-    assert [its.name for its in engine.calls[0][:3]] == ["shift.npz", "shift.npz", "later.npz"]
+    assert [its.name for its in engine.calls[0][:3]] == [
+        "shift.npz",
+        "quiet1.npz",
+        "later12.npz",
+    ]
 
 
 @pytest.mark.parametrize("option", ["--reference", "--holdout"])
@@ -125,6 +133,9 @@ def test_reference_and_later_record_reach_the_engine(engine, record, tmp_path):
         (lambda made: {"bpm_names": made["bpm_names"][::-1]}, "'bpm_names' is not that of"),
         (lambda made: {"t": 2 * made["t"]}, "'t' says that orbits are"),
         (lambda made: dict.fromkeys(("orbit", "next_orbit"), 0 * made["orbit"]), "stand still"),
+        (lambda made: {"model_R": 1.2 * made["model_R"]}, "'model_R' is not that of"),
+        (lambda made: {}, "'orbit' has the rows of"),
+        (lambda made: {name: a[20:] for name, a in made.items() if len(a) == 120}, "the rows of"),
     ],
 )
 def test_a_record_beside_it_has_to_fit(tmp_path, option, spoil, said):

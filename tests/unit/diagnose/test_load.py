@@ -160,7 +160,14 @@ def test_names_of_nowhere_are_gone_on_with(tmp_path):
     made["corr_names"] = np.array([f"K{i}" for i in range(10)])
     loaded = load(save(tmp_path / "record.npz", made))
     assert loaded.record.layout.ring is None
-    assert "unknown-ring" in {finding.check for finding in loaded.findings}
+    assert ("unknown-ring", "warning") in {(one.check, one.severity) for one in loaded.findings}
+
+
+def test_names_in_the_place_of_the_others(tmp_path):
+    made = small(correctors=12)
+    made["bpm_names"], made["corr_names"] = made["corr_names"], made["bpm_names"]
+    with pytest.raises(RecordError, match="only devices of the other kind; exchange bpm_names"):
+        load(save(tmp_path / "record.npz", made))
 
 
 def test_a_gap_breaks_the_record(tmp_path):

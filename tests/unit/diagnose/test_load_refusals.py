@@ -73,6 +73,7 @@ WRONG = {
     "NaN in model": (put("model_R", 2, np.nan), ["'model_R'", "row 2"]),
     "time goes back": (put("t", 60, 1.0), ["'t'", "row 60", "does not increase"]),
     "time stands": (replace("t", np.zeros_like), ["'t'", "row 1"]),
+    "time of float32": (replace("t", lambda a: (a + 1.7e9).astype("f4")), ["'t'", "float32"]),
     "next orbit is the orbit": (
         lambda made: made.update(next_orbit=made["orbit"]),
         ["'next_orbit'", "row 0", "orbit itself"],
@@ -91,6 +92,7 @@ WRONG = {
     ),
     "too few rows in action": (replace("action", lambda a: a[:-1]), ["'action'", "(119, 10)"]),
     "orbit turned": (replace("next_orbit", np.transpose), ["'next_orbit'", "transpose it"]),
+    "only orbit turned": (replace("orbit", np.transpose), ["'orbit'", "12 names", "transpose"]),
     "model turned": (replace("model_R", np.transpose), ["'model_R'", "(10, 12)", "transpose it"]),
     "orbit of one dimension": (replace("orbit", np.ravel), ["'orbit'", "shape"]),
     "orbit of three dimensions": (replace("orbit", lambda a: a[None]), ["'orbit'", "shape"]),
@@ -112,6 +114,9 @@ WRONG = {
     "meta is deep": (meta("[" * 100_000), ["'meta'", "no JSON"]),
     "meta is a list": (meta("[1]"), ["'meta'", "list"]),
     "a period of zero": (meta('{"dt_s": 0}'), ["'meta'", "dt_s"]),
+    "a period without end": (meta('{"dt_s": 1' + "0" * 400 + "}"), ["'meta'", "dt_s"]),
+    "an orbit of no size": (replace("orbit", lambda a: a * 1e-200), ["'orbit'", "no unit"]),
+    "a model beyond size": (replace("model_R", lambda a: a * 1e160), ["'model_R'", "no unit"]),
     "an unknown unit": (meta('{"units": {"orbit": "inch"}}'), ["'meta'", "inch"]),
     "an unknown plane": (meta('{"planes": "z"}'), ["'meta'", "planes"]),
     "a model of zeros": (replace("model_R", np.zeros_like), ["'model_R'", "zero"]),
@@ -257,6 +262,10 @@ def test_a_link_out_of_an_hdf5_file(tmp_path):
         file.create_dataset("orbit", shape=(10**6, 10**6), chunks=(10, 10), dtype="f8")
     with pytest.raises(RecordError, match="are allowed"):
         load(tmp_path / "large.h5")
+    with h5py.File(tmp_path / "group.h5", "w") as file:
+        file["lab/orbit"] = np.zeros((3, 3))
+    with pytest.raises(RecordError, match=r"holds only groups \(lab\)"):
+        load(tmp_path / "group.h5")
 
 
 def test_planes_and_models_that_do_not_fit(tmp_path):

@@ -1,0 +1,76 @@
+"""Units that are stated are taken, and units that contradict each other are refused."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+from record_files import arrays, save, small
+
+from orbitfb.core.errors import RecordError
+from orbitfb.diagnose.load import load, load_record
+
+
+def meta(**content):
+    return np.array(json.dumps(content))
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_stamps_in_another_unit_than_the_period(tmp_path, factor, unit):
+    made = arrays()
+    made["t"] = made["t"] * factor
+    with pytest.raises(RecordError, match=rf'if t is in {unit}, say so in meta: .*"t": "{unit}"'):
+        load(save(tmp_path / "record.npz", made | {"meta": meta(dt_s=0.1)}))
+    told = made | {"meta": meta(dt_s=0.1, units={"t": unit})}
+    assert load_record(save(tmp_path / "record.npz", told)).layout.period == pytest.approx(0.1)
+
+
+def test_a_period_in_another_unit_than_the_stamps(tmp_path):
+    made = small() | {"meta": meta(dt_s=100)}
+    with pytest.raises(RecordError, match=r"0\.1 s apart, meta says dt_s = 100, a factor of 1e3"):
+        load(save(tmp_path / "record.npz", made))
+
+
+@pytest.mark.parametrize(
+    ("units", "words"),
+    [
+        ("um", "units = 'um', which says not of what"),
+        ("orbits in um", "which says not of what"),
+        (["um"], "which says not of what"),
+        ({"orbit": 1e-6}, "units.orbit = 1e-06"),
+        ({"orbits": "um"}, "gives a unit of 'orbits'.*do you mean orbit"),
+        ({"next_orbit": "um"}, "'orbit' has no unit, but next_orbit is said to be in 'um'"),
+    ],
+)
+def test_units_that_would_not_be_used(tmp_path, units, words):
+    made = small() | {"meta": meta(dt_s=0.1, units=units)}
+    with pytest.raises(RecordError, match=words):
+        load(save(tmp_path / "record.npz", made))
+
+
+@pytest.mark.parametrize("units", ["orbit in mm", {"time": "s", "gap": "m", "orbit": None}, None])
+def test_units_that_are_the_usual_ones_or_of_something_else(tmp_path, units):
+    made = small() | {"meta": meta(dt_s=0.1, units=units)}
+    assert load(save(tmp_path / "record.npz", made)).record.layout.period == pytest.approx(0.1)
+
+
+def hdf5(path, made, units):
+    with h5py.File(path, "w") as file:
+        for name, array in made.items():
+            file[name] = array.astype("S") if array.dtype.kind == "U" else array
+            if name in units:
+                file[name].attrs["units"] = units[name]
+    return path
+
+
+def test_units_beside_the_arrays_of_hdf5(tmp_path):
+    made = small()
+    for name in ("orbit", "next_orbit", "reference"):
+        made[name] = made[name] * 1e3
+    read = load_record(hdf5(tmp_path / "record.h5", made, {"orbit": "um", "t": b"s"}))
+    same = load_record(save(tmp_path / "same.npz", small()))
+    np.testing.assert_allclose(read.readings, same.readings, rtol=1e-12)
+    assert read.layout.period == pytest.approx(0.1)
+    made["meta"] = np.array(b'{"units": {"orbit": "mm"}}')
+    with pytest.raises(RecordError, match="'orbit' is in 'um' by its attribute, in 'mm' by meta"):
+        load(hdf5(tmp_path / "other.h5", made, {"orbit": "um"}))
