@@ -81,6 +81,19 @@ class Entry:
         """Gain of the log-likelihood with its best values [nats]."""
         return self.candidate.gain if self.fit is None else self.fit.gain
 
+    def less(self, nats: float) -> "Entry":
+        """The same beside a record that is likelier without it [nats]."""
+        own = self.fit
+        if own is None:
+            return replace(self, weight=self.weight - nats)
+        fewer = replace(
+            own,
+            gain=own.gain - nats,
+            held_out=own.held_out - nats,
+            held_out_by_row=own.held_out_by_row - nats / len(own.held_out_by_row),
+        )
+        return replace(self, fit=fewer, weight=self.weight - nats / own.inflation)
+
     @property
     def held_out(self) -> float:
         """Gain on ticks that were not used for its values [nats]."""
@@ -263,30 +276,25 @@ def _apart(one: Fit | None, other: Fit | None) -> float:
     return float(np.sum((one.white - other.white) ** 2))
 
 
-def profiled(bench: Bench, entry: Entry, best: float) -> Entry:
+def profiled(bench: Bench, entry: Entry, best: float) -> tuple[Entry, float]:
     """Judge an entry under the floor that it leaves itself: it had inflated the floor.
 
     Where the best entry is worth much more has been thrown off than the floor.
+
+    Returns:
+        The entry, and by how much the record is likelier under that floor without it [nats].
     """
     thrown_off = best > _THROWN_OFF
     least = max((_RIVAL if thrown_off else HOPELESS) * best, 0.0)
     if entry.fit is None or entry.weight < least:
-        return entry
+        return entry, 0.0
     if thrown_off:
         own = bench.cleared_of(entry.fit.causes)
     else:
         own = bench.with_floor(bench.floor_without(entry.fit.causes))
     found = fit(own, entry.fit.causes)
-    # By the other floor alone; where that is better without the cause too, nothing is gained by it.
-    lost = min(own.full_log_likelihood - bench.full_log_likelihood, 0.0)
-    gain = found.gain + lost
-    weight = gain / found.inflation - found.occam - price(entry.candidate)
-    if weight <= entry.weight:
-        return entry
-    judged = replace(
-        found,
-        gain=gain,
-        held_out=found.held_out + lost,
-        held_out_by_row=found.held_out_by_row + lost / len(found.held_out_by_row),
-    )
-    return Entry(entry.candidate, judged, weight)
+    alone = own.full_log_likelihood - bench.full_log_likelihood
+    judged = Entry(entry.candidate, found, found.evidence - price(entry.candidate)).less(-alone)
+    if judged.weight <= entry.weight:
+        return entry, 0.0
+    return judged, float(np.clip(judged.gain - entry.gain, 0.0, max(alone, 0.0)))

@@ -107,17 +107,20 @@ def tournament(
     if not budget.over():
         entries += [enter(bench, candidate) for candidate in other_laws(bench, entries, kinds)]
     entries.sort(key=lambda entry: entry.weight, reverse=True)
-    again: list[Entry] = []
+    again: list[tuple[Entry, float]] = []
     for entry in entries[:REFITTED]:
         if budget.over():
             budget.leave("the floor of the noise was not estimated anew for every candidate")
-            again.append(entry)
+            again.append((entry, 0.0))
         else:
             again.append(profiled(bench, entry, entries[0].weight))
     tell("fitting", 1.0)
+    # What the floor of the best is worth without any cause is nobody's gain.
+    _, owed = max(again, key=lambda one: one[0].weight, default=(None, 0.0))
+    rest = [entry.less(owed) for entry in entries[REFITTED:]]
     layout = bench.record.layout
-    again = limits(alike_alike(again, layout))
-    return _ranked((*again, *entries[REFITTED:]), layout, shown)
+    judged = limits(alike_alike([entry.less(owed) for entry, _ in again], layout))
+    return _ranked((*judged, *rest), layout, shown)
 
 
 def _ranked(every: Sequence[Entry], layout: Layout, shown: Shown) -> list[Entry]:

@@ -74,7 +74,8 @@ def _gap(gap: Gap | None, state: State) -> str:
         return ""
     if state == "no_gap" or not gap.resolved or gap.nats_per_tick is None:
         but = "No" if state in ("no_gap", "unknown") else "Apart from what is named no"
-        return f"{but} gap is resolved over the floor of {_plain(gap.floor_um)} µm."
+        yet = ", yet what is left is no noise of this floor" if state == "unknown" else ""
+        return f"{but} gap is resolved over the floor of {_plain(gap.floor_um)} µm{yet}."
     size = _plain(gap.nats_per_tick)
     interval = (
         f" [{_plain(gap.low)}, {_plain(gap.high)}]"

