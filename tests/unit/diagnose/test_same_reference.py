@@ -20,5 +20,5 @@ def test_a_large_gain_error_is_no_leak_into_a_neighbour(place: int):
     effects = build([parse_effect(text)], LAYOUT, 1)
     record = simulate_record(RING, "x", 200, 5, effects, dither=2e-3)
     kinds = [effect("corrector-crosstalk"), effect("corrector-gain")]
-    first, *others = tournament(Bench(record), kinds)
+    first, *_ = tournament(Bench(record), kinds)
     assert (first.kind.id, first.cause.places) == ("corrector-gain", (place,))
