@@ -106,8 +106,10 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
         return judged
     if shrunk.nats is not None and abs(shrunk.nats) < _NO_TRACE:
         return judged
+    grows = any(one.accepted is not None and one.accepted.kind.grows for one in outcome.winners[:1])
     if shrunk.high < _STAND_IN_SHRINK:
-        state: State = "unknown"
+        # What grows does not go on for ever; of which kind and where it is the record has shown.
+        state: State = "named_plus_remainder" if grows else "unknown"
     elif shrunk.high < _HALF and judged.state == "named":
         state = "named_plus_remainder"
     else:

@@ -8,27 +8,31 @@ from orbitfb.diagnose.answer_blocks import AmbiguousSet, Audit
 from orbitfb.diagnose.answer_parts import Cause, Shrink
 from orbitfb.diagnose.judgement import Judgement, _state, held_to_account
 from orbitfb.diagnose.wording import headline
+from orbitfb.effects.registry import effect
 
-OUTCOME = SimpleNamespace(
-    rounds=(SimpleNamespace(entries=()),),
-    bench=None,
-)
+
+def outcome_of(name: str) -> SimpleNamespace:
+    winner = SimpleNamespace(accepted=SimpleNamespace(kind=effect(name)))
+    return SimpleNamespace(rounds=(SimpleNamespace(entries=()),), bench=None, winners=(winner,))
 
 
 @pytest.mark.parametrize(
-    ("nats", "high", "state"),
+    ("name", "nats", "high", "state"),
     [
-        (0.95, 0.99, "named"),
-        (0.3, 0.4, "named_plus_remainder"),
-        (0.02, 0.1, "unknown"),
-        (3e-12, 2e-11, "named"),  # it began before and stays: there is nothing to explain
+        ("bpm-gain", 0.95, 0.99, "named"),
+        ("bpm-gain", 0.3, 0.4, "named_plus_remainder"),
+        ("bpm-gain", 0.02, 0.1, "unknown"),
+        ("bpm-gain", 3e-12, 2e-11, "named"),  # it began before and stays: nothing to explain
+        ("bpm-drift", -7.0, -5.0, "named_plus_remainder"),  # it has settled since
     ],
 )
-def test_a_name_is_held_to_later_data(nats, high, state, monkeypatch):
+def test_a_name_is_held_to_later_data(name, nats, high, state, monkeypatch):
     monkeypatch.setattr("orbitfb.diagnose.judgement._unknown", lambda *parts: None)
     judged = Judgement("named", Audit(), None, 1.0, (), None)  # type: ignore[arg-type]
-    shrunk = Shrink(nats=nats, low=0.0, high=high, um=nats, held_out_ticks=1000, resolved=True)
-    assert held_to_account(judged, OUTCOME, shrunk).state == state  # type: ignore[arg-type]
+    shrunk = Shrink(
+        nats=nats, low=min(nats, 0.0), high=high, um=nats, held_out_ticks=1000, resolved=True
+    )
+    assert held_to_account(judged, outcome_of(name), shrunk).state == state  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
