@@ -13,6 +13,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.ceiling import Ceiling, ceiling
 from orbitfb.diagnose.certain import Certain
 from orbitfb.diagnose.departure import Departure, departure
+from orbitfb.diagnose.drift_shape import with_own_shape
 from orbitfb.diagnose.finding import listed
 from orbitfb.diagnose.gof import audit, flagged_nats, flagged_stage
 from orbitfb.diagnose.naming import column_names
@@ -66,8 +67,9 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
         certain: What the screen has proved.
         seed: Of the bootstrap.
     """
-    tests = audit(outcome.bench)
-    rest = ceiling(outcome.bench, seed)
+    bench = with_own_shape(outcome.bench)
+    tests = audit(bench)
+    rest = ceiling(bench, seed)
     named = outcome.given + sum(one.accepted.gain for one in outcome.winners if one.accepted)
     left = max(rest.nats.value, 0.0) if rest.resolved else 0.0
     explained = named / (named + left) if named + left > 0 else 1.0
