@@ -250,7 +250,8 @@ def _jointly(
 
 
 def _step(parameter: Parameter, value: float) -> float:
-    size = 0.01 * max(abs(value - parameter.nominal), 0.01 * abs(parameter.typical))
+    usual = abs(parameter.typical) or parameter.high - parameter.low
+    size = 0.01 * max(abs(value - parameter.nominal), 0.01 * usual)
     return -size if value + size > parameter.high else size
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Channels
+from orbitfb.diagnose import plan_response
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
@@ -20,7 +21,7 @@ from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.bpm_walk import BpmWalk
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.record import Record
-from orbitfb.effects.registry import effect
+from orbitfb.effects.registry import all_effects, effect
 from orbitfb.loop.excitation_design import check_excitation
 from orbitfb.loop.excitation_file import read_excitation
 from orbitfb.physics.places import Ring
@@ -187,3 +188,12 @@ def test_a_lasting_excursion_is_taken_back_by_the_feedback() -> None:
     moved = answered(rows, response, np.full(len(mode), 0.3)) @ mode
     assert moved[0] == pytest.approx(1.0)
     assert moved[1:4] == pytest.approx([0.7, 0.49, 0.343])
+
+
+def test_every_value_of_every_effect_can_be_moved_a_little():
+    for kind in all_effects().values():
+        for parameter in kind.parameters:
+            if parameter.high > parameter.low:
+                for value in (parameter.nominal, parameter.typical):
+                    step = plan_response._step(parameter, value)
+                    assert 0.0 < abs(step) < np.inf, (kind.id, parameter.name)
