@@ -58,11 +58,13 @@ def diagnose_plan(
     from orbitfb.diagnose.integrity import is_hopeless, screen
     from orbitfb.diagnose.load import load
     from orbitfb.diagnose.plan import limits_of, plan_for
+    from orbitfb.diagnose.plan_file import check_file
     from orbitfb.diagnose.planes import check_planes
     from orbitfb.effects.registry import all_effects, effect
     from orbitfb.physics.places import Ring
 
     chosen = planes_of(planes)
+    check_file(out)
     if against is not None and wanted is None:
         raise ConfigError("--against: needs --for, the effect that is to be told from it")
     kinds = list(all_effects().values()) if wanted is None else [effect(wanted)]

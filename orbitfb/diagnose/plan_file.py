@@ -76,6 +76,18 @@ class Plan:
         return file.getvalue()
 
 
+def check_file(path: Path) -> None:
+    """See to it that a plan can be written, before the work for it.
+
+    Raises:
+        RecordError: It is a directory, or is to be in one that does not exist.
+    """
+    if path.is_dir():
+        raise RecordError(f"--out {path}: it is a directory; name a file in it")
+    if not path.parent.is_dir():
+        raise RecordError(f"--out {path}: there is no directory {path.parent}; make it first")
+
+
 def _toml(text: str, settings: ExcitationSettings) -> str:
     lines = [f"# {text}", f"start = {settings.start!r}", f"seed = {settings.seed}"]
     for part in settings.part:
