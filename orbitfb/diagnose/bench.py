@@ -17,15 +17,13 @@ from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.quick import Quick, Single
 from orbitfb.diagnose.standing import FreeSteps, stretches_across
 from orbitfb.diagnose.uneven import uneven
-from orbitfb.effects.device_kinds import SensorKind
+from orbitfb.diagnose.unread import Judged
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 
 _PASSES = 2
 _FEW_LEVELS = 4
 """Of the ladder, while orbit and floor are not yet what they will be."""
-_ENOUGH = 300
-"""Rows from which those before them are predicted."""
 _SEEN = 1e-4
 """Gain of a step of the healthy errors below which they are the best, as a share of what a change
 is seen with."""
@@ -113,6 +111,17 @@ class Bench:
         white, log_jacobian = self._with(causes)
         return *self._healthy.healed(white, self._beyond_with(causes)), log_jacobian
 
+    def difference(
+        self, causes: Sequence[Cause], others: Sequence[Cause]
+    ) -> tuple[Matrix, Vector, Vector]:
+        """What `residual` of some causes is more than that of others, however alike they are.
+
+        The healthy errors do their best against the difference itself: what is left of it may be
+        a small part, smaller than what they miss beside either.
+        """
+        (white, jacobian), (before, jacobian_before) = self._with(causes), self._with(others)
+        return *self._unhealed(white - before, causes), jacobian - jacobian_before
+
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
         """As `residual`, the sizes of the background left as they are: a first look at many."""
         white, log_jacobian = self._with(causes)
@@ -132,42 +141,14 @@ class Bench:
         change = base.explained.change(causes)
         white = base.white + self._whitened(change)
         log_jacobian = change.log_jacobian
+        judged = Judged(self.record, self.floor, self._left)
         for cause in causes:
-            log_jacobian = log_jacobian - self._unread(cause, white)
+            log_jacobian = log_jacobian - judged.owed(cause, self.white, white)
         return self._beyond_with(causes)(white), log_jacobian
 
-    def _unread(self, cause: Cause, after: Matrix) -> Vector:
-        """What a cause owes for readings that it has no use for, shape (N,) [nats].
-
-        They stay as likely as they are without it; what stands for those that it lacks says
-        nothing. A cause would gain by leaving out what it does not explain otherwise.
-        """
-        kind, owed = cause.kind, np.zeros(len(self.record))
-        rows = kind.unread(cause.values) if isinstance(kind, SensorKind) else 0
-        if not rows:
-            return owed
-        columns = list(cause.places)
-        for piece in self.record.stretches:
-            begin = max(piece.start, cause.onset)
-            count = min(rows, piece.stop - begin)
-            if count > 0:
-                lost = self.white[begin : begin + count]
-                if begin == piece.start:
-                    lost = self._backwards(slice(begin, piece.stop), count)
-                filled = slice(piece.stop - count, piece.stop)
-                squares = [self.floor.by_bpm(own)[:, columns] ** 2 for own in (lost, after[filled])]
-                owed[filled] = 0.5 * np.sum(squares[0] - squares[1], axis=1)
-        return owed
-
-    def _backwards(self, piece: slice, count: int) -> Matrix:
-        """Innovations of the first rows of a stretch, predicted from those after them: (count, n).
-
-        A random walk goes backwards as it goes forwards.
-        """
-        left = self._beside().explained.left - self.background.orbit(self.sizes)
-        turned = left[piece][_ENOUGH + count - 1 :: -1]
-        starts = np.arange(len(turned)) == 0
-        return self.floor.whiten(turned, starts)[-count:][::-1]
+    def _left(self) -> Matrix:
+        """What is left before it is whitened, healthy errors out of it, shape (N, n) [m]."""
+        return self._beside().explained.left - self.background.orbit(self.sizes)
 
     def energy(self, change: Matrix) -> float:
         """Sum the squares of a change of the prediction as the noise sees it.
@@ -187,10 +168,23 @@ class Bench:
         Returns:
             |δ|²: half of it is the expected gain [nats].
         """
-        white = self.floor.whiten(change, self.record.starts)
-        enough = _SEEN * float(np.sum(white**2))
-        white, sizes = self._healthy.against(white, enough, self._beyond_with(()))
+        white, sizes = self.unhealed(change)
         return float(np.sum(white**2) + np.sum(sizes**2))
+
+    def unhealed(self, change: Matrix) -> tuple[Matrix, Vector]:
+        """What healthy errors leave of a change of the prediction, and what they take for it.
+
+        Args:
+            change: Shape (N, n) [m].
+
+        Returns:
+            White innovations (N, n), sizes of the background (P,).
+        """
+        return self._unhealed(self.floor.whiten(change, self.record.starts), ())
+
+    def _unhealed(self, moved: Matrix, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
+        enough = _SEEN * float(np.vdot(moved, moved))
+        return self._healthy.against(moved, enough, self._beyond_with(causes))
 
     def _beside(self) -> "_Base":
         """What more causes are put beside, computed once for causes, orbit and floor."""

@@ -129,7 +129,7 @@ def _climb(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left, lis
     """Newton's steps in the parameters that have derivatives."""
     slopes: list[Left] = []
     for step in range(_STEPS):
-        slopes = _derivatives(problem, best, now)
+        slopes = _derivatives(problem, best)
         if not slopes:
             break
         padded = (_padded(now[0], problem), *now[1:])
@@ -161,32 +161,32 @@ def _step(problem: Problem, best: Vector, now: Left, move: Vector) -> tuple[Vect
     return None
 
 
-def _derivatives(problem: Problem, best: Vector, now: Left) -> list[Left]:
-    return [_derivative(problem, best, now, index) for index in problem.smooth]
+def _derivatives(problem: Problem, best: Vector) -> list[Left]:
+    return [_derivative(problem, best, index) for index in problem.smooth]
 
 
-def _derivative(problem: Problem, best: Vector, now: Left, index: int) -> Left:
+def _derivative(problem: Problem, best: Vector, index: int) -> Left:
     """Differences over a step that the record just does not see."""
-    parameter = problem.parameters[index][1]
-    far = abs(best[index] - parameter.nominal)
-    size = 0.02 if parameter.log else 0.01 * max(far, 0.1 * problem.scale[index])
-    if best[index] + size > problem.high[index]:
-        size = -size
-    moved = now
+    size = problem.nudge(best, index)
+    moved = _moved(problem, best, index, size)
     for _ in range(_SHRINKS):
-        there = best.copy()
-        there[index] += size
-        moved = problem.residual(there)
-        seen = float(np.sum((moved[0] - now[0]) ** 2))
+        seen = float(np.sum(moved[0] ** 2))
         if not seen > _SEEN:
             break
         size /= np.sqrt(seen)
-    jacobian = (moved[2] - now[2]) / size
-    white = _padded((moved[0] - now[0]) / size, problem)
+        moved = _moved(problem, best, index, size)
+    jacobian = moved[2] / size
+    white = _padded(moved[0] / size, problem)
     owner = problem.parameters[index][0]
     channels = max(len(problem.causes[owner].places), 1)
     white[:, owner - len(problem.causes)] = jacobian / np.sqrt(channels)
-    return white, (moved[1] - now[1]) / size, jacobian
+    return white, moved[1] / size, jacobian
+
+
+def _moved(problem: Problem, best: Vector, index: int, size: float) -> Left:
+    there = best.copy()
+    there[index] += size
+    return problem.difference(there, best)
 
 
 def _padded(white: Matrix, problem: Problem) -> Matrix:

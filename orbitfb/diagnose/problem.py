@@ -77,6 +77,17 @@ class Problem:
         """Judge values."""
         return self.bench.residual(self.at(vector))
 
+    def difference(self, vector: Vector, other: Vector) -> Left:
+        """What `residual` of values is more than that of others."""
+        return self.bench.difference(self.at(vector), self.at(other))
+
+    def nudge(self, vector: Vector, index: int) -> float:
+        """A small change of a value, within its bounds."""
+        parameter = self.parameters[index][1]
+        far = abs(vector[index] - parameter.nominal)
+        size = 0.02 if parameter.log else 0.01 * max(far, 0.1 * self.scale[index])
+        return -size if vector[index] + size > self.high[index] else size
+
     def likelihood(
         self, vector: Vector, index: int, number: float, *, roughly: bool = False
     ) -> float:

@@ -32,7 +32,10 @@ class Nature:
         return orbit
 
     def extra_errors(self) -> list[tuple[int, Array]]:
-        """Further gradient errors (q,) [1/m], each from a row after the onset on."""
+        """Further gradient errors (q,) [1/m] at rows after the onset, on straight lines between.
+
+        There are none before the first row; after the last they stay.
+        """
         return []
 
     def motion(self) -> Array | None:
@@ -46,6 +49,15 @@ class Nature:
     def read(self, row: int, seen: Array) -> Array:
         """What is told of what is seen (with its noise), both (n,) [m]."""
         return seen
+
+
+@dataclass(frozen=True)
+class Response:
+    """The response (n, m) [m/A] from a row on, and what it gains per row; None: it stays."""
+
+    row: int
+    start: Array
+    growth: Array | None = None
 
 
 @dataclass(eq=False)
@@ -93,32 +105,48 @@ def run(
     return _ticks(case, effects, noise, responses, ground, replay, limit)
 
 
-def _optics(
-    case: Conditions, effects: list[tuple[int, Nature]]
-) -> tuple[list[tuple[int, Array]], Array]:
-    """Responses, each from a row on, and the orbit of the quadrupoles that go with them."""
+def _optics(case: Conditions, effects: list[tuple[int, Nature]]) -> tuple[list[Response], Array]:
+    """Responses, and the orbit of the quadrupoles that go with them."""
     knots = [
         [(max(start, row), errors) for row, errors in effect.extra_errors()]
         for start, effect in effects
     ]
     rows = sorted({row for its in knots for row, _ in its if row < case.rows})
-    responses, ground = [(0, case.true_response())], case.moved_at_bpms()
+    responses, ground = [Response(0, case.true_response())], case.moved_at_bpms()
     for begin, end in itertools.pairwise([*rows, case.rows]):
-        extra = np.zeros_like(case.lattice.errors)
-        for its in knots:
-            here = [errors for row, errors in its if row <= begin]
-            if here:
-                extra = extra + here[-1]
-        responses.append((begin, case.true_response(extra)))
-        ground[begin:end] = case.moved_at_bpms(extra, slice(begin, end))
+        first, last = (
+            sum((_errors(its, begin, row) for its in knots if its), np.zeros(1))
+            for row in (begin, end)
+        )
+        response, within = case.true_response(first), slice(begin, end)
+        ground[within] = case.moved_at_bpms(first, within)
+        if np.array_equal(first, last):
+            responses.append(Response(begin, response))
+            continue
+        growth = (case.true_response(last) - response) / (end - begin)
+        responses.append(Response(begin, response, growth))
+        share = (np.arange(end - begin) / (end - begin))[:, None]
+        ground[within] += share * (case.moved_at_bpms(last, within) - ground[within])
     return responses, ground
+
+
+def _errors(knots: list[tuple[int, Array]], begin: int, row: int) -> Array:
+    """Errors of an effect at a row of the piece that begins at another one, (q,)."""
+    before = [knot for knot in knots if knot[0] <= begin]
+    if not before:
+        return np.zeros_like(knots[0][1])
+    (first, errors), after = before[-1], knots[len(before) :]
+    if not after:
+        return errors
+    last, there = after[0]
+    return errors + (row - first) / (last - first) * (there - errors)
 
 
 def _ticks(
     case: Conditions,
     effects: list[tuple[int, Nature]],
     noise: Array,
-    responses: list[tuple[int, Array]],
+    responses: list[Response],
     ground: Array,
     replay: Array | None,
     limit: float,
@@ -131,14 +159,17 @@ def _ticks(
     moves = np.diff(case.dither, axis=0, append=0 * case.dither[:1])
     moves[-1] = 0
     wanted = _start(case, ground[0])
-    switch, response = 0, responses[0][1]
+    switch, response = 0, responses[0].start
     rows = case.rows
     for row in range(case.rows):
         if replay is not None:
             wanted = replay[row]
-        while switch + 1 < len(responses) and responses[switch + 1][0] <= row:
+        while switch + 1 < len(responses) and responses[switch + 1].row <= row:
             switch += 1
-            response = responses[switch][1]
+            response = responses[switch].start
+        its = responses[switch]
+        if its.growth is not None:
+            response = its.start + (row - its.row) * its.growth
         in_force = wanted
         for start, effect in effects:
             if row >= start:

@@ -14,7 +14,7 @@ BOTH: tuple[Plane, ...] = ("x", "y")
 
 
 class Gradients(Nature):
-    """Further gradient errors, from given rows on: the closed orbit is solved anew."""
+    """Further gradient errors at given rows: the closed orbit is solved anew at each."""
 
     def __init__(self, knots: list[tuple[int, Array]]) -> None:
         self.knots = knots
@@ -61,10 +61,9 @@ def tune_shift(case: Conditions, rng: Rng) -> Draft:
 
 
 def growing(case: Conditions, errors: Array) -> Gradients:
-    """Errors that grow from nothing to the given ones, in 25 steps over the record."""
-    rows = np.linspace(0, case.rows, 25, endpoint=False).astype(int)
-    share = np.linspace(0, 1, 25)
-    return Gradients([(int(r), f * errors) for r, f in zip(rows, share, strict=True)])
+    """Errors that grow from nothing to the given ones; the orbit is solved 25 times on the way."""
+    rows = np.linspace(0, case.rows, 26).astype(int).tolist()
+    return Gradients([(row, row / case.rows * errors) for row in rows])
 
 
 @kind("optics-drift", "optics", onset="start")

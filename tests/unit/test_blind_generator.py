@@ -22,7 +22,7 @@ from tests.blind.machine import Nature, run
 from tests.blind.nature_actuator import Lag, Resonance, Slew
 from tests.blind.nature_limits import BoucWen
 from tests.blind.nature_link import Missed
-from tests.blind.nature_optics import Gradients, Sextupole
+from tests.blind.nature_optics import Gradients, Sextupole, growing
 from tests.blind.oracle import Innovations
 from tests.blind.rings import Lattice, beating_errors
 from tests.blind.suites import plan
@@ -188,6 +188,22 @@ def test_a_single_wrong_quadrupole_also_kicks_by_the_standing_orbit(case: Condit
     closed = -2e-3 / (1 + 2e-3 * own) * at
     np.testing.assert_allclose(seen, case.kick_orbit(place, "x")[:, 0] * closed, rtol=1e-6)
     assert np.any(before.readings != after.readings)
+
+
+def test_a_gradient_that_grows_does_so_from_row_to_row(case: Conditions) -> None:
+    place, size = case.lattice.quads[[17]], 2e-3
+    extra = np.zeros_like(case.lattice.errors)
+    extra[17] = size
+    after = run(case, [(0, growing(case, extra))], 9)
+    seen = after.readings - run(case, [], 9, replay=after.sent).readings
+    pattern = case.kick_orbit(place, "x")[:, 0] * (1 + case.bpm_gains)
+    kicks = seen @ pattern / (pattern @ pattern)
+    at = after.setpoints * (1 + case.corrector_gains) @ case.orbit_at(place, "x")[0]
+    at += case.moved(place, "x")[case.warm : case.warm + len(at), 0]
+    grown = size * np.arange(case.warm, case.warm + len(at)) / case.rows
+    own = case.lattice.response(place, place, "x")[0, 0]
+    # The orbit is solved at 25 rows, with straight lines between.
+    np.testing.assert_allclose(kicks, -grown / (1 + grown * own) * at, rtol=1e-4)
 
 
 def test_a_sextupole_kicks_by_the_square_of_its_own_closed_orbit(case: Conditions) -> None:

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.courses import trials
 from orbitfb.diagnose.departure import OUTSIDE, UNTOLD, Departure, departure
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import fit
@@ -55,6 +57,48 @@ def test_the_nearest_effect_of_another_law_is_told_from_it():
     assert "change" in its.course
     assert its.nats > 0.1 * gain
     assert its.chance < 0.01
+
+
+class Follows(ColumnsEffect):
+    """A law of no library: a part of the current comes slowly."""
+
+    def __init__(self, places, size, kept):
+        super().__init__(places)
+        self._size, self._kept, self._slow, self._first = size, kept, None, None
+
+    def follow(self, wanted):
+        if self._slow is None:
+            self._slow = self._first = wanted
+        self._slow = self._kept * self._slow + (1.0 - self._kept) * wanted
+        return wanted + self._size * (self._slow - self._first)
+
+
+def test_a_course_is_worth_what_it_gains_once_the_law_is_fitted_anew():
+    kept = np.exp(-1.0 / 5.0)
+    true = Follows(np.array([COLUMN]), 0.3, kept)
+    record = simulate_record(RING, "x", 700, 5, (true,), dither=2e-3, period=LAYOUT.period)
+    nominal = Bench(record)
+    (cause,) = fit(
+        nominal, (Cause(all_effects()["corrector-gain"], (COLUMN,), {"gain": 0.1}),)
+    ).causes
+    bench = Bench(record, (cause,), nominal.floor)
+    its = departure(bench, cause, 1e4)
+    # Least squares of both courses at once, against the record without the cause.
+    course = record.setpoints[:, COLUMN] - record.setpoints[0, COLUMN]
+    slowly = lfilter([1.0 - kept], [1.0, -kept], course)
+    each = [
+        np.append(*nominal.unhealed(np.outer(its, LAYOUT.response[:, COLUMN])))
+        for its in (course, slowly)
+    ]
+    left = np.append(nominal.white, nominal.sizes)
+
+    def gain(*columns):
+        matrix = np.array(columns)
+        return 0.5 * (pull := matrix @ left) @ np.linalg.solve(matrix @ matrix.T, pull)
+
+    price = np.log(len(list(trials(bench, cause)))) + 2.0
+    assert its.course == "slowly, over 5 ticks"
+    assert its.nats == pytest.approx(gain(*each) - gain(each[0]) - price, rel=0.02)
 
 
 class Breathes(ColumnsEffect):
