@@ -94,7 +94,8 @@ def departure(bench: Bench, cause: Cause, gain: float, before: Bench | None = No
     if isinstance(cause.kind, LatentKind | NoiseKind):
         if (clock := 0.0 if before is None else rhythm(before, cause)) > 0.0:
             return Departure("by a clock, always after as many ticks", clock, gain, 0.0)
-        course, nats = max(noise_laws(bench, cause), key=lambda law: law[1], default=("", 0.0))
+        laws = noise_laws(bench, cause, gain)
+        course, nats = max(laws, key=lambda law: law[1], default=("", 0.0))
         return Departure(course, nats, gain) if nats > 0.0 else Departure("", 0.0, gain)
     beside = _Beside.of(bench, cause)
     best, top, tried = "", 0.0, 0

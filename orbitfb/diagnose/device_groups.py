@@ -1,6 +1,6 @@
 """Groups of devices that an effect may strike alike."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -8,12 +8,14 @@ from orbitfb.effects.layout import Devices
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
+_RACK = 8
+"""Neighbouring devices that may share a rack which does not begin with a cell."""
 _ALL_LENGTHS = 40
 """Cells up to which runs of every length are groups; of more, those that grow by about a third."""
 
 
 def groups_of(devices: Devices) -> Iterator[tuple[str, Indices]]:
-    """List groups that an effect may strike: all, a plane, runs of neighbouring cells.
+    """List groups that an effect may strike: all, a plane, runs of cells, racks across them.
 
     Where no name tells a cell every device is one.
 
@@ -26,21 +28,35 @@ def groups_of(devices: Devices) -> Iterator[tuple[str, Indices]]:
     of_plane = {str(plane): everything[planes == plane] for plane in np.unique(planes)}
     if len(of_plane) > 1:
         yield from ((f"all {plane}", members) for plane, members in of_plane.items())
-    cells = devices.groups() or _one_by_one(devices)
-    names, columns = list(cells), list(cells.values())
-    lengths = _lengths(len(names))
-    for begin in range(len(names)):
-        for end in (begin + length for length in lengths if begin + length <= len(names)):
-            members = np.concatenate(columns[begin:end])
-            if len(members) < 2:
+    known, each = devices.groups(), _one_by_one(devices)
+    seen: set[tuple[int, ...]] = set()
+    for units, lengths in (
+        (known or each, _lengths(len(known or each))),
+        (each, range(2, _RACK + 1) if known else ()),
+    ):
+        for label, members in _runs(units, lengths):
+            key = tuple(sorted(members.tolist()))
+            if len(members) < 2 or key in seen:
                 continue
-            label = names[begin] if end == begin + 1 else f"{names[begin]}–{names[end - 1]}"
+            seen.add(key)
             yield label, members
-            if len(of_plane) > 1:
-                for plane in of_plane:
-                    own = members[planes[members] == plane]
-                    if len(own) > 1:
-                        yield f"{label} {plane}", own
+            for plane in of_plane if len(of_plane) > 1 else ():
+                own = members[planes[members] == plane]
+                if 1 < len(own) < len(members):
+                    yield f"{label} {plane}", own
+
+
+def _runs(units: Mapping[str, Indices], lengths: Iterable[int]) -> Iterator[tuple[str, Indices]]:
+    """Runs of neighbouring units around the ring, of some lengths up to half of them."""
+    names, columns = list(units), list(units.values())
+    count = len(names)
+    for begin in range(count):
+        for length in lengths:
+            if length > max(count // 2, 1):
+                break
+            its = [(begin + far) % count for far in range(length)]
+            label = names[begin] if length == 1 else f"{names[begin]}–{names[its[-1]]}"
+            yield label, np.sort(np.concatenate([columns[index] for index in its]))
 
 
 def crates(devices: Devices) -> list[tuple[str, Indices]]:

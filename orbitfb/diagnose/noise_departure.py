@@ -23,16 +23,21 @@ _LAGS = range(1, 51)
 """Rows over which noise may echo."""
 _CHANCE = 0.99
 """Share of noise that is always the same whose parts differ no more."""
+_LEVELS = (2, 4, 8)
+"""Ranges of another channel."""
+_ALIKE = 1e-6
+"""Part of the information on offsets below which they are alike."""
 _OCCAM = 2.0
 """What the size of a colour or of a line costs [nats]."""
 
 
-def noise_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
+def noise_laws(bench: Bench, cause: Cause, gain: float) -> Iterator[tuple[str, float]]:
     """Try what else could make the noise of a cause's devices.
 
     Args:
         bench: The record under all causes.
         cause: Noise, one of them.
+        gain: Of the noise [nats].
 
     Yields:
         A course in words, and what it gains, less the price of the choice [nats].
@@ -42,6 +47,37 @@ def noise_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
         yield from _spectrum(bench, cause)
         if not cause.kind.rare:
             yield from _blocks(bench, cause)
+            yield from _offsets(bench, cause, gain)
+
+
+def _offsets(bench: Bench, cause: Cause, gain: float) -> Iterator[tuple[str, float]]:
+    """Ask whether offsets that go with another channel explain more than any noise does.
+
+    A range that is switched, a magnet that is moved: an offset of its own for every level.
+    """
+    kind = cause.kind
+    places = places_struck(bench, cause)
+    if not isinstance(kind, NoiseKind) or not 0 < len(places) <= _FEW_BPMS:
+        return
+    patterns = kind.patterns(bench.record.layout)[:, list(places)]
+    for name, channel in bench.record.auxiliary.items():
+        if not np.ptp(channel) > 0.0:  # still, or not known throughout
+            continue
+        for count in _LEVELS:
+            level = np.minimum((channel - channel.min()) / np.ptp(channel) * count, count - 1)
+            steps = [level.astype(int) == number for number in range(1, count)]
+            seen = np.array(
+                [
+                    bench.floor.whiten(np.outer(step, shape), bench.record.starts).ravel()
+                    for step in steps
+                    if step.any()
+                    for shape in patterns.T
+                ]
+            )
+            pull, known = seen @ bench.white.ravel(), seen @ seen.T
+            height = 0.5 * float(pull @ np.linalg.lstsq(known, pull, rcond=_ALIKE)[0])
+            price = _OCCAM * len(seen) + float(np.log(len(bench.record.auxiliary) * len(_LEVELS)))
+            yield f"as offsets that go with {name}, in {count} ranges", height - price - gain
 
 
 def _bits(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:

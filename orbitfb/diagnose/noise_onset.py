@@ -1,13 +1,16 @@
 """From when on there is more noise (or less): before that the places are their own reference."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.noise_spectra import usual_reading
+from orbitfb.diagnose.candidate import FIRST_ONSET, LAST_ONSET, Candidate
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.noise_spectra import MOST_PLACES, usual_reading
+from orbitfb.diagnose.random_values import likelihood_of, state
 from orbitfb.diagnose.randomness import (
+    LEAST_COLOUR,
     beyond_healthy,
     parted,
     projections,
@@ -17,6 +20,10 @@ from orbitfb.effects.random_kinds import NoiseKind
 
 _ONSET_WORTH = 4.0
 """Gain of a beginning beyond the price of its choice [nats]."""
+_COLOURS = 25
+"""Weaker ones that healthy noise may have: what they explain is no evidence of a stronger one."""
+_STRIKING = 10.0
+"""Gain from which a colour is looked at closely [nats]."""
 
 
 def begun_noise(bench: Bench, candidate: Candidate) -> Candidate:
@@ -29,8 +36,10 @@ def begun_noise(bench: Bench, candidate: Candidate) -> Candidate:
     cause, kind = candidate.cause, candidate.cause.kind
     if not isinstance(kind, NoiseKind) or not kind.sudden or cause.onset or not cause.places:
         return candidate
-    if kind.lag or kind.rare or kind.colour == "walk" or candidate.group == "all":
+    if kind.rare or kind.colour == "walk" or candidate.group == "all":
         return candidate
+    if kind.lag:
+        return _coloured(bench, candidate, kind)
     course, size = projections(bench, kind.patterns(bench.record.layout)[:, list(cause.places)])
     squares = course**2 / size
     rows, gain, before, after = parted(squares.mean(axis=1, keepdims=True), len(cause.places))
@@ -51,3 +60,47 @@ def begun_noise(bench: Bench, candidate: Candidate) -> Candidate:
         gain=max(candidate.gain, sure),
         alone=alone,
     )
+
+
+def _coloured(bench: Bench, candidate: Candidate, kind: NoiseKind) -> Candidate:
+    """Judge a colour by the whole spectrum, from the row on that explains the record best.
+
+    The correlation of neighbouring rows, by which it was found, is a small part of a strong one.
+    """
+    cause = candidate.cause
+    if not 0 < len(cause.places) <= MOST_PLACES or candidate.gain < _STRIKING:
+        return candidate
+    patterns = kind.patterns(bench.record.layout)[:, list(cause.places)]
+    course, size = projections(bench, patterns)
+    course = course / np.sqrt(size)
+    products = np.mean(course[kind.lag :] * course[: -kind.lag], axis=1)
+    left = np.arange(len(products), 0, -1)
+    late = np.cumsum(products[::-1])[::-1] ** 2 / left
+    late[:FIRST_ONSET] = late[-LAST_ONSET:] = 0.0
+    row = int(np.argmax(late)) + kind.lag
+    always, begun = (_by_spectrum(bench, replace(cause, onset=onset)) for onset in (0, row))
+    price = float(np.log(len(products))) + _ONSET_WORTH
+    late = replace(begun, gain=begun.gain - price, sure=begun.sure - price)
+    best = max(always, late, key=lambda one: one.gain)
+    if best.sure <= candidate.gain:
+        return candidate
+    return replace(candidate, cause=best.cause, gain=best.sure, alone=best.gain)
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """A noise with its best values, what it gains by them, and beyond healthy noise [nats]."""
+
+    cause: Cause
+    gain: float
+    sure: float
+
+
+def _by_spectrum(bench: Bench, cause: Cause) -> _Judged:
+    best = state(bench, cause).cause
+    likelihood, name = likelihood_of(bench, best), best.kind.parameters[0].name
+    colours = np.linspace(0.0, best.values[name], _COLOURS)
+    heights = np.array([likelihood({**best.values, name: float(c)}) for c in colours])
+    healthy = heights - 0.5 * (colours / LEAST_COLOUR) ** 2
+    gain, sure = heights[-1] - heights[0], heights[-1] - np.max(healthy)
+    return _Judged(best, float(gain), float(sure))

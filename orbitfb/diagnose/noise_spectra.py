@@ -62,8 +62,9 @@ class Spectra:
         modal = bench.floor.to_modes(left)
         places = list(places_struck(bench, cause))
         self._walk, self._reading = bench.floor.walk, bench.floor.reading
-        at = np.array(places)
-        self._noise = float(np.sqrt(usual_reading(bench, kind, at)))
+        self._noise = np.sqrt(
+            [usual_reading(bench, kind, np.array([place])) for place in places]
+        ).tolist()
         self._shapes = bench.floor.modes.directions.T @ kind.patterns(record.layout)[:, places]
         self._parts: list[tuple[Spectrum, Spectrum, float]] = []
         self._alternate: list[Spectrum] = []
@@ -180,14 +181,15 @@ class Spectra:
 
         Shapes (F, n), (F, P, P), (F,).
         """
-        shapes, added = self._shapes, self._kind.spectrum(values, self._noise, turn)
+        shapes = self._shapes
+        added = np.stack([self._kind.spectrum(values, one, turn) for one in self._noise], axis=1)
         density = self._walk + self._reading * np.abs(1.0 - turn)[:, None] ** 2
         over = shapes[None] / density[:, :, None]
-        inner = np.eye(shapes.shape[1]) + added[:, None, None] * (shapes.T @ over)
+        inner = np.eye(shapes.shape[1]) + added[:, :, None] * (shapes.T @ over)
         sign, size = np.linalg.slogdet(inner)
         if np.any(sign <= 0):
             return density, np.zeros((0, 0, 0)), size
-        return density, added[:, None, None] * np.linalg.inv(inner), size
+        return density, np.linalg.inv(inner) * added[:, None, :], size
 
 
 class Jitter:

@@ -192,8 +192,18 @@ def _deviations(depth: Callable[[Vector], float], best: Vector) -> Vector:
 
 
 def _chance(bench: Bench, cause: Cause, parameter: Parameter, values: Values) -> float:
-    """Scatter by the few strokes of a rare kind, whose spectrum takes them for many small ones."""
-    if not (isinstance(cause.kind, NoiseKind) and cause.kind.rare):
+    """Scatter beyond the spectrum's, of a parameter as it is fitted.
+
+    The spectrum takes the few strokes of a rare kind for many small ones, and the level beside a
+    colour as known: without it a correlation ρ scatters by √((1 − ρ²) / N) (G. E. P. Box and G. M.
+    Jenkins, Time Series Analysis (1970) ch. 7).
+    """
+    if not isinstance(cause.kind, NoiseKind):
+        return 0.0
+    if cause.kind.lag:
+        count = (len(bench.record) - cause.onset) * max(len(cause.places), 1)
+        return float(np.sqrt((1.0 - values[parameter.name] ** 2) / count)) / prior_width(parameter)
+    if not cause.kind.rare:
         return 0.0
     strokes = max(values["probability"] * (len(bench.record) - cause.onset), 1.0)
     # the size goes with the root of what the spectrum tells

@@ -27,13 +27,15 @@ from orbitfb.physics.places import Indices
 
 _LEAST_SCATTER = 0.05
 """Relative scatter of a healthy variance between devices, beyond chance."""
-_LEAST_COLOUR = 0.02
+LEAST_COLOUR = 0.02
 """The same of a correlation in time: levels of healthy noise differ, but all of it is white."""
 LEVELS = ("noise-level", "ground-motion-level")
 """Kinds that may strike every place alike."""
 WITHIN, BETWEEN = 0.05, 0.1
 """Scatter of the logarithm of a healthy variance between times of a record, and between records."""
 _KEPT = 3
+_AT_ONCE = 500
+"""Groups that are looked at in one go: every row of each is a number."""
 _MANY = 8
 """Places from which on a typical one can be told."""
 EDGE = 60
@@ -146,7 +148,7 @@ def _scattered(bench: Bench, kind: NoiseKind, patterns: Matrix) -> _Scatter:
         seen = over + bench.floor.modes.levels
         seen = seen - (np.median(seen) if len(seen) > _MANY else 0.0)
         healthy = bench.floor.modes.scatter
-    least = _LEAST_COLOUR if kind.lag else _LEAST_SCATTER
+    least = LEAST_COLOUR if kind.lag else _LEAST_SCATTER
     if kind.target == "bpm":  # healthy levels differ BPM by BPM: what a crate has in common less
         least /= float(np.sqrt(np.median(np.count_nonzero(patterns, axis=0))))
     scatter = max(_scatter(over, chance, least), healthy)
@@ -228,7 +230,10 @@ def _sudden_crates(
     usual = np.maximum(squares.mean(axis=0), 1e-300)
     member = membership(groups, squares.shape[1])
     count = member.sum(axis=1)
-    rows, gain, early, late = parted((squares / usual) @ (member / count[:, None]).T, count)
+    together = (member / count[:, None]).T
+    parts = [slice(first, first + _AT_ONCE) for first in range(0, len(groups), _AT_ONCE)]
+    found = [parted((squares / usual) @ together[:, own], count[own]) for own in parts]
+    rows, gain, early, late = (np.concatenate(its) for its in zip(*found, strict=True))
     apart = WITHIN * np.hypot(1.0 / np.sqrt(count), _IN_COMMON)
     height = beyond_healthy(gain - np.log(len(squares)), late / early, apart)
     for index in np.argsort(height)[::-1][:_KEPT]:

@@ -26,6 +26,9 @@ from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
+_STRIDE = 4
+"""Rows of which one is tried as the beginning of a group: there are many groups."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Beginnings:
@@ -80,7 +83,9 @@ def onsets(
         # from every row on neighbours hide as much of each other as over the whole record
         member = groups.member
         hidden = groups.information / np.maximum(member @ groups.alone, 1e-300)
-        found = _highest(kind, later_score @ member.T, (later @ member.T) * hidden)
+        some = slice(None, None, _STRIDE)
+        late, info = later_score[some] @ member.T, (later[some] @ member.T) * hidden
+        found = _highest(kind, late, info, _STRIDE)
         # a group that gains no more than one of its devices is that device
         found.gain[found.gain <= np.max(member * single.gain, axis=1)] = 0.0
         sets = [*zip(groups.places, groups.names, strict=True)]
@@ -123,13 +128,17 @@ def holding(kind: EffectKind) -> bool:
     return isinstance(kind, SourceKind) and kind.standing
 
 
-def _highest(kind: EffectKind, score: Matrix, info: Matrix) -> _Beginnings:
-    """Find the best row of every set from scores and information from every row on, (N, S)."""
+def _highest(kind: EffectKind, score: Matrix, info: Matrix, stride: int = 1) -> _Beginnings:
+    """Find the best row of every set from scores and information from every row on, (N, S).
+
+    Those of every so many rows do: a beginning is looked for again near the row proposed.
+    """
     strength, gain = best_strength(kind, score, info)
-    gain[:FIRST_ONSET] = 0.0
-    gain[len(gain) - LAST_ONSET :] = 0.0
+    gain[: -(-FIRST_ONSET // stride)] = 0.0
+    gain[len(gain) - LAST_ONSET // stride :] = 0.0
     row, column = np.argmax(gain, axis=0), np.arange(gain.shape[1])
-    return _Beginnings(row, strength[row, column], gain[row, column], float(gain.size))
+    choices = float(gain.size * stride)
+    return _Beginnings(row * stride, strength[row, column], gain[row, column], choices)
 
 
 def _beginnings(

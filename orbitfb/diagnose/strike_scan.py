@@ -12,8 +12,10 @@ from scipy.special import expit, logit
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.device_groups import groups_of, membership
+from orbitfb.diagnose.device_groups import crates, groups_of, membership
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.effects.actuating import changes
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import LatentKind
 from orbitfb.physics.optics import Matrix
@@ -22,6 +24,10 @@ _RARE = np.geomspace(0.0005, 0.5, 25)
 _LEAST_SPIKE = 2.0
 """Spikes are larger than this many standard deviations; what is smaller is plain noise."""
 _MOST_SPIKES = 0.05
+_SOME = (0.005, 0.03, 0.15)
+"""Probabilities by which crates are compared."""
+_CRATE = 40
+"""Correctors that share a crate, at most."""
 _KEPT = 3
 
 
@@ -34,17 +40,19 @@ def latent_gain(
         bench: The record under the causes so far.
         kind: The effect.
         values: All parameters.
-        places: BPMs that it strikes, if it strikes BPM by BPM; all when there are none.
+        places: That it strikes; all when there are none.
     """
-    score, info = strikes(bench, kind)
+    score, info = strikes(bench, kind, places)
     if kind.per_bpm and len(places):
         score, info = score[:, list(places)], info[:, list(places)]
     return _ratio(kind, score, info, [values[p.name] for p in kind.parameters])
 
 
-def latent_odds(bench: Bench, kind: LatentKind, values: Values) -> Matrix:
+def latent_odds(
+    bench: Bench, kind: LatentKind, values: Values, places: Sequence[int] = ()
+) -> Matrix:
     """Probability that a row (or a reading) was struck, shape (N, 1) or (N, n)."""
-    score, info = strikes(bench, kind)
+    score, info = strikes(bench, kind, places)
     first, last = values[kind.parameters[0].name], values[kind.parameters[-1].name]
     if kind.strength == "always one":
         ratio = score - 0.5 * info
@@ -64,7 +72,37 @@ def latent_candidates(bench: Bench, kind: LatentKind) -> list[Candidate]:
         gain = float(np.sum(_ratio(kind, score, info, list(values.values()))))
         if gain > (0.0 if best is None else best.gain):
             best = Candidate(Cause(kind, (), values), gain, 10.0)
-    return [] if best is None else [best]
+    found = [] if best is None else [best]
+    return found + (list(_crates(bench, kind)) if kind.target == "corrector" else [])
+
+
+def _crates(bench: Bench, kind: LatentKind) -> Iterator[Candidate]:
+    """Correctors that are struck together: each by itself, and crates."""
+    devices, floor = bench.record.layout.correctors, bench.floor
+    groups = [
+        *(("", np.array([column])) for column in range(len(devices))),
+        *((name, members) for name, members in crates(devices) if len(members) <= _CRATE),
+    ]
+    moves = -changes(bench.currents, bench.record)
+    modal = floor.to_modes(bench.record.layout.response.T)
+    known = (modal * _echo(floor)) @ modal.T
+    pulls = (bench.slope @ bench.record.layout.response) * moves
+    heights = np.zeros(len(groups))
+    for index, (_, columns) in enumerate(groups):
+        own = moves[:, columns]
+        score = pulls[:, columns].sum(axis=1, keepdims=True)
+        info = np.sum((own @ known[np.ix_(columns, columns)]) * own, axis=1, keepdims=True)
+        heights[index] = max(float(np.sum(_ratio(kind, score, info, [p]))) for p in _SOME)
+    for index in np.argsort(heights)[::-1][:_KEPT]:
+        name, columns = groups[int(index)]
+        places = tuple(int(column) for column in columns)
+        score, info = strikes(bench, kind, places)
+        grid = list(_latent_grid(kind, score, info))
+        gains = [float(np.sum(_ratio(kind, score, info, [*its.values()]))) for its in grid]
+        best = int(np.argmax(gains))
+        if gains[best] > 0.0:
+            cause = Cause(kind, places, grid[best])
+            yield Candidate(cause, gains[best], 10.0 * len(groups), name)
 
 
 def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) -> list[Candidate]:
@@ -97,12 +135,11 @@ def _noisier(score: Matrix, info: Matrix) -> Vector:
     return np.maximum(np.max(gains, axis=0), 0.0)
 
 
-def strikes(bench: Bench, kind: LatentKind) -> tuple[Matrix, Matrix]:
+def strikes(bench: Bench, kind: LatentKind, places: Sequence[int] = ()) -> tuple[Matrix, Matrix]:
     """Score and information of a strike of strength one, (N, 1) or per BPM (N, n)."""
-    shapes = kind.shapes(bench.record, bench.currents, bench.orbit)
+    shapes = kind.shapes(bench.record, bench.currents, bench.orbit, places)
     floor = bench.floor
-    # A change of one row is an innovation now and, less the gain, in the rows after.
-    echo = (1.0 + floor.gains / (2.0 - floor.gains)) / floor.innovation_variance
+    echo = _echo(floor)
     # A reading that was filled in speaks neither for nor against, nor does the step after it.
     filled = bench.record.filled.copy()
     filled[1:] |= bench.record.filled[:-1]
@@ -112,6 +149,14 @@ def strikes(bench: Bench, kind: LatentKind) -> tuple[Matrix, Matrix]:
         return score, shapes**2 * (floor.modes.directions**2 @ echo)
     info = (floor.to_modes(shapes) ** 2) @ echo
     return score.sum(axis=1, keepdims=True), info[:, None]
+
+
+def _echo(floor: NoiseFloor) -> Vector:
+    """Information on a change of one row, mode by mode, shape (n,) [1/m²].
+
+    It is an innovation now and, less the gain, in the rows after.
+    """
+    return (1.0 + floor.gains / (2.0 - floor.gains)) / floor.innovation_variance
 
 
 def _latent_grid(kind: LatentKind, score: Matrix, info: Matrix) -> Iterator[Values]:

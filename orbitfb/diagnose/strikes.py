@@ -36,8 +36,9 @@ def without_strikes(bench: Bench, kind: LatentKind, cause: Cause) -> Record:
         return replace(record, readings=readings, filled=record.filled | struck)
     # Setpoints that were not in force: those of the row before were.
     setpoints = record.setpoints.copy()
+    columns = list(cause.places) or slice(None)
     for row in np.flatnonzero(struck[:, 0] & ~record.starts):
-        setpoints[row] = setpoints[row - 1]
+        setpoints[row, columns] = setpoints[row - 1, columns]
     return replace(record, setpoints=setpoints)
 
 
@@ -53,7 +54,7 @@ def struck_rows(bench: Bench, kind: LatentKind, cause: Cause) -> Mask:
 
 
 def _struck(bench: Bench, kind: LatentKind, cause: Cause) -> Mask:
-    struck = latent_odds(bench, kind, cause.values) > _LIKELY
+    struck = latent_odds(bench, kind, cause.values, cause.places) > _LIKELY
     if kind.per_bpm:
         struck[:, [i for i in range(struck.shape[1]) if i not in cause.places]] = False
     return struck

@@ -1,5 +1,7 @@
 """Ticks in which no setpoint arrives."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -14,7 +16,9 @@ from orbitfb.physics.places import Indices
 
 
 class MissedWrite(LatentKind):
-    """The whole set of setpoints of a tick is lost; the next one, absolute, makes good for it.
+    """The setpoints of a tick are lost, of all correctors or of those of a crate.
+
+    The next ones, absolute, make good for it.
 
     The plant keeps the last set that arrived. `shapes` tells what one lost set does; of two in a
     row it tells the second one's own part only.
@@ -22,14 +26,15 @@ class MissedWrite(LatentKind):
 
     id = "missed-write"
     stage = "timing"
+    target = "corrector"
     strength = "always one"
     title = "missed writes of setpoints"
     sentence = (
-        "Now and then the setpoints of a tick do not arrive in time, and all correctors stay "
+        "Now and then the setpoints of a tick do not arrive in time, and the correctors stay "
         "where they were until the next ones come. Look for lost packets, full queues, or a "
-        "computer that is too busy."
+        "computer that is too busy: that of the loop if all are struck, else that of the crate."
     )
-    equation = "θ_n = θ_{n−1} with probability p, else u_n"
+    equation = "θ_n = θ_{n−1} with probability p, else u_n, of all correctors of a crate at once"
     parameters = (
         Parameter(
             name="probability",
@@ -45,25 +50,31 @@ class MissedWrite(LatentKind):
     confused_with = ("loop-delay", "clock-jitter", "missed-read", "corrector-deadband")
     splits = "Sequence numbers or time stamps of the writes; the readbacks of the currents."
 
-    def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
+    def shapes(
+        self, record: Record, currents: Matrix, orbit: Matrix, places: Sequence[int] = ()
+    ) -> Matrix:
         """Take the change of the currents back, shape (N, n) [m]."""
-        return -changes(currents, record) @ record.layout.response.T
+        struck = slice(None) if not len(places) else list(places)
+        return -changes(currents, record)[:, struck] @ record.layout.response[:, struck].T
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
     ) -> Effect:
         """Lose sets of setpoints; the first one arrives."""
-        return _Missed(values["probability"], rng)
+        return _Missed(places, values["probability"], rng)
 
 
 class _Missed(Effect):
-    def __init__(self, probability: float, rng: np.random.Generator) -> None:
+    def __init__(self, places: Indices, probability: float, rng: np.random.Generator) -> None:
+        self._places = places if len(places) else slice(None)
         self._probability, self._rng = probability, rng
         self._arrived: Vector | None = None
 
     def actuate(self, setpoints: Vector, tick: int) -> Vector:
         """Keep the last set that arrived, now and then."""
         lost = self._rng.random() < self._probability
-        if self._arrived is None or not lost:
-            self._arrived = setpoints.copy()
-        return self._arrived.copy()
+        acting = setpoints.copy()
+        if self._arrived is not None and lost:
+            acting[self._places] = self._arrived[self._places]
+        self._arrived = acting
+        return acting.copy()

@@ -33,7 +33,6 @@ class NoiseColoured(NoiseKind):
         "reaches over several ticks. The orbit itself is read without delay."
     )
     equation = "v_n = ρ v_(n−1) + √(1 − ρ²) ε_n, ε white, so that the rms of v stays"
-    sudden = False
     confused_with = ("bpm-lowpass", "noise-level", "ground-motion-level")
     splits = "dither: a low-pass delays the response to correctors too, coloured noise does not"
 

@@ -1,6 +1,7 @@
 """Effects without a course in time that could be known: noise, and what strikes at random."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -89,5 +90,17 @@ class LatentKind(EffectKind):
     """Whether it strikes BPM by BPM (every column of `shapes` with its own z) or all at once."""
 
     @abstractmethod
-    def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
-        """Change of the prediction by a strike of strength 1, shape (N, n) [m per unit of z]."""
+    def shapes(
+        self, record: Record, currents: Matrix, orbit: Matrix, places: Sequence[int] = ()
+    ) -> Matrix:
+        """Change of the prediction by a strike of strength 1.
+
+        Args:
+            record: What happened.
+            currents: That act on the beam, shape (N, m) [A].
+            orbit: Predicted, shape (N, n) [m].
+            places: Correctors that are struck together, of an effect on correctors; all if empty.
+
+        Returns:
+            Shape (N, n) [m per unit of z].
+        """

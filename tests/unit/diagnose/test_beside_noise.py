@@ -66,7 +66,7 @@ def test_noise_of_a_part_of_the_record_is_not_the_noise_of_its_law(burst, said):
     size = 6e-7 if burst else 3e-7
     readings[rows, 20] += size * rng.standard_normal(len(readings[rows]))
     bench = Bench(replace(record, readings=readings))
-    told = dict(noise_laws(bench, Cause(LEVEL, (20,), {"factor": 2.0})))
+    told = dict(noise_laws(bench, Cause(LEVEL, (20,), {"factor": 2.0}), 0.0))
     assert (told["as noise that comes and goes"] > 20.0) is said
 
 

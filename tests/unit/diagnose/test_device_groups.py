@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 from test_scans import LAYOUT, best, record_with
 
 from orbitfb.diagnose.device_groups import cells, groups_of
@@ -16,10 +17,23 @@ def test_where_no_cell_is_known_runs_of_neighbours_are_groups_in_each_plane_and_
     assert found[tuple(range(60))] == "all x"
     assert found[7, 8, 9] == "BPM7–BPM9 x"
     assert found[67, 68, 69] == "BPM7–BPM9 y"
-    assert found[7, 67, 8, 68, 9, 69] == "BPM7–BPM9"
+    assert found[7, 8, 9, 67, 68, 69] == "BPM7–BPM9"
     assert max(len(columns) for columns in found) == 120
     covered = {int(column) for members in cells(NAMELESS) for column in members}
     assert covered == set(range(120))
+
+
+def test_a_rack_need_not_begin_with_a_cell_nor_end_before_the_ring_does():
+    devices = LAYOUT.correctors
+    found = {columns.tobytes(): name for name, columns in groups_of(devices)}
+    assert len(found) == len(list(groups_of(devices)))  # none twice
+    last = len(devices) - 1
+    for columns, name in (
+        ([4, 5, 6, 7], f"{devices.names[4]}–{devices.names[7]}"),
+        ([0, 1, last - 1, last], f"{devices.names[last - 1]}–{devices.names[1]}"),
+        ([0, 1, 2, 3, 4, 5], devices.cells[0]),
+    ):
+        assert found[np.array(columns, dtype=np.intp).tobytes()] == name
 
 
 def test_neighbours_without_a_cell_are_found_together():

@@ -61,7 +61,7 @@ def test_an_offset_that_alternates_is_no_noise(size):
     readings[:, place] += size * (-1.0) ** np.arange(len(readings))
     bench, kind = Bench(replace(record, readings=readings)), all_effects()["noise-level"]
     cause = state(bench, Cause(kind, (place,), {"factor": 1.5})).cause
-    laws = dict(noise_laws(bench, cause))
+    laws = dict(noise_laws(bench, cause, 0.0))
     alternating = laws["as an offset that alternates from tick to tick"]
     assert (alternating > 30.0) is (size > 0.0)
     if not size:
@@ -78,4 +78,25 @@ def test_noise_with_a_longer_memory_is_no_noise_of_the_law():
     readings[:, place] += ring[2:]
     bench, kind = Bench(replace(record, readings=readings)), all_effects()["noise-coloured"]
     cause = state(bench, Cause(kind, (place,), {"correlation": 0.3})).cause
-    assert max(nats for _, nats in noise_laws(bench, cause)) > 30.0
+    assert max(nats for _, nats in noise_laws(bench, cause, 0.0)) > 30.0
+
+
+@pytest.mark.parametrize("switched", [True, False])
+def test_an_offset_that_another_channel_switches_is_no_walk(switched):
+    told = () if switched else (f"bpm-walk:step=0.2um,names={BPMS[40]}",)
+    record, place = record_with(*told), 40
+    current = 0.4 + 0.004 * np.sin(np.arange(len(record)) / 40.0)
+    readings = record.readings.copy()
+    if switched:
+        readings[:, place] += np.select([current > 0.402, current > 0.399], [2e-6, -1e-6])
+    record = replace(record, readings=readings, auxiliary={"current": current})
+    bench = Bench(record)
+    cause, gain = next(
+        (one.cause, one.gain)
+        for one in walking_candidates(bench, all_effects()["bpm-walk"])
+        if one.cause.places == (place,)
+    )
+    laws = noise_laws(bench, cause, gain)
+    offsets = [nats for course, nats in laws if "go with current" in course]
+    assert gain > 30.0
+    assert (max(offsets) > 30.0) is switched
