@@ -27,6 +27,16 @@ def trials(bench: Bench, cause: Cause) -> Iterator[tuple[str, Matrix]]:
         for name, trial in (*_courses(course), *_with_others(bench, course)):
             yield name, trial @ patterns.T
     yield from _heard(bench, cause)
+    does = _does(bench, cause)
+    size = np.sqrt(np.mean(does**2, axis=1, keepdims=True))
+    yield "more than in proportion to what it does", does * size / (np.mean(size) + _TINY)
+
+
+def _does(bench: Bench, cause: Cause) -> Matrix:
+    """What a cause adds to the prediction, shape (N, n) [m]."""
+    others = [one for one in bench.causes if one is not cause]
+    without = explain(bench.record, others, bench.orbit).left
+    return without - explain(bench.record, (*others, cause), bench.orbit).left
 
 
 def _heard(bench: Bench, cause: Cause) -> Iterator[tuple[str, Matrix]]:
@@ -87,10 +97,7 @@ def _driven(bench: Bench, cause: Cause) -> tuple[Matrix, Matrix]:
         columns = own_columns(bench, cause, record.readings.shape[1])
         course = bench.orbit[:, columns]
         return np.eye(record.readings.shape[1])[:, columns], course - course.mean(axis=0)
-    others = [one for one in bench.causes if one is not cause]
-    without = explain(record, others, bench.orbit).left
-    change = without - explain(record, (*others, cause), bench.orbit).left
-    courses, heights, patterns = np.linalg.svd(change, full_matrices=False)
+    courses, heights, patterns = np.linalg.svd(_does(bench, cause), full_matrices=False)
     rank = min(max(int(np.sum(heights > _SMALL * heights[0])), 1), _RANK)
     return patterns[:rank].T, courses[:, :rank] * heights[:rank]
 

@@ -8,7 +8,7 @@ of one record may be split like this although the filter runs through.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from orbitfb.diagnose.fit_search import (
     tuned,
 )
 from orbitfb.diagnose.problem import Left, Problem, from_fitted, to_fitted
+from orbitfb.diagnose.standing import is_standing
 from orbitfb.effects.kinds import Parameter
 from orbitfb.physics.optics import Matrix
 
@@ -42,6 +43,8 @@ _IDEAL = 0.02
 """Share of an effect's size by which nature departs from the law that the library has for it."""
 _TIMING = 0.05
 """The same for a time constant: when within a tick setpoints come into force is not known."""
+_SHOWN = 10.0
+"""What a law must gain beyond its first kicks to be seen at all [nats]."""
 _WHOLE = 500.0
 """Reach in a logarithm beyond which an interval covers all bounds."""
 
@@ -211,6 +214,19 @@ def _normal_equations(now: Left, slopes: list[Left]) -> tuple[Vector, Matrix]:
     return gradient, curvature
 
 
+def _steps_alone(bench: Bench, causes: Sequence[Cause], gain: float) -> float:
+    """What free first kicks gain beyond their price where the laws add nothing to them [nats].
+
+    The orbit makes a step for many reasons: it does not speak for a law that shows in nothing else.
+    """
+    if not any(map(is_standing, causes)):
+        return 0.0
+    still = [replace(c, values={p.name: p.nominal for p in c.kind.parameters}) for c in causes]
+    steps = log_likelihood(*bench.residual(still)) - bench.log_likelihood
+    shown = gain - steps > _SHOWN
+    return 0.0 if shown else max(steps - bench.free_steps.price(causes), 0.0)
+
+
 def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, precise: bool) -> Fit:
     bench = problem.bench
     white, _, jacobian = now
@@ -252,7 +268,7 @@ def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, pr
     far[problem.lines] = 0.0
     surprise = float(np.sum(np.log1p((far / problem.scale) ** 2)))
     found = problem.at(best)
-    volume += bench.free_steps.price(found)
+    volume += bench.free_steps.price(found) + _steps_alone(bench, found, gain)
     return Fit(
         found, gain, white, gains, problem.parameters, covariance, tuple(ranges),
         inflation, float(held.sum()), held, volume + surprise, tuple(unstable.tolist()),

@@ -81,8 +81,7 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
         for one, entry in ((one, one.accepted) for one in outcome.winners)
         if entry is not None
     )
-    other_law = any(its.chance < _HALF for its in departures)
-    remains = (rest.resolved and explained < _EXPLAINED) or flagged or other_law
+    remains = (rest.resolved and explained < _EXPLAINED) or flagged
     groups: tuple[Group, ...] = ()
     if outcome.winners:
         groups = classes(outcome.winners[0].entries, outcome.winners[0].bench, CLOSE)
@@ -151,11 +150,11 @@ def _state(
         return "unknown" if remains or _of_no_kind(outcome.rounds[0]) else "no_gap"
     first = outcome.winners[0]
     law = departures[0]
+    if not first.sure:  # there may be nothing at all: no law is wrong yet
+        return "unknown" if remains or _of_no_kind(first) else "ambiguous"
     if _stand_in(first) or law.stand_in or law.chance < _NO_NAME or explained < _HALF:
         return "unknown"
-    if not first.sure:
-        return "unknown" if remains or _of_no_kind(first) else "ambiguous"
-    if remains:
+    if remains or any(its.chance < _HALF for its in departures):
         return "named_plus_remainder"
     return "ambiguous" if first.rivals() else "named"
 

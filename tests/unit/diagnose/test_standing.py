@@ -8,6 +8,7 @@ import pytest
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.noise_walk import walking_candidates
 from orbitfb.diagnose.proposals import _chosen
 from orbitfb.diagnose.simulate import simulate_record
@@ -107,3 +108,20 @@ def test_a_calibration_may_change_with_a_step_or_without(increments):
     assert best.fit is not None
     low, high = best.fit.interval(0)
     assert low < 0.3 < high
+
+
+@pytest.mark.parametrize(("gain", "seen"), [(0.0, False), (0.3, True)])
+def test_a_step_of_the_orbit_speaks_for_no_law_that_shows_in_nothing_else(gain, seen):
+    places = tuple(range(8, 14))
+    names = "+".join(LAYOUT.correctors.names[place] for place in places)
+    told = f"corrector-gain:gain={gain},names={names},from=40s"
+    quiet = simulate_record(
+        RING, "x", 450, 5, build([parse_effect(told)], LAYOUT, 1), dither=2e-4, period=0.1
+    )
+    readings = quiet.readings.copy()
+    readings[ONSET:] += 2e-3 * LAYOUT.response[:, list(places)] @ np.array([1, -2, 3, 1, -2, 2])
+    bench = Bench(replace(quiet, readings=readings))
+    cause = Cause(KINDS["corrector-gain"], places, {"gain": 0.1}, ONSET, free=True)
+    found = fit(bench, (cause,))
+    assert found.gain > 100.0
+    assert (found.evidence > 20.0) is seen
