@@ -1,6 +1,7 @@
 """Groups of devices that an effect may strike alike."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,11 +11,27 @@ from orbitfb.physics.places import Indices
 
 _RACK = 8
 """Neighbouring devices that may share a rack which does not begin with a cell."""
+_ACROSS = 0.2
+"""Probability that what strikes several neighbours does not keep to cells."""
 _ALL_LENGTHS = 40
 """Cells up to which runs of every length are groups; of more, those that grow by about a third."""
 
 
-def groups_of(devices: Devices) -> Iterator[tuple[str, Indices]]:
+class Group(NamedTuple):
+    """Devices that an effect may strike alike.
+
+    Args:
+        name: All, a plane, a run of cells or a rack across them.
+        members: Columns of the devices, in order.
+        choices: Of how many alike it is one; the inverse of its probability before the data.
+    """
+
+    name: str
+    members: Indices
+    choices: float
+
+
+def groups_of(devices: Devices) -> list[Group]:
     """List groups that an effect may strike: all, a plane, runs of cells, racks across them.
 
     Where no name tells a cell every device is one.
@@ -24,26 +41,29 @@ def groups_of(devices: Devices) -> Iterator[tuple[str, Indices]]:
     """
     everything = np.arange(len(devices), dtype=np.intp)
     planes = np.array(devices.planes)
-    yield "all", everything
-    of_plane = {str(plane): everything[planes == plane] for plane in np.unique(planes)}
-    if len(of_plane) > 1:
-        yield from ((f"all {plane}", members) for plane, members in of_plane.items())
+    split = sorted(set(devices.planes)) if len(set(devices.planes)) > 1 else []
     known, each = devices.groups(), _one_by_one(devices)
+    kinds = [[("all", everything), *((f"all {p}", everything[planes == p]) for p in split)]]
     seen: set[tuple[int, ...]] = set()
     for units, lengths in (
         (known or each, _lengths(len(known or each))),
         (each, range(2, _RACK + 1) if known else ()),
     ):
+        runs: list[tuple[str, Indices]] = []
         for label, members in _runs(units, lengths):
-            key = tuple(sorted(members.tolist()))
+            key = tuple(members.tolist())
             if len(members) < 2 or key in seen:
                 continue
             seen.add(key)
-            yield label, members
-            for plane in of_plane if len(of_plane) > 1 else ():
-                own = members[planes[members] == plane]
-                if 1 < len(own) < len(members):
-                    yield f"{label} {plane}", own
+            runs.append((label, members))
+            of_plane = ((f"{label} {p}", members[planes[members] == p]) for p in split)
+            runs += [(name, own) for name, own in of_plane if 1 < len(own) < len(members)]
+        kinds.append(runs)
+    whole, racks = [*kinds[0], *kinds[1]], kinds[2]
+    shares = ((whole, 1.0 - _ACROSS if racks else 1.0), (racks, _ACROSS))
+    return [
+        Group(name, members, len(kind) / share) for kind, share in shares for name, members in kind
+    ]
 
 
 def _runs(units: Mapping[str, Indices], lengths: Iterable[int]) -> Iterator[tuple[str, Indices]]:
@@ -59,14 +79,13 @@ def _runs(units: Mapping[str, Indices], lengths: Iterable[int]) -> Iterator[tupl
             yield label, np.sort(np.concatenate([columns[index] for index in its]))
 
 
-def crates(devices: Devices) -> list[tuple[str, Indices]]:
+def crates(devices: Devices) -> list[Group]:
     """List those of at most half of the devices: what most do is no fault of theirs.
 
     Args:
         devices: In order around the ring.
     """
-    every = groups_of(devices)
-    return [(name, members) for name, members in every if 2 * len(members) <= len(devices)]
+    return [group for group in groups_of(devices) if 2 * len(group.members) <= len(devices)]
 
 
 def cells(devices: Devices) -> list[Indices]:
@@ -78,16 +97,16 @@ def cells(devices: Devices) -> list[Indices]:
     return [np.concatenate(each[begin : begin + 4]) for begin in range(0, len(each) - 1, 2)]
 
 
-def membership(groups: Sequence[tuple[str, Indices]], count: int) -> Matrix:
+def membership(groups: Sequence[Group], count: int) -> Matrix:
     """Tell who is in which group: 1 for a member, shape (groups, count).
 
     Args:
-        groups: With names, as `groups_of` lists them.
+        groups: As `groups_of` lists them.
         count: Of all columns.
     """
     member = np.zeros((len(groups), count))
-    for row, (_, columns) in enumerate(groups):
-        member[row, columns] = 1.0
+    for row, group in enumerate(groups):
+        member[row, group.members] = 1.0
     return member
 
 

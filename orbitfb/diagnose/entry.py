@@ -30,9 +30,7 @@ _SAME = 0.02
 """Two fits leave the same when what they leave differs by less than this share of the gain."""
 _ONE_LAW = 9.0
 """Two fits are one law when what they leave differs by less, summed over all squares of the white
-innovations, for every parameter that one has more: three standard deviations of what noise makes
-of a parameter that is not needed.
-"""
+innovations, for every parameter that one has more: three standard deviations of what noise does."""
 _AT_MOST = 0.2
 """The same as a share of the gain: the changes they make have a cosine of 0.95."""
 _WORTH_MORE = 2.0
@@ -112,7 +110,8 @@ def enter(bench: Bench, candidate: Candidate) -> Entry:
         begun = begun_noise(bench, candidate)
         return Entry(begun, None, net(begun) - len(kind.parameters))
     entry = _begun(bench, _fitted(bench, candidate))
-    entry = _joined(bench, _struck(bench, entry))
+    joined = _joined(bench, _struck(bench, entry))
+    entry = joined if joined.cause.places == entry.cause.places else _begun(bench, joined)
     entry = max((entry, *_later(bench, entry)), key=lambda one: one.weight)
     return _fuller(bench, entry)
 
@@ -136,11 +135,12 @@ def _begun(bench: Bench, entry: Entry) -> Entry:
     row, rows = cause.onset, len(bench.record)
     best = log_likelihood(*bench.roughly((cause,)))
     for step in _STRIDES:
-        for there in (row - step, row + step):
-            if FIRST_ONSET <= there < rows - LAST_ONSET:
-                height = log_likelihood(*bench.roughly((replace(cause, onset=there),)))
-                if height > best:
-                    best, row = height, there
+        for way in (-step, step):
+            while FIRST_ONSET <= row + way < rows - LAST_ONSET:
+                height = log_likelihood(*bench.roughly((replace(cause, onset=row + way),)))
+                if height <= best:
+                    break
+                best, row = height, row + way
     if row == cause.onset:
         return entry
     moved = replace(entry.candidate, cause=replace(cause, onset=row))

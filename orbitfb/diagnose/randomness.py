@@ -14,7 +14,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate, held_to
-from orbitfb.diagnose.device_groups import crates, membership
+from orbitfb.diagnose.device_groups import Group, crates, membership
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_colour import colour_of_all
 from orbitfb.diagnose.noise_spectra import usual_reading
@@ -185,10 +185,14 @@ def _sets(
         if 2 <= len(members) <= _MANY_STRIKE * len(seen):
             yield members, "", float(comb(len(seen), len(members)))
     groups = crates(bench.record.layout.bpms)
-    weight = [abs(float(np.sum(seen[members]))) / np.sqrt(len(members)) for _, members in groups]
+    weight = [
+        0.5 * float(np.sum(seen[its.members]) / deviation) ** 2 / len(its.members)
+        - float(np.log(its.choices))
+        for its in groups
+    ]
     for index in np.argsort(weight)[::-1][:_KEPT]:
-        name, members = groups[int(index)]
-        yield members, name, float(len(groups))
+        its = groups[int(index)]
+        yield its.members, its.name, its.choices
 
 
 def _scatter(values: Vector, chance: float, least: float) -> float:
@@ -224,7 +228,7 @@ def _sudden_crates(
     kind: NoiseKind,
     squares: Matrix,
     size: Vector,
-    groups: Sequence[tuple[str, Indices]],
+    groups: Sequence[Group],
 ) -> Iterator[Candidate]:
     """The same of BPMs together, each beside its own mean."""
     usual = np.maximum(squares.mean(axis=0), 1e-300)
@@ -236,13 +240,14 @@ def _sudden_crates(
     rows, gain, early, late = (np.concatenate(its) for its in zip(*found, strict=True))
     apart = WITHIN * np.hypot(1.0 / np.sqrt(count), _IN_COMMON)
     height = beyond_healthy(gain - np.log(len(squares)), late / early, apart)
-    for index in np.argsort(height)[::-1][:_KEPT]:
-        name, members = groups[int(index)]
+    choices = np.array([group.choices for group in groups])
+    for index in np.argsort(height - np.log(choices))[::-1][:_KEPT]:
+        name, members, its = groups[int(index)]
         added = float(late[index] - early[index]) * float(np.mean(usual[members] / size[members]))
         values = values_of(kind, added, usual_reading(bench, kind, members))
         if values is not None:
             cause = Cause(kind, tuple(members.tolist()), values, int(rows[index]))
-            yield Candidate(cause, float(height[index]), float(len(groups)), name)
+            yield Candidate(cause, float(height[index]), its, name)
 
 
 def parted(squares: Matrix, count: Vector | float = 1.0) -> tuple[Indices, Vector, Vector, Vector]:

@@ -47,9 +47,9 @@ def _coloured(bench: Bench, *, collective: bool) -> Iterator[tuple[Indices, str,
         yield np.array([place]), "", float(len(colour))
     groups = crates(bench.record.layout.bpms) if collective else []
     if groups:
-        sums = [abs(float(colour[columns].sum())) / np.sqrt(len(columns)) for _, columns in groups]
-        name, columns = groups[int(np.argmax(sums))]
-        yield columns, name, float(len(groups))
+        sums = [abs(float(colour[its.members].sum())) / np.sqrt(len(its.members)) for its in groups]
+        name, columns, choices = groups[int(np.argmax(sums))]
+        yield columns, name, choices
 
 
 def _colours(bench: Bench) -> Vector:

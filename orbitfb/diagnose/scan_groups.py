@@ -7,7 +7,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.candidate import KEPT, Candidate, best_strength, sized
-from orbitfb.diagnose.device_groups import groups_of, membership
+from orbitfb.diagnose.device_groups import Group, groups_of, membership
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import information
 from orbitfb.diagnose.scan_changes import Changes
@@ -20,17 +20,15 @@ from orbitfb.physics.optics import Matrix
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Groups:
-    """All devices, those of a plane, and every run of neighbouring cells: G groups of P devices.
+    """G groups of P devices, as `groups_of` lists them.
 
     Args:
-        places: Members of each.
-        names: Of each.
+        each: All of them.
         member: Who is in which, shape (G, P).
         known: Information on all devices, shape (P, P).
     """
 
-    places: list[tuple[int, ...]]
-    names: list[str]
+    each: list[Group]
     member: Matrix
     known: Matrix
 
@@ -48,10 +46,13 @@ class Groups:
         (shapes, drivers), *_ = changes.parts
         keep = np.sqrt(1.0 - changes.information[1])
         known = information(shapes.fine, scoring.courses(drivers)) * np.outer(keep, keep)
-        groups = list(groups_of(devices))
-        member = membership(groups, len(devices))
-        places = [tuple(columns.tolist()) for _, columns in groups]
-        return cls(places, [name for name, _ in groups], member, known)
+        groups = groups_of(devices)
+        return cls(groups, membership(groups, len(devices)), known)
+
+    @property
+    def choices(self) -> Vector:
+        """Of how many every group is one, shape (G,)."""
+        return np.array([group.choices for group in self.each])
 
     @property
     def information(self) -> Vector:
@@ -82,7 +83,9 @@ def of_groups(
     # a group that gains no more than one of its devices is that device
     alone = best_strength(kind, score, groups.alone)[1]
     gain[gain <= np.max(groups.member * alone, axis=1)] = 0.0
-    for group in np.argsort(gain)[::-1][:KEPT]:
-        if gain[group] > 0:
-            cause = Cause(kind, groups.places[group], sized(kind, values, float(strength[group])))
-            yield Candidate(cause, float(gain[group]), float(len(gain)), groups.names[group])
+    for index in np.argsort(gain - np.log(groups.choices))[::-1][:KEPT]:
+        if gain[index] > 0:
+            name, members, choices = groups.each[int(index)]
+            scaled = sized(kind, values, float(strength[index]))
+            cause = Cause(kind, tuple(members.tolist()), scaled)
+            yield Candidate(cause, float(gain[index]), choices, name)

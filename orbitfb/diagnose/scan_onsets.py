@@ -16,6 +16,7 @@ from orbitfb.diagnose.candidate import (
     best_strength,
     sized,
 )
+from orbitfb.diagnose.device_groups import Group
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan_changes import Changes
 from orbitfb.diagnose.scan_groups import Groups
@@ -32,12 +33,12 @@ _STRIDE = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Beginnings:
-    """Best row of S sets of places with strength and gain there, (S,); out of how many rows."""
+    """Best row of S sets of places with strength and gain there, (S,); of how many rows."""
 
     row: Indices
     strength: Vector
     gain: Vector
-    choices: float
+    rows: int
 
 
 def onsets(
@@ -77,8 +78,7 @@ def onsets(
             lasting = 1.0 - np.array(scoring.ladder.feedback) ** 2
             later += (1.0 / (lasting + short(rows)[:, None])) @ sizes * drivers**2
     single = _highest(kind, later_score, later)
-    sets = [((place,), "") for place in range(later.shape[1])]
-    yield from _beginnings(kind, values, single, sets, free=free)
+    yield from _beginnings(kind, values, single, _one_by_one(later.shape[1]), free=free)
     if groups is not None:
         # from every row on neighbours hide as much of each other as over the whole record
         member = groups.member
@@ -88,8 +88,7 @@ def onsets(
         found = _highest(kind, late, info, _STRIDE)
         # a group that gains no more than one of its devices is that device
         found.gain[found.gain <= np.max(member * single.gain, axis=1)] = 0.0
-        sets = [*zip(groups.places, groups.names, strict=True)]
-        yield from _beginnings(kind, values, found, sets, free=free)
+        yield from _beginnings(kind, values, found, groups.each, free=free)
 
 
 def growing(
@@ -117,7 +116,7 @@ def growing(
         for shape, left in zip(shapes.fine, scoring.courses(course), strict=True):
             energy = np.cumsum(left[:, 0] ** 2)[::-1]
             info += energy[:, None] * np.sum(shape**2, axis=0)
-        sets = [((place,), "") for place in range(score.shape[1])]
+        sets = _one_by_one(score.shape[1])
         yield from _beginnings(kind, values, _highest(kind, score, info), sets)
 
 
@@ -137,25 +136,30 @@ def _highest(kind: EffectKind, score: Matrix, info: Matrix, stride: int = 1) -> 
     gain[: -(-FIRST_ONSET // stride)] = 0.0
     gain[len(gain) - LAST_ONSET // stride :] = 0.0
     row, column = np.argmax(gain, axis=0), np.arange(gain.shape[1])
-    choices = float(gain.size * stride)
-    return _Beginnings(row * stride, strength[row, column], gain[row, column], choices)
+    rows = len(gain) * stride
+    return _Beginnings(row * stride, strength[row, column], gain[row, column], rows)
+
+
+def _one_by_one(count: int) -> list[Group]:
+    return [Group("", np.array([place]), float(count)) for place in range(count)]
 
 
 def _beginnings(
     kind: EffectKind,
     values: Values,
     found: _Beginnings,
-    sets: Sequence[tuple[tuple[int, ...], str]],
+    sets: Sequence[Group],
     *,
     free: bool = False,
 ) -> Iterator[Candidate]:
-    """Propose the best of them; sets are the places of each, with a name."""
-    for index in np.argsort(found.gain)[::-1][:KEPT]:
+    """Propose the best of the sets."""
+    prices = np.log([its.choices for its in sets])
+    for index in np.argsort(found.gain - prices)[::-1][:KEPT]:
         if found.gain[index] > 0:
-            places, name = sets[int(index)]
+            name, members, choices = sets[int(index)]
             scaled = sized(kind, values, float(found.strength[index]))
-            cause = Cause(kind, places, scaled, int(found.row[index]), free)
-            yield Candidate(cause, float(found.gain[index]), found.choices, name)
+            cause = Cause(kind, tuple(members.tolist()), scaled, int(found.row[index]), free)
+            yield Candidate(cause, float(found.gain[index]), found.rows * choices, name)
 
 
 def to_the_end(values: Matrix) -> Matrix:

@@ -12,7 +12,7 @@ from scipy.special import expit, logit
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.device_groups import crates, groups_of, membership
+from orbitfb.diagnose.device_groups import Group, crates, groups_of, membership
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.actuating import changes
@@ -79,22 +79,21 @@ def latent_candidates(bench: Bench, kind: LatentKind) -> list[Candidate]:
 def _crates(bench: Bench, kind: LatentKind) -> Iterator[Candidate]:
     """Correctors that are struck together: each by itself, and crates."""
     devices, floor = bench.record.layout.correctors, bench.floor
-    groups = [
-        *(("", np.array([column])) for column in range(len(devices))),
-        *((name, members) for name, members in crates(devices) if len(members) <= _CRATE),
-    ]
+    singles = [Group("", np.array([i]), float(len(devices))) for i in range(len(devices))]
+    groups = [*singles, *(its for its in crates(devices) if len(its.members) <= _CRATE)]
     moves = -changes(bench.currents, bench.record)
     modal = floor.to_modes(bench.record.layout.response.T)
     known = (modal * _echo(floor)) @ modal.T
     pulls = (bench.slope @ bench.record.layout.response) * moves
     heights = np.zeros(len(groups))
-    for index, (_, columns) in enumerate(groups):
+    for index, (_, columns, choices) in enumerate(groups):
         own = moves[:, columns]
         score = pulls[:, columns].sum(axis=1, keepdims=True)
         info = np.sum((own @ known[np.ix_(columns, columns)]) * own, axis=1, keepdims=True)
-        heights[index] = max(float(np.sum(_ratio(kind, score, info, [p]))) for p in _SOME)
+        gain = max(float(np.sum(_ratio(kind, score, info, [p]))) for p in _SOME)
+        heights[index] = gain - float(np.log(choices))
     for index in np.argsort(heights)[::-1][:_KEPT]:
-        name, columns = groups[int(index)]
+        name, columns, choices = groups[int(index)]
         places = tuple(int(column) for column in columns)
         score, info = strikes(bench, kind, places)
         grid = list(_latent_grid(kind, score, info))
@@ -102,26 +101,27 @@ def _crates(bench: Bench, kind: LatentKind) -> Iterator[Candidate]:
         best = int(np.argmax(gains))
         if gains[best] > 0.0:
             cause = Cause(kind, places, grid[best])
-            yield Candidate(cause, gains[best], 10.0 * len(groups), name)
+            yield Candidate(cause, gains[best], 10.0 * choices, name)
 
 
 def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) -> list[Candidate]:
     """Best parameters of every BPM, of every run of cells and of all."""
     bpms = bench.record.layout.bpms
-    groups = list(groups_of(bpms))
+    groups = groups_of(bpms)
+    prices = np.log([group.choices for group in groups])
     member = membership(groups, len(bpms))
     found: dict[tuple[int, ...], Candidate] = {}
     noisier = _noisier(score, info)
     for values in _latent_grid(kind, score, info):
         gain = _each_ratio(kind, score, info, list(values.values())).sum(axis=0) - noisier
         together = member @ gain
-        tried: list[tuple[tuple[int, ...], float, int, str]] = [
-            ((int(i),), float(gain[i]), len(gain), "") for i in np.argsort(gain)[-_KEPT:]
+        tried: list[tuple[tuple[int, ...], float, float, str]] = [
+            ((int(i),), float(gain[i]), float(len(gain)), "") for i in np.argsort(gain)[-_KEPT:]
         ]
-        for index in np.argsort(together)[-_KEPT:]:
-            name, columns = groups[int(index)]
+        for index in np.argsort(together - prices)[-_KEPT:]:
+            name, columns, choices = groups[int(index)]
             places = tuple(int(i) for i in columns)
-            tried.append((places, float(together[index]), len(groups), name))
+            tried.append((places, float(together[index]), choices, name))
         for places, its, choices, name in tried:
             if its > (found[places].gain if places in found else 0.0):
                 found[places] = Candidate(Cause(kind, places, values), its, 10.0 * choices, name)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from test_scans import LAYOUT, best, record_with
 
 from orbitfb.diagnose.device_groups import cells, groups_of
@@ -12,7 +13,7 @@ NAMELESS = Devices(tuple(f"BPM{i}" for i in range(60)) * 2, ("x",) * 60 + ("y",)
 
 
 def test_where_no_cell_is_known_runs_of_neighbours_are_groups_in_each_plane_and_both():
-    found = {tuple(columns.tolist()): name for name, columns in groups_of(NAMELESS)}
+    found = {tuple(its.members.tolist()): its.name for its in groups_of(NAMELESS)}
     assert len(found) < 60 * 3 * 12
     assert found[tuple(range(60))] == "all x"
     assert found[7, 8, 9] == "BPM7–BPM9 x"
@@ -25,8 +26,8 @@ def test_where_no_cell_is_known_runs_of_neighbours_are_groups_in_each_plane_and_
 
 def test_a_rack_need_not_begin_with_a_cell_nor_end_before_the_ring_does():
     devices = LAYOUT.correctors
-    found = {columns.tobytes(): name for name, columns in groups_of(devices)}
-    assert len(found) == len(list(groups_of(devices)))  # none twice
+    found = {its.members.tobytes(): its.name for its in groups_of(devices)}
+    assert len(found) == len(groups_of(devices))  # none twice
     last = len(devices) - 1
     for columns, name in (
         ([4, 5, 6, 7], f"{devices.names[4]}–{devices.names[7]}"),
@@ -34,6 +35,7 @@ def test_a_rack_need_not_begin_with_a_cell_nor_end_before_the_ring_does():
         ([0, 1, 2, 3, 4, 5], devices.cells[0]),
     ):
         assert found[np.array(columns, dtype=np.intp).tobytes()] == name
+    assert sum(1.0 / its.choices for its in groups_of(devices)) == pytest.approx(1.0)
 
 
 def test_neighbours_without_a_cell_are_found_together():

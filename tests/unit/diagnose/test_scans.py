@@ -298,7 +298,8 @@ def test_a_crate_may_begin_to_be_late_in_the_middle_of_a_record():
 def test_what_begins_late_in_a_crate_is_tried_at_all_its_sizes():
     struck = [name for name in CORRECTORS if name.endswith("C09")]
     effect = f"corrector-deadband:width=3mA,names={'+'.join(struck)},from=65s"
-    found = best(record_with(effect, dither=2e-3), "corrector-deadband")
+    bench = Bench(record_with(effect, dither=2e-3))
+    found, *_ = tournament(bench, [all_effects()["corrector-deadband"]])
     assert [CORRECTORS[place] for place in found.cause.places] == struck
     assert abs(found.cause.onset - 450) < 40
     assert 2e-3 < found.cause.values["width"] < 4.5e-3
