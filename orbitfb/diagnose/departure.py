@@ -10,7 +10,6 @@ and pays for the choice.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
@@ -23,15 +22,18 @@ from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.physics.optics import Matrix
 
-IDEAL = 0.1
-"""Share of an effect's gain that nature's departure from a law of the library may be worth."""
+IDEAL = 0.02
+"""Share of an effect's gain that nature's departure from a law of the library is worth, if any."""
+AWRY = 0.1
+"""Share of the effects of the library that depart from their law at all, as far as is seen."""
 STAND_IN = 0.5
-"""The same share beyond which the law is not that of the effect at all."""
+"""Share of the gain beyond which the law is not that of the effect at all."""
 OUTSIDE = 0.15
 """Share of the causes of gaps that are in no library, before the data: one in seven."""
-UNTOLD = 0.6
-"""Share of these that none of the courses here tells from the library's nearest: six of nine sealed
-ones that somebody who knew them would have seen (`fast`, seeds 4 and 6, first 60)."""
+UNTOLD = 0.5
+"""Share of these that none of the courses here tells from the library's nearest."""
+TOLD = 0.1
+"""Share of the nearest effect's gain that a course is worth that tells them from it."""
 _OCCAM = 2.0
 """What the size of a course costs [nats]."""
 _COST = 5.0
@@ -56,7 +58,7 @@ class Departure:
         course: In words; empty where there is none.
         nats: What it gains, less the price of the choice; at least 0 [nats].
         gain: Of the cause itself [nats].
-        excused: Share of that by which nature may depart so from a law that is right.
+        excused: Share of that which nature's departures from a law that is right are worth.
     """
 
     course: str
@@ -66,16 +68,30 @@ class Departure:
 
     @property
     def chance(self) -> float:
-        """Probability that the law is the cause's own, given that it is the best of the library."""
+        """Probability that the law is the cause's own, given that it is the best of the library.
+
+        Bayes' rule: of laws that are right few are departed from, by exponentially distributed
+        shares of the gain; of the nearest laws to what is in no library, those that are told.
+        """
         gain = max(self.gain, 0.0)
-        right = float(expit(self.excused * gain - self.nats)) if self.nats > 0.0 else 1.0
         missed = min(1.0, UNTOLD + _COST / gain) if gain > 0.0 else 1.0
-        return right * (1.0 - OUTSIDE * missed)
+        if self.nats <= 0.0:
+            right, other = 1.0 - AWRY, missed
+        else:
+            right = AWRY * _density(self.nats, self.excused * gain)
+            other = max(1.0 - missed, AWRY) * _density(self.nats, TOLD * gain)
+        right, other = (1.0 - OUTSIDE) * right, OUTSIDE * other
+        return right / (right + other) if right > 0.0 else 0.0
 
     @property
     def stand_in(self) -> bool:
         """Whether the cause only stands for another effect of the same devices."""
         return self.nats > STAND_IN * self.gain
+
+
+def _density(nats: float, mean: float) -> float:
+    """Of an exponential distribution, of at least the nat that noise makes [1/nat]."""
+    return float(np.exp(-nats / (mean + 1.0)) / (mean + 1.0))
 
 
 def departure(bench: Bench, cause: Cause, gain: float, before: Bench | None = None) -> Departure:
