@@ -27,6 +27,8 @@ def trials(bench: Bench, cause: Cause) -> Iterator[tuple[str, Matrix]]:
         for name, trial in (*_courses(course), *_with_others(bench, course)):
             yield name, trial @ patterns.T
     yield from _heard(bench, cause)
+    if isinstance(cause.kind, SensorKind) or cause.kind.target == "bpm":
+        return  # what a BPM makes of the orbit it makes of its noise too
     does = _does(bench, cause)
     size = np.sqrt(np.mean(does**2, axis=1, keepdims=True))
     yield "more than in proportion to what it does", does * size / (np.mean(size) + _TINY)

@@ -1,6 +1,7 @@
 """Groups of devices that an effect may strike alike."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,8 @@ class Group(NamedTuple):
     choices: float
 
 
-def groups_of(devices: Devices) -> list[Group]:
+@lru_cache(maxsize=8)
+def groups_of(devices: Devices) -> tuple[Group, ...]:
     """List groups that an effect may strike: all, a plane, runs of cells, racks across them.
 
     Where no name tells a cell every device is one.
@@ -61,9 +63,9 @@ def groups_of(devices: Devices) -> list[Group]:
         kinds.append(runs)
     whole, racks = [*kinds[0], *kinds[1]], kinds[2]
     shares = ((whole, 1.0 - _ACROSS if racks else 1.0), (racks, _ACROSS))
-    return [
+    return tuple(
         Group(name, members, len(kind) / share) for kind, share in shares for name, members in kind
-    ]
+    )
 
 
 def _runs(units: Mapping[str, Indices], lengths: Iterable[int]) -> Iterator[tuple[str, Indices]]:

@@ -28,7 +28,7 @@ class Groups:
         known: Information on all devices, shape (P, P).
     """
 
-    each: list[Group]
+    each: tuple[Group, ...]
     member: Matrix
     known: Matrix
 

@@ -24,8 +24,8 @@ _RARE = np.geomspace(0.0005, 0.5, 25)
 _LEAST_SPIKE = 2.0
 """Spikes are larger than this many standard deviations; what is smaller is plain noise."""
 _MOST_SPIKES = 0.05
-_SOME = (0.005, 0.03, 0.15)
-"""Probabilities by which crates are compared."""
+_SOME = 0.03
+"""Probability by which crates are compared."""
 _CRATE = 40
 """Correctors that share a crate, at most."""
 _KEPT = 3
@@ -90,8 +90,7 @@ def _crates(bench: Bench, kind: LatentKind) -> Iterator[Candidate]:
         own = moves[:, columns]
         score = pulls[:, columns].sum(axis=1, keepdims=True)
         info = np.sum((own @ known[np.ix_(columns, columns)]) * own, axis=1, keepdims=True)
-        gain = max(float(np.sum(_ratio(kind, score, info, [p]))) for p in _SOME)
-        heights[index] = gain - float(np.log(choices))
+        heights[index] = np.sum(_ratio(kind, score, info, [_SOME])) - np.log(choices)
     for index in np.argsort(heights)[::-1][:_KEPT]:
         name, columns, choices = groups[int(index)]
         places = tuple(int(column) for column in columns)

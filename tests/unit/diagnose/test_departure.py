@@ -60,6 +60,27 @@ def test_a_cause_of_the_library_does_not_depart_from_its_law():
     assert its.chance > 0.5 and not its.stand_in
 
 
+@pytest.mark.parametrize(
+    ("told", "dither", "steered"),
+    [
+        ("bpm-gain:gain=-0.15", 0.0, 3e-6),
+        ("bpm-gain:gain=0.1", 2e-3, 10e-6),
+        ("bpm-nonlinearity:quadratic=2000", 2e-3, 10e-6),
+    ],
+)
+def test_a_bpm_of_the_library_does_not_depart_from_its_law(told, dither, steered):
+    effects = build([parse_effect(f"{told},names=PM1B_C05")], LAYOUT, 1)
+    record = simulate_record(
+        RING, "x", 900, 5, effects, dither=dither, period=LAYOUT.period, steering_rms=steered
+    )
+    kind, place = all_effects()[told.partition(":")[0]], LAYOUT.bpms.names.index("PM1B_C05")
+    start = {p.name: p.typical for p in kind.parameters}
+    found = fit(Bench(record), (Cause(kind, (place,), start),))
+    its = departure(Bench(record, found.causes), found.causes[0], found.gain)
+    assert found.gain > 30.0
+    assert its.nats < 0.02 * found.gain
+
+
 def test_the_nearest_effect_of_another_law_is_told_from_it():
     its, gain = departs(OvershootsUpwards(np.array([COLUMN]), 0.6))
     assert "change" in its.course
