@@ -21,7 +21,8 @@ from orbitfb.effects.random_kinds import NoiseKind
 _ONSET_WORTH = 4.0
 """Gain of a beginning beyond the price of its choice [nats]."""
 _COLOURS = 25
-"""Weaker ones that healthy noise may have: what they explain is no evidence of a stronger one."""
+"""Weaker ones that healthy noise may have, of each BPM for itself: what they explain is no evidence
+of a stronger one."""
 _STRIKING = 10.0
 """Gain from which a colour is looked at closely [nats]."""
 
@@ -101,6 +102,6 @@ def _by_spectrum(bench: Bench, cause: Cause) -> _Judged:
     likelihood, name = likelihood_of(bench, best), best.kind.parameters[0].name
     colours = np.linspace(0.0, best.values[name], _COLOURS)
     heights = np.array([likelihood({**best.values, name: float(c)}) for c in colours])
-    healthy = heights - 0.5 * (colours / LEAST_COLOUR) ** 2
+    healthy = heights - 0.5 * len(cause.places) * (colours / LEAST_COLOUR) ** 2
     gain, sure = heights[-1] - heights[0], heights[-1] - np.max(healthy)
     return _Judged(best, float(gain), float(sure))
