@@ -17,7 +17,7 @@ from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.quick import Quick, Single
 from orbitfb.diagnose.standing import FreeSteps, stretches_across
 from orbitfb.diagnose.uneven import uneven
-from orbitfb.diagnose.unread import Judged
+from orbitfb.diagnose.unread import owed_for_unread
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 
@@ -141,9 +141,10 @@ class Bench:
         change = base.explained.change(causes)
         white = base.white + self._whitened(change)
         log_jacobian = change.log_jacobian
-        judged = Judged(self.record, self.floor, self._left)
         for cause in causes:
-            log_jacobian = log_jacobian - judged.owed(cause, self.white, white)
+            log_jacobian = log_jacobian - owed_for_unread(
+                self.record, self.floor, cause, self.white, white, self._left
+            )
         return self._beyond_with(causes)(white), log_jacobian
 
     def _left(self) -> Matrix:

@@ -80,6 +80,7 @@ class Departure:
             right, other = 1.0 - AWRY, missed
         else:
             right = AWRY * _density(self.nats, self.excused * gain)
+            # where little is seen nobody can tell: no fewer than of the laws that are right
             other = max(1.0 - missed, AWRY) * _density(self.nats, TOLD * gain)
         right, other = (1.0 - OUTSIDE) * right, OUTSIDE * other
         return right / (right + other) if right > 0.0 else 0.0

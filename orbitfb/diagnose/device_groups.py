@@ -81,6 +81,11 @@ def _runs(units: Mapping[str, Indices], lengths: Iterable[int]) -> Iterator[tupl
             yield label, np.sort(np.concatenate([columns[index] for index in its]))
 
 
+def each_alone(count: int) -> list[Group]:
+    """List so many devices, or other places, each by itself and without a name."""
+    return [Group("", np.array([place]), float(count)) for place in range(count)]
+
+
 def crates(devices: Devices) -> list[Group]:
     """List those of at most half of the devices: what most do is no fault of theirs.
 

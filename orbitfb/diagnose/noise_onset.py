@@ -76,9 +76,9 @@ def _coloured(bench: Bench, candidate: Candidate, kind: NoiseKind) -> Candidate:
     course = course / np.sqrt(size)
     products = np.mean(course[kind.lag :] * course[: -kind.lag], axis=1)
     left = np.arange(len(products), 0, -1)
-    late = np.cumsum(products[::-1])[::-1] ** 2 / left
-    late[:FIRST_ONSET] = late[-LAST_ONSET:] = 0.0
-    row = int(np.argmax(late)) + kind.lag
+    heights = np.cumsum(products[::-1])[::-1] ** 2 / left
+    heights[:FIRST_ONSET] = heights[-LAST_ONSET:] = 0.0
+    row = int(np.argmax(heights)) + kind.lag
     always, begun = (_by_spectrum(bench, replace(cause, onset=onset)) for onset in (0, row))
     price = float(np.log(len(products))) + _ONSET_WORTH
     late = replace(begun, gain=begun.gain - price, sure=begun.sure - price)
@@ -89,7 +89,7 @@ def _coloured(bench: Bench, candidate: Candidate, kind: NoiseKind) -> Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class _Judged:
+class _Colour:
     """A noise with its best values, what it gains by them, and beyond healthy noise [nats]."""
 
     cause: Cause
@@ -97,11 +97,11 @@ class _Judged:
     sure: float
 
 
-def _by_spectrum(bench: Bench, cause: Cause) -> _Judged:
+def _by_spectrum(bench: Bench, cause: Cause) -> _Colour:
     best = state(bench, cause).cause
     likelihood, name = likelihood_of(bench, best), best.kind.parameters[0].name
     colours = np.linspace(0.0, best.values[name], _COLOURS)
     heights = np.array([likelihood({**best.values, name: float(c)}) for c in colours])
     healthy = heights - 0.5 * len(cause.places) * (colours / LEAST_COLOUR) ** 2
     gain, sure = heights[-1] - heights[0], heights[-1] - np.max(healthy)
-    return _Judged(best, float(gain), float(sure))
+    return _Colour(best, float(gain), float(sure))

@@ -16,7 +16,7 @@ from orbitfb.diagnose.candidate import (
     best_strength,
     sized,
 )
-from orbitfb.diagnose.device_groups import Group
+from orbitfb.diagnose.device_groups import Group, each_alone
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan_changes import Changes
 from orbitfb.diagnose.scan_groups import Groups
@@ -78,7 +78,7 @@ def onsets(
             lasting = 1.0 - np.array(scoring.ladder.feedback) ** 2
             later += (1.0 / (lasting + short(rows)[:, None])) @ sizes * drivers**2
     single = _highest(kind, later_score, later)
-    yield from _beginnings(kind, values, single, _one_by_one(later.shape[1]), free=free)
+    yield from _beginnings(kind, values, single, each_alone(later.shape[1]), free=free)
     if groups is not None:
         # from every row on neighbours hide as much of each other as over the whole record
         member = groups.member
@@ -116,7 +116,7 @@ def growing(
         for shape, left in zip(shapes.fine, scoring.courses(course), strict=True):
             energy = np.cumsum(left[:, 0] ** 2)[::-1]
             info += energy[:, None] * np.sum(shape**2, axis=0)
-        sets = _one_by_one(score.shape[1])
+        sets = each_alone(score.shape[1])
         yield from _beginnings(kind, values, _highest(kind, score, info), sets)
 
 
@@ -138,10 +138,6 @@ def _highest(kind: EffectKind, score: Matrix, info: Matrix, stride: int = 1) -> 
     row, column = np.argmax(gain, axis=0), np.arange(gain.shape[1])
     rows = len(gain) * stride
     return _Beginnings(row * stride, strength[row, column], gain[row, column], rows)
-
-
-def _one_by_one(count: int) -> list[Group]:
-    return [Group("", np.array([place]), float(count)) for place in range(count)]
 
 
 def _beginnings(

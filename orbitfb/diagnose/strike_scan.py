@@ -12,10 +12,9 @@ from scipy.special import expit, logit
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.device_groups import Group, crates, groups_of, membership
+from orbitfb.diagnose.device_groups import crates, each_alone, groups_of, membership
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import NoiseFloor
-from orbitfb.effects.actuating import changes
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import LatentKind
 from orbitfb.physics.optics import Matrix
@@ -79,9 +78,11 @@ def latent_candidates(bench: Bench, kind: LatentKind) -> list[Candidate]:
 def _crates(bench: Bench, kind: LatentKind) -> Iterator[Candidate]:
     """Correctors that are struck together: each by itself, and crates."""
     devices, floor = bench.record.layout.correctors, bench.floor
-    singles = [Group("", np.array([i]), float(len(devices))) for i in range(len(devices))]
-    groups = [*singles, *(its for its in crates(devices) if len(its.members) <= _CRATE)]
-    moves = -changes(bench.currents, bench.record)
+    groups = [
+        *each_alone(len(devices)),
+        *(its for its in crates(devices) if len(its.members) <= _CRATE),
+    ]
+    moves = kind.moves(bench.record, bench.currents)
     modal = floor.to_modes(bench.record.layout.response.T)
     known = (modal * _echo(floor)) @ modal.T
     pulls = (bench.slope @ bench.record.layout.response) * moves
@@ -136,7 +137,13 @@ def _noisier(score: Matrix, info: Matrix) -> Vector:
 
 def strikes(bench: Bench, kind: LatentKind, places: Sequence[int] = ()) -> tuple[Matrix, Matrix]:
     """Score and information of a strike of strength one, (N, 1) or per BPM (N, n)."""
-    shapes = kind.shapes(bench.record, bench.currents, bench.orbit, places)
+    record = bench.record
+    if len(places) and kind.target == "corrector":
+        own = list(places)
+        moves = kind.moves(record, bench.currents)[:, own]
+        shapes = moves @ record.layout.response[:, own].T
+    else:
+        shapes = kind.shapes(record, bench.currents, bench.orbit)
     floor = bench.floor
     echo = _echo(floor)
     # A reading that was filled in speaks neither for nor against, nor does the step after it.

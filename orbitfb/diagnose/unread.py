@@ -5,7 +5,6 @@ not explain otherwise.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,50 +19,47 @@ _ENOUGH = 300
 """Rows from which those before them are predicted."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """A record as judged without a cause.
+def owed_for_unread(
+    record: Record,
+    floor: NoiseFloor,
+    cause: Cause,
+    before: Matrix,
+    after: Matrix,
+    left: Callable[[], Matrix],
+) -> Vector:
+    """What a cause owes for readings that it has no use for, shape (N,) [nats].
 
     Args:
         record: What happened.
         floor: The noise.
-        left: Gives what is left before it is whitened, shape (N, n) [m].
+        cause: Put into the model.
+        before: White innovations without it, shape (N, n).
+        after: White innovations with it, shape (N, n).
+        left: Gives what is left without it before that is whitened, shape (N, n) [m].
     """
-
-    record: Record
-    floor: NoiseFloor
-    left: Callable[[], Matrix]
-
-    def owed(self, cause: Cause, before: Matrix, after: Matrix) -> Vector:
-        """What a cause owes for readings that it has no use for, shape (N,) [nats].
-
-        Args:
-            cause: Put into the model.
-            before: White innovations without it, shape (N, n).
-            after: White innovations with it, shape (N, n).
-        """
-        kind, owed = cause.kind, np.zeros(len(self.record))
-        rows = kind.unread(cause.values) if isinstance(kind, SensorKind) else 0
-        if not rows:
-            return owed
-        columns = list(cause.places)
-        for piece in self.record.stretches:
-            begin = max(piece.start, cause.onset)
-            count = min(rows, piece.stop - begin)
-            if count > 0:
-                lost = before[begin : begin + count]
-                if begin == piece.start:
-                    lost = self._backwards(slice(begin, piece.stop), count)
-                filled = slice(piece.stop - count, piece.stop)
-                squares = [self.floor.by_bpm(own)[:, columns] ** 2 for own in (lost, after[filled])]
-                owed[filled] = 0.5 * np.sum(squares[0] - squares[1], axis=1)
+    kind, owed = cause.kind, np.zeros(len(record))
+    rows = kind.unread(cause.values) if isinstance(kind, SensorKind) else 0
+    if not rows:
         return owed
+    columns = list(cause.places)
+    for piece in record.stretches:
+        begin = max(piece.start, cause.onset)
+        count = min(rows, piece.stop - begin)
+        if count > 0:
+            lost = before[begin : begin + count]
+            if begin == piece.start:
+                lost = _backwards(floor, left()[begin : piece.stop], count)
+            filled = slice(piece.stop - count, piece.stop)
+            squares = [floor.by_bpm(own)[:, columns] ** 2 for own in (lost, after[filled])]
+            owed[filled] = 0.5 * np.sum(squares[0] - squares[1], axis=1)
+    return owed
 
-    def _backwards(self, piece: slice, count: int) -> Matrix:
-        """Innovations of the first rows of a stretch, predicted from those after them: (count, n).
 
-        A random walk goes backwards as it goes forwards.
-        """
-        turned = self.left()[piece][_ENOUGH + count - 1 :: -1]
-        starts = np.arange(len(turned)) == 0
-        return self.floor.whiten(turned, starts)[-count:][::-1]
+def _backwards(floor: NoiseFloor, left: Matrix, count: int) -> Matrix:
+    """Innovations of the first rows of a stretch, predicted from those after them: (count, n).
+
+    A random walk goes backwards as it goes forwards.
+    """
+    turned = left[_ENOUGH + count - 1 :: -1]
+    starts = np.arange(len(turned)) == 0
+    return floor.whiten(turned, starts)[-count:][::-1]

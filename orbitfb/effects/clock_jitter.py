@@ -1,7 +1,5 @@
 """Orbits that are sampled early or late."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -48,9 +46,7 @@ class ClockJitter(LatentKind):
         """Shift the samples; it must come after all effects that disturb the orbit."""
         return _Jitter(values["rms"] / layout.period, rng)
 
-    def shapes(
-        self, record: Record, currents: Matrix, orbit: Matrix, places: Sequence[int] = ()
-    ) -> Matrix:
+    def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
         """Slope of the orbit that the correctors make [m/s]; zero at the beginning of a stretch.
 
         That of the predicted orbit has the noise of earlier readings in it, which makes it too

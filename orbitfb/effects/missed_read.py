@@ -1,7 +1,5 @@
 """Ticks at which the orbit of the tick before is read again."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -38,9 +36,7 @@ class MissedRead(LatentKind):
         """Repeat readings; it must come after all effects that change readings."""
         return _Repeats(values["probability"], rng)
 
-    def shapes(
-        self, record: Record, currents: Matrix, orbit: Matrix, places: Sequence[int] = ()
-    ) -> Matrix:
+    def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
         """Orbit of the row before less that of the row; zero at the beginning of a stretch."""
         change = np.zeros_like(orbit)
         change[1:] = orbit[:-1] - orbit[1:]

@@ -1,7 +1,5 @@
 """Ticks in which no setpoint arrives."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -50,12 +48,13 @@ class MissedWrite(LatentKind):
     confused_with = ("loop-delay", "clock-jitter", "missed-read", "corrector-deadband")
     splits = "Sequence numbers or time stamps of the writes; the readbacks of the currents."
 
-    def shapes(
-        self, record: Record, currents: Matrix, orbit: Matrix, places: Sequence[int] = ()
-    ) -> Matrix:
+    def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
         """Take the change of the currents back, shape (N, n) [m]."""
-        struck = slice(None) if not len(places) else list(places)
-        return -changes(currents, record)[:, struck] @ record.layout.response[:, struck].T
+        return self.moves(record, currents) @ record.layout.response.T
+
+    def moves(self, record: Record, currents: Matrix) -> Matrix:
+        """Take them back, corrector by corrector, shape (N, m) [A]."""
+        return -changes(currents, record)
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -1,6 +1,5 @@
 """Readings with spikes."""
 
-from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -55,8 +54,6 @@ class NoiseTails(LatentKind):
         sizes = product((3e-4, 3e-3, 3e-2, 0.2), (1e-6, 3e-6, 1e-5, 3e-5, 1e-4))
         return tuple({"probability": p, "amplitude": a} for p, a in sizes)
 
-    def shapes(
-        self, record: Record, currents: Matrix, orbit: Matrix, places: Sequence[int] = ()
-    ) -> Matrix:
+    def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
         """One metre per unit of z: z itself is the spike."""
         return np.ones_like(orbit)

@@ -1,7 +1,6 @@
 """Effects without a course in time that could be known: noise, and what strikes at random."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -90,17 +89,12 @@ class LatentKind(EffectKind):
     """Whether it strikes BPM by BPM (every column of `shapes` with its own z) or all at once."""
 
     @abstractmethod
-    def shapes(
-        self, record: Record, currents: Matrix, orbit: Matrix, places: Sequence[int] = ()
-    ) -> Matrix:
-        """Change of the prediction by a strike of strength 1.
+    def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
+        """Change of the prediction by a strike of strength 1, shape (N, n) [m per unit of z]."""
 
-        Args:
-            record: What happened.
-            currents: That act on the beam, shape (N, m) [A].
-            orbit: Predicted, shape (N, n) [m].
-            places: Correctors that are struck together, of an effect on correctors; all if empty.
+    def moves(self, record: Record, currents: Matrix) -> Matrix:
+        """Change of every corrector's current by it, shape (N, m) [A per unit of z].
 
-        Returns:
-            Shape (N, n) [m per unit of z].
+        Of an effect on correctors, which may strike some of them together; else nothing.
         """
+        return np.zeros_like(currents)

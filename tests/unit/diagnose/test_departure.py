@@ -223,6 +223,12 @@ def test_the_more_is_gained_by_another_course_the_less_the_law_is_right(gain):
     ]
 
 
+def test_more_than_a_twentieth_leaves_a_remainder_and_an_eighth_no_name():
+    for gain in (200.0, 1000.0):
+        assert Departure("somehow", 0.055 * gain, gain).chance < 0.5
+        assert Departure("somehow", gain / 8.0, gain).chance < 0.1
+
+
 def test_chances_are_shares_of_cases_that_are_drawn_so():
     """Bayes' rule by counting: laws that are right or not, and what departs from them."""
     rng, gain, count = np.random.default_rng(0), 200.0, 400_000
