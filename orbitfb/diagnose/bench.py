@@ -9,9 +9,11 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import Background
 from orbitfb.diagnose.changed import Change, Explained
+from orbitfb.diagnose.drift_memory import echoes
 from orbitfb.diagnose.explain import Cause, actuated, explain, restored
 from orbitfb.diagnose.floor import estimate_floor
-from orbitfb.diagnose.healthy_search import Beyond, HealthySearch
+from orbitfb.diagnose.free import Beyond, beyond, orthonormal
+from orbitfb.diagnose.healthy_search import HealthySearch
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.quick import Quick, Single
@@ -24,6 +26,8 @@ from orbitfb.physics.optics import Matrix
 _PASSES = 2
 _FEW_LEVELS = 4
 """Of the ladder, while orbit and floor are not yet what they will be."""
+_REMEMBERED = 3
+"""Sets of causes whose free drift is kept: the same few are judged again and again."""
 _SEEN = 1e-4
 """Gain of a step of the healthy errors below which they are the best, as a share of what a change
 is seen with."""
@@ -72,6 +76,7 @@ class Bench:
         self._base: _Base | None = None
         self._in_single: Quick | None = None
         self._steps: FreeSteps | None = None
+        self._freed: list[tuple[NoiseFloor, tuple[Cause, ...], Beyond]] = []
         self.currents = actuated(record, self.causes)
         self.orbit = readings = restored(record, self.causes)[0]
         leftover = explain(record, self.causes, self.orbit)
@@ -87,7 +92,8 @@ class Bench:
             self.background.prepare(self.floor, _FEW_LEVELS)
             self._healthy = HealthySearch(self._quick, self.background)
             white = self.floor.whiten(leftover.left, record.starts)
-            self.sizes = self._healthy.healed(white, self._beyond_with(()))[1]
+            kicks = FreeSteps(record, self.floor).basis(self.causes)
+            self.sizes = self._healthy.healed(white, beyond(kicks))[1]
             healthy = self.background.orbit(self.sizes)
             if alike:
                 modes = uneven(leftover.left - healthy, starts, record.layout, self.floor)
@@ -109,7 +115,8 @@ class Bench:
             causes by row (N,): the log-likelihood is −½ Σ white² − ½ Σ sizes² + Σ log-Jacobian.
         """
         white, log_jacobian = self._with(causes)
-        return *self._healthy.healed(white, self._beyond_with(causes)), log_jacobian
+        free = self._free(causes, white)
+        return *self._healthy.healed(free(white), free), log_jacobian
 
     def difference(
         self, causes: Sequence[Cause], others: Sequence[Cause]
@@ -120,32 +127,45 @@ class Bench:
         a small part, smaller than what they miss beside either.
         """
         (white, jacobian), (before, jacobian_before) = self._with(causes), self._with(others)
-        return *self._unhealed(white - before, causes), jacobian - jacobian_before
+        free = self._free(others, before)
+        return *self._unhealed(free(white - before), free), jacobian - jacobian_before
 
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
-        """As `residual`, the sizes of the background left as they are: a first look at many."""
-        white, log_jacobian = self._with(causes)
-        near = self._healthy.nearby
-        return self._beyond_with(causes)(white - near.change), near.sizes, log_jacobian
+        """As `residual`, no memory and the sizes of the background as they are: a first look."""
+        (white, log_jacobian), near = self._with(causes), self._healthy.nearby
+        kicks = self.free_steps.basis((*self.causes, *causes))
+        return beyond(kicks)(white - near.change), near.sizes, log_jacobian
 
-    def _beyond_with(self, causes: Sequence[Cause]) -> Beyond:
-        """What takes out of innovations all that the first kicks of causes are free to do."""
+    def _free(self, causes: Sequence[Cause], white: Matrix) -> Beyond:
+        """Tell how to take out of innovations what drift and first kicks are free to do.
+
+        Args:
+            causes: On top of the accepted ones.
+            white: Under these, (N, n): the memory of the drift is the one that they show.
+        """
         every = (*self.causes, *causes)
-        return lambda white: self.free_steps.beyond(white, every)
+        for floor, known, free in self._freed:
+            if floor is self.floor and known == every:
+                return free
+        kicks = self.free_steps.basis(every)
+        left = self._healthy.healed(beyond(kicks)(white), beyond(kicks))[0]
+        free = beyond(orthonormal(echoes(self._quick, left.astype(np.float32)), kicks))
+        self._freed = [*self._freed[1 - _REMEMBERED :], (self.floor, every, free)]
+        return free
 
     def _with(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
-        """White innovations before healthy errors are taken out, and the log-Jacobian."""
+        """White innovations before healthy errors and what is free are taken out; log-Jacobian."""
         base = self._beside()
         if not causes:
-            return self._beyond_with(())(base.white), base.explained.log_jacobian
+            return base.white, base.explained.log_jacobian
         change = base.explained.change(causes)
         white = base.white + self._whitened(change)
-        log_jacobian = change.log_jacobian
+        log_jacobian, healthy = change.log_jacobian, self._healthy.nearby.change
         for cause in causes:
             log_jacobian = log_jacobian - owed_for_unread(
-                self.record, self.floor, cause, self.white, white, self._left
+                self.record, self.floor, cause, self.white, lambda: white - healthy, self._left
             )
-        return self._beyond_with(causes)(white), log_jacobian
+        return white, log_jacobian
 
     def _left(self) -> Matrix:
         """What is left before it is whitened, healthy errors out of it, shape (N, n) [m]."""
@@ -181,11 +201,12 @@ class Bench:
         Returns:
             White innovations (N, n), sizes of the background (P,).
         """
-        return self._unhealed(self.floor.whiten(change, self.record.starts), ())
+        free = self._free((), self._beside().white)
+        return self._unhealed(free(self.floor.whiten(change, self.record.starts)), free)
 
-    def _unhealed(self, moved: Matrix, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
+    def _unhealed(self, moved: Matrix, free: Beyond) -> tuple[Matrix, Vector]:
         enough = _SEEN * float(np.vdot(moved, moved))
-        return self._healthy.against(moved, enough, self._beyond_with(causes))
+        return self._healthy.against(moved, enough, free)
 
     def _beside(self) -> "_Base":
         """What more causes are put beside, computed once for causes, orbit and floor."""

@@ -35,6 +35,11 @@ class Candidate:
     group: str = ""
     alone: float | None = None
 
+    @property
+    def whole(self) -> float:
+        """Gain with what healthy devices scatter, which the record gains too [nats]."""
+        return self.gain if self.alone is None else self.alone
+
 
 def held_to(gain: Vector, deviations: Vector) -> Vector:
     """Hold gains against what healthy devices do too.

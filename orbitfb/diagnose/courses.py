@@ -130,7 +130,7 @@ def _courses(course: Matrix) -> Iterator[tuple[str, Matrix]]:
         slow = np.asarray(lfilter([1.0 - kept], [1.0, -kept], course, axis=0), dtype=np.float64)
         yield f"slowly, over {memory:.0f} ticks", slow
     yield "as the square", course**2 / size
-    yield "as the cube", course**3 / size**2
+    yield "as the cube", course * (course / size) ** 2
     away = np.abs(course - course[:1])
     yield "more than in proportion to the way from where it began", course * away / size
     yield "as the sum of all before", np.cumsum(course - course[:1], axis=0) / rows

@@ -96,13 +96,16 @@ def _density(nats: float, mean: float) -> float:
     return float(np.exp(-nats / (mean + 1.0)) / (mean + 1.0))
 
 
-def departure(bench: Bench, cause: Cause, gain: float, before: Bench | None = None) -> Departure:
+def departure(
+    bench: Bench, cause: Cause, gain: float, whole: float | None = None, before: Bench | None = None
+) -> Departure:
     """Look for a course of a cause's devices that its law does not have.
 
     Args:
         bench: The record under all causes.
         cause: One of them.
         gain: Of the cause [nats].
+        whole: The same with what healthy noise may explain of it [nats]; None: all is the cause's.
         before: The record under the causes before it, for one whose strikes were taken out; None
             where there were none.
 
@@ -112,7 +115,7 @@ def departure(bench: Bench, cause: Cause, gain: float, before: Bench | None = No
     if isinstance(cause.kind, LatentKind | NoiseKind):
         if (clock := 0.0 if before is None else rhythm(before, cause)) > 0.0:
             return Departure("by a clock, always after as many ticks", clock, gain, 0.0)
-        laws = noise_laws(bench, cause, gain)
+        laws = noise_laws(bench, cause, gain if whole is None else whole)
         course, nats = max(laws, key=lambda law: law[1], default=("", 0.0))
         return Departure(course, nats, gain) if nats > 0.0 else Departure("", 0.0, gain)
     beside = _Beside.of(bench, cause)

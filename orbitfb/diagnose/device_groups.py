@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -45,27 +46,40 @@ def groups_of(devices: Devices) -> tuple[Group, ...]:
     planes = np.array(devices.planes)
     split = sorted(set(devices.planes)) if len(set(devices.planes)) > 1 else []
     known, each = devices.groups(), _one_by_one(devices)
-    kinds = [[("all", everything), *((f"all {p}", everything[planes == p]) for p in split)]]
-    seen: set[tuple[int, ...]] = set()
-    for units, lengths in (
-        (known or each, _lengths(len(known or each))),
-        (each, range(2, _RACK + 1) if known else ()),
-    ):
-        runs: list[tuple[str, Indices]] = []
-        for label, members in _runs(units, lengths):
-            key = tuple(members.tolist())
-            if len(members) < 2 or key in seen:
-                continue
-            seen.add(key)
-            runs.append((label, members))
-            of_plane = ((f"{label} {p}", members[planes[members] == p]) for p in split)
-            runs += [(name, own) for name, own in of_plane if 1 < len(own) < len(members)]
-        kinds.append(runs)
-    whole, racks = [*kinds[0], *kinds[1]], kinds[2]
+    whole = [("all", everything), *((f"all {p}", everything[planes == p]) for p in split)]
+    racks: list[tuple[str, Indices]] = []
+    seen = {tuple(members.tolist()) for _, members in whole}
+    runs = [(whole, run) for run in _runs(known or each, _lengths(len(known or each)))]
+    if known:
+        rings = _rings(each, devices) if split else [each]
+        runs += [(racks, run) for ring in rings for run in _runs(ring, range(2, _RACK + 1))]
+    for kind, (label, members) in runs:
+        of_plane = [(f"{label} {p}", members[planes[members] == p]) for p in split]
+        for name, own in (
+            (label, members),
+            *(one for one in of_plane if len(one[1]) < len(members)),
+        ):
+            if len(own) > 1 and (key := tuple(own.tolist())) not in seen:
+                seen.add(key)
+                own.setflags(write=False)
+                kind.append((name, own))
     shares = ((whole, 1.0 - _ACROSS if racks else 1.0), (racks, _ACROSS))
     return tuple(
         Group(name, members, len(kind) / share) for kind, share in shares for name, members in kind
     )
+
+
+def _rings(each: Mapping[str, Indices], devices: Devices) -> list[Mapping[str, Indices]]:
+    """Devices around the ring; plane by plane where those of one come after the other's."""
+    planes = [devices.planes[columns[0]] for columns in each.values()]
+    both = any(len(columns) > 1 for columns in each.values())
+    turns = sum(one != other for one, other in pairwise(planes))
+    if both or turns >= len(set(planes)):
+        return [each]
+    return [
+        {name: own for name, own in each.items() if devices.planes[own[0]] == plane}
+        for plane in sorted(set(planes))
+    ]
 
 
 def _runs(units: Mapping[str, Indices], lengths: Iterable[int]) -> Iterator[tuple[str, Indices]]:

@@ -123,8 +123,7 @@ def _fitted(bench: Bench, candidate: Candidate) -> Entry:
 
 def price(candidate: Candidate) -> float:
     """What the choice costs, and what of the gain healthy devices may scatter [nats]."""
-    spare = 0.0 if candidate.alone is None else candidate.alone - candidate.gain
-    return float(np.log(candidate.choices)) + spare
+    return float(np.log(candidate.choices)) + candidate.whole - candidate.gain
 
 
 def _begun(bench: Bench, entry: Entry) -> Entry:

@@ -1,14 +1,13 @@
 """The most likely errors of a healthy ring beside a cause, found by few steps."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import Background
+from orbitfb.diagnose.free import Beyond
 from orbitfb.diagnose.quick import Quick, Single
-from orbitfb.diagnose.standing import Innovations
 from orbitfb.physics.optics import Matrix
 
 _MOST_STEPS = 8
@@ -16,8 +15,6 @@ _SOLVED = 0.1
 """Gain of a step of the sizes below which they are the best [nats]."""
 _CONVERGENCE = 0.15
 """Most that a step of the search leaves of what there was to gain."""
-
-Beyond = Callable[[Innovations], Innovations]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +54,7 @@ class HealthySearch:
 
         Args:
             white: What is left, shape (N, n).
-            beyond: Takes out of innovations what free first kicks can do.
+            beyond: Takes out of innovations what is free.
 
         Returns:
             What is left then, and the sizes (P,).

@@ -77,7 +77,9 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     worth = None if random else flagged_nats(tests)
     flagged = worth is not None and worth >= _SMALL * named
     departures = tuple(
-        departure(outcome.bench, outcome.final(entry)[0], entry.gain, one.bench)
+        departure(
+            outcome.bench, outcome.final(entry)[0], entry.gain, entry.candidate.whole, one.bench
+        )
         for one, entry in ((one, one.accepted) for one in outcome.winners)
         if entry is not None
     )

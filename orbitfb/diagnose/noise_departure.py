@@ -1,15 +1,17 @@
 """Whether noise is the noise that its law says: its bits, its colour, its lines, its course."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.stats import chi2
 
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.bits import silent_bit
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_spectra import MOST_PLACES, SHORTEST, Spectra, places_struck
 from orbitfb.effects.random_kinds import NoiseKind
+from orbitfb.physics.optics import Matrix
 
 _FEW_BPMS = 6
 """BPMs whose single bits are looked at."""
@@ -37,7 +39,7 @@ def noise_laws(bench: Bench, cause: Cause, gain: float) -> Iterator[tuple[str, f
     Args:
         bench: The record under all causes.
         cause: Noise, one of them.
-        gain: Of the noise [nats].
+        gain: Of the noise, with what healthy noise may explain of it [nats].
 
     Yields:
         A course in words, and what it gains, less the price of the choice [nats].
@@ -66,18 +68,21 @@ def _offsets(bench: Bench, cause: Cause, gain: float) -> Iterator[tuple[str, flo
         for count in _LEVELS:
             level = np.minimum((channel - channel.min()) / np.ptp(channel) * count, count - 1)
             steps = [level.astype(int) == number for number in range(1, count)]
-            seen = np.array(
-                [
-                    bench.floor.whiten(np.outer(step, shape), bench.record.starts).ravel()
-                    for step in steps
-                    if step.any()
-                    for shape in patterns.T
-                ]
-            )
-            pull, known = seen @ bench.white.ravel(), seen @ seen.T
+            pull, known = _of_steps(bench, [step for step in steps if step.any()], patterns)
             height = 0.5 * float(pull @ np.linalg.lstsq(known, pull, rcond=_ALIKE)[0])
-            price = _OCCAM * len(seen) + float(np.log(len(bench.record.auxiliary) * len(_LEVELS)))
+            price = _OCCAM * len(pull) + float(np.log(len(bench.record.auxiliary) * len(_LEVELS)))
             yield f"as offsets that go with {name}, in {count} ranges", height - price - gain
+
+
+def _of_steps(bench: Bench, steps: Sequence[Mask], patterns: Matrix) -> tuple[Vector, Matrix]:
+    """Score of offsets of P patterns (n, P) in S sets of rows, (S P,), and the information."""
+    floor, every = bench.floor, np.ones(len(patterns))
+    orbits = (floor.to_bpms(np.outer(step, every)) for step in steps)
+    courses = [floor.whiten(orbit, bench.record.starts) for orbit in orbits]
+    shapes = floor.modes.directions.T @ patterns
+    pull = [np.sum(bench.white * course, axis=0) @ shapes for course in courses]
+    known = [[shapes.T * np.sum(a * b, axis=0) @ shapes for b in courses] for a in courses]
+    return np.concatenate(pull), np.block(known)
 
 
 def _bits(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:

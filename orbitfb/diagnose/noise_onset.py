@@ -76,13 +76,16 @@ def _coloured(bench: Bench, candidate: Candidate, kind: NoiseKind) -> Candidate:
     course = course / np.sqrt(size)
     products = np.mean(course[kind.lag :] * course[: -kind.lag], axis=1)
     left = np.arange(len(products), 0, -1)
-    heights = np.cumsum(products[::-1])[::-1] ** 2 / left
+    heights = 0.5 * len(cause.places) * np.cumsum(products[::-1])[::-1] ** 2 / left
+    always = float(heights[0])
     heights[:FIRST_ONSET] = heights[-LAST_ONSET:] = 0.0
-    row = int(np.argmax(heights)) + kind.lag
-    always, begun = (_by_spectrum(bench, replace(cause, onset=onset)) for onset in (0, row))
+    row = int(np.argmax(heights))
     price = float(np.log(len(products))) + _ONSET_WORTH
-    late = replace(begun, gain=begun.gain - price, sure=begun.sure - price)
-    best = max(always, late, key=lambda one: one.gain)
+    best = _by_spectrum(bench, cause)
+    if heights[row] - always > price:  # whoever could have begun is looked at closely
+        begun = _by_spectrum(bench, replace(cause, onset=row))
+        late = replace(begun, gain=begun.gain - price, sure=begun.sure - price)
+        best = max(best, late, key=lambda one: one.gain)
     if best.sure <= candidate.gain:
         return candidate
     return replace(candidate, cause=best.cause, gain=best.sure, alone=best.gain)

@@ -30,7 +30,7 @@ from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import SourceKind
-from orbitfb.effects.random_kinds import NoiseKind
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.record import Record
 from orbitfb.safety.limits import LimitSettings
 
@@ -174,7 +174,9 @@ def plan_for(
 def _somewhere(kind: EffectKind, record: Record) -> Cause:
     """An effect of typical size at a place in the middle, when the record shows none."""
     layout = record.layout
-    if isinstance(kind, PairKind):
+    if isinstance(kind, LatentKind):
+        count = 0
+    elif isinstance(kind, PairKind):
         count = len(kind.pairs(layout))
     elif isinstance(kind, SourceKind | NoiseKind):
         count = len(kind.places_of(layout))

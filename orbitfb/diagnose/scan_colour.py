@@ -47,8 +47,12 @@ def _coloured(bench: Bench, *, collective: bool) -> Iterator[tuple[Indices, str,
         yield np.array([place]), "", float(len(colour))
     groups = crates(bench.record.layout.bpms) if collective else []
     if groups:
-        sums = [abs(float(colour[its.members].sum())) / np.sqrt(len(its.members)) for its in groups]
-        name, columns, choices = groups[int(np.argmax(sums))]
+        heights = [
+            0.5 * len(bench.record) * float(colour[its.members].sum()) ** 2 / len(its.members)
+            - np.log(its.choices)
+            for its in groups
+        ]
+        name, columns, choices = groups[int(np.argmax(heights))]
         yield columns, name, choices
 
 

@@ -10,14 +10,13 @@ if the calibration is that of the changes (a driver that sends increments). Both
 """
 
 from collections.abc import Sequence
-from typing import TypeVar
 
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.free import Directions, orthonormal
 from orbitfb.diagnose.innovation import NoiseFloor
-from orbitfb.diagnose.quick import Single
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -26,12 +25,8 @@ _KICK = 0.5e-6
 """Scatter of such a first kick before the data: an error of 0.005 1/m times 100 µm [rad]."""
 _CURRENT = 0.02
 """The same of a corrector: a tenth of 0.2 A [A]."""
-_BLIND = 1e-6
-"""Share of a step below which another one has all of it."""
-
 _REMEMBERED = 4
 """Sets of causes whose steps are kept: the same few are judged again and again."""
-Innovations = TypeVar("Innovations", Matrix, Single)
 _Key = tuple[tuple[str, tuple[int, ...], int], ...]
 """Kind, places and onset of every cause."""
 
@@ -59,23 +54,16 @@ class FreeSteps:
 
     def __init__(self, record: Record, floor: NoiseFloor) -> None:
         self._record, self.floor = record, floor
-        self._known: dict[_Key, tuple[Matrix, Vector]] = {}
+        self._known: dict[_Key, tuple[Directions, Vector]] = {}
 
-    def beyond(self, white: Innovations, causes: Sequence[Cause]) -> Innovations:
-        """Leave out of innovations what first kicks may have made.
+    def basis(self, causes: Sequence[Cause]) -> Directions:
+        """Orthonormal innovations that first kicks may have made, shape (k, N n).
 
         Args:
-            white: Innovations of unit variance, shape (N, n).
             causes: Those with a free first kick count.
         """
         free = tuple(cause for cause in causes if is_standing(cause))
-        if not free:
-            return white
-        basis = self._basis(free)[0]
-        flat = white.reshape(-1)
-        left = white.copy()
-        left.reshape(-1)[:] -= basis.T @ (basis @ flat)
-        return left
+        return self._basis(free)[0] if free else np.zeros((0, self._record.readings.size))
 
     def price(self, causes: Sequence[Cause]) -> float:
         """What the choice of the first kicks costs [nats]."""
@@ -84,7 +72,7 @@ class FreeSteps:
             return 0.0
         return float(0.5 * np.sum(np.log1p(self._basis(free)[1] * _KICK**2)))
 
-    def _basis(self, free: tuple[Cause, ...]) -> tuple[Matrix, Vector]:
+    def _basis(self, free: tuple[Cause, ...]) -> tuple[Directions, Vector]:
         """Orthonormal steps, shape (k, N n), and the information on each of their kicks, (k,)."""
         key = tuple((cause.kind.id, cause.places, cause.onset) for cause in free)
         if key not in self._known:
@@ -93,7 +81,7 @@ class FreeSteps:
             self._known[key] = self._made(free)
         return self._known[key]
 
-    def _made(self, free: tuple[Cause, ...]) -> tuple[Matrix, Vector]:
+    def _made(self, free: tuple[Cause, ...]) -> tuple[Directions, Vector]:
         starts = self._record.starts
         whitened = [
             self.floor.whiten(step, starts).reshape(-1)
@@ -101,14 +89,7 @@ class FreeSteps:
             for step in self._steps(cause)
         ]
         matrix = np.array(whitened).reshape(len(whitened), self._record.readings.size)
-        information, basis = np.sum(matrix**2, axis=1), []
-        for step in matrix:
-            own = step.copy()
-            for other in basis:
-                own -= (own @ other) * other
-            if (size := float(own @ own)) > _BLIND * float(step @ step):
-                basis.append(own / np.sqrt(size))
-        return np.array(basis).reshape(len(basis), matrix.shape[1]), information
+        return orthonormal(matrix), np.sum(matrix**2, axis=1)
 
     def _steps(self, cause: Cause) -> list[Matrix]:
         """The orbit of a kick of 1 rad since the onset, for every place and plane."""

@@ -24,7 +24,7 @@ def owed_for_unread(
     floor: NoiseFloor,
     cause: Cause,
     before: Matrix,
-    after: Matrix,
+    after: Callable[[], Matrix],
     left: Callable[[], Matrix],
 ) -> Vector:
     """What a cause owes for readings that it has no use for, shape (N,) [nats].
@@ -34,7 +34,7 @@ def owed_for_unread(
         floor: The noise.
         cause: Put into the model.
         before: White innovations without it, shape (N, n).
-        after: White innovations with it, shape (N, n).
+        after: Gives white innovations with it, shape (N, n).
         left: Gives what is left without it before that is whitened, shape (N, n) [m].
     """
     kind, owed = cause.kind, np.zeros(len(record))
@@ -50,7 +50,7 @@ def owed_for_unread(
             if begin == piece.start:
                 lost = _backwards(floor, left()[begin : piece.stop], count)
             filled = slice(piece.stop - count, piece.stop)
-            squares = [floor.by_bpm(own)[:, columns] ** 2 for own in (lost, after[filled])]
+            squares = [floor.by_bpm(own)[:, columns] ** 2 for own in (lost, after()[filled])]
             owed[filled] = 0.5 * np.sum(squares[0] - squares[1], axis=1)
     return owed
 

@@ -50,7 +50,7 @@ def test_pulses_by_a_clock_are_told_from_a_source_that_switches(by_clock):
         record = record_with(switching, dither=0.0, ticks=ROWS)
     found = search(record, [telegraph])
     one = found.winners[0]
-    course = departure(found.bench, one.accepted.cause, one.accepted.gain, one.bench)
+    course = departure(found.bench, one.accepted.cause, one.accepted.gain, before=one.bench)
     assert (course.course == "by a clock, always after as many ticks") == by_clock
     assert (course.chance < 0.01) == by_clock
 

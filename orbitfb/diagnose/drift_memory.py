@@ -1,0 +1,46 @@
+"""The memory that the steps of the drift may have: a nuisance of two values.
+
+What moves a magnet now often moves it on: the steps w of the walk then go with those before,
+w_k = ρ w_{k−1} + new. The filter of a walk without memory follows its innovations e by its steady
+gain L, which tells the last step as L² e (its share q / S of e), so a memory moves the next
+prediction by ρ L² e: all of the last step in modes that walk far more than their noise, next to
+nothing in the others. In between the step before is remembered too, and a walk that is fitted
+without memory follows too fast: that is a part of L (1 − L) e. A loop steers by the same
+innovations, so that both pass for gains or delays of all correctors: both are left free. But steps
+only go on: what turns back from tick to tick is no drift.
+"""
+
+import numpy as np
+
+from orbitfb.diagnose.quick import Quick, Single
+
+_USUAL = 0.3
+"""Scatter of either value before the data [1]."""
+_SHOWN = 10.0
+"""Least information on a usual value: one that shows in nothing is not looked at [nats]."""
+
+
+def echoes(quick: Quick, white: Single) -> Single:
+    """Tell what a memory makes of the innovations.
+
+    Args:
+        quick: The noise.
+        white: Innovations of unit variance, shape (N, n).
+
+    Returns:
+        Changes of the innovations by the value that goes with L (1 − L) and by that with L²,
+        shape (≤ 2, N n) [1]; without those of which these innovations show nothing.
+    """
+    gains = quick.floor.gains
+    innovation = white * np.sqrt(quick.floor.innovation_variance).astype(np.float32)
+    found: list[Single] = []
+    for share in (gains * (1.0 - gains), gains**2):
+        moved = np.zeros_like(innovation)
+        np.cumsum(innovation[:-1] * share.astype(np.float32), axis=0, out=moved[1:])
+        found.append(quick.whiten_modes(moved).reshape(-1))
+    columns = np.array(found)
+    known = columns @ columns.T
+    shown = np.diag(known) * _USUAL**2 > _SHOWN
+    if shown.all():
+        shown[1] = np.linalg.solve(known, columns @ white.reshape(-1))[1] > 0.0
+    return columns[shown]
