@@ -61,8 +61,9 @@ def groups_of(devices: Devices) -> tuple[Group, ...]:
         ):
             if len(own) > 1 and (key := tuple(own.tolist())) not in seen:
                 seen.add(key)
-                own.setflags(write=False)
                 kind.append((name, own))
+    for _, members in (*whole, *racks):
+        members.setflags(write=False)  # they are remembered
     shares = ((whole, 1.0 - _ACROSS if racks else 1.0), (racks, _ACROSS))
     return tuple(
         Group(name, members, len(kind) / share) for kind, share in shares for name, members in kind

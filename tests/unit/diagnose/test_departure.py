@@ -1,5 +1,7 @@
 """A cause acts as its law says, or something else at its devices shows through."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -100,6 +102,15 @@ class Follows(ColumnsEffect):
             self._slow = self._first = wanted
         self._slow = self._kept * self._slow + (1.0 - self._kept) * wanted
         return wanted + self._size * (self._slow - self._first)
+
+
+def test_a_member_that_stands_still_spoils_no_course():
+    record = simulate_record(RING, "x", 300, 5, dither=2e-3, period=LAYOUT.period)
+    setpoints = record.setpoints.copy()
+    setpoints[:, COLUMN + 1] = 0.0
+    still = replace(record, setpoints=setpoints)
+    cause = Cause(all_effects()["corrector-gain"], (COLUMN, COLUMN + 1), {"gain": 0.1})
+    assert all(np.isfinite(change).all() for _, change in trials(Bench(still, (cause,)), cause))
 
 
 def test_a_course_is_worth_what_it_gains_once_the_law_is_fitted_anew():

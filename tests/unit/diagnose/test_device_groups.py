@@ -38,6 +38,17 @@ def test_a_rack_need_not_begin_with_a_cell_nor_end_before_the_ring_does():
     assert sum(1.0 / its.choices for its in groups_of(devices)) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("cells", [("C1",) * 6 + ("C2",) * 6, ("C1",) * 12])
+def test_planes_of_other_names_are_two_rings_and_no_group_is_listed_twice(cells):
+    names = tuple(f"{p}{number}" for p in "HV" for number in range(12))
+    devices = Devices(names, ("x",) * 12 + ("y",) * 12, cells * 2)
+    found = [tuple(its.members.tolist()) for its in groups_of(devices)]
+    assert len(found) == len(set(found))
+    assert (0, 1, 2, 11) in found and (12, 13, 22, 23) in found
+    assert (11, 12) not in found and (0, 23) not in found
+    assert not any(its.members.flags.writeable for its in groups_of(devices))
+
+
 def test_neighbours_without_a_cell_are_found_together():
     struck = LAYOUT.bpms.names[20:24]
     record = record_with(f"bpm-gain:gain=0.05,names={'+'.join(struck)}", dither=2e-3)

@@ -7,7 +7,7 @@ import pytest
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.noise_departure import noise_laws
+from orbitfb.diagnose.noise_departure import _of_steps, noise_laws
 from orbitfb.diagnose.noise_walk import walking_candidates
 from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.randomness import noise_candidates
@@ -100,3 +100,20 @@ def test_an_offset_that_another_channel_switches_is_no_walk(switched):
     offsets = [nats for course, nats in laws if "go with current" in course]
     assert gain > 30.0
     assert (max(offsets) > 30.0) is switched
+
+
+def test_the_score_of_offsets_is_that_of_what_they_make():
+    record = record_with()
+    bench = Bench(record)
+    steps = [np.arange(len(record)) % 70 < 30, np.arange(len(record)) % 90 > 60]
+    patterns = np.eye(len(BPMS))[:, [7, 40, 41]]
+    pull, known = _of_steps(bench, steps, patterns)
+    seen = np.array(
+        [
+            bench.floor.whiten(np.outer(step, shape), record.starts).ravel()
+            for step in steps
+            for shape in patterns.T
+        ]
+    )
+    np.testing.assert_allclose(pull, seen @ bench.white.ravel(), rtol=1e-9)
+    np.testing.assert_allclose(known, seen @ seen.T, rtol=1e-9, atol=1e-9 * known.max())

@@ -79,6 +79,13 @@ def test_what_a_first_kick_may_have_made_is_left_out_and_nothing_else(record):
         assert not len(steps.basis((other,))) and steps.price((other,)) == 0.0
 
 
+def test_what_a_first_kick_is_free_to_do_tells_nothing(record):
+    kicked = stepped(record, 5e-6)
+    bench = Bench(kicked, (Cause(GRADIENT, (QUADRUPOLE,), {"gradient": 0.004}, ONSET),))
+    step = kicked.readings - record.readings
+    assert bench.information(step) < 1e-6 * bench.energy(step)
+
+
 def test_the_twin_that_was_always_there_is_fitted_beside_one_that_begins_late():
     def proposal(kind, gain, onset, place=0):
         return Candidate(Cause(KINDS[kind], (place,), {}, onset), gain, 1.0)
