@@ -1,8 +1,9 @@
 """Estimate the noise floor of a record: a reading noise, a random walk per mode.
 
 Reading noise, over that of its BPM, is white over the BPMs, so every mode has the same r² of it;
-the ground moves magnets, so every mode has its own q. How the magnets move (alone, in girders, with
-a memory) is a nuisance: it only sets the q of the modes, which are estimated with the record.
+the ground moves magnets, so every mode has its own q. How the magnets move (alone, in girders) is
+a nuisance: it only sets the q of the modes, which are estimated with the record. That they go on as
+they went is another one (`drift_memory`).
 """
 
 import numpy as np

@@ -6,7 +6,8 @@ from orbitfb.physics.places import Plane, Planes, Ring, split
 from tests.blind.conditions import Conditions, Dither
 from tests.blind.rings import Array, Lattice, beating_errors
 
-GROUND = ("quadrupoles", "girders", "memory")
+GROUND = ("quadrupoles", "girders", "memory", "going on")
+"""How quadrupoles move: alone, with their girder, coming back, on in the direction of before."""
 
 
 def draw(
@@ -28,7 +29,7 @@ def draw(
     noise = rng.uniform(0.1e-6, 0.4e-6)
     stated = noise * rng.uniform(0.95, 1.05) if rng.random() < 0.5 else np.nan
     spread = np.exp(0.02 * rng.standard_normal(n)) if rng.random() < 0.5 else np.ones(n)
-    kind = GROUND[rng.integers(3)]
+    kind = GROUND[rng.integers(len(GROUND))]
     case = Conditions(
         lattice=lattice,
         ring_id=ring_id,
@@ -113,6 +114,10 @@ def wander(case: Conditions, plane: Plane, standing: float, rng: np.random.Gener
         heave, tilt = rng.standard_normal((2, rows, girder[-1] + 1))
         arm = s - np.array([s[girder == g].mean() for g in girder])
         steps = 0.2 * steps + heave[:, girder] + 0.3 * tilt[:, girder] * arm
+    on = rng.uniform(0.2, 0.5)
+    if case.ground == "going on":
+        for row in range(1, rows):
+            steps[row] = on * steps[row - 1] + np.sqrt(1 - on**2) * steps[row]
     steps[0] = 0
     at_bpms = lattice.response(case.bpms, quads, plane) * strength
     steps *= case.ground_step / np.sqrt(np.mean((steps[: min(rows, 400)] @ at_bpms.T) ** 2))

@@ -4,6 +4,7 @@ import hashlib
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from orbitfb.physics.places import Ring
 from tests.blind.cases import MAKERS, Spec, make
 from tests.blind.conditions import Conditions, second_ring
 from tests.blind.draft import invented, known
-from tests.blind.drawing import draw
+from tests.blind.drawing import draw, wander
 from tests.blind.figures import wilson
 from tests.blind.generate import opaque, seal, write_case
 from tests.blind.healthy import HealthyGradients
@@ -99,6 +100,17 @@ def step_answer(effect: Nature, case: Conditions, rows: int) -> np.ndarray:
     wanted = wanted.copy()
     wanted[0] = 1e-3
     return np.array([effect.currents(row, wanted)[0] for row in range(1, rows + 1)])
+
+
+@pytest.mark.parametrize(
+    ("ground", "least", "most"), [("quadrupoles", -0.05, 0.05), ("going on", 0.15, 0.55)]
+)
+def test_steps_of_the_ground_go_on_where_it_says_so(
+    case: Conditions, ground: str, least: float, most: float
+) -> None:
+    kicks = wander(replace(case, ground=ground), "x", 1e-4, np.random.default_rng(4))
+    steps = np.diff(kicks, axis=0)[1:]
+    assert least < np.sum(steps[1:] * steps[:-1]) / np.sum(steps**2) < most
 
 
 def test_it_imports_nothing_of_the_library_of_effects() -> None:
