@@ -6,6 +6,9 @@ from orbitfb.diagnose.answer import State
 from orbitfb.diagnose.answer_blocks import AmbiguousSet, ClosedLoop, Unknown
 from orbitfb.diagnose.answer_parts import Cause, Finding, Gap, ParameterValue, Shrink
 
+_LEAST_TOLD = 0.1
+"""Probability of a further cause below which the sentence leaves it to the table."""
+
 
 def headline(
     state: State | None,
@@ -89,9 +92,15 @@ def _gap(gap: Gap | None, state: State) -> str:
 
 
 def _named(causes: Sequence[Cause]) -> str:
+    """Name the first cause, and of the others those whose law may be theirs."""
+    told = [
+        cause
+        for index, cause in enumerate(causes)
+        if index == 0 or cause.probability is None or cause.probability >= _LEAST_TOLD
+    ]
     return " ".join(
         f"{'Cause' if index == 0 else 'And'}: {describe(cause)}."
-        for index, cause in enumerate(causes)
+        for index, cause in enumerate(told)
     )
 
 

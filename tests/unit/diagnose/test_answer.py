@@ -103,6 +103,17 @@ def test_no_probability_is_rounded_up_to_certainty():
     assert "P = 0.999" in headline("named", causes=(cause,))
 
 
+def test_a_further_cause_that_is_hardly_one_is_left_to_the_table():
+    first = examples.lag_cause()
+    further = [
+        first.model_copy(update={"probability": p, "label": f"C1{n}"})
+        for n, p in enumerate((0.6, 5e-4))
+    ]
+    said = headline("named_plus_remainder", causes=(first, *further))
+    assert "And: lag of a corrector on C10" in said
+    assert "C11" not in said
+
+
 def test_an_unresolved_gap_is_said_to_be_unresolved():
     gap = Gap(nats_per_tick=0.01, low=-0.1, high=0.1, um=0.0, floor_um=0.3, resolved=False)
     assert "No gap is resolved" in headline("no_gap", gap=gap)
