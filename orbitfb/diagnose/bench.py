@@ -115,8 +115,15 @@ class Bench:
             causes by row (N,): the log-likelihood is −½ Σ white² − ½ Σ sizes² + Σ log-Jacobian.
         """
         white, log_jacobian = self._with(causes)
-        free = self._free(causes, white)
-        return *self._healthy.healed(free(white), free), log_jacobian
+        every = (*self.causes, *causes)
+        kicks = self.free_steps.basis(every)
+        left, sizes = self._healthy.healed(beyond(kicks)(white), beyond(kicks))
+        memory = echoes(self._quick, left.astype(np.float32))
+        free = beyond(orthonormal(memory, kicks))
+        if len(memory):
+            left, sizes = self._healthy.healed(free(white), free)
+        self._freed = [*self._freed[1 - _REMEMBERED :], (self.floor, every, free)]
+        return left, sizes, log_jacobian
 
     def difference(
         self, causes: Sequence[Cause], others: Sequence[Cause]
@@ -127,7 +134,7 @@ class Bench:
         a small part, smaller than what they miss beside either.
         """
         (white, jacobian), (before, jacobian_before) = self._with(causes), self._with(others)
-        free = self._free(others, before)
+        free = self._free(others)
         return *self._unhealed(free(white - before), free), jacobian - jacobian_before
 
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
@@ -136,22 +143,14 @@ class Bench:
         kicks = self.free_steps.basis((*self.causes, *causes))
         return beyond(kicks)(white - near.change), near.sizes, log_jacobian
 
-    def _free(self, causes: Sequence[Cause], white: Matrix) -> Beyond:
-        """Tell how to take out of innovations what drift and first kicks are free to do.
-
-        Args:
-            causes: On top of the accepted ones.
-            white: Under these, (N, n): the memory of the drift is the one that they show.
-        """
+    def _free(self, causes: Sequence[Cause]) -> Beyond:
+        """What takes out of innovations that which drift and first kicks are free to do."""
         every = (*self.causes, *causes)
         for floor, known, free in self._freed:
             if floor is self.floor and known == every:
                 return free
-        kicks = self.free_steps.basis(every)
-        left = self._healthy.healed(beyond(kicks)(white), beyond(kicks))[0]
-        free = beyond(orthonormal(echoes(self._quick, left.astype(np.float32)), kicks))
-        self._freed = [*self._freed[1 - _REMEMBERED :], (self.floor, every, free)]
-        return free
+        self.residual(causes)
+        return self._freed[-1][2]
 
     def _with(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
         """White innovations before healthy errors and what is free are taken out; log-Jacobian."""
@@ -201,7 +200,7 @@ class Bench:
         Returns:
             White innovations (N, n), sizes of the background (P,).
         """
-        free = self._free((), self._beside().white)
+        free = self._free(())
         return self._unhealed(free(self.floor.whiten(change, self.record.starts)), free)
 
     def _unhealed(self, moved: Matrix, free: Beyond) -> tuple[Matrix, Vector]:

@@ -18,6 +18,8 @@ _USUAL = 0.3
 """Scatter of either value before the data [1]."""
 _SHOWN = 10.0
 """Least information on a usual value: one that shows in nothing is not looked at [nats]."""
+_LEAST = 1.0
+"""Gain of a memory up to which it is chance [nats]."""
 
 
 def echoes(quick: Quick, white: Single) -> Single:
@@ -32,15 +34,17 @@ def echoes(quick: Quick, white: Single) -> Single:
         shape (≤ 2, N n) [1]; without those of which these innovations show nothing.
     """
     gains = quick.floor.gains
-    innovation = white * np.sqrt(quick.floor.innovation_variance).astype(np.float32)
-    found: list[Single] = []
-    for share in (gains * (1.0 - gains), gains**2):
-        moved = np.zeros_like(innovation)
-        np.cumsum(innovation[:-1] * share.astype(np.float32), axis=0, out=moved[1:])
-        found.append(quick.whiten_modes(moved).reshape(-1))
-    columns = np.array(found)
-    known = columns @ columns.T
+    steps = np.zeros_like(white)
+    np.multiply(
+        white[:-1], np.sqrt(quick.floor.innovation_variance), out=steps[1:], casting="same_kind"
+    )
+    echo = quick.follow(steps)
+    shares = np.array([gains * (1.0 - gains), gains**2])
+    pull = shares @ np.einsum("km,km->m", echo, white)
+    known = (shares * np.einsum("km,km->m", echo, echo)) @ shares.T
     shown = np.diag(known) * _USUAL**2 > _SHOWN
     if shown.all():
-        shown[1] = np.linalg.solve(known, columns @ white.reshape(-1))[1] > 0.0
-    return columns[shown]
+        shown[1] = np.linalg.solve(known, pull)[1] > 0.0
+    gain = 0.5 * float(pull[shown] @ np.linalg.solve(known[np.ix_(shown, shown)], pull[shown]))
+    told = shares[shown] if gain > _LEAST else shares[:0]
+    return (echo * told.astype(np.float32)[:, None]).reshape(len(told), white.size)

@@ -43,14 +43,18 @@ class Quick:
 
     def whiten_modes(self, z: Single) -> Single:
         """As `whiten`, of an orbit in the modes, (N, n)."""
-        white = np.zeros_like(z)
-        np.subtract(z[1:], z[:-1], out=white[1:])
-        white[self._starts] = 0.0
+        steps = np.zeros_like(z)
+        np.subtract(z[1:], z[:-1], out=steps[1:])
+        return self.follow(steps)
+
+    def follow(self, steps: Single) -> Single:
+        """As `whiten_modes`, of the changes of an orbit from the row before, (N, n), in place."""
+        steps[self._starts] = 0.0
         for own in self._stretches:
-            piece = white[own]
+            piece = steps[own]
             self._feedback.forward(piece)
             piece *= self._inverse[: len(piece)]
-        return white
+        return steps
 
     def adjoint(self, white: Single) -> Single:
         """Give the derivative of Σ ½ white² … by the predictions, as `NoiseFloor.adjoint`."""
