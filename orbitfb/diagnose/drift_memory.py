@@ -16,6 +16,8 @@ from orbitfb.diagnose.quick import Quick, Single
 
 _USUAL = 0.3
 """Scatter of either value before the data [1]."""
+_MOST = 0.8
+"""Larger ones are no memory: the orbit runs away, or a cause shows [1]."""
 _SHOWN = 10.0
 """Least information on a usual value: one that shows in nothing is not looked at [nats]."""
 _LEAST = 1.0
@@ -45,6 +47,7 @@ def echoes(quick: Quick, white: Single) -> Single:
     shown = np.diag(known) * _USUAL**2 > _SHOWN
     if shown.all():
         shown[1] = np.linalg.solve(known, pull)[1] > 0.0
-    gain = 0.5 * float(pull[shown] @ np.linalg.solve(known[np.ix_(shown, shown)], pull[shown]))
-    told = shares[shown] if gain > _LEAST else shares[:0]
+    values = np.linalg.solve(known[np.ix_(shown, shown)], pull[shown])
+    gain = 0.5 * float(pull[shown] @ values)
+    told = shares[shown] if gain > _LEAST and np.all(np.abs(values) < _MOST) else shares[:0]
     return (echo * told.astype(np.float32)[:, None]).reshape(len(told), white.size)

@@ -72,6 +72,15 @@ def test_modes_that_hardly_walk_tell_nothing_of_a_memory() -> None:
     assert not len(echoes(Quick(floor, np.arange(2000) == 0), white))
 
 
+def test_an_orbit_that_runs_away_is_no_drift_with_a_memory() -> None:
+    floor = NoiseFloor(NoiseModes.even(np.eye(5)), 1.0, np.full(5, 10.0))
+    starts = np.arange(500) == 0
+    readings = np.random.default_rng(1).standard_normal((500, 5))
+    readings += np.exp(np.arange(500) / 40.0)[:, None]
+    white = floor.whiten(readings, starts).astype(np.float32)
+    assert not len(echoes(Quick(floor, starts), white))
+
+
 class GoingOn(Effect):
     """Magnets at all correctors that go on as they went."""
 
