@@ -119,7 +119,7 @@ class Bench:
         kicks = self.free_steps.basis(every)
         left, sizes = self._healthy.healed(beyond(kicks)(white), beyond(kicks))
         memory = echoes(self._quick, left.astype(np.float32))
-        free = beyond(orthonormal(memory, kicks))
+        free = beyond(kicks, orthonormal(memory, kicks))
         if len(memory):
             left, sizes = self._healthy.healed(free(white), free)
         self._freed = [*self._freed[1 - _REMEMBERED :], (self.floor, every, free)]

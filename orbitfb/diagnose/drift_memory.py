@@ -12,14 +12,18 @@ only go on: what turns back from tick to tick is no drift.
 
 import numpy as np
 
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.quick import Quick, Single
+from orbitfb.physics.optics import Matrix
 
 _USUAL = 0.3
 """Scatter of either value before the data [1]."""
 _MOST = 0.8
-"""Larger ones are no memory: the orbit runs away, or a cause shows [1]."""
+"""ρ from which it is no memory: the orbit runs away [1]."""
 _SHOWN = 10.0
 """Least information on a usual value: one that shows in nothing is not looked at [nats]."""
+_ALIKE = 1e-6
+"""Part of the information below which the two values are one: all modes have the same gain."""
 _LEAST = 1.0
 """Gain of a memory up to which it is chance [nats]."""
 
@@ -33,7 +37,8 @@ def echoes(quick: Quick, white: Single) -> Single:
 
     Returns:
         Changes of the innovations by the value that goes with L (1 − L) and by that with L²,
-        shape (≤ 2, N n) [1]; without those of which these innovations show nothing.
+        shape (≤ 2, N n) [1]; without those of which these innovations show nothing, and none where
+        the orbit runs away.
     """
     gains = quick.floor.gains
     steps = np.zeros_like(white)
@@ -45,9 +50,15 @@ def echoes(quick: Quick, white: Single) -> Single:
     pull = shares @ np.einsum("km,km->m", echo, white)
     known = (shares * np.einsum("km,km->m", echo, echo)) @ shares.T
     shown = np.diag(known) * _USUAL**2 > _SHOWN
-    if shown.all():
-        shown[1] = np.linalg.solve(known, pull)[1] > 0.0
-    values = np.linalg.solve(known[np.ix_(shown, shown)], pull[shown])
-    gain = 0.5 * float(pull[shown] @ values)
-    told = shares[shown] if gain > _LEAST and np.all(np.abs(values) < _MOST) else shares[:0]
+    memory = float(_solved(known, pull, shown)[1])
+    shown[1] &= memory > 0.0
+    gain = 0.5 * float(pull @ _solved(known, pull, shown))
+    told = shares[shown] if gain > _LEAST and memory < _MOST else shares[:0]
     return (echo * told.astype(np.float32)[:, None]).reshape(len(told), white.size)
+
+
+def _solved(known: Matrix, pull: Vector, shown: Mask) -> Vector:
+    """Best values of those that are shown, 0 of the others."""
+    values = np.zeros_like(pull)
+    values[shown] = np.linalg.lstsq(known[np.ix_(shown, shown)], pull[shown], rcond=_ALIKE)[0]
+    return values

@@ -18,14 +18,20 @@ Beyond = Callable[[Innovations], Innovations]
 """Takes out of innovations of unit variance, shape (N, n), what is free."""
 
 
-def beyond(basis: Directions) -> Beyond:
-    """Tell how to leave out what orthonormal directions (k, N n) have of innovations."""
+def beyond(*bases: Directions) -> Beyond:
+    """Tell how to leave out what directions have of innovations.
+
+    Args:
+        bases: Orthonormal rows, each of shape (k, N n), and orthogonal to those of the others.
+    """
+    known = [basis for basis in bases if len(basis)]
 
     def taken(white: Innovations) -> Innovations:
-        if not len(basis):
+        if not known:
             return white
         left = white.copy()
-        left.reshape(-1)[:] -= (basis @ white.reshape(-1)) @ basis
+        for basis in known:
+            left.reshape(-1)[:] -= (basis @ left.reshape(-1)) @ basis
         return left
 
     return taken
@@ -36,13 +42,15 @@ def orthonormal(rows: Directions, among: Directions | None = None) -> Directions
 
     Args:
         rows: Shape (k, K).
-        among: Orthonormal directions that come first, shape (j, K).
+        among: Orthonormal directions to which they have to be orthogonal too, shape (j, K).
     """
-    basis = [] if among is None else list(among)
+    basis: list[Directions] = []
     for row in rows:
         own = row.copy()
+        if among is not None and len(among):
+            own -= (among @ own) @ among
         for other in basis:
             own -= (own @ other) * other
         if (size := float(own @ own)) > _BLIND * float(row @ row):
             basis.append(own / np.sqrt(size))
-    return np.array(basis).reshape(len(basis), rows.shape[1])
+    return np.array(basis, dtype=rows.dtype).reshape(len(basis), rows.shape[1])

@@ -73,12 +73,20 @@ def test_modes_that_hardly_walk_tell_nothing_of_a_memory() -> None:
 
 
 def test_an_orbit_that_runs_away_is_no_drift_with_a_memory() -> None:
-    floor = NoiseFloor(NoiseModes.even(np.eye(5)), 1.0, np.full(5, 10.0))
+    walk = np.array([300.0, 30.0, 3.0, 0.3, 0.03])
+    floor = NoiseFloor(NoiseModes.even(np.eye(5)), 1.0, walk)
     starts = np.arange(500) == 0
     readings = np.random.default_rng(1).standard_normal((500, 5))
     readings += np.exp(np.arange(500) / 40.0)[:, None]
     white = floor.whiten(readings, starts).astype(np.float32)
     assert not len(echoes(Quick(floor, starts), white))
+
+
+def test_one_bpm_is_enough() -> None:
+    rng, starts = np.random.default_rng(1), np.arange(900) == 0
+    readings = going_on(900, np.array([5.0]), 0.4, rng) + rng.standard_normal((900, 1))
+    floor = NoiseFloor(NoiseModes.even(np.eye(1)), 1.0, np.array([25.0]))
+    assert len(echoes(Quick(floor, starts), floor.whiten(readings, starts).astype(np.float32)))
 
 
 class GoingOn(Effect):
