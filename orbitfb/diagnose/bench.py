@@ -92,8 +92,7 @@ class Bench:
             self.background.prepare(self.floor, _FEW_LEVELS)
             self._healthy = HealthySearch(self._quick, self.background)
             white = self.floor.whiten(leftover.left, record.starts)
-            kicks = FreeSteps(record, self.floor).basis(self.causes)
-            self.sizes = self._healthy.healed(white, beyond(kicks))[1]
+            self.sizes = self._healthy.healed(white, beyond(self.free_steps.basis(causes)))[1]
             healthy = self.background.orbit(self.sizes)
             if alike:
                 modes = uneven(leftover.left - healthy, starts, record.layout, self.floor)
@@ -114,6 +113,10 @@ class Bench:
             White innovations (N, n), sizes of the background (P,), log-Jacobian of the sensors'
             causes by row (N,): the log-likelihood is −½ Σ white² − ½ Σ sizes² + Σ log-Jacobian.
         """
+        return self._judged(causes)[0]
+
+    def _judged(self, causes: Sequence[Cause]) -> tuple[tuple[Matrix, Vector, Vector], Beyond]:
+        """As `residual`, and what takes out of innovations that which was free to do anything."""
         white, log_jacobian = self._with(causes)
         every = (*self.causes, *causes)
         kicks = self.free_steps.basis(every)
@@ -123,7 +126,7 @@ class Bench:
         if len(memory):
             left, sizes = self._healthy.healed(free(white), free)
         self._freed = [*self._freed[1 - _REMEMBERED :], (self.floor, every, free)]
-        return left, sizes, log_jacobian
+        return (left, sizes, log_jacobian), free
 
     def difference(
         self, causes: Sequence[Cause], others: Sequence[Cause]
@@ -140,17 +143,16 @@ class Bench:
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
         """As `residual`, no memory and the sizes of the background as they are: a first look."""
         (white, log_jacobian), near = self._with(causes), self._healthy.nearby
-        kicks = self.free_steps.basis((*self.causes, *causes))
-        return beyond(kicks)(white - near.change), near.sizes, log_jacobian
+        kicks = beyond(self.free_steps.basis((*self.causes, *causes)))
+        return kicks(white - near.change), near.sizes, log_jacobian
 
     def _free(self, causes: Sequence[Cause]) -> Beyond:
-        """What takes out of innovations that which drift and first kicks are free to do."""
+        """What drift and first kicks are free to do beside causes: of the last few it is known."""
         every = (*self.causes, *causes)
         for floor, known, free in self._freed:
             if floor is self.floor and known == every:
                 return free
-        self.residual(causes)
-        return self._freed[-1][2]
+        return self._judged(causes)[1]
 
     def _with(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
         """White innovations before healthy errors and what is free are taken out; log-Jacobian."""

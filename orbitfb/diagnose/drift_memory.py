@@ -21,7 +21,7 @@ _USUAL = 0.3
 _MOST = 0.8
 """ρ from which it is no memory: the orbit runs away [1]."""
 _SHOWN = 10.0
-"""Least information on a usual value: one that shows in nothing is not looked at [nats]."""
+"""Least information on a usual value, in its scatter: one that shows in nothing is left out."""
 _ALIKE = 1e-6
 """Part of the information below which the two values are one: all modes have the same gain."""
 _LEAST = 1.0

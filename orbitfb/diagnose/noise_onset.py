@@ -82,7 +82,7 @@ def _coloured(bench: Bench, candidate: Candidate, kind: NoiseKind) -> Candidate:
     row = int(np.argmax(heights))
     price = float(np.log(len(products))) + _ONSET_WORTH
     best = _by_spectrum(bench, cause)
-    if heights[row] - always > price:  # whoever could have begun is looked at closely
+    if heights[row] - always > price:  # else it is not worth its time
         begun = _by_spectrum(bench, replace(cause, onset=row))
         late = replace(begun, gain=begun.gain - price, sure=begun.sure - price)
         best = max(best, late, key=lambda one: one.gain)

@@ -61,6 +61,16 @@ def test_a_bpm_in_the_tail_of_unequal_healthy_noise_is_no_finding():
     assert not flagged(modes)
 
 
+def test_a_mode_of_one_loud_bpm_is_that_bpm_and_moves_no_more_than_it():
+    its = bench(False)
+    channels = np.random.default_rng(3).standard_normal((401, its.white.shape[1]))
+    channels[:, 3] *= 1.5
+    floor = replace(its.floor, modes=NoiseModes.even(np.eye(its.white.shape[1])))
+    assert flags(audit(SimpleNamespace(record=its.record, floor=floor, white=channels))) == {
+        "variance by BPM"
+    }
+
+
 def _louder(channels):
     channels[:, 3] *= 1.5
 
