@@ -43,12 +43,12 @@ _LEVELS = 14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """P small errors: orbit = Σ size · pattern · driver.
+    """P small errors: orbit = Σ size · pattern · driver, drivers = (currents, orbit) · weights.
 
     Args:
         name: What has them.
         patterns: Shape (n, P).
-        drivers: Shape (N, P).
+        weights: Shape (m + n, P).
         scatter: Standard deviation of every size, shape (P,).
         held: What sizes of one scatter change in units of its tolerance, a sum that is known to be
             nothing, shape (P,); None where there is none.
@@ -56,7 +56,7 @@ class _Part:
 
     name: Healthy | Literal["response of a ring that is not known"]
     patterns: Matrix
-    drivers: Matrix
+    weights: Matrix
     scatter: Vector
     held: Vector | None = None
 
@@ -80,14 +80,14 @@ class Background:
         n, m = layout.response.shape
         gain = GAIN_RMS * scale
         self._parts = [
-            _Part("correctors", layout.response, currents, np.full(m, gain)),
-            _Part("bpms", np.eye(n), orbit, np.full(n, gain)),
+            _Part("correctors", layout.response, np.eye(m + n, m), np.full(m, gain)),
+            _Part("bpms", np.eye(n), np.eye(m + n, n, -m), np.full(n, gain)),
         ]
         if layout.ring is not None and len(layout.ring.places("QUAD")):
             gradients = _gradient_scatters(layout)
             for plane in layout.planes:
                 to_bpms = layout.orbit_per_kick("QUAD", plane)
-                at_quads = currents @ layout.orbit_at("QUAD", plane).T
+                at_quads = np.pad(layout.orbit_at("QUAD", plane).T, ((0, n), (0, 0)))
                 scatter = scale * gradients
                 held = _tune_changes(layout, plane) * scatter / TUNE_RMS
                 self._parts.append(_Part(plane, to_bpms, at_quads, scatter, held))
@@ -98,9 +98,9 @@ class Background:
             ]
         # Single precision is enough for errors of one per cent, and half the work.
         patterns = np.concatenate([p.patterns for p in self._parts], axis=1)
-        drivers = np.concatenate([p.drivers * p.scatter for p in self._parts], axis=1)
-        drivers -= drivers.mean(axis=0)
-        self._errors = Errors(patterns, drivers.astype(np.float32))
+        weights = np.concatenate([p.weights * p.scatter for p in self._parts], axis=1)
+        courses = np.hstack([currents, orbit])
+        self._errors = Errors(patterns, courses - courses.mean(axis=0), weights)
         self._held = self._sums()
         self._solver: Preconditioner | None = None
 
@@ -211,12 +211,12 @@ def _response_errors(layout: Layout, plane: ChannelPlane, currents: Matrix, shar
     shapes = np.linalg.eigh(steered.T @ steered)[1][:, ::-1][:, :_COURSES]
     modes, values, _ = np.linalg.svd(response, full_matrices=False)
     scatter = share * values[:_MODES] / max(float(np.linalg.norm(values[:_MODES])), 1e-300)
-    courses, count = steered @ shapes, len(scatter)
+    weights, count = np.pad(response.T @ shapes, ((0, len(response)), (0, 0))), len(scatter)
     return _Part(
         "response of a ring that is not known",
-        np.tile(modes[:, :count], courses.shape[1]),
-        np.repeat(courses, count, axis=1),
-        np.tile(scatter, courses.shape[1]),
+        np.tile(modes[:, :count], weights.shape[1]),
+        np.repeat(weights, count, axis=1),
+        np.tile(scatter, weights.shape[1]),
     )
 
 

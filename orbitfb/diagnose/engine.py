@@ -3,6 +3,7 @@
 import hashlib
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -104,7 +105,8 @@ def diagnose(
 
 def _end(whole: Record, first: Record) -> Record:
     """As many of the first rows as there are others, and these: what began late shows there."""
-    return whole.rows(max(2 * len(first) - len(whole), 0), len(whole))
+    end = whole.rows(max(2 * len(first) - len(whole), 0), len(whole))
+    return replace(end, time=end.time - end.time[0])  # what grows begins with its first row
 
 
 def _taken_back(given: Sequence[Cause], outcome: Outcome) -> bool:

@@ -117,8 +117,9 @@ def enter(bench: Bench, candidate: Candidate) -> Entry:
 
 
 def _fitted(bench: Bench, candidate: Candidate) -> Entry:
-    found = fit(bench, (candidate.cause,))
-    return Entry(candidate, found, found.evidence - price(candidate))
+    least = price(candidate)
+    found = fit(bench, (candidate.cause,), least=least)
+    return Entry(candidate, found, found.evidence - least)
 
 
 def price(candidate: Candidate) -> float:

@@ -43,6 +43,9 @@ _IDEAL = 0.02
 """Share of an effect's size by which nature departs from the law that the library has for it."""
 _TIMING = 0.05
 """The same for a time constant: when within a tick setpoints come into force is not known."""
+_BETTER = 6.0
+"""What the search of a value that only bends the likelihood adds to it, at most, where that is
+small: its grid is dense [nats]."""
 _SHOWN = 10.0
 """What a law must gain beyond its first kicks to be seen at all [nats]."""
 _WHOLE = 500.0
@@ -103,12 +106,14 @@ class Fit:
         return max(low, parameter.low), min(high, parameter.high)
 
 
-def fit(bench: Bench, causes: Sequence[Cause], *, precise: bool = False) -> Fit:
+def fit(bench: Bench, causes: Sequence[Cause], *, least: float = 0.0, precise: bool = False) -> Fit:
     """Fit all parameters of some causes jointly.
 
     Args:
         bench: The record under the causes that stay as they are.
         causes: To be fitted, starting from their values.
+        least: Evidence that makes them worth anything. Where what is linear gives far less, the
+            values beside it stay as they are, known as little as before the data [nats].
         precise: Whether to take the intervals of searched parameters from their likelihood
             itself, which takes a second.
     """
@@ -117,6 +122,11 @@ def fit(bench: Bench, causes: Sequence[Cause], *, precise: bool = False) -> Fit:
     if problem.smooth[:1] == [0] and len(causes) == 1 and causes[0].kind.linear is None:
         best, now = line_search(problem, best, now)
     searched = [index for index in range(len(best)) if index not in problem.smooth]
+    if searched and all(cause.kind.linear is not None for cause in causes):
+        best, now, slopes = _climb(problem, best, now)
+        found = _result(problem, best, now, slopes, searched=(), precise=False)
+        if found.evidence + _BETTER < least:
+            return found
     for index in searched:
         best = rough_search(problem, best, index)
         now = problem.residual(best)
@@ -125,7 +135,7 @@ def fit(bench: Bench, causes: Sequence[Cause], *, precise: bool = False) -> Fit:
         for index in searched:
             best = rough_search(problem, best, index, near=True)
         best, now, slopes = _climb(problem, best, problem.residual(best))
-    return _result(problem, best, now, slopes, precise=precise)
+    return _result(problem, best, now, slopes, searched=searched, precise=precise)
 
 
 def _climb(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left, list[Left]]:
@@ -227,7 +237,15 @@ def _steps_alone(bench: Bench, causes: Sequence[Cause], gain: float) -> float:
     return 0.0 if shown else max(steps - bench.free_steps.price(causes), 0.0)
 
 
-def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, precise: bool) -> Fit:
+def _result(
+    problem: Problem,
+    best: Vector,
+    now: Left,
+    slopes: list[Left],
+    *,
+    searched: Sequence[int],
+    precise: bool,
+) -> Fit:
     bench = problem.bench
     white, _, jacobian = now
     gains = scores.by_row(white, jacobian) - scores.by_row(bench.white, bench.jacobian)
@@ -252,7 +270,9 @@ def _result(problem: Problem, best: Vector, now: Left, slopes: list[Left], *, pr
         bent = np.eye(len(smooth)) + curvature * np.outer(scale, scale)
         volume += 0.5 * float(np.linalg.slogdet(bent)[1])
     ranges: list[tuple[float, float] | None] = [None] * count
-    for index in (i for i in range(count) if i not in smooth):
+    unknown = [index for index in range(count) if index not in (*smooth, *searched)]
+    covariance[unknown, unknown] = problem.scale[unknown] ** 2
+    for index in searched:
         width = rough_width(problem, best, index)
         covariance[index, index] = width**2 * inflation
         volume += 0.5 * float(np.log1p((problem.scale[index] / width) ** 2))

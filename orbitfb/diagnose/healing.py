@@ -1,6 +1,7 @@
 """The small errors of a healthy ring as one linear problem, in its uncoupled parts."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,60 +17,82 @@ Single = NDArray[np.float32]
 
 
 class Errors:
-    """P small errors: orbit = Σ size · pattern · driver.
+    """P small errors: orbit = Σ size · pattern · driver, drivers that are mixed of few courses.
 
     Args:
         patterns: Shape (n, P).
-        drivers: Times the scatter of each, shape (N, P).
+        courses: Shape (N, C).
+        weights: That make drivers of courses, times the scatter of each, shape (C, P).
 
     Attributes:
         patterns: As given.
-        drivers: As given.
+        drivers: Times the scatter of each, shape (N, P).
         bpms: n.
         count: P.
     """
 
-    def __init__(self, patterns: Matrix, drivers: Single) -> None:
-        self.patterns, self.drivers = patterns, drivers
+    def __init__(self, patterns: Matrix, courses: Matrix, weights: Matrix) -> None:
+        self.patterns, self.drivers = patterns, (courses @ weights).astype(np.float32)
         self.bpms, self.count = patterns.shape
         single = np.count_nonzero(patterns, axis=0) == 1
         # An error of one BPM needs no product: its reading is its pattern.
         self._alone = np.flatnonzero(single)
         self._where = np.argmax(patterns[:, self._alone] != 0.0, axis=0)
         self._size = patterns[self._where, self._alone].astype(np.float32)
-        self._diagonal = len(np.unique(self._where)) == len(self._where)
-        if not self._diagonal:
+        if len(np.unique(self._where)) != len(self._where):
             self._alone, self._where = np.zeros(0, np.intp), np.zeros(0, np.intp)
             self._size = np.zeros(0, np.float32)
         wide = np.setdiff1d(np.arange(self.count), self._alone)
-        parts = [(own, wide[its]) for own, its in components(patterns[:, wide])]
         self._parts = [
-            (
-                compact(own),
-                its,
-                patterns[np.ix_(own, its)].astype(np.float32),
-                np.ascontiguousarray(drivers[:, its]),
-            )
-            for own, its in parts
+            _Part.of(own, wide[its], patterns, courses, weights)
+            for own, its in components(patterns[:, wide])
         ]
-        self._own = np.ascontiguousarray(drivers[:, self._alone] * self._size)
+        self._own = np.ascontiguousarray(self.drivers[:, self._alone] * self._size)
 
     def score(self, slope: Single) -> Vector:
         """Derivative by every size of a sum that goes with λ, shape (P,) of (N, n)."""
         found = np.zeros(self.count)
         found[self._alone] = np.einsum("kp,kp->p", slope[:, compact(self._where)], self._own)
-        for rows, columns, patterns, drivers in self._parts:
-            found[columns] = np.einsum("kp,kp->p", slope[:, rows] @ patterns, drivers)
+        for part in self._parts:
+            moments = slope[:, part.rows].T @ part.courses
+            found[part.columns] = np.einsum("ip,ip->p", part.patterns, moments @ part.weights)
         return found
 
     def orbit(self, sizes: Vector) -> Single:
         """What errors of these sizes add to the orbit, shape (N, n)."""
-        single = sizes.astype(np.float32)
         orbit = np.zeros((len(self.drivers), self.bpms), dtype=np.float32)
-        for rows, columns, patterns, drivers in self._parts:
-            orbit[:, rows] = (drivers * single[columns]) @ patterns.T
-        orbit[:, compact(self._where)] += self._own * single[self._alone]
+        for part in self._parts:
+            response = (part.patterns * sizes[part.columns]) @ part.weights.T
+            orbit[:, part.rows] = part.courses @ response.T.astype(np.float32)
+        orbit[:, compact(self._where)] += self._own * sizes[self._alone].astype(np.float32)
         return orbit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """Errors that act on the same BPMs.
+
+    Args:
+        rows: The BPMs.
+        columns: The errors, (p,).
+        patterns: Shape (i, p).
+        courses: That drive them, shape (N, c).
+        weights: Shape (c, p).
+    """
+
+    rows: Indices | slice
+    columns: Indices
+    patterns: Matrix
+    courses: Single
+    weights: Matrix
+
+    @classmethod
+    def of(
+        cls, own: Indices, its: Indices, patterns: Matrix, courses: Matrix, weights: Matrix
+    ) -> "_Part":
+        used = np.flatnonzero(weights[:, its].any(axis=1))
+        mixed = courses[:, used].astype(np.float32)
+        return cls(compact(own), its, patterns[np.ix_(own, its)], mixed, weights[np.ix_(used, its)])
 
 
 class Preconditioner:

@@ -10,6 +10,7 @@ from orbitfb.diagnose.answer import Diagnosis, document
 from orbitfb.diagnose.engine import diagnose
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import build, layout_of
+from orbitfb.effects.record import Record
 from orbitfb.effects.settings import parse_effect
 from orbitfb.physics.places import Ring
 
@@ -73,18 +74,18 @@ def test_the_same_record_and_seed_give_the_same_answer(healthy):
     assert np.isfinite(first.gap.nats_per_tick if first.gap else np.nan)
 
 
-def searched(monkeypatch, record) -> list[int]:
-    """Rows of the records that were searched, one after the other."""
-    lengths: list[int] = []
+def searched(monkeypatch, record) -> list[Record]:
+    """The records that were searched, one after the other."""
+    parts: list[Record] = []
     search = engine.search
 
-    def counted(part, *rest, **named):
-        lengths.append(len(part))
+    def noted(part, *rest, **named):
+        parts.append(part)
         return search(part, *rest, **named)
 
-    monkeypatch.setattr(engine, "search", counted)
+    monkeypatch.setattr(engine, "search", noted)
     diagnose(record, None, None, seed=1, progress=lambda what, share: None)
-    return lengths
+    return parts
 
 
 @pytest.mark.parametrize(
@@ -98,5 +99,6 @@ def test_the_end_of_a_record_is_looked_at_before_all_of_it(monkeypatch, effects,
     """The record has 800 rows and begins at 20 s: the first four fifths end at 84 s."""
     plant_effects = build([parse_effect(text) for text in effects], LAYOUT, 3)
     record = simulate_record(RING, "x", 800, 3, plant_effects, period=LAYOUT.period)
-    lengths = searched(monkeypatch, record)
-    assert [length / lengths[0] for length in lengths] == pytest.approx(looks, abs=0.01)
+    parts = searched(monkeypatch, record)
+    assert [len(part) / len(parts[0]) for part in parts] == pytest.approx(looks, abs=0.01)
+    assert all(part.time[0] == 0.0 for part in parts)  # what grows begins at 0

@@ -63,8 +63,10 @@ def test_single_precision_whitens_as_double_does() -> None:
 def test_small_errors_are_scored_and_added_up_as_their_patterns_say() -> None:
     rng = np.random.default_rng(6)
     patterns = np.hstack([_two_planes(rng), np.eye(8)])
-    drivers = rng.normal(size=(30, 20)).astype(np.float32)
-    errors = Errors(patterns, drivers)
+    courses, weights = rng.normal(size=(30, 6)), rng.normal(size=(6, 20))
+    weights[:2, :6] = 0.0
+    drivers = courses @ weights
+    errors = Errors(patterns, courses, weights)
     sizes, slope = rng.normal(size=20), rng.normal(size=(30, 8)).astype(np.float32)
     np.testing.assert_allclose(errors.orbit(sizes), (drivers * sizes) @ patterns.T, atol=1e-4)
     wanted = np.sum((slope @ patterns) * drivers, axis=0)

@@ -68,6 +68,17 @@ def test_a_kick_that_grows_from_the_middle_on_and_settles_is_found():
     assert fitted.interval(1)[0] < 10.0 < fitted.interval(1)[1]
 
 
+def test_how_long_a_ramp_takes_is_not_sought_where_no_ramp_is_worth_anything():
+    record = record_with(f"bpm-gain:gain=0.01,names={BPMS[20]}", dither=0.0, ticks=400)
+    values = {"kick": 5e-7, "period": 0.03, "duration": 3.0}
+    cause = Cause(all_effects()["insertion-device"], (40,), values, 200)
+    bench = Bench(record)
+    left, sought = fit(bench, (cause,), least=20.0), fit(bench, (cause,))
+    assert left.causes[0].values["duration"] == pytest.approx(3.0)
+    assert sought.causes[0].values["duration"] != pytest.approx(3.0)
+    assert left.causes[0].values["kick"] != 5e-7 and sought.gain < 20.0
+
+
 # The record begins after 20 s, so that 50 s is row 300.
 def test_crosstalk_that_begins_in_the_middle_is_not_a_kick():
     first, second = 33, 32
