@@ -106,7 +106,9 @@ class Fit:
         return max(low, parameter.low), min(high, parameter.high)
 
 
-def fit(bench: Bench, causes: Sequence[Cause], *, least: float = -np.inf, precise: bool = False) -> Fit:
+def fit(
+    bench: Bench, causes: Sequence[Cause], *, least: float = -np.inf, precise: bool = False
+) -> Fit:
     """Fit all parameters of some causes jointly.
 
     Args:

@@ -71,7 +71,7 @@ def test_a_kick_that_grows_from_the_middle_on_and_settles_is_found():
 def test_how_long_a_ramp_takes_is_not_sought_where_no_ramp_is_worth_anything():
     record = record_with(f"bpm-gain:gain=0.01,names={BPMS[20]}", dither=0.0, ticks=400)
     values = {"kick": 5e-7, "period": 0.03, "duration": 3.0}
-    cause = Cause(all_effects()["insertion-device"], (40,), values, 200)
+    cause = Cause(all_effects()["insertion-device"], (100,), values, 200)
     bench = Bench(record)
     left, sought = fit(bench, (cause,), least=20.0), fit(bench, (cause,))
     assert left.causes[0].values["duration"] == pytest.approx(3.0)
