@@ -1,6 +1,7 @@
 """Scan pairs of devices: those that are exchanged, and those that one leaks into the other."""
 
 from collections.abc import Iterator
+from typing import cast
 
 import numpy as np
 
@@ -31,8 +32,8 @@ _LEAST_LEFT = 1e-3
 """Information below which nothing is left of a pair."""
 _PROMISING = 10.0
 """Gain of the best of them from which it is worth the time [nats]."""
-_JUMPS_TRIED = 6
-"""Jumps of the kick of a corrector at which another may have begun to leak into it."""
+_STRIDE = 4
+"""Rows of which one is tried as the beginning of a leak: there are many pairs."""
 
 
 def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candidate]:
@@ -241,46 +242,51 @@ def _mixing_onsets(
 def _leak_onsets(
     bench: Bench, scoring: Scoring, kind: PairKind, share: str, choices: Vector
 ) -> Iterator[Candidate]:
-    """Try what begins to leak from one corrector into another in the middle of the record.
+    """Try every few rows as the beginning of what leaks from any corrector into any other.
 
-    What leaks is a share of the whole current, so that the kick of the second one jumps: the rows
-    and correctors of the largest jumps are tried with every corrector as the first.
+    A share of the whole current leaks, so that the kick of the second one jumps there: the rows
+    near the best ones are looked at closely.
     """
     record, currents = bench.record, bench.currents
     matrix = kind.matrix({share: 1.0})
     if matrix[1, 0] != 1.0 or matrix[0, 1] != 0.0 or matrix[0, 0] != matrix[1, 1]:
         return  # it mixes both
-    shapes = scoring.correctors()
-    places = {(int(a), int(b)): place for place, (a, b) in enumerate(kind.pairs(record.layout))}
-    jumps = _jumps(scoring, shapes.pull, [np.sum(shape**2, axis=0) for shape in shapes.fine])
-    for row, second in jumps:
-        driven = currents.copy()
-        driven[:row] = 0.0
-        score = shapes.pull[:, second] @ driven
-        info: Vector = np.zeros(len(score))
-        for shape, course in zip(shapes.fine, scoring.courses(driven), strict=True):
-            info += float(np.sum(shape[:, second] ** 2)) * np.sum(course**2, axis=0)
+    shapes, rows, count = scoring.correctors(), *currents.shape
+    brief, tried = short(rows), np.arange(0, rows, _STRIDE)
+    sizes = np.array([np.sum(shape**2, axis=0) for shape in shapes.fine])
+    levels = zip(scoring.courses(currents), scoring.ladder.feedback, strict=True)
+    energies = np.array(
+        [
+            to_the_end(course**2) + currents**2 / (1.0 - feedback**2 + brief)[:, None]
+            for course, feedback in levels
+        ]
+    )
+    # Single precision is enough to choose by.
+    some = energies[:, tried].astype(np.float32)
+    driven, pull = currents.astype(np.float32), shapes.pull.astype(np.float32)
+    pairs = kind.pairs(record.layout)
+    height, begun = np.zeros((count, count)), np.zeros((count, count), dtype=np.intp)
+    for second in np.unique(pairs[:, 1]):
+        pulled = np.add.reduceat(driven * pull[:, [second]], tried)
+        info = cast("Matrix", np.tensordot(sizes[:, second].astype(np.float32), some, 1))
+        gain = _inner(best_strength(kind, to_the_end(pulled), info)[1], rows, _STRIDE)
+        best = np.argmax(gain, axis=0)
+        height[:, second] = gain[best, np.arange(count)]
+        begun[:, second] = tried[best]
+    for place in np.argsort(height[pairs[:, 0], pairs[:, 1]])[::-1][:KEPT]:
+        first, second = pairs[place]
+        near = begun[first, second] + np.arange(1 - _STRIDE, _STRIDE)
+        score = to_the_end(currents[:, first] * shapes.pull[:, second])
+        info = np.tensordot(sizes[:, second], energies[:, :, first], 1)
         strength, gain = best_strength(kind, score, info)
-        for first in np.argsort(gain)[::-1][:KEPT]:
-            place = places.get((int(first), second))
-            if place is not None and gain[first] > 0:
-                cause = Cause(
-                    kind, (place,), sized(kind, {share: 1.0}, float(strength[first])), row
-                )
-                among = float(choices[place] * len(currents))
-                yield Candidate(cause, float(gain[first]), among)
+        row = int(near[np.argmax(_inner(gain, rows)[np.clip(near, 0, rows - 1)])])
+        if 0 < row < rows and gain[row] > 0:
+            cause = Cause(kind, (int(place),), sized(kind, {share: 1.0}, float(strength[row])), row)
+            yield Candidate(cause, float(gain[row]), float(choices[place] * rows))
 
 
-def _jumps(scoring: Scoring, pull: Matrix, sizes: list[Vector]) -> list[tuple[int, int]]:
-    """Rows at which, and correctors whose, a constant kick that begins explains most."""
-    rows, count = pull.shape
-    brief = short(rows)
-    info = np.zeros((rows, count))
-    for size, feedback in zip(sizes, scoring.ladder.feedback, strict=True):
-        info += size / (1.0 - feedback**2 + brief)[:, None]
-    gain = to_the_end(pull) ** 2 / np.maximum(info, 1e-300)
-    gain[:FIRST_ONSET] = 0.0
-    gain[rows - LAST_ONSET :] = 0.0
-    best = np.argmax(gain, axis=0)
-    order = np.argsort(gain[best, np.arange(count)])[::-1][:_JUMPS_TRIED]
-    return [(int(best[column]), int(column)) for column in order]
+def _inner(gain: Matrix, rows: int, stride: int = 1) -> Matrix:
+    """Gains of every so many rows, nothing where no effect may begin."""
+    gain[: -(-FIRST_ONSET // stride)] = 0.0
+    gain[(rows - LAST_ONSET) // stride :] = 0.0
+    return gain

@@ -90,6 +90,19 @@ def test_crosstalk_that_begins_in_the_middle_is_not_a_kick():
     assert abs(found.cause.onset - 300) < 3
 
 
+def test_a_small_leak_that_begins_where_the_current_is_zero_makes_no_jump_and_is_found():
+    first, second, dither = 33, 32, 3e-3
+    still = record_with(f"corrector-gain:gain=0,names={CORRECTORS[first]}", dither=dither)
+    row = 290 + int(np.argmin(np.abs(still.setpoints[290:330, first])))
+    names = f"names={CORRECTORS[first]}+{CORRECTORS[second]}"
+    leak = f"corrector-crosstalk:share=0.015,{names},from={20.0 + 0.1 * row:.1f}s"
+    record = record_with(leak, dither=dither)
+    kind = all_effects()["corrector-crosstalk"]
+    found = best(record, "corrector-crosstalk")
+    assert tuple(kind.pairs(record.layout)[found.cause.places[0]]) == (first, second)
+    assert abs(found.cause.onset - row) < 8
+
+
 @pytest.mark.parametrize("begins", [0, 300])
 @pytest.mark.parametrize("name", ["bpm-polarity", "bpm-swap"])
 def test_readings_that_are_turned_show_while_magnets_steer_against_the_ground(name, begins):
