@@ -6,7 +6,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.explain import Cause
-from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.kinds import EffectKind, Parameter, Values
 
 KEPT = 3
 """Candidates that every look at a kind keeps."""
@@ -58,20 +58,28 @@ def held_to(gain: Vector, deviations: Vector) -> Vector:
 def best_strength(kind: EffectKind, score: Vector, info: Vector) -> tuple[Vector, Vector]:
     """Best strength and its gain, of every place.
 
-    Where the change is linear in the parameter any strength will do; where it is not the change
-    itself is at stake, and the grid has others.
+    Where the change is linear in a parameter, or in all, any strength will do that is in their
+    bounds; where it is not the change itself is at stake, and the grid has others.
     """
     seen = info > LEAST_INFORMATION
     strength = np.divide(score, info, out=np.zeros_like(score), where=seen)
-    if kind.linear is None:
+    sizes = _sizes(kind)
+    if not sizes:
         strength = np.ones_like(strength)
+    elif all(p.low >= p.nominal for p in sizes):
+        strength = np.maximum(strength, 0.0)
     return strength, np.where(seen, strength * score - 0.5 * strength**2 * info, 0.0)
 
 
 def sized(kind: EffectKind, values: Values, strength: float) -> Values:
     """Parameters at which the change is `strength` times that at `values`."""
-    if kind.linear is None:
-        return values
-    spec = next(p for p in kind.parameters if p.name == kind.linear)
-    value = spec.nominal + float(strength) * (values[kind.linear] - spec.nominal)
-    return {**values, kind.linear: float(np.clip(value, spec.low, spec.high))}
+    scaled = {
+        p.name: float(np.clip(p.nominal + strength * (values[p.name] - p.nominal), p.low, p.high))
+        for p in _sizes(kind)
+    }
+    return {**values, **scaled}
+
+
+def _sizes(kind: EffectKind) -> list[Parameter]:
+    """Parameters with which the change scales."""
+    return [p for p in kind.parameters if kind.homogeneous or p.name == kind.linear]

@@ -220,6 +220,6 @@ class _Best:
 
 def _most(kind: EffectKind, score: Vector, least: Vector) -> Vector:
     """Gain of changes, at most, by the information on them, at least."""
-    if kind.linear is None:
+    if not kind.proportional:
         return score - 0.5 * least
     return 0.5 * score**2 / np.maximum(least, LEAST_INFORMATION)

@@ -18,9 +18,10 @@ from orbitfb.diagnose.candidate import (
 )
 from orbitfb.diagnose.device_groups import Group, each_alone
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.scan_changes import Changes
+from orbitfb.diagnose.scan_changes import Changes, Shapes
 from orbitfb.diagnose.scan_groups import Groups
 from orbitfb.diagnose.scan_shapes import Scoring
+from orbitfb.diagnose.standing import price_of_steps
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import SourceKind
@@ -72,11 +73,7 @@ def onsets(
         if holds:
             later_score -= to_the_end(shapes.pull) * drivers
         else:
-            # A step is seen against the rows before it that the filter remembers, by the
-            # rows after it until the filter has followed.
-            sizes = np.array([np.sum(shape**2, axis=0) for shape in shapes.fine])
-            lasting = 1.0 - np.array(scoring.ladder.feedback) ** 2
-            later += (1.0 / (lasting + short(rows)[:, None])) @ sizes * drivers**2
+            later += _steps(scoring, shapes, rows) * drivers**2
     single = _highest(kind, later_score, later)
     yield from _beginnings(kind, values, single, each_alone(later.shape[1]), free=free)
     if groups is not None:
@@ -86,9 +83,24 @@ def onsets(
         some = slice(None, None, _STRIDE)
         late, info = later_score[some] @ member.T, (later[some] @ member.T) * hidden
         found = _highest(kind, late, info, _STRIDE)
+        if free:  # what one step gains or costs is the fit's affair, that of many a group's
+            (shapes, _), *_ = changes.parts
+            prices = price_of_steps(_steps(scoring, shapes, rows)[found.row])
+            found.gain[:] -= np.sum(member * prices, axis=1)
         # a group that gains no more than one of its devices is that device
         found.gain[found.gain <= np.max(member * single.gain, axis=1)] = 0.0
         yield from _beginnings(kind, values, found, groups.each, free=free)
+
+
+def _steps(scoring: Scoring, shapes: Shapes, rows: int) -> Matrix:
+    """Information on a step at every row, place by place, shape (N, P).
+
+    It is seen against the rows before it that the filter remembers, by the rows after it until
+    the filter has followed.
+    """
+    sizes = np.array([np.sum(shape**2, axis=0) for shape in shapes.fine])
+    lasting = 1.0 - np.array(scoring.ladder.feedback) ** 2
+    return (1.0 / (lasting + short(rows)[:, None])) @ sizes
 
 
 def growing(

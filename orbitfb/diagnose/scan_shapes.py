@@ -191,10 +191,9 @@ class Scoring:
             return bench.orbit
         return bench.currents @ layout.orbit_at("QUAD", name).T
 
-    def whole(self, change: Matrix) -> tuple[Vector, Vector]:
-        """Give score and information, shape (1,), of one change of all readings (N, n)."""
-        score = np.sum(self._bench.slope * change)
-        return np.asarray(score)[None], np.asarray(self.seen(change))[None]
+    def whole(self, change: Matrix) -> Vector:
+        """Give the score, shape (1,), of one change of all readings (N, n)."""
+        return np.atleast_1d(np.sum(self._bench.slope * change))
 
     def seen(self, change: Matrix) -> float:
         """Tell the information on one change of all readings (N, n) [nats]."""

@@ -41,7 +41,9 @@ def of_ring(bench: Bench, scoring: Scoring, kind: RingKind | ActuatorKind) -> It
             change = moved @ bench.record.layout.response.T
         else:
             change = kind.deflect(values, bench.record, bench.currents, bench.orbit)
-        strength, gain = best_strength(kind, *scoring.whole(change))
+        # What acts on the whole ring acts much like healthy errors, which have what they can.
+        info = np.array([bench.information(change)])
+        strength, gain = best_strength(kind, scoring.whole(change), info)
         if gain[0] > 0:
             scaled = sized(kind, values, float(strength[0]))
             yield Candidate(Cause(kind, (), scaled), float(gain[0]), 1.0)
@@ -64,7 +66,7 @@ def of_families(bench: Bench, scoring: Scoring, kind: SourceKind) -> Iterator[Ca
             change = added(bench.record, cause, bench.currents, bench.orbit)
             # Many places at once act much like healthy errors, which have what they can.
             info = np.array([bench.information(change)])
-            strength, gain = best_strength(kind, scoring.whole(change)[0], info)
+            strength, gain = best_strength(kind, scoring.whole(change), info)
             if gain[0] > 0:
                 scaled = replace(cause, values=sized(kind, values, float(strength[0])))
                 yield Candidate(scaled, float(gain[0]), float(len(families)), name)
@@ -73,7 +75,7 @@ def of_families(bench: Bench, scoring: Scoring, kind: SourceKind) -> Iterator[Ca
 def _ring_onset(
     bench: Bench, scoring: Scoring, kind: RingKind | ActuatorKind, values: Values, change: Matrix
 ) -> Iterator[Candidate]:
-    """Try every row as the beginning of an effect on the whole ring."""
+    """Try every row as the beginning of an effect on the whole ring: no healthy error begins."""
     rows = len(change)
     score = np.cumsum(np.sum(bench.slope * change, axis=1)[::-1])[::-1]
     tried = np.linspace(0.1, 0.9, _ONSETS_TRIED) * rows

@@ -44,6 +44,19 @@ def stretches_across(record: Record, causes: Sequence[Cause]) -> Mask:
     return starts
 
 
+def price_of_steps(information: Matrix) -> Matrix:
+    """What the choice of first kicks of correctors costs, one by one [nats].
+
+    Args:
+        information: On a step of each, any shape [1/A²].
+    """
+    return _price(information * (_CURRENT / _KICK) ** 2)
+
+
+def _price(information: Matrix) -> Matrix:
+    return 0.5 * np.log1p(information * _KICK**2)
+
+
 class FreeSteps:
     """The steps that first kicks may make, as the noise of one floor sees them.
 
@@ -70,7 +83,7 @@ class FreeSteps:
         free = tuple(cause for cause in causes if is_standing(cause))
         if not free:
             return 0.0
-        return float(0.5 * np.sum(np.log1p(self._basis(free)[1] * _KICK**2)))
+        return float(np.sum(_price(self._basis(free)[1])))
 
     def _basis(self, free: tuple[Cause, ...]) -> tuple[Directions, Vector]:
         """Orthonormal steps, shape (k, N n), and the information on each of their kicks, (k,)."""

@@ -49,7 +49,7 @@ class BpmLowpass(SensorKind):
     def grid(self, record: Record) -> tuple[Values, ...]:
         """Time constants of a fraction of a tick to many ticks."""
         period, high = record.layout.period, self.parameters[0].high
-        ticks = (0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 6.0, 12.0)
+        ticks = (0.145, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 6.0, 12.0)
         return tuple({"tau": min(count * period, high)} for count in ticks)
 
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:

@@ -42,6 +42,7 @@ class BpmNonlinearity(SensorKind):
     )
     sudden = False
     scales = True  # by its slope where the orbit is
+    homogeneous = True
     confused_with = ("bpm-gain", "sextupole")
     splits = "a closed bump through the BPM at three levels or more, with both signs"
 

@@ -13,7 +13,7 @@ from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
-_FINEST = (0.3, 0.05)
+_FINEST = (0.3, 0.05, 0.01)
 """Finest steps looked for, in usual changes of a setpoint: the finer, the more pass for one."""
 
 

@@ -80,6 +80,8 @@ class EffectKind(ABC):
         linear: Name of the parameter in which the change of the prediction is (nearly)
             proportional to (value − nominal), so that its best value is found without a search;
             None when there is none: then `grid` is searched.
+        homogeneous: Whether the change is (nearly) proportional to all parameters at once, each
+            from its nominal value on: a size for each plane, say. The grid tells their ratio.
         confused_with: Ids of effects that a record may be unable to tell from it, and in
             `splits` what would (one line).
         also_called: Ids by which the same fault goes with another course in time; an answer lists
@@ -102,6 +104,7 @@ class EffectKind(ABC):
     sentence: ClassVar[str]
     equation: ClassVar[str]
     linear: ClassVar[str | None] = None
+    homogeneous: ClassVar[bool] = False
     confused_with: ClassVar[tuple[str, ...]] = ()
     splits: ClassVar[str] = ""
     also_called: ClassVar[tuple[str, ...]] = ()
@@ -109,6 +112,11 @@ class EffectKind(ABC):
     sudden: ClassVar[bool] = True
     grows: ClassVar[bool] = False
     vanishes: ClassVar[bool] = True
+
+    @property
+    def proportional(self) -> bool:
+        """Whether its change scales with a size: one score tells the best one, of either sign."""
+        return self.homogeneous or self.linear is not None
 
     @abstractmethod
     def simulate(

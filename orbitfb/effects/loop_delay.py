@@ -45,6 +45,7 @@ class LoopDelay(ActuatorKind):
             description="Delay k in periods of the loop; need not be whole.",
         ),
     )
+    homogeneous = True  # below a tick
     confused_with = ("bpm-latency", "corrector-lag", "missed-write", "clock-jitter")
     splits = (
         "Late readings and late correctors give the same record; time stamps, or a disturbance "

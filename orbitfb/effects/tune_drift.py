@@ -33,6 +33,7 @@ class TuneDrift(RingKind):
         "temperature of the magnets; compare with the log of the tune meter."
     )
     equation = "R(t) = R₀ + t (ν̇_x ∂R/∂ν_x + ν̇_y ∂R/∂ν_y), the derivatives as of tune-shift"
+    homogeneous = True
     also_called = ("optics-drift",)
     confused_with = ("tune-shift", "optics-drift", "quadrupole-gradient")
     splits = "the log of the tune meter; the same dither at the beginning and at the end"

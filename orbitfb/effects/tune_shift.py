@@ -40,6 +40,7 @@ class TuneShift(RingKind):
         "R(ν + Δν) by the smallest relative errors of all quadrupoles with "
         "4π Δν_x,y = ±Σ β_x,y Δk (Courant and Snyder 1958, eq. 4.5)"
     )
+    homogeneous = True
     confused_with = ("quadrupole-gradient", "tune-drift", "optics-drift")
     splits = "the measured tunes; dither of the modes whose numbers are next to the tunes"
 

@@ -103,6 +103,37 @@ def test_a_small_leak_that_begins_where_the_current_is_zero_makes_no_jump_and_is
     assert abs(found.cause.onset - row) < 8
 
 
+def test_a_slow_drift_of_the_tune_is_scanned_at_its_rate_and_not_as_many_free_kicks():
+    """Between the rates of a grid; all correctors with free first kicks would pay for each."""
+    record = record_with("tune-drift:rate_x=3e-5", dither=3e-3)
+    found = best(record, "tune-drift")
+    assert found.gain > 100.0
+    assert found.cause.values["rate_x"] == pytest.approx(3e-5, rel=0.2)
+    for other in Scanner(Bench(record)).candidates(all_effects()["corrector-gain"]):
+        assert not (other.cause.free and len(other.cause.places) > 60)
+
+
+@pytest.mark.parametrize(
+    ("size", "where", "places", "dither"),
+    [
+        ("bpm-nonlinearity:quadratic=60,cubic=0", f",names={BPMS[20]}", (20,), 5e-3),
+        ("bpm-lowpass:tau=16ms", "", tuple(range(len(BPMS))), 8e-3),
+        ("corrector-lag:tau=16ms", "", tuple(range(len(CORRECTORS))), 8e-3),
+        ("corrector-quantisation:step=0.07mA", f",names={CORRECTORS[60]}", (60,), 3e-3),
+        ("loop-delay:ticks=0.01", "", (), 3e-3),
+    ],
+)
+def test_what_is_small_and_shows_is_not_stepped_over(size, where, places, dither):
+    """However fine a grid is, a record that is shaken hard shows less than its least value."""
+    record = record_with(size + where, dither=dither)
+    effect, bench = parse_effect(size), Bench(record)
+    true = Cause(effect.kind, places, effect.filled)
+    there = log_likelihood(*bench.residual((true,))) - bench.log_likelihood
+    found = Scanner(bench).candidates(effect.kind)[0]
+    assert set(found.cause.places) == set(places)
+    assert found.gain > 0.4 * there > 10.0
+
+
 @pytest.mark.parametrize("begins", [0, 300])
 @pytest.mark.parametrize("name", ["bpm-polarity", "bpm-swap"])
 def test_readings_that_are_turned_show_while_magnets_steer_against_the_ground(name, begins):
