@@ -2,11 +2,13 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +17,9 @@ T = TypeVar("T")
 
 LONGEST = 600.0
 """Time after which a diagnosis counts as without an answer [s]."""
+_ASKED_TO_END = 128 + signal.SIGTERM
+"""Exit code of a command that was ended by a signal."""
+_running: set[subprocess.Popen[str]] = set()
 
 
 @dataclass(frozen=True)
@@ -123,13 +128,70 @@ def diagnose_all(todo: Sequence[Task], jobs: int, what: str) -> None:
     each(_diagnose, todo, jobs, what)
 
 
+@contextmanager
+def outliving_none() -> Iterator[None]:
+    """Let no process that was started here outlive this one, asked to end or not."""
+
+    def ask(number: int, frame: object) -> None:
+        raise SystemExit(_ASKED_TO_END)
+
+    before = signal.signal(signal.SIGTERM, ask)
+    try:
+        yield
+    finally:
+        _end_all()
+        signal.signal(signal.SIGTERM, before)
+
+
 def each(work: Callable[[T], None], todo: Sequence[T], jobs: int, what: str) -> None:
     """Do some things at the same time, and count them on the screen."""
     with ThreadPoolExecutor(jobs) as pool:
-        for count, _ in enumerate(pool.map(work, todo), 1):
-            print(f"\r{count} of {len(todo)} {what}", end="", file=sys.stderr, flush=True)
+        try:
+            for count, _ in enumerate(pool.map(work, todo), 1):
+                print(f"\r{count} of {len(todo)} {what}", end="", file=sys.stderr, flush=True)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            _end_all()  # else the threads wait for them
+            raise
     if todo:
         print(file=sys.stderr)
+
+
+def _end_all() -> None:
+    """Ask the processes that run to end, and all that they started."""
+    for process in tuple(_running):
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGTERM)
+
+
+def _run(
+    arguments: Sequence[str],
+    environment: dict[str, str],
+    *,
+    errors: int | None,
+    longest: float | None = None,
+) -> subprocess.CompletedProcess[str]:
+    """Run a process to its end, in a group of its own: what it starts can be ended with it.
+
+    Raises:
+        subprocess.TimeoutExpired: It took longer [s].
+    """
+    with subprocess.Popen(
+        [sys.executable, "-m", *arguments],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=errors,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        _running.add(process)
+        try:
+            told, said = process.communicate(timeout=longest)
+        finally:
+            _running.discard(process)
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGTERM)
+    return subprocess.CompletedProcess(process.args, process.returncode, told, said)
 
 
 def command(*arguments: str, module: str = "orbitfb") -> Ended:
@@ -137,14 +199,7 @@ def command(*arguments: str, module: str = "orbitfb") -> Ended:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     start = time.monotonic()
     try:
-        ended = subprocess.run(
-            [sys.executable, "-m", module, *arguments],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=LONGEST,
-            check=False,
-        )
+        ended = _run((module, *arguments), environment, errors=subprocess.PIPE, longest=LONGEST)
         code, told, said = ended.returncode, ended.stdout, ended.stderr[-4000:]
     except subprocess.TimeoutExpired:
         code, told, said = -1, "", f"no answer within {LONGEST:g} s"
@@ -175,14 +230,7 @@ def module(source: Path, name: str, *arguments: str, quiet: bool = False) -> str
     environment["PYTHONPATH"] = os.pathsep.join(
         [str(source), *filter(None, [os.environ.get("PYTHONPATH")])]
     )
-    ended = subprocess.run(
-        [sys.executable, "-m", name, *arguments],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=None,
-        text=True,
-        check=False,
-    )
+    ended = _run((name, *arguments), environment, errors=None)
     if ended.returncode:
         raise ConfigError(f"python -m {name} ended with {ended.returncode}: see its words above")
     if not quiet:

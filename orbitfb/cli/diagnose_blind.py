@@ -9,7 +9,10 @@ from typing import Annotated
 
 import typer
 
+from orbitfb.cli.blind_processes import outliving_none
 
+
+@outliving_none()
 def diagnose_blind(
     suite: Annotated[
         str,

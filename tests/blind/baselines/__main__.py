@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from orbitfb.cli.blind_processes import answered, command, each, rings_of
+from orbitfb.cli.blind_processes import answered, command, each, outliving_none, rings_of
 from orbitfb.physics.places import Ring
 from tests.blind.baselines import forest, loco
 from tests.blind.baselines.residual import Naive, read
@@ -54,6 +54,7 @@ def naive(data: Path, target: Path, record: Path) -> None:
     command(*arguments, module="tests.blind.baselines.naive").keep(folder / "run.json")
 
 
+@outliving_none()
 def main() -> None:
     """Take the command line."""
     parser = argparse.ArgumentParser(description="Answer a suite by simpler methods.")
