@@ -119,6 +119,7 @@ def test_a_slow_drift_of_the_tune_is_scanned_at_its_rate_and_not_as_many_free_ki
         ("bpm-nonlinearity:quadratic=60,cubic=0", f",names={BPMS[20]}", (20,), 5e-3),
         ("bpm-lowpass:tau=16ms", "", tuple(range(len(BPMS))), 8e-3),
         ("corrector-lag:tau=16ms", "", tuple(range(len(CORRECTORS))), 8e-3),
+        ("corrector-resonance:frequency=9Hz,damping=0.9", "", tuple(range(len(CORRECTORS))), 8e-3),
         ("corrector-quantisation:step=0.07mA", f",names={CORRECTORS[60]}", (60,), 3e-3),
         ("loop-delay:ticks=0.01", "", (), 3e-3),
     ],
