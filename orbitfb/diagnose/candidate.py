@@ -6,7 +6,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.explain import Cause
-from orbitfb.effects.kinds import EffectKind, Parameter, Values
+from orbitfb.effects.kinds import EffectKind, Values
 
 KEPT = 3
 """Candidates that every look at a kind keeps."""
@@ -63,10 +63,9 @@ def best_strength(kind: EffectKind, score: Vector, info: Vector) -> tuple[Vector
     """
     seen = info > LEAST_INFORMATION
     strength = np.divide(score, info, out=np.zeros_like(score), where=seen)
-    sizes = _sizes(kind)
-    if not sizes:
+    if not kind.sizes:
         strength = np.ones_like(strength)
-    elif all(p.low >= p.nominal for p in sizes):
+    elif all(p.low >= p.nominal for p in kind.sizes):
         strength = np.maximum(strength, 0.0)
     return strength, np.where(seen, strength * score - 0.5 * strength**2 * info, 0.0)
 
@@ -75,11 +74,6 @@ def sized(kind: EffectKind, values: Values, strength: float) -> Values:
     """Parameters at which the change is `strength` times that at `values`."""
     scaled = {
         p.name: float(np.clip(p.nominal + strength * (values[p.name] - p.nominal), p.low, p.high))
-        for p in _sizes(kind)
+        for p in kind.sizes
     }
     return {**values, **scaled}
-
-
-def _sizes(kind: EffectKind) -> list[Parameter]:
-    """Parameters with which the change scales."""
-    return [p for p in kind.parameters if kind.homogeneous or p.name == kind.linear]

@@ -50,7 +50,7 @@ def tried(kind: EffectKind, bench: Bench) -> list[Values]:
         return grid[:1]
     grid = [values for values in grid if values[spec.name] != spec.nominal] or grid
     grid.sort(key=lambda values: _distance(spec, values[spec.name]))
-    if kind.linear == spec.name:
+    if spec in kind.sizes:
         return grid[:1]
     steps = _STEPS_OF_RING if kind.target == "ring" else _STEPS
     return [grid[i] for i in np.unique(np.linspace(0, len(grid) - 1, steps).astype(np.intp))]
@@ -64,7 +64,7 @@ def smallest(
     if spec is None:
         return 1.0 if max(gains, default=0.0) > ENOUGH else None
     enough = np.flatnonzero(np.asarray(gains) > ENOUGH)
-    if kind.linear == spec.name:
+    if spec in kind.sizes:
         reach = abs(seen[0].values[spec.name] - spec.nominal)
         return _sensible(spec, reach * float(np.sqrt(ENOUGH / gains[0]))) if gains[0] > 0 else None
     if not len(enough):

@@ -220,6 +220,6 @@ class _Best:
 
 def _most(kind: EffectKind, score: Vector, least: Vector) -> Vector:
     """Gain of changes, at most, by the information on them, at least."""
-    if not kind.proportional:
+    if not kind.sizes:
         return score - 0.5 * least
     return 0.5 * score**2 / np.maximum(least, LEAST_INFORMATION)

@@ -89,7 +89,7 @@ def _gains(scoring: Scoring, bench: Bench, cause: Cause) -> Vector | None:
     known = information * (1.0 - absorbed)
     if score.shape != known.shape or not np.any(known > _LEAST_INFORMATION):
         return None
-    if not cause.kind.proportional:
+    if not cause.kind.sizes:
         score = np.maximum(score, 0.0)  # it cannot act the other way round
     return np.divide(
         0.5 * score**2, known, out=np.zeros_like(score), where=known > _LEAST_INFORMATION

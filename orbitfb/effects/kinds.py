@@ -114,9 +114,9 @@ class EffectKind(ABC):
     vanishes: ClassVar[bool] = True
 
     @property
-    def proportional(self) -> bool:
-        """Whether its change scales with a size: one score tells the best one, of either sign."""
-        return self.homogeneous or self.linear is not None
+    def sizes(self) -> tuple[Parameter, ...]:
+        """Parameters with which its change scales: one score tells the best of them."""
+        return tuple(p for p in self.parameters if self.homogeneous or p.name == self.linear)
 
     @abstractmethod
     def simulate(
