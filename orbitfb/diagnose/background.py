@@ -88,7 +88,7 @@ class Background:
             for plane in layout.planes:
                 to_bpms = layout.orbit_per_kick("QUAD", plane)
                 at_quads = np.pad(layout.orbit_at("QUAD", plane).T, ((0, n), (0, 0)))
-                scatter = scale * gradients
+                scatter = scale * layout.restless * gradients
                 held = _tune_changes(layout, plane) * scatter / TUNE_RMS
                 self._parts.append(_Part(plane, to_bpms, at_quads, scatter, held))
         elif m:
@@ -114,6 +114,15 @@ class Background:
         if self._scale:
             held = self._held
             self._solver = Preconditioner(self._errors, floor, self._starts, levels, held)
+
+    @property
+    def log_volume(self) -> float:
+        """Log of the share of the prior that the record leaves open, ½ log |Q| / |J + Q| [nats].
+
+        What the likelihood at the most likely sizes has to be multiplied with to be that of
+        the scatter they have.
+        """
+        return 0.0 if self._solver is None else self._solver.log_volume
 
     def absorbed(self, name: Healthy) -> Vector:
         """Share of the information on an error that the background takes away, shape (P,).

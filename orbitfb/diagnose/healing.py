@@ -107,6 +107,7 @@ class Preconditioner:
 
     Attributes:
         absorbed: Share of the information on every error that all of them take away, shape (P,).
+        log_volume: ½ log |Q| / |J + Q| of the information J and the prior's Q [nats].
     """
 
     def __init__(
@@ -125,12 +126,14 @@ class Preconditioner:
         ]
         both = np.hstack([errors.patterns, floor.modes.axes])
         self.absorbed = np.zeros(errors.count)
+        self.log_volume = 0.5 * sum(float(np.log1p(own @ own)) for own in held)
         self._blocks: list[tuple[Indices, tuple[Matrix, bool]]] = []
         for _, its in components(both):
             columns = its[its < errors.count]
             if len(columns):
                 solver = self._solved(shapes, courses, columns, held)
                 self._blocks.append((columns, solver))
+                self.log_volume -= float(np.sum(np.log(np.diagonal(solver[0]))))
 
     def _solved(
         self,

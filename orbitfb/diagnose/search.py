@@ -13,6 +13,7 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.progress import Progress
+from orbitfb.diagnose.restless import restless
 from orbitfb.diagnose.rounds import Round, least_weight, winner
 from orbitfb.diagnose.strikes import without_strikes
 from orbitfb.diagnose.switching import without_switching
@@ -119,6 +120,8 @@ def search(
         )
         one = Round(bench, tuple(entries), len(left), None, budget.taken())
         best = winner(one, rounds, worth, beside=beside) if number < MOST_CAUSES else None
+        if not rounds and not budget.over() and (other := restless(bench, best)) is not None:
+            return search(other, kinds, floor, given, progress, budget, shown, beside=beside)
         rounds.append(replace(one, accepted=best))
         if best is None:
             break

@@ -73,6 +73,7 @@ class Layout:
         period: From one orbit to the next [s].
         ring: The ring that the names belong to; None when they are of no known ring. Effects of
             the optics then cannot be tested, and sources are looked for at the correctors only.
+        restless: Scatter of the healthy gradients over what is usual in a ring.
     """
 
     bpms: Devices
@@ -80,6 +81,7 @@ class Layout:
     response: Matrix
     period: float
     ring: Ring | None
+    restless: float = 1.0
 
     def orbit_per_kick(self, sources: Indices | Kind, plane: Plane) -> Matrix:
         """Orbit at the BPMs per kick in one plane at places of the ring, shape (n, k) [m/rad].

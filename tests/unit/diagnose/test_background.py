@@ -66,6 +66,21 @@ def test_what_healthy_errors_leave_of_a_change_is_that_of_the_dense_regression()
     assert left(precision) > 1.2 * left(np.eye(len(pull)))
 
 
+def test_what_a_record_leaves_open_of_healthy_errors_is_that_of_the_dense_regression() -> None:
+    bench = Bench(simulate_record(RING, ticks=120, seed=4, dither=1e-3))
+    patterns, drivers, precision = healthy(bench)
+    starts = bench.record.starts
+    seen = np.array(
+        [
+            bench.floor.whiten(np.outer(driver, pattern), starts).ravel()
+            for pattern, driver in zip(patterns.T, drivers.T, strict=True)
+        ]
+    )
+    prior, both = np.linalg.slogdet(precision)[1], np.linalg.slogdet(seen @ seen.T + precision)[1]
+    assert both - prior > 20.0
+    assert bench.background.log_volume == pytest.approx(0.5 * (prior - both), rel=0.01)
+
+
 @pytest.mark.parametrize("drift", [0.0, 1e-6, 0.1, 1e30])
 def test_a_ladder_sees_what_the_first_rows_show(drift: float) -> None:
     """Without drift the gain is never steady, and an orbit that is steered away shows at once."""
