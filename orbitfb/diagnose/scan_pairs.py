@@ -63,8 +63,8 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
     overlap = [(s.T @ s, c.T @ c) for s, c in zip(shapes, courses, strict=True)]
     for values in kind.grid(record):
         change = kind.matrices(record.layout, values) - np.eye(2)
-        score = np.zeros(len(pairs))
-        info = np.zeros(len(pairs))
+        parts = patterns, drivers, change
+        score, info = np.zeros(len(pairs)), np.zeros(len(pairs))
         for a, b in np.ndindex(2, 2):
             score += change[:, a, b] * scores[pairs[:, a], pairs[:, b]]
             for c, d in np.ndindex(2, 2):
@@ -78,16 +78,14 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
                         )
         strength, gain = best_strength(kind, score, info)
         if kind.sudden and not kind.parameters:
-            yield from _pair_onsets(
-                bench, scoring, kind, (patterns, drivers, change), score, choices
-            )
-        if kind.sudden and kind.linear is not None and kind.target == "corrector":
-            yield from _leak_onsets(bench, scoring, kind, kind.linear, choices)
-        if kind.sudden and kind.linear is not None and kind.target == "bpm":
-            yield from _mixing_onsets(bench, scoring, kind, values, choices)
+            yield from _pair_onsets(bench, scoring, kind, parts, score, choices)
+        if kind.sudden and kind.linear is not None:
+            if kind.target == "corrector" and _leaks(kind, kind.linear):
+                yield from _leak_onsets(bench, scoring, kind, kind.linear, choices)
+            else:
+                yield from _mixing_onsets(bench, scoring, kind, parts, values, choices)
         if kind.linear is not None and kind.target == "corrector" and gain.max() > _PROMISING:
-            driven = (patterns, drivers, change)
-            strength, gain = _beside_healthy(bench, driven, pairs, score, gain)
+            strength, gain = _beside_healthy(bench, parts, pairs, score, gain)
         for place in np.argsort(gain)[::-1][:KEPT]:
             if gain[place] > 0:
                 yield Candidate(
@@ -198,28 +196,33 @@ def _pair_onsets(
 
 
 def _mixing_onsets(
-    bench: Bench, scoring: Scoring, kind: PairKind, values: Values, choices: Vector
+    bench: Bench,
+    scoring: Scoring,
+    kind: PairKind,
+    parts: tuple[Matrix, Matrix, Matrix],
+    values: Values,
+    choices: Vector,
 ) -> Iterator[Candidate]:
-    """Try every row as the beginning of what mixes two readings by a size: they then jump.
+    """Try every row as the beginning of what mixes two columns by a size: they then jump.
 
     Args:
         bench: The record under the causes so far.
         scoring: On that bench.
         kind: The effect.
+        parts: As for `_pair_onsets`; both columns of a pair are seen in other readings.
         values: A small size of it.
         choices: Among how many each pair was chosen, shape (P,).
     """
-    record, orbit = bench.record, bench.orbit
-    pairs = kind.pairs(record.layout)
-    change = kind.matrices(record.layout, values) - np.eye(2)
-    shapes = scoring.ladder.shapes(np.eye(orbit.shape[1]))
-    rows = len(orbit)
+    patterns, drivers, change = parts
+    pairs = kind.pairs(bench.record.layout)
+    shapes, pull = scoring.ladder.shapes(patterns), bench.slope @ patterns
+    rows = len(drivers)
     brief = short(rows)
     score, info = np.zeros((rows, len(pairs))), np.zeros((rows, len(pairs)))
     for side in range(2):
         columns = pairs[:, side]
-        driven = np.einsum("pb,kpb->kp", change[:, side], orbit[:, pairs])
-        score += to_the_end(bench.slope[:, columns] * driven)
+        driven = np.einsum("pb,kpb->kp", change[:, side], drivers[:, pairs])
+        score += to_the_end(pull[:, columns] * driven)
         for shape, course, feedback in zip(
             shapes, scoring.courses(driven), scoring.ladder.feedback, strict=True
         ):
@@ -239,6 +242,12 @@ def _mixing_onsets(
             yield Candidate(cause, float(height[place]), float(choices[place] * rows))
 
 
+def _leaks(kind: PairKind, share: str) -> bool:
+    """Whether one column goes into the other and nothing comes back."""
+    matrix = kind.matrix({share: 1.0})
+    return matrix[1, 0] == 1.0 and matrix[0, 1] == 0.0 and matrix[0, 0] == matrix[1, 1]
+
+
 def _leak_onsets(
     bench: Bench, scoring: Scoring, kind: PairKind, share: str, choices: Vector
 ) -> Iterator[Candidate]:
@@ -248,9 +257,6 @@ def _leak_onsets(
     near the best ones are looked at closely.
     """
     record, currents = bench.record, bench.currents
-    matrix = kind.matrix({share: 1.0})
-    if matrix[1, 0] != 1.0 or matrix[0, 1] != 0.0 or matrix[0, 0] != matrix[1, 1]:
-        return  # it mixes both
     shapes, rows, count = scoring.correctors(), *currents.shape
     brief, tried = short(rows), np.arange(0, rows, _STRIDE)
     sizes = np.array([np.sum(shape**2, axis=0) for shape in shapes.fine])

@@ -103,6 +103,20 @@ def test_a_small_leak_that_begins_where_the_current_is_zero_makes_no_jump_and_is
     assert abs(found.cause.onset - row) < 8
 
 
+def test_a_corrector_that_is_turned_in_the_middle_is_found_where_it_begins():
+    layout = layout_of(RING, "xy", 0.1)
+    kind = all_effects()["corrector-roll"]
+    pair = 40
+    names = layout.correctors.names
+    turned = names[int(kind.pairs(layout)[pair][0])]
+    effects = build([parse_effect(f"corrector-roll:angle=0.02,names={turned},from=35s")], layout, 1)
+    record = simulate_record(RING, "xy", 300, 5, effects, dither=2e-3, period=0.1)
+    found = best(record, kind.id)
+    assert {names[int(column)] for column in kind.pairs(layout)[found.cause.places[0]]} == {turned}
+    assert abs(found.cause.onset - 150) < 5  # the record begins at 20 s
+    assert found.cause.values["angle"] == pytest.approx(0.02, rel=0.2)
+
+
 def test_a_slow_drift_of_the_tune_is_scanned_at_its_rate_and_not_as_many_free_kicks():
     """Between the rates of a grid; all correctors with free first kicks would pay for each."""
     record = record_with("tune-drift:rate_x=3e-5", dither=3e-3)
