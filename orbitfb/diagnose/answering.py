@@ -29,7 +29,7 @@ from orbitfb.effects.random_kinds import NoiseKind
 def named_causes(
     outcome: Outcome, departures: Sequence[Departure], worths: Worths
 ) -> tuple[NamedCause, ...]:
-    """Write the causes of a search, those that explain most first.
+    """Write the causes of a search that have a name, those that explain most first.
 
     Args:
         outcome: Of the search.
@@ -39,7 +39,7 @@ def named_causes(
     causes = [
         _named(outcome, one, one.accepted, its, worths)
         for one, its in zip(outcome.winners, departures, strict=True)
-        if one.accepted is not None
+        if one.accepted is not None and not its.nameless
     ]
     if causes and not outcome.winners[0].rivals():  # else the first one stands for its class
         causes.sort(key=lambda cause: cause.drop_one_nats or 0.0, reverse=True)

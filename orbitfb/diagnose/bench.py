@@ -28,7 +28,7 @@ _FEW_LEVELS = 4
 """Of the ladder, while orbit and floor are not yet what they will be."""
 _REMEMBERED = 3
 """Sets of causes whose free drift is kept: the same few are judged again and again."""
-_SEEN = 1e-4
+SEEN = 1e-4
 """Gain of a step of the healthy errors below which they are the best, as a share of what a change
 is seen with."""
 
@@ -138,7 +138,7 @@ class Bench:
         """
         (white, jacobian), (before, jacobian_before) = self._with(causes), self._with(others)
         free = self._free(others)
-        return *self._unhealed(free(white - before), free), jacobian - jacobian_before
+        return *self._unhealed(free(white - before), free, SEEN), jacobian - jacobian_before
 
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
         """As `residual`, no memory and the sizes of the background as they are: a first look."""
@@ -193,20 +193,21 @@ class Bench:
         white, sizes = self.unhealed(change)
         return float(np.sum(white**2) + np.sum(sizes**2))
 
-    def unhealed(self, change: Matrix) -> tuple[Matrix, Vector]:
+    def unhealed(self, change: Matrix, missed: float = SEEN) -> tuple[Matrix, Vector]:
         """What healthy errors leave of a change of the prediction, and what they take for it.
 
         Args:
             change: Shape (N, n) [m].
+            missed: Share of what is seen of it that they may still miss.
 
         Returns:
             White innovations (N, n), sizes of the background (P,).
         """
         free = self._free(())
-        return self._unhealed(free(self.floor.whiten(change, self.record.starts)), free)
+        return self._unhealed(free(self.floor.whiten(change, self.record.starts)), free, missed)
 
-    def _unhealed(self, moved: Matrix, free: Beyond) -> tuple[Matrix, Vector]:
-        enough = _SEEN * float(np.vdot(moved, moved))
+    def _unhealed(self, moved: Matrix, free: Beyond, missed: float) -> tuple[Matrix, Vector]:
+        enough = missed * float(np.vdot(moved, moved))
         return self._healthy.against(moved, enough, free)
 
     def _beside(self) -> "_Base":

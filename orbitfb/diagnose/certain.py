@@ -7,11 +7,12 @@ import numpy as np
 
 from orbitfb.diagnose.answer_parts import Cause
 from orbitfb.diagnose.explain import Cause as Explaining
-from orbitfb.diagnose.finding import Finding
+from orbitfb.diagnose.finding import Finding, listed
 from orbitfb.diagnose.integrity_repeats import HELD, shared_repeats
 from orbitfb.diagnose.naming import devices_and_planes
 from orbitfb.diagnose.tournament import Shown
 from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.kinds import Stage
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
@@ -26,6 +27,21 @@ _MOST_REPEATS = 0.5
 """Share of repeated orbits beyond which filling them in would be inventing a record."""
 
 
+@dataclass(frozen=True, slots=True)
+class Untold:
+    """What the screen proves, and no cause may be called.
+
+    Args:
+        stage: Where it comes from.
+        devices: Names of the devices concerned.
+        text: What it is, a sentence.
+    """
+
+    stage: Stage
+    devices: tuple[str, ...]
+    text: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Certain:
     """What is certain, and the record without it.
@@ -34,18 +50,18 @@ class Certain:
         causes: In the form of the answer.
         record: Without the BPMs that stand still; orbits that were read twice are filled in.
         given: Causes that the model has from the beginning.
-        held: BPMs left out because what was recorded is not what they read.
+        untold: What is proved and has no name: a gap, whatever the record shows besides.
     """
 
     causes: tuple[Cause, ...]
     record: Record
     given: tuple[Explaining, ...] = ()
-    held: tuple[str, ...] = ()
+    untold: tuple[Untold, ...] = ()
 
     def without_given(self) -> "Certain":
         """The same without what was put into the model: it did not explain the record."""
         kept = tuple(cause for cause in self.causes if cause.effect not in _GIVEN)
-        return Certain(kept, self.record, (), self.held)
+        return Certain(kept, self.record, (), self.untold)
 
 
 def certain_causes(record: Record, findings: Sequence[Finding], without: frozenset[str]) -> Certain:
@@ -56,8 +72,11 @@ def certain_causes(record: Record, findings: Sequence[Finding], without: frozens
         findings: Of the screen.
         without: Ids of effects that must not be named.
     """
-    causes: list[Cause] = []
+    causes, untold = list[Cause](), list[Untold]()
     held = tuple(name for f in findings if f.check == HELD for name in f.devices)
+    if held:
+        text = f"Readings of {listed(held)} were held, not read: they are left out."
+        untold.append(Untold("sensor", held, text))
     labels = [record.layout.bpms.label(i) for i in range(len(record.layout.bpms))]
     names = record.layout.bpms.names
     frozen = {index for index, label in enumerate(labels) if label in held}
@@ -69,13 +88,17 @@ def certain_causes(record: Record, findings: Sequence[Finding], without: frozens
             frozen |= {i for i in range(len(names)) if {names[i], labels[i]} & set(finding.devices)}
         if finding.effect not in without:
             causes.append(_cause(record, finding))
+        else:
+            stage = all_effects()[finding.effect].stage
+            text = f"{finding.text[0].upper()}{finding.text[1:]}."
+            untold.append(Untold(stage, finding.devices, text))
     cut = _without_repeats(record)
     if frozen and len(frozen) < len(names) - 2:
         keep = np.array([i for i in range(len(names)) if i not in frozen], dtype=np.intp)
         cut = with_bpms(cut, keep)
     proved = [f for f in findings if f.effect in _GIVEN and f.effect not in without]
     given = [cause for finding in proved for cause in _given(cut.layout, finding)]
-    return Certain(tuple(causes), cut, tuple(given), held)
+    return Certain(tuple(causes), cut, tuple(given), tuple(untold))
 
 
 def shown_by(findings: Sequence[Finding], record: Record) -> Shown:

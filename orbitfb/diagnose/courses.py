@@ -25,16 +25,25 @@ def trials(bench: Bench, cause: Cause) -> Iterator[tuple[str, Matrix]]:
     """Courses in words, and what they add to the prediction, each of shape (N, n)."""
     for patterns, course in _drives(bench, cause):
         for name, trial in (*_courses(course), *_with_others(bench, course)):
-            yield name, trial @ patterns.T
+            yield name, _from(cause.onset, trial) @ patterns.T
     yield from _heard(bench, cause)
     if isinstance(cause.kind, SensorKind) or cause.kind.target == "bpm":
         return  # what a BPM makes of the orbit it makes of its noise too
-    does = _does(bench, cause)
-    size = np.sqrt(np.mean(does**2, axis=1, keepdims=True))
-    yield "more than in proportion to what it does", does * size / (np.mean(size) + _TINY)
+    made = does(bench, cause)
+    size = np.sqrt(np.mean(made**2, axis=1, keepdims=True))
+    yield "more than in proportion to what it does", made * size / (np.mean(size) + _TINY)
 
 
-def _does(bench: Bench, cause: Cause) -> Matrix:
+def _from(onset: int, course: Matrix) -> Matrix:
+    """A course that begins with a row; one that acts from the beginning is as it is."""
+    if not onset:
+        return course
+    later = np.zeros_like(course)
+    later[onset:] = course[onset:] - course[onset - 1]
+    return later
+
+
+def does(bench: Bench, cause: Cause) -> Matrix:
     """What a cause adds to the prediction, shape (N, n) [m]."""
     others = [one for one in bench.causes if one is not cause]
     without = explain(bench.record, others, bench.orbit).left
@@ -99,7 +108,7 @@ def _driven(bench: Bench, cause: Cause) -> tuple[Matrix, Matrix]:
         columns = own_columns(bench, cause, record.readings.shape[1])
         course = bench.orbit[:, columns]
         return np.eye(record.readings.shape[1])[:, columns], course - course.mean(axis=0)
-    courses, heights, patterns = np.linalg.svd(_does(bench, cause), full_matrices=False)
+    courses, heights, patterns = np.linalg.svd(does(bench, cause), full_matrices=False)
     rank = min(max(int(np.sum(heights > _SMALL * heights[0])), 1), _RANK)
     return patterns[:rank].T, courses[:, :rank] * heights[:rank]
 

@@ -12,10 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.bench import SEEN, Bench
 from orbitfb.diagnose.courses import own_columns, trials
 from orbitfb.diagnose.explain import Cause, explain, restored
+from orbitfb.diagnose.latent_laws import latent_laws
 from orbitfb.diagnose.noise_departure import noise_laws
+from orbitfb.diagnose.other_orbit import other_orbit
 from orbitfb.diagnose.problem import Problem
 from orbitfb.diagnose.rhythm import rhythm
 from orbitfb.effects.device_kinds import SensorKind
@@ -35,6 +37,8 @@ UNTOLD = 0.5
 """Share of these that none of the courses here tells from the library's nearest."""
 TOLD = 0.1
 """Share of the nearest effect's gain that a course is worth that tells them from it."""
+_NO_NAME = 0.1
+"""Chance of a law below which its name is none."""
 _OCCAM = 2.0
 """What the size of a course costs [nats]."""
 _COST = 5.0
@@ -45,6 +49,8 @@ _STRENGTHS = np.array([0.1, 0.3, 1.0])
 """Scatter of it, over the fitted one."""
 _COLOURS = (1, 2)
 """Ticks over which noise that is not quite as the floor says echoes at a BPM."""
+_ROUGHLY = 0.01
+"""Share of a course that healthy errors may miss to take while the best one is looked for."""
 _DISTINCT = 1e-3
 """Part of the information on free changes below which they are alike."""
 _ITSELF = 1e-6
@@ -86,6 +92,11 @@ class Departure:
         return right / (right + other) if right > 0.0 else 0.0
 
     @property
+    def nameless(self) -> bool:
+        """Whether the law is so unlikely that the cause has no name."""
+        return self.chance < _NO_NAME
+
+    @property
     def stand_in(self) -> bool:
         """Whether the cause only stands for another effect of the same devices."""
         return self.nats > STAND_IN * self.gain
@@ -115,20 +126,27 @@ def departure(
     if isinstance(cause.kind, LatentKind | NoiseKind):
         if (clock := 0.0 if before is None else rhythm(before, cause)) > 0.0:
             return Departure("by a clock, always after as many ticks", clock, gain, 0.0)
-        laws = noise_laws(bench, cause, gain if whole is None else whole)
+        laws = (
+            *noise_laws(bench, cause, gain if whole is None else whole),
+            *latent_laws(bench if before is None else before, cause),
+        )
         course, nats = max(laws, key=lambda law: law[1], default=("", 0.0))
         return Departure(course, nats, gain) if nats > 0.0 else Departure("", 0.0, gain)
     beside = _Beside.of(bench, cause)
     best, top, tried = "", 0.0, 0
+    highest = np.zeros_like(bench.white)
     for name, trial in trials(bench, cause):
-        height = beside.gain(trial)
+        height = beside.gain(trial, _ROUGHLY)
         tried += 1
         if height > top:
-            best, top = name, height
-    nats = top - float(np.log(tried)) - _OCCAM
+            best, top, highest = name, height, trial
+    nats = beside.gain(highest) - float(np.log(tried)) - _OCCAM
     uneven = _uneven(bench, cause)
     if uneven > max(nats, 0.0):
         best, nats = "with a strength that comes and goes", uneven
+    elsewhere = other_orbit(bench, cause) - float(np.log(tried + 1))
+    if elsewhere > max(nats, 0.0):
+        best, nats = "with its course, as another orbit", elsewhere
     return Departure(best, nats, gain) if nats > 0.0 else Departure("", 0.0, gain)
 
 
@@ -200,9 +218,14 @@ class _Beside:
         matrix = np.array(free).reshape(len(free), len(left)) / sizes[:, None]
         return cls(bench, left, matrix, np.array(pulls) / sizes)
 
-    def gain(self, change: Matrix) -> float:
-        """Gain of a change (N, n) [m] of best size, the free ones at their best [nats]."""
-        seen = _seen(self.bench, change)
+    def gain(self, change: Matrix, missed: float = SEEN) -> float:
+        """Gain of a change of best size, the free ones at their best [nats].
+
+        Args:
+            change: Shape (N, n) [m].
+            missed: Share of what is seen of it that healthy errors may miss to take.
+        """
+        seen = _seen(self.bench, change, missed=missed)
         shared = self.free @ seen
         taken = np.linalg.pinv(self.free @ self.free.T, rcond=_DISTINCT, hermitian=True) @ shared
         own = float(seen @ seen - shared @ taken)
@@ -211,13 +234,16 @@ class _Beside:
         return 0.5 * float(seen @ self.left - self.pulls @ taken) ** 2 / own
 
 
-def _seen(bench: Bench, change: Matrix, scale: Vector | None = None) -> Vector:
+def _seen(
+    bench: Bench, change: Matrix, scale: Vector | None = None, missed: float = SEEN
+) -> Vector:
     """A change as the record sees it beside healthy errors, shape (K,).
 
     Args:
         bench: The record.
         change: Of the prediction or the readings, shape (N, n) [m].
         scale: What it does to the log-Jacobian of every row, shape (N,).
+        missed: Share of it that they may miss to take.
     """
     rows = np.zeros(len(change)) if scale is None else scale
-    return np.concatenate([*map(np.ravel, bench.unhealed(change)), rows])
+    return np.concatenate([*map(np.ravel, bench.unhealed(change, missed)), rows])

@@ -24,7 +24,7 @@ from orbitfb.diagnose.fit_search import (
     rough_width,
     tuned,
 )
-from orbitfb.diagnose.problem import Left, Problem, from_fitted, to_fitted
+from orbitfb.diagnose.problem import Left, Problem, from_fitted, is_line, to_fitted
 from orbitfb.diagnose.standing import is_standing
 from orbitfb.effects.kinds import Parameter
 from orbitfb.physics.optics import Matrix
@@ -99,6 +99,7 @@ class Fit:
         centre = to_fitted(parameter, self.causes[owner].values[parameter.name])
         size = 1.0 if parameter.log else abs(centre - parameter.nominal)
         ideal = _TIMING if parameter.unit == "s" else _IDEAL
+        ideal = 0.0 if is_line(self.causes[owner].kind, parameter) else ideal
         variance = max(self.covariance[index, index], 0.0) + (ideal * size) ** 2
         reach = _WIDTH * float(np.sqrt(variance))
         reach = min(reach, _WHOLE) if parameter.log else reach

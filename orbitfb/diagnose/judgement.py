@@ -11,10 +11,10 @@ from orbitfb.diagnose.answer_blocks import Audit, Unknown
 from orbitfb.diagnose.answer_parts import Shrink
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.ceiling import Ceiling, ceiling
-from orbitfb.diagnose.certain import Certain
+from orbitfb.diagnose.certain import Certain, Untold
 from orbitfb.diagnose.departure import Departure, departure
 from orbitfb.diagnose.drift_shape import with_own_shape
-from orbitfb.diagnose.finding import listed
+from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.gof import audit, flagged_nats, flagged_stage
 from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.rounds import CLOSE, SURE, Round
@@ -28,8 +28,6 @@ _SMALL = 0.01
 _STAND_IN = 3.0
 """Scatter of a winner's scores over what its noise model says, beyond which it is none."""
 _HALF = 0.5
-_NO_NAME = 0.1
-"""Chance of the first cause's law below which its name is none."""
 _STAND_IN_SHRINK = 0.2
 """Share of a resolved gap on held-out data below which the causes only stood in for another."""
 _NO_TRACE = 1e-6
@@ -76,12 +74,21 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     random = any(isinstance(cause.kind, NoiseKind | LatentKind) for cause in outcome.causes)
     worth = None if random else flagged_nats(tests)
     flagged = worth is not None and worth >= _SMALL * named
-    departures = tuple(
-        departure(
-            outcome.bench, outcome.final(entry)[0], entry.gain, entry.candidate.whole, one.bench
-        )
-        for one, entry in ((one, one.accepted) for one in outcome.winners)
-        if entry is not None
+    departures = beside_themselves(
+        [
+            (
+                entry,
+                departure(
+                    outcome.bench,
+                    outcome.final(entry)[0],
+                    entry.gain,
+                    entry.candidate.whole,
+                    one.bench,
+                ),
+            )
+            for one, entry in ((one, one.accepted) for one in outcome.winners)
+            if entry is not None
+        ]
     )
     remains = (rest.resolved and explained < _EXPLAINED) or flagged
     groups: tuple[Group, ...] = ()
@@ -91,9 +98,32 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     unknown = None
     if state in ("unknown", "named_plus_remainder"):
         unknown = _unknown(outcome, tests, departures, explained)
-    if certain.held:
-        state, unknown = beside_held(state, unknown, certain.held)
+    if certain.untold:
+        state, unknown = beside_untold(state, unknown, certain.untold)
     return Judgement(state, tests, rest, explained, groups, unknown, departures)
+
+
+def beside_themselves(found: Sequence[tuple[Entry, Departure]]) -> tuple[Departure, ...]:
+    """Take two causes of the very same devices for a law that neither has.
+
+    That two things are wrong with the same few devices is far rarer than one thing that is in no
+    library, of which the nearest law leaves a part, and another one takes it.
+
+    Args:
+        found: Winners and how they depart from their laws, in their order.
+
+    Returns:
+        The same, with what the further cause gains for both of them.
+    """
+    departures = [its for _, its in found]
+    for index, (one, _) in enumerate(found):
+        for later, (other, _) in enumerate(found[index + 1 :], start=index + 1):
+            alike = one.kind.target == other.kind.target
+            if alike and one.cause.places and one.cause.places == other.cause.places:
+                for its, entry in ((index, one), (later, other)):
+                    more = Departure("as two laws at once", other.gain, entry.gain)
+                    departures[its] = max(departures[its], more, key=lambda own: own.nats)
+    return tuple(departures)
 
 
 def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) -> Judgement:
@@ -121,18 +151,22 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
     return replace(judged, state=state, unknown=unknown)
 
 
-def beside_held(
-    state: State, unknown: Unknown | None, names: tuple[str, ...]
+def beside_untold(
+    state: State, unknown: Unknown | None, untold: Sequence[Untold]
 ) -> tuple[State, Unknown | None]:
-    """Say that BPMs were left out of which not every reading was recorded.
+    """Say that the screen proves more than there is a name for.
 
     Args:
-        state: Of the record of the other BPMs.
-        unknown: What is known of its gap without a name.
-        names: Those that were left out.
+        state: Of the record without it.
+        unknown: What is known of the gap of that record that has no name.
+        untold: At least one.
     """
-    text = f"Readings of {listed(names)} were held, not read: they are left out."
-    told = unknown or Unknown(stages={"sensor": 1.0}, places=names, text=text)
+    stages = {its.stage for its in untold}
+    told = unknown or Unknown(
+        stages=dict.fromkeys(sorted(stages), 1.0 / len(stages)),
+        places=tuple(name for its in untold for name in its.devices),
+        text=" ".join(its.text for its in untold),
+    )
     if state == "ambiguous":
         return state, unknown
     return ("unknown" if state in ("no_gap", "unknown") else "named_plus_remainder"), told
@@ -154,8 +188,8 @@ def _state(
     law = departures[0]
     if not first.sure:  # there may be nothing at all: no law is wrong yet
         return "unknown" if remains or _of_no_kind(first) else "ambiguous"
-    if _stand_in(first) or law.stand_in or law.chance < _NO_NAME or explained < _HALF:
-        return "unknown"
+    if _stand_in(first) or law.stand_in or law.nameless or explained < _HALF:
+        return "named_plus_remainder" if certain.causes else "unknown"
     if remains or any(its.chance < _HALF for its in departures):
         return "named_plus_remainder"
     return "ambiguous" if first.rivals() else "named"

@@ -9,6 +9,7 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.bits import silent_bit
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.noise_otherwise import otherwise
 from orbitfb.diagnose.noise_spectra import MOST_PLACES, SHORTEST, Spectra, places_struck
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix
@@ -50,6 +51,7 @@ def noise_laws(bench: Bench, cause: Cause, gain: float) -> Iterator[tuple[str, f
         if not cause.kind.rare:
             yield from _blocks(bench, cause)
             yield from _offsets(bench, cause, gain)
+            yield from otherwise(bench, cause, gain)
 
 
 def _offsets(bench: Bench, cause: Cause, gain: float) -> Iterator[tuple[str, float]]:

@@ -8,7 +8,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.explain import Cause
-from orbitfb.effects.kinds import Parameter
+from orbitfb.effects.kinds import EffectKind, Parameter
 from orbitfb.physics.optics import Matrix
 
 _WIDE = 1.5
@@ -52,7 +52,7 @@ class Problem:
         self.lines = [
             index
             for index, (owner, p) in enumerate(self.parameters)
-            if p.name == "frequency" and getattr(self.causes[owner].kind, "periodic", False)
+            if is_line(self.causes[owner].kind, p)
         ]
         self.scale[self.lines] = 1.0 / length
         self.low = np.array([to_fitted(p, p.low) for _, p in self.parameters])
@@ -168,3 +168,8 @@ def prior_width(parameter: Parameter) -> float:
     if parameter.log:
         return _WIDE
     return abs(parameter.typical - parameter.nominal) or 0.25 * (parameter.high - parameter.low)
+
+
+def is_line(kind: EffectKind, parameter: Parameter) -> bool:
+    """Whether a value is the frequency of a wave, which is what it is to the last digit."""
+    return parameter.name == "frequency" and getattr(kind, "periodic", False)

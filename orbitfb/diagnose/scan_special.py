@@ -23,6 +23,10 @@ from orbitfb.physics.optics import Matrix
 
 _ONSETS_TRIED = 4
 """Onsets at which the information on an effect of the whole ring is computed."""
+_ENDS = (0.5, 0.25, 0.125)
+"""Ends of a record in which a line that begins late is looked for."""
+_SHORTEST_LINE = 64
+"""Rows of the shortest of them."""
 _FINER = 4
 """Lines of the spectrum per line that the length of the record resolves."""
 
@@ -96,18 +100,33 @@ def _from(change: Matrix, row: int) -> Matrix:
 
 
 def periodic(bench: Bench, kind: SourceKind) -> Iterator[Candidate]:
-    """Find the line of one source: the Fourier transform of its score has all frequencies.
+    """Find the line of one source, in the whole record and in its end.
 
     Args:
         bench: The record under the causes so far.
         kind: The effect.
     """
-    record = bench.record
-    longest = max(record.stretches, key=lambda part: part.stop - part.start)
+    longest = max(bench.record.stretches, key=lambda part: part.stop - part.start)
     rows = longest.stop - longest.start
+    for share in (1.0, *(_ENDS if kind.sudden else ())):
+        begin = longest.stop - round(share * rows)
+        if longest.stop - begin >= _SHORTEST_LINE:
+            yield from _lines(bench, kind, slice(begin, longest.stop), rows)
+
+
+def _lines(bench: Bench, kind: SourceKind, part: slice, every: int) -> Iterator[Candidate]:
+    """Best lines of some rows: the Fourier transform of the score has all frequencies.
+
+    Args:
+        bench: The record under the causes so far.
+        kind: The effect.
+        part: Rows in which the line is on.
+        every: Rows at which it may have begun.
+    """
+    record, rows = bench.record, part.stop - part.start
     patterns = kind.patterns(record.layout)
     padded = _FINER * rows
-    score = np.fft.rfft(bench.slope[longest] @ patterns, padded, axis=0)
+    score = np.fft.rfft(bench.slope[part] @ patterns, padded, axis=0)
     frequency = np.fft.rfftfreq(padded)
     feedback = 1.0 - bench.floor.gains
     turn = np.exp(-2j * np.pi * frequency)[:, None]
@@ -116,22 +135,17 @@ def periodic(bench: Bench, kind: SourceKind) -> Iterator[Candidate]:
     info = weight @ (bench.floor.modes.directions.T @ patterns) ** 2 * (rows / 2.0)
     info[: 2 * _FINER] = np.inf  # fewer than two periods are a drift
     gain = 0.5 * np.abs(score) ** 2 / info
-    best = np.argpartition(gain, -KEPT, axis=None)[-KEPT:]
-    for flat in best:
+    late = rows < every
+    for flat in np.argpartition(gain, -KEPT, axis=None)[-KEPT:]:
         line, place = np.unravel_index(int(flat), gain.shape)
         size = score[line, place] / info[line, place]
-        angle = 2 * np.pi * frequency[line] * longest.start
+        angle = 2 * np.pi * frequency[line] * part.start
         size *= np.exp(1j * angle)  # the course is counted from the first row of the record
-        yield Candidate(
-            Cause(
-                kind,
-                (int(place),),
-                {
-                    "frequency": float(frequency[line] / record.layout.period),
-                    "cosine": float(size.real),
-                    "sine": float(-size.imag),
-                },
-            ),
-            float(gain[line, place]),
-            float(gain.size) / _FINER,
-        )
+        values = {
+            "frequency": float(frequency[line] / record.layout.period),
+            "cosine": float(size.real),
+            "sine": float(-size.imag),
+        }
+        cause = Cause(kind, (int(place),), values, part.start if late else 0)
+        choices = float(gain.size) / _FINER * (every if late else 1)
+        yield Candidate(cause, float(gain[line, place]), choices)

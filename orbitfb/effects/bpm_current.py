@@ -50,7 +50,6 @@ class BpmCurrent(SensorKind):
     )
     equation = "y = x + c (I − I₀), I the stored current, I₀ that at the beginning"
     linear = "slope"
-    sudden = False
     confused_with = ("bpm-drift", "thermal-drift", "insertion-device")
     splits = "change the pattern of top-up and see whether the reading follows the current"
 

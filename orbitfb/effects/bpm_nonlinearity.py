@@ -40,7 +40,6 @@ class BpmNonlinearity(SensorKind):
         "y = x + a₂x² + a₃x³, x the noisy position; straight on where its slope falls to 0.2 "
         "(R. E. Shafer, AIP Conf. Proc. 212 (1990) 26)"
     )
-    sudden = False
     scales = True  # by its slope where the orbit is
     homogeneous = True
     confused_with = ("bpm-gain", "sextupole")

@@ -37,7 +37,6 @@ class PeriodicDisturbance(SourceKind):
     confused_with = ("noise-coloured", "telegraph")
     splits = "another rate of the orbit tells aliases apart; a longer record"
     collective = False
-    sudden = False
 
     def grid(self, record: Record) -> Sequence[Values]:
         """One of ten frequencies; `periodic` tells to scan them all by a Fourier transform."""

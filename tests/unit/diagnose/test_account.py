@@ -72,9 +72,14 @@ def test_a_name_needs_certainty(sure, rivals, remains, chance, state):
         sure=sure, rivals=lambda: rivals, accepted=entry, entries=(entry,), kinds=45
     )
     outcome = SimpleNamespace(rounds=(first,), winners=(first,))
-    departures = (SimpleNamespace(stand_in=False, chance=chance),)
-    told = _state(outcome, None, departures, remains=remains, explained=1.0)  # type: ignore[arg-type]
+    departures = (SimpleNamespace(stand_in=False, chance=chance, nameless=chance < 0.1),)
+    certain = SimpleNamespace(causes=())
+    told = _state(outcome, certain, departures, remains=remains, explained=1.0)  # type: ignore[arg-type]
     assert told == state
+    if departures[0].nameless:  # what the screen proves has a name, whatever is found besides
+        certain.causes = ("bpm-stuck",)
+        told = _state(outcome, certain, departures, remains=remains, explained=1.0)  # type: ignore[arg-type]
+        assert told == "named_plus_remainder"
 
 
 def test_what_may_be_nothing_is_told_so():

@@ -12,6 +12,7 @@ from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.randomness import noise_candidates
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.scan_shapes import Scoring
+from orbitfb.diagnose.search import search
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.strike_scan import latent_candidates
 from orbitfb.diagnose.tournament import tournament
@@ -402,3 +403,29 @@ def test_what_cells_tell_together_is_hardly_less_than_their_steps_say():
         changes = scoring.changes(kind, values)
         least, known = changes.least_together(cells), scoring.together(changes, cells)
         assert np.all(least <= 1.05 * known + 1e-9)
+
+
+@pytest.mark.parametrize(("size", "begin"), [(20, 80), (8, 99)])
+def test_a_line_that_begins_late_is_found_from_there_on(size, begin):
+    wave = f"cosine={size}nrad,frequency=1.234Hz,names=QL2A_C17"
+    swings = f"periodic-disturbance:{wave},from={begin}s"
+    record = record_with(swings, dither=0.0, ticks=900)
+    kind = all_effects()["periodic-disturbance"]
+    (one,) = search(record, [kind]).winners
+    cause, fitted = one.accepted.cause, one.accepted.fit
+    assert abs(cause.onset - 10 * (begin - 20)) <= 4  # the record begins after 20 s
+    assert kind.places_of(LAYOUT)[cause.places[0]].startswith("QL2A_C17")
+    (index,) = (i for i, (_, p) in enumerate(fitted.parameters) if p.name == "frequency")
+    low, high = fitted.interval(index)
+    # of 30 s a line of 2,500 nats is known far within 1/30 Hz, of 11 s one of 150 within 1/11 Hz
+    assert low == pytest.approx(1.234, abs=2e-3 if begin == 80 else 0.02)
+    assert high == pytest.approx(1.234, abs=2e-3 if begin == 80 else 0.02)
+
+
+def test_a_bpm_may_be_bent_from_a_row_on():
+    bends = f"bpm-nonlinearity:quadratic=3000,names={BPMS[20]},from=60s"
+    found = Scanner(Bench(record_with(bends, dither=1e-3))).candidates(
+        all_effects()["bpm-nonlinearity"]
+    )
+    assert found[0].cause.places == (20,)
+    assert abs(found[0].cause.onset - 400) <= 4

@@ -1,0 +1,80 @@
+"""Whether what strikes single ticks does so by as much, and as often, as its law says.
+
+A lost set of setpoints takes all of a step back, a late sample any part of it: the same orbit, so
+that each passes for the other where it is not known itself.
+"""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.strike_scan import strikes
+from orbitfb.effects.random_kinds import LatentKind
+
+_CHANCES = np.geomspace(0.0005, 0.5, 13)
+"""Chances of a strike that are tried."""
+_NOW_AND_THEN = 0.1
+"""The most of them for another law: what comes every other tick is a delay."""
+_SIZES = np.geomspace(0.02, 50.0, 25)
+"""Strengths that are tried, in units of one that is just seen."""
+_OCCAM = 2.0
+"""What every value that a law has more than the cause's costs [nats]."""
+
+
+def latent_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
+    """Try what else could strike as a cause does.
+
+    Args:
+        bench: The record under the causes before it.
+        cause: What strikes all its devices at once; of what strikes BPM by BPM nothing is tried.
+
+    Yields:
+        A course in words, and what it gains over the law, less the price of the choice [nats].
+    """
+    kind = cause.kind
+    if not isinstance(kind, LatentKind) or kind.per_bpm:
+        return
+    score, info = (its[:, 0] for its in strikes(bench, kind, cause.places))
+    score, info = score[info > 0.0], info[info > 0.0]
+    if not len(info):
+        return
+
+    def alike(size: float) -> Vector:
+        return size * score - 0.5 * size**2 * info
+
+    def normal(size: float) -> Vector:
+        spread = 1.0 + size**2 * info
+        return 0.5 * size**2 * score**2 / spread - 0.5 * np.log(spread)
+
+    few = _CHANCES[_CHANCES < _NOW_AND_THEN]
+    sizes = _SIZES / np.sqrt(np.median(info))
+    laws = {
+        "always one": ("all of it, now and then", 1, _rarely(alike, np.ones(1), _CHANCES)),
+        "normal": (
+            "at every tick by another amount",
+            1,
+            max(float(np.sum(normal(size))) for size in sizes),
+        ),
+        "sometimes normal": ("now and then by another amount", 2, _rarely(normal, sizes, few)),
+        "always alike": (
+            "now and then by the same amount",
+            2,
+            _rarely(alike, np.concatenate([-sizes, sizes]), few),
+        ),
+    }
+    _, values, own = laws.pop(kind.strength)
+    for words, its, height in laws.values():
+        yield words, height - own - _OCCAM * max(its - values, 0) - float(np.log(len(laws)))
+
+
+def _rarely(struck: Callable[[float], Vector], sizes: Vector, chances: Vector) -> float:
+    """Best gain of strikes of one of some sizes that come with one of the chances [nats]."""
+    gains = [
+        float(np.sum(np.logaddexp(np.log1p(-chance), np.log(chance) + ratio)))
+        for ratio in map(struck, sizes)
+        for chance in chances
+    ]
+    return max(gains)

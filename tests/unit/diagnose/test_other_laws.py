@@ -1,0 +1,127 @@
+"""The nearest effect of the library is told from what it stands for: another orbit, another noise.
+
+Every record has an effect that its cause is not; the same cause on its own record departs from
+nothing.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.departure import Departure, departure
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.fit import fit
+from orbitfb.diagnose.judgement import beside_themselves
+from orbitfb.diagnose.latent_laws import latent_laws
+from orbitfb.diagnose.noise_otherwise import otherwise
+from orbitfb.diagnose.other_orbit import other_orbit
+from orbitfb.diagnose.randomness import noise_candidates
+from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.diagnose.strike_scan import latent_candidates
+from orbitfb.effects.build import build, layout_of
+from orbitfb.effects.registry import all_effects
+from orbitfb.effects.settings import parse_effect
+from orbitfb.physics.places import Ring
+
+RING = Ring.load()
+LAYOUT = layout_of(RING, "x", 0.1)
+CORRECTORS, BPMS = LAYOUT.correctors.names, LAYOUT.bpms.names
+
+
+def record_with(effect: str = "", *, dither: float = 0.0, ticks: int = 900):
+    made = build([parse_effect(effect)] if effect else [], LAYOUT, 1)
+    return simulate_record(RING, "x", ticks, 5, made, dither=dither, period=LAYOUT.period)
+
+
+@pytest.mark.parametrize(
+    ("effect", "right"),
+    [
+        ("corrector-gain:gain=0.3,names=CL1A_C05", True),
+        ("corrector-crosstalk:share=0.25,names=CL1A_C05+CM1A_C05", False),
+    ],
+)
+def test_a_gain_is_not_told_for_a_corrector_that_moves_another(effect, right):
+    record = record_with(effect, dither=2e-3)
+    place = CORRECTORS.index("CL1A_C05")
+    found = fit(Bench(record), (Cause(all_effects()["corrector-gain"], (place,), {"gain": 0.1}),))
+    left = other_orbit(Bench(record, found.causes), found.causes[0])
+    assert found.gain > 30.0
+    assert (left < 0.02 * found.gain + 3.0) == right
+    assert (left > 0.2 * found.gain) == (not right)
+
+
+def test_of_what_does_nothing_and_of_bpms_no_orbit_is_told():
+    record = record_with(dither=2e-3)
+    for name, values in (("corrector-gain", {"gain": 0.0}), ("bpm-gain", {"gain": 0.3})):
+        cause = Cause(all_effects()[name], (5,), values)
+        assert other_orbit(Bench(record, (cause,)), cause) == 0.0
+
+
+@pytest.mark.parametrize("true", ["missed-write:probability=0.02", "clock-jitter:rms=10ms"])
+@pytest.mark.parametrize("name", ["missed-write", "clock-jitter"])
+def test_a_lost_write_is_not_told_for_a_late_sample(true, name):
+    bench = Bench(record_with(true, dither=2e-3))
+    found = latent_candidates(bench, all_effects()[name])[0]
+    assert len(dict(latent_laws(bench, found.cause))) == 3
+    its = departure(bench, found.cause, found.gain)
+    assert (its.chance > 0.5) == true.startswith(name)
+
+
+@pytest.mark.parametrize(
+    "true", ["noise-level:factor=1.4,cells=C14", "noise-correlated:rms=80nm,cells=C14"]
+)
+@pytest.mark.parametrize("name", ["noise-level", "noise-correlated"])
+def test_bpms_that_are_noisy_by_themselves_have_no_noise_in_common(true, name):
+    bench = Bench(record_with(true))
+    kind = all_effects()[name]
+    found = noise_candidates(bench, kind)[0]
+    laws = dict(otherwise(bench, found.cause, found.gain))
+    shared = max(nats for words, nats in laws.items() if " noise of " in words)
+    assert laws["all in a single row"] < 0.0
+    if true.startswith(name):
+        assert shared < 3.0
+    else:
+        assert shared > 20.0
+
+
+@pytest.mark.parametrize("true", ["bpm-walk:step=60nm", "bpm-offset:offset=1um,from=50s"])
+def test_what_jumps_once_does_not_walk(true):
+    bench = Bench(record_with(f"{true},names={BPMS[40]}"))
+    kind = all_effects()["bpm-walk"]
+    found = noise_candidates(bench, kind)[0]
+    assert found.cause.places == (40,)
+    its = departure(bench, found.cause, found.gain)
+    assert (its.course == "as a step that stays") == true.startswith("bpm-offset")
+    assert (its.chance < 0.5) == true.startswith("bpm-offset")
+
+
+@pytest.mark.parametrize("moment", [False, True])
+def test_one_row_makes_no_level(moment):
+    record = record_with()
+    cause = Cause(all_effects()["ground-motion-level"], (), {"factor": 3.0}, onset=200)
+    if moment:
+        readings = record.readings.copy()
+        readings[30:] += 2e-6 * np.random.default_rng(3).standard_normal(readings.shape[1])
+        record = replace(record, readings=readings)
+    nats = dict(otherwise(Bench(record), cause, 300.0))["all in a single row"]
+    assert (nats > 50.0) == moment
+    assert (nats < 3.0) == (not moment)
+
+
+class _Entry:
+    def __init__(self, name, places, gain):
+        self.kind = all_effects()[name]
+        self.cause, self.gain = Cause(self.kind, places, {}), gain
+
+
+def test_two_laws_of_the_very_same_devices_are_neither():
+    found = [_Entry("bpm-gain", (7,), 200.0), _Entry("bpm-current", (7,), 90.0)]
+    others = [_Entry("corrector-gain", (7,), 100.0), _Entry("missed-write", (), 60.0)]
+    lawful = Departure("", 0.0, 100.0)
+    told = beside_themselves([(entry, lawful) for entry in (*found, *others)])  # type: ignore[misc]
+    assert [its.nats for its in told] == [90.0, 90.0, 0.0, 0.0]
+    assert told[0].gain == 200.0
+    assert told[0].chance < 0.1
+    assert told[2] is lawful
