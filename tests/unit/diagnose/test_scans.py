@@ -405,21 +405,21 @@ def test_what_cells_tell_together_is_hardly_less_than_their_steps_say():
         assert np.all(least <= 1.05 * known + 1e-9)
 
 
-@pytest.mark.parametrize(("size", "begin"), [(20, 80), (8, 99)])
+@pytest.mark.parametrize(("size", "begin"), [(20, 80), (4, 99)])
 def test_a_line_that_begins_late_is_found_from_there_on(size, begin):
-    wave = f"cosine={size}nrad,frequency=1.234Hz,names=QL2A_C17"
+    wave = f"cosine={size}nrad,sine=0rad,frequency=1.234Hz,names=QL2A_C17"
     swings = f"periodic-disturbance:{wave},from={begin}s"
     record = record_with(swings, dither=0.0, ticks=900)
     kind = all_effects()["periodic-disturbance"]
     (one,) = search(record, [kind]).winners
     cause, fitted = one.accepted.cause, one.accepted.fit
-    assert abs(cause.onset - 10 * (begin - 20)) <= 4  # the record begins after 20 s
-    assert kind.places_of(LAYOUT)[cause.places[0]].startswith("QL2A_C17")
+    assert abs(cause.onset - 10 * (begin - 20)) <= 6  # the record begins after 20 s
+    assert "_C17" in kind.places_of(LAYOUT)[cause.places[0]]
     (index,) = (i for i, (_, p) in enumerate(fitted.parameters) if p.name == "frequency")
     low, high = fitted.interval(index)
-    # of 30 s a line of 2,500 nats is known far within 1/30 Hz, of 11 s one of 150 within 1/11 Hz
-    assert low == pytest.approx(1.234, abs=2e-3 if begin == 80 else 0.02)
-    assert high == pytest.approx(1.234, abs=2e-3 if begin == 80 else 0.02)
+    # of 30 s a line of 1,400 nats is known far within 1/30 Hz, of 11 s one of 50 within 1/11 Hz
+    assert low == pytest.approx(1.234, abs=2e-3 if begin == 80 else 0.03)
+    assert high == pytest.approx(1.234, abs=2e-3 if begin == 80 else 0.03)
 
 
 def test_a_bpm_may_be_bent_from_a_row_on():
