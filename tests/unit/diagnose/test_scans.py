@@ -429,3 +429,17 @@ def test_a_bpm_may_be_bent_from_a_row_on():
     )
     assert found[0].cause.places == (20,)
     assert abs(found[0].cause.onset - 400) <= 4
+
+
+@pytest.mark.parametrize("begin", [0, 40])
+def test_what_leaks_into_a_neighbour_is_not_told_for_what_leaks_further(begin):
+    first, second = "CM1B_C02", "CM1A_C02"
+    response, names = LAYOUT.response, LAYOUT.correctors.names
+    near = np.corrcoef(response[:, [names.index(first), names.index(second)]].T)[0, 1]
+    assert abs(near) > 0.9  # most of it is what a gain of the first one does, as healthy ones have
+    leak = f"corrector-crosstalk:share=0.2,names={first}+{second}"
+    record = record_with(leak + (f",from={begin}s" if begin else ""), dither=1e-3)
+    kind = all_effects()["corrector-crosstalk"]
+    found = Scanner(Bench(record)).candidates(kind)
+    pairs = [tuple(names[i] for i in kind.pairs(LAYOUT)[one.cause.places[0]]) for one in found]
+    assert pairs[0] == (first, second)
