@@ -20,6 +20,8 @@ _NOW_AND_THEN = 0.1
 """The most of them for another law: what comes every other tick is a delay."""
 _SIZES = np.geomspace(0.02, 50.0, 25)
 """Strengths that are tried, in units of one that is just seen."""
+_LOUD = 10.0
+"""Gain of a strike that is heard in the rows beside it too [nats]."""
 _OCCAM = 2.0
 """What every value that a law has more than the cause's costs [nats]."""
 
@@ -38,7 +40,10 @@ def latent_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
     if not isinstance(kind, LatentKind) or kind.per_bpm:
         return
     score, info = (its[:, 0] for its in strikes(bench, kind, cause.places))
-    score, info = score[info > 0.0], info[info > 0.0]
+    height = 0.5 * score**2 / np.where(info > 0.0, info, np.inf)
+    beside = np.maximum(np.append(height[1:], 0.0), np.append(0.0, height[:-1]))
+    counted = (info > 0.0) & ((beside < _LOUD) | (height > beside))
+    score, info = score[counted], info[counted]
     if not len(info):
         return
 

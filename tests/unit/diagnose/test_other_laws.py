@@ -66,7 +66,10 @@ def test_a_lost_write_is_not_told_for_a_late_sample(true, name):
     found = latent_candidates(bench, all_effects()[name])[0]
     assert len(dict(latent_laws(bench, found.cause))) == 3
     its = departure(bench, found.cause, found.gain)
-    assert (its.chance > 0.5) == true.startswith(name)
+    if true.startswith(name):
+        assert its.chance > 0.8  # rows beside a strike hear it too, and speak for no other law
+    else:
+        assert its.chance < 0.1
 
 
 @pytest.mark.parametrize(
