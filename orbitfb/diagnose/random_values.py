@@ -59,7 +59,8 @@ def state(bench: Bench, cause: Cause) -> Stated:
         if kind.relative and cause.onset >= SHORTEST:
             nothing = replace(cause, values={p.name: p.nominal for p in kind.parameters})
             return _over(late, _by_spectrum(bench, nothing, slice(0, cause.onset)))
-        return late
+        judged = kind.relative and not bench.told_floor
+        return _over(late, _usual(bench, cause)) if judged else late
     if not isinstance(kind, LatentKind):
         raise TypeError(f"{kind.id} has a course in time: fit it")
     if kind.strength == "normal" and not kind.per_bpm:
@@ -74,6 +75,22 @@ def _by_spectrum(bench: Bench, cause: Cause, rows: slice) -> Stated:
         cause = _best(bench, cause, spectra.log_likelihood).cause
         spectra.profile(cause.values)
     return _best(bench, cause, spectra.log_likelihood)
+
+
+def _usual(bench: Bench, cause: Cause) -> Stated:
+    """Levels that healthy devices have over those that the floor gives to these.
+
+    The floor takes as healthy what it can of a device that is loud all the time; what such a
+    device has without the effect nobody knows but by the others.
+    """
+    modes, places = bench.floor.modes, list(places_struck(bench, cause))
+    level = 1.0 / float(np.sqrt(np.mean(modes.spread[places] ** 2)))
+    reach = _WIDTH * 0.5 * modes.scatter / float(np.sqrt(len(places)))
+    ends = level * float(np.exp(-reach)), level * float(np.exp(reach))
+    return Stated(
+        replace(cause, values={p.name: level for p in cause.kind.parameters}),
+        {p.name: ends for p in cause.kind.parameters},
+    )
 
 
 def _over(late: Stated, early: Stated) -> Stated:
