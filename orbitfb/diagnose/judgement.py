@@ -121,7 +121,7 @@ def beside_themselves(found: Sequence[tuple[Entry, Departure]]) -> tuple[Departu
             alike = one.kind.target == other.kind.target
             if alike and one.cause.places and one.cause.places == other.cause.places:
                 for its, entry in ((index, one), (later, other)):
-                    more = Departure("as two laws at once", other.gain, entry.gain)
+                    more = Departure("as a second law of the same devices", other.gain, entry.gain)
                     departures[its] = max(departures[its], more, key=lambda own: own.nats)
     return tuple(departures)
 

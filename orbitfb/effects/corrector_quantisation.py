@@ -61,10 +61,12 @@ class CorrectorQuantisation(ActuatorKind):
 
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:
         """Find the needles that the grid steps over, coarse ones and those below a dither."""
-        steps: list[float] = []
+        steps, crates = list[float](), list(record.layout.correctors.groups().values())
         for scale in scales_of_change(record):
             for share in _FINEST:
                 steps += common_steps(setpoints, pull, share * scale, 5)
+                if len(crates) > 1:
+                    steps += common_steps(setpoints, pull, share * scale, 5, crates)
                 steps += single_steps(setpoints, pull, share * scale, 5)
         return ladder("step", {}, steps)
 

@@ -7,6 +7,7 @@ Fourier transform over u of the pull λ = ∂log L/∂θ has the score of every 
 are no higher than the highest of so many lines of noise are not looked at.
 """
 
+from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
@@ -17,6 +18,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.effects.actuating import usual_change
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
 
 _BINS = 1 << 20  # along u; finer steps than four bins are not looked for
 _HARMONICS = 4
@@ -27,29 +29,40 @@ _NODES = 17  # between which the transform of one column is smooth
 _NORMAL = 1.4826  # standard deviation of normal numbers over the median of their sizes
 
 
-def common_steps(setpoints: Matrix, pull: Matrix, finest: float, count: int) -> list[float]:
-    """Find steps that all columns may be rounded to.
+def common_steps(
+    setpoints: Matrix, pull: Matrix, finest: float, count: int, groups: Sequence[Indices] = ()
+) -> list[float]:
+    """Find steps that all columns may be rounded to, or those of a group.
 
     Args:
         setpoints: Shape (N, k) [A].
         pull: ∂log L/∂current, shape (N, k) [1/A].
         finest: Step below which nothing is looked for [A].
         count: How many to give.
+        groups: Columns of each; all columns are one group where there are none.
 
     Returns:
         Steps, likeliest first [A].
     """
-    found = _peaks(setpoints.ravel(), pull.ravel(), finest, count, absolute=True)
-    if not found:
-        return []
-    steps = [
-        _best(setpoints, pull, 1.0 / (frequency + width * np.linspace(-1.0, 1.0, 9)))
-        for _, frequency, width in found
-    ]
-    heights = [_significance(setpoints, pull, step) for step in steps]
+    every = groups or [np.arange(setpoints.shape[1])]
+    found: list[tuple[float, int, float, float]] = []
+    for index, own in enumerate(every):
+        peaks = _peaks(
+            setpoints[:, own].ravel(), pull[:, own].ravel(), finest, count,
+            absolute=True, others=len(every),
+        )  # fmt: skip
+        found += [(height, index, frequency, width) for height, frequency, width in peaks]
+    scored: list[tuple[float, int, float]] = []
+    for _, index, frequency, width in sorted(found, reverse=True)[:count]:
+        one, its = setpoints[:, every[index]], pull[:, every[index]]
+        step = _best(one, its, 1.0 / (frequency + width * np.linspace(-1.0, 1.0, 9)))
+        scored.append((_significance(one, its, step), index, step))
+    highest = max(scored, default=(0.0, 0, 0.0))[0]
     return [
-        _polished(setpoints, pull, step) if height > 0.5 * max(heights) else step
-        for step, height in zip(steps, heights, strict=True)
+        _polished(setpoints[:, every[index]], pull[:, every[index]], step)
+        if height > 0.5 * highest
+        else step
+        for height, index, step in scored
     ]
 
 

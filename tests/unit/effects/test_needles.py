@@ -48,10 +48,24 @@ def test_the_step_of_all_columns_is_found(step: float):
     assert found and abs(found[0] / step - 1.0) < 1e-4
 
 
+@pytest.mark.parametrize("step", [0.7e-3, 3e-3])
+def test_the_step_of_a_crate_is_found_that_shows_in_no_column_and_not_in_all(step: float):
+    currents, crate = setpoints(), list(range(12, 17))
+    pull = pull_of(currents, step, crate, 6.0)
+    groups = [np.arange(first, first + 5) for first in range(2, COLUMNS - 5, 5)]
+    assert any(list(group) == crate for group in groups)
+    (found, *_) = common_steps(currents, pull, FINEST, 5, groups)
+    assert abs(found / step - 1.0) < 1e-4
+    others = common_steps(currents, pull, FINEST, 5) + single_steps(currents, pull, FINEST, 5)
+    assert all(abs(other / step - 1.0) > 1e-4 for other in others)
+
+
 def test_noise_alone_proposes_next_to_nothing():
     currents, proposed = setpoints(), 0
+    groups = [np.arange(first, first + 5) for first in range(0, COLUMNS, 5)]
     for seed in range(8):
         pull = np.random.default_rng(seed).standard_normal(currents.shape)
         proposed += len(common_steps(currents, pull, FINEST, 5))
+        proposed += len(common_steps(currents, pull, FINEST, 5, groups))
         proposed += len(single_steps(currents, pull, FINEST, 5))
-    assert proposed <= 16  # two of ten a time at most
+    assert proposed <= 24  # three of fifteen a time at most
