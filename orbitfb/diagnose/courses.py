@@ -23,15 +23,22 @@ _TINY = 1e-300
 
 def trials(bench: Bench, cause: Cause) -> Iterator[tuple[str, Matrix]]:
     """Courses in words, and what they add to the prediction, each of shape (N, n)."""
+    wave = is_wave(cause)
     for patterns, course in _drives(bench, cause):
-        for name, trial in (*_courses(course), *_with_others(bench, course)):
+        courses = (*_in_proportion(course), *(() if wave else _bent(course)))
+        for name, trial in (*courses, *_with_others(bench, course)):
             yield name, _from(cause.onset, trial) @ patterns.T
     yield from _heard(bench, cause)
-    if isinstance(cause.kind, SensorKind) or cause.kind.target == "bpm":
+    if wave or isinstance(cause.kind, SensorKind) or cause.kind.target == "bpm":
         return  # what a BPM makes of the orbit it makes of its noise too
     made = does(bench, cause)
     size = np.sqrt(np.mean(made**2, axis=1, keepdims=True))
     yield "more than in proportion to what it does", made * size / (np.mean(size) + _TINY)
+
+
+def is_wave(cause: Cause) -> bool:
+    """Whether a cause is a wave: nature's have harmonics, which no law lacks."""
+    return isinstance(cause.kind, SourceKind) and cause.kind.periodic
 
 
 def _from(onset: int, course: Matrix) -> Matrix:
@@ -122,14 +129,13 @@ def own_columns(bench: Bench, cause: Cause, count: int) -> list[int]:
     return columns_of(cause, count)
 
 
-def _courses(course: Matrix) -> Iterator[tuple[str, Matrix]]:
-    """Courses that a law may have, in words, each of the shape of what drives it (N, P)."""
+def _in_proportion(course: Matrix) -> Iterator[tuple[str, Matrix]]:
+    """Courses in proportion to what drives a law, in words, each of its shape (N, P)."""
     rows = len(course)
     time = np.linspace(-1.0, 1.0, rows)[:, None]
     other = ((-1.0) ** np.arange(rows))[:, None]
     size = np.sqrt(np.mean(course**2, axis=0)) + _TINY
     step = np.diff(course, axis=0, prepend=course[:1])
-    usual = np.sqrt(np.mean(step**2, axis=0)) + _TINY
     yield "in proportion", course
     yield "as the last change", step
     for late in (1, 2, 3):
@@ -138,21 +144,28 @@ def _courses(course: Matrix) -> Iterator[tuple[str, Matrix]]:
         kept = float(np.exp(-1.0 / memory))
         slow = np.asarray(lfilter([1.0 - kept], [1.0, -kept], course, axis=0), dtype=np.float64)
         yield f"slowly, over {memory:.0f} ticks", slow
-    yield "as the square", course**2 / size
-    yield "as the cube", course * (course / size) ** 2
-    away = np.abs(course - course[:1])
-    yield "more than in proportion to the way from where it began", course * away / size
     yield "as the sum of all before", np.cumsum(course - course[:1], axis=0) / rows
-    yield "as the change without its sign", np.abs(step)
-    yield "more than in proportion to the change", step * np.abs(step) / usual
-    yield "only when the direction turns", step * (step * _later(step, 1) < 0.0)
-    yield "as all that went up", np.cumsum(np.maximum(step, 0.0), axis=0)
     yield "in proportion, growing with time", course * time
     yield "in proportion, in the second half", course * (time > 0.0)
     yield "as the change, growing with time", step * time
     yield "in proportion, every other tick", course * other
     yield "as the change, every other tick", step * other
     yield "steadily with time", np.repeat(time, course.shape[1], axis=1) * size
+
+
+def _bent(course: Matrix) -> Iterator[tuple[str, Matrix]]:
+    """Courses that are not, as `_in_proportion`: of a wave they have its harmonics."""
+    size = np.sqrt(np.mean(course**2, axis=0)) + _TINY
+    step = np.diff(course, axis=0, prepend=course[:1])
+    usual = np.sqrt(np.mean(step**2, axis=0)) + _TINY
+    yield "as the square", course**2 / size
+    yield "as the cube", course * (course / size) ** 2
+    away = np.abs(course - course[:1])
+    yield "more than in proportion to the way from where it began", course * away / size
+    yield "as the change without its sign", np.abs(step)
+    yield "more than in proportion to the change", step * np.abs(step) / usual
+    yield "only when the direction turns", step * (step * _later(step, 1) < 0.0)
+    yield "as all that went up", np.cumsum(np.maximum(step, 0.0), axis=0)
     together = np.mean(np.abs(course) / size, axis=1, keepdims=True)
     yield "the less, the more all are driven", course * together
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import SEEN, Bench
-from orbitfb.diagnose.courses import own_columns, trials
+from orbitfb.diagnose.courses import is_wave, own_columns, trials
 from orbitfb.diagnose.explain import Cause, explain, restored
 from orbitfb.diagnose.latent_laws import latent_laws
 from orbitfb.diagnose.noise_departure import noise_laws
@@ -163,7 +163,7 @@ def _uneven(bench: Bench, cause: Cause) -> float:
     change = without.residual(())[0] - without.residual((cause,))[0]
     score, info = np.sum(change * bench.white, axis=1), np.sum(change**2, axis=1)
     heights: list[float] = []
-    for rows in _PARTS:
+    for rows in _PARTS[-1:] if is_wave(cause) else _PARTS:  # in the short ones are its harmonics
         begins = np.arange(0, len(score), rows)
         pull, known = np.add.reduceat(score, begins), np.add.reduceat(info, begins)
         for variance in _STRENGTHS**2:

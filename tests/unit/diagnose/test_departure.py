@@ -252,3 +252,19 @@ def test_chances_are_shares_of_cases_that_are_drawn_so():
         here = (nats >= low) & (nats <= high)
         told = Departure("somehow" if high else "", 0.5 * (low + high), gain).chance
         assert told == pytest.approx(1.0 - np.mean(outside[here]), abs=0.03)
+
+
+@pytest.mark.parametrize("harmonic", [0.0, 0.3])
+def test_a_wave_may_have_harmonics(harmonic):
+    kind = all_effects()["periodic-disturbance"]
+    place = next(i for i, n in enumerate(kind.places_of(LAYOUT)) if n.startswith("QL2A_C17"))
+    quiet = simulate_record(RING, "x", 700, 5, period=LAYOUT.period)
+    turn = 2.0 * np.pi * 0.7 * quiet.time
+    wave = 3e-8 * (np.cos(turn) + harmonic * np.cos(3.0 * turn + 0.5))
+    orbit = wave[:, None] * kind.patterns(LAYOUT)[:, place]
+    record = replace(quiet, readings=quiet.readings + orbit)
+    start = {"frequency": 0.7, "cosine": 3e-8, "sine": 0.0}
+    found = fit(Bench(record), (Cause(kind, (place,), start),))
+    its = departure(Bench(record, found.causes), found.causes[0], found.gain)
+    assert found.gain > 100.0
+    assert its.chance > 0.8
