@@ -13,6 +13,7 @@ from orbitfb.diagnose.drift_memory import echoes
 from orbitfb.diagnose.explain import Cause, actuated, explain, restored
 from orbitfb.diagnose.floor import estimate_floor
 from orbitfb.diagnose.free import Beyond, beyond, orthonormal
+from orbitfb.diagnose.healthy_levels import HealthyLevels
 from orbitfb.diagnose.healthy_search import HealthySearch
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.noise_modes import NoiseModes
@@ -76,7 +77,7 @@ class Bench:
         self._base: _Base | None = None
         self._in_single: Quick | None = None
         self._steps: FreeSteps | None = None
-        self._freed: list[tuple[NoiseFloor, tuple[Cause, ...], Beyond]] = []
+        self._freed: list[tuple[NoiseFloor, tuple[Cause, ...], Beyond, Matrix]] = []
         self.currents = actuated(record, self.causes)
         self.orbit = readings = restored(record, self.causes)[0]
         leftover = explain(record, self.causes, self.orbit)
@@ -113,10 +114,6 @@ class Bench:
             White innovations (N, n), sizes of the background (P,), log-Jacobian of the sensors'
             causes by row (N,): the log-likelihood is −½ Σ white² − ½ Σ sizes² + Σ log-Jacobian.
         """
-        return self._judged(causes)[0]
-
-    def _judged(self, causes: Sequence[Cause]) -> tuple[tuple[Matrix, Vector, Vector], Beyond]:
-        """As `residual`, and what takes out of innovations that which was free to do anything."""
         white, log_jacobian = self._with(causes)
         every = (*self.causes, *causes)
         kicks = self.free_steps.basis(every)
@@ -125,8 +122,11 @@ class Bench:
         free = beyond(kicks, orthonormal(memory, kicks))
         if len(memory):
             left, sizes = self._healthy.healed(free(white), free)
-        self._freed = [*self._freed[1 - _REMEMBERED :], (self.floor, every, free)]
-        return (left, sizes, log_jacobian), free
+        self._freed = [*self._freed[1 - _REMEMBERED :], (self.floor, every, free, left)]
+        for levels in HealthyLevels.of(self.record, self.floor, causes):
+            left, owed = levels.likeliest(lambda: self.white, left)
+            log_jacobian = log_jacobian + owed
+        return left, sizes, log_jacobian
 
     def difference(
         self, causes: Sequence[Cause], others: Sequence[Cause]
@@ -137,8 +137,13 @@ class Bench:
         a small part, smaller than what they miss beside either.
         """
         (white, jacobian), (before, jacobian_before) = self._with(causes), self._with(others)
-        free = self._free(others)
-        return *self._unhealed(free(white - before), free, SEEN), jacobian - jacobian_before
+        free, left = self._free(others)
+        moved, sizes = self._unhealed(free(white - before), free, SEEN)
+        jacobian = jacobian - jacobian_before
+        for levels in HealthyLevels.of(self.record, self.floor, others):
+            moved, owed = levels.following(left, moved)
+            jacobian = jacobian + owed
+        return moved, sizes, jacobian
 
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
         """As `residual`, no memory and the sizes of the background as they are: a first look."""
@@ -146,13 +151,17 @@ class Bench:
         kicks = beyond(self.free_steps.basis((*self.causes, *causes)))
         return kicks(white - near.change), near.sizes, log_jacobian
 
-    def _free(self, causes: Sequence[Cause]) -> Beyond:
-        """What drift and first kicks are free to do beside causes: of the last few it is known."""
+    def _free(self, causes: Sequence[Cause]) -> tuple[Beyond, Matrix]:
+        """What drift and first kicks are free to do beside causes, and what they leave.
+
+        Of the last few it is known.
+        """
         every = (*self.causes, *causes)
-        for floor, known, free in self._freed:
+        for floor, known, free, left in self._freed:
             if floor is self.floor and known == every:
-                return free
-        return self._judged(causes)[1]
+                return free, left
+        self.residual(causes)
+        return self._freed[-1][2], self._freed[-1][3]
 
     def _with(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
         """White innovations before healthy errors and what is free are taken out; log-Jacobian."""
@@ -203,7 +212,7 @@ class Bench:
         Returns:
             White innovations (N, n), sizes of the background (P,).
         """
-        free = self._free(())
+        free, _ = self._free(())
         return self._unhealed(free(self.floor.whiten(change, self.record.starts)), free, missed)
 
     def _unhealed(self, moved: Matrix, free: Beyond, missed: float) -> tuple[Matrix, Vector]:

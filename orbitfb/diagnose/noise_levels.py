@@ -10,7 +10,8 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.randomness import BETWEEN, EDGE, LEVELS, WITHIN, beyond_healthy
+from orbitfb.diagnose.healthy_levels import BETWEEN, WITHIN
+from orbitfb.diagnose.randomness import EDGE, LEVELS, beyond_healthy
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix

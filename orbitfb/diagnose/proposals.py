@@ -81,13 +81,13 @@ def _without_early(found: Sequence[Candidate]) -> list[Candidate]:
 def _without_levels(
     bench: Bench, found: Sequence[Candidate], kinds: Sequence[EffectKind]
 ) -> Iterator[Candidate]:
-    """Charge what changes the noise of a BPM with what healthy noise may differ."""
+    """Charge what filters the noise of a BPM with what healthy noise may differ in level."""
     noise = next((kind for kind in kinds if kind.id == "noise-level"), None)
     spares = level_spares(bench, noise) if isinstance(noise, NoiseKind) else None
     for one in found:
         kind, places = one.cause.kind, one.cause.places
-        noisy = isinstance(kind, SensorKind) and (kind.colours or kind.scales)
-        if spares is not None and noisy and len(places) == 1:
+        filters = isinstance(kind, SensorKind) and kind.colours
+        if spares is not None and filters and len(places) == 1:
             yield replace(one, alone=one.gain + float(spares[places[0]]))
         else:
             yield one

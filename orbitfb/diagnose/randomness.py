@@ -16,6 +16,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate, held_to
 from orbitfb.diagnose.device_groups import Group, crates, membership
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.healthy_levels import WITHIN
 from orbitfb.diagnose.noise_colour import colour_of_all
 from orbitfb.diagnose.noise_spectra import usual_reading
 from orbitfb.diagnose.noise_walk import walking_candidates
@@ -31,8 +32,6 @@ LEAST_COLOUR = 0.02
 """The same of a correlation in time: levels of healthy noise differ, but all of it is white."""
 LEVELS = ("noise-level", "ground-motion-level")
 """Kinds that may strike every place alike."""
-WITHIN, BETWEEN = 0.05, 0.1
-"""Scatter of the logarithm of a healthy variance between times of a record, and between records."""
 _KEPT = 3
 _AT_ONCE = 500
 """Groups that are looked at in one go: every row of each is a number."""
