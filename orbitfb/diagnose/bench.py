@@ -123,8 +123,8 @@ class Bench:
         if len(memory):
             left, sizes = self._healthy.healed(free(white), free)
         self._freed = [*self._freed[1 - _REMEMBERED :], (self.floor, every, free, left)]
-        for levels in HealthyLevels.of(self.record, self.floor, causes):
-            left, owed = levels.likeliest(lambda: self.white, left)
+        for levels in self._levels(causes):
+            left, owed = levels.likeliest(self.white, left)
             log_jacobian = log_jacobian + owed
         return left, sizes, log_jacobian
 
@@ -140,10 +140,14 @@ class Bench:
         free, left = self._free(others)
         moved, sizes = self._unhealed(free(white - before), free, SEEN)
         jacobian = jacobian - jacobian_before
-        for levels in HealthyLevels.of(self.record, self.floor, others):
+        for levels in self._levels(others):
             moved, owed = levels.following(left, moved)
             jacobian = jacobian + owed
         return moved, sizes, jacobian
+
+    def _levels(self, causes: Sequence[Cause]) -> list[HealthyLevels]:
+        """What is free in the noise of BPMs whose readings causes change."""
+        return HealthyLevels.of(self.record, self.floor, causes, self.white) if causes else []
 
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
         """As `residual`, no memory and the sizes of the background as they are: a first look."""

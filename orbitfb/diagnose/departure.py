@@ -190,7 +190,7 @@ class _Beside:
 
     @classmethod
     def of(cls, bench: Bench, cause: Cause) -> "_Beside":
-        """Take values of a cause as free, and at its BPMs the echoes of their noise.
+        """Take values of a cause as free, and at its BPMs the level of their noise and its echoes.
 
         Noise is not quite as the floor says.
         """
@@ -209,11 +209,13 @@ class _Beside:
         if isinstance(cause.kind, SensorKind) or cause.kind.target == "bpm":
             columns = own_columns(bench, cause, bench.white.shape[1])
             noise = restored(record, bench.causes)[0] - bench.orbit
-            for late in _COLOURS:
+            level = np.full(len(record), -float(len(columns)))
+            for late in (0, *_COLOURS):
                 echo = np.zeros_like(noise)
-                echo[late:, columns] = noise[:-late, columns]
-                free.append(_seen(bench, echo))
-                pulls.append(float(free[-1] @ left))
+                echo[late:, columns] = noise[: len(noise) - late, columns]
+                scale = 0.0 * level if late else level
+                free.append(_seen(bench, echo, scale / np.sqrt(len(columns))))
+                pulls.append(float(free[-1] @ left + np.sum(scale)))
         sizes = np.array([np.linalg.norm(its) or 1.0 for its in free])
         matrix = np.array(free).reshape(len(free), len(left)) / sizes[:, None]
         return cls(bench, left, matrix, np.array(pulls) / sizes)

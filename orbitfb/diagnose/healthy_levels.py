@@ -1,11 +1,11 @@
-"""Healthy BPMs differ in noise: how loud one is tells little of the gain of its readings.
+"""Healthy BPMs differ in noise: how loud one is tells little of what is done to its readings.
 
-What scales the readings of a BPM scales their noise, and of a long record the level of the noise
-is known to a per cent; but not what it should be. It is a nuisance of its own, normal about the
-usual one: at its most likely value it goes along with whatever a cause makes of the noise.
+What scales or filters the readings of a BPM changes their noise, and of a long record the level of
+that is known to a per cent; but not what it should be. It is a nuisance of its own, normal about
+the usual one: at its most likely value it goes along with whatever a cause makes of the noise.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,43 +24,50 @@ _STEPS = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HealthyLevels:
-    """Levels of the noise of the BPMs whose readings a cause scales.
+    """Levels of the noise of the BPMs whose readings a cause scales or filters.
 
     Args:
         rows: Since it acts, shape (N,).
         axes: These BPMs in the modes, shape (k, n).
+        usual: Logarithm of the level of the middle BPM, over that of the floor.
         scatter: Standard deviation of the logarithm of a healthy level.
     """
 
     rows: Mask
     axes: Matrix
+    usual: float
     scatter: float
 
     @classmethod
     def of(
-        cls, record: Record, floor: NoiseFloor, causes: Sequence[Cause]
+        cls, record: Record, floor: NoiseFloor, causes: Sequence[Cause], white: Matrix
     ) -> "list[HealthyLevels]":
-        """Those of all causes that scale noise.
+        """Those of all causes that change noise.
 
         Args:
             record: What happened.
             floor: The noise.
             causes: Put into the model.
+            white: Innovations without them, shape (N, n).
         """
         found: list[HealthyLevels] = []
         for cause in causes:
             rows = ~record.starts
             rows[: cause.onset] = False
-            if isinstance(cause.kind, SensorKind) and cause.kind.scales and rows.any():
+            noisy = isinstance(cause.kind, SensorKind) and (cause.kind.scales or cause.kind.colours)
+            if noisy and rows.any():
                 scatter = WITHIN if cause.onset else max(BETWEEN, floor.modes.scatter)
-                found.append(cls(rows, floor.modes.axes[list(cause.places)], 0.5 * scatter))
+                axes = floor.modes.axes
+                squares = np.mean((white[~record.starts] @ axes.T) ** 2, axis=0)
+                usual = 0.5 * float(np.log(max(np.median(squares), np.finfo(float).tiny)))
+                found.append(cls(rows, axes[list(cause.places)], usual, 0.5 * scatter))
         return found
 
-    def likeliest(self, before: Callable[[], Matrix], left: Matrix) -> tuple[Matrix, Vector]:
+    def likeliest(self, before: Matrix, left: Matrix) -> tuple[Matrix, Vector]:
         """Take the levels at their most likely values.
 
         Args:
-            before: Gives white innovations without the cause, shape (N, n).
+            before: White innovations without the cause, shape (N, n).
             left: The same with it, shape (N, n).
 
         Returns:
@@ -68,7 +75,7 @@ class HealthyLevels:
             would gain without the cause, shape (N,) [nats].
         """
         noise, count = left[self.rows] @ self.axes.T, int(self.rows.sum())
-        usual = np.sum((before()[self.rows] @ self.axes.T) ** 2, axis=0)
+        usual = np.sum((before[self.rows] @ self.axes.T) ** 2, axis=0)
         level, known = self._level(np.sum(noise**2, axis=0), count), self._level(usual, count)
         spared = -0.5 * usual * np.expm1(-2.0 * known) - count * known - self._unlikely(known)
         left, owed = left.copy(), np.zeros(len(left))
@@ -80,33 +87,35 @@ class HealthyLevels:
         """Let the levels go along with a small change.
 
         Args:
-            left: White innovations, shape (N, n).
+            left: White innovations, the levels not in them yet, shape (N, n).
             change: Of them, shape (N, n).
 
         Returns:
             What is left of the change, and what the levels add to the log-Jacobian, (N,) [nats].
         """
         noise, moved = left[self.rows] @ self.axes.T, change[self.rows] @ self.axes.T
-        squares, count = np.sum(noise**2, axis=0), int(self.rows.sum())
-        certain = self.scatter**-2 / (2.0 * count + self.scatter**-2)
-        level = (1.0 - certain) * np.sum(noise * moved, axis=0) / np.maximum(squares, 1e-300)
+        count = len(noise)
+        scale = np.exp(-self._level(np.sum(noise**2, axis=0), count))
+        noise, seen = noise * scale, moved * scale
+        squares = np.sum(noise**2, axis=0)
+        more = 2.0 * np.sum(noise * seen, axis=0) / (2.0 * squares + self.scatter**-2)
         change, owed = change.copy(), np.zeros(len(left))
-        change[self.rows] -= (noise * level) @ self.axes
-        owed[self.rows] = -float(np.sum(level))
+        change[self.rows] += (seen - moved - noise * more) @ self.axes
+        owed[self.rows] = -float(np.sum(more * squares)) / count  # of what is less likely too
         return change, owed
 
     def _unlikely(self, level: Vector) -> Vector:
-        return 0.5 * (level / self.scatter) ** 2
+        return 0.5 * ((level - self.usual) / self.scatter) ** 2
 
     def _level(self, squares: Vector, count: int) -> Vector:
-        """The root of Σ e² exp(−2 x) − N − x / σ² by Newton's steps, shape (k,).
+        """The root of Σ e² exp(−2 x) − N − (x − u) / σ² by Newton's steps, shape (k,).
 
         It is convex and falls: from the left of its root they go up to that.
         """
         ratio = np.maximum(squares / count, np.finfo(float).tiny)
-        level = np.minimum(0.5 * np.log(ratio), 0.0)
+        level = np.minimum(0.5 * np.log(ratio), self.usual)
         for _ in range(_STEPS):
             now = squares * np.exp(-2.0 * level)
             slope = 2.0 * now + self.scatter**-2
-            level = level + (now - count - level / self.scatter**2) / slope
+            level = level + (now - count - (level - self.usual) / self.scatter**2) / slope
         return level

@@ -180,7 +180,8 @@ def _state(
     remains: bool,
     explained: float,
 ) -> State:
-    if not outcome.winners:
+    # where there may be nothing at all a law that is surely another's is nothing
+    if not outcome.winners or (not outcome.winners[0].sure and departures[0].nameless):
         if certain.causes:
             return "named_plus_remainder" if remains else "named"
         return "unknown" if remains or _of_no_kind(outcome.rounds[0]) else "no_gap"

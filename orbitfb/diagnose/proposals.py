@@ -9,7 +9,7 @@ from orbitfb.diagnose.candidate import FIRST_ONSET, Candidate
 from orbitfb.diagnose.entry import net
 from orbitfb.diagnose.noise_levels import level_candidates
 from orbitfb.diagnose.progress import Progress
-from orbitfb.diagnose.randomness import level_spares, noise_candidates
+from orbitfb.diagnose.randomness import noise_candidates
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.strike_scan import latent_candidates
 from orbitfb.effects.device_kinds import SensorKind
@@ -57,7 +57,7 @@ def propose(
         if progress is not None:
             progress(kind.id, (index + 1) / len(kinds))
     found += level_candidates(bench, kinds)
-    found = [*_without_levels(bench, found, kinds), *_scaled_noise(found, kinds)]
+    found += [*_scaled_noise(found, kinds)]
     found = _without_early(found)
     found.sort(key=net, reverse=True)
     worth = sum(net(candidate) > 0.0 for candidate in found)
@@ -76,21 +76,6 @@ def _without_early(found: Sequence[Candidate]) -> list[Candidate]:
         if not 0 < one.cause.onset < 2 * FIRST_ONSET
         or (one.cause.kind.id, one.cause.places) not in always
     ]
-
-
-def _without_levels(
-    bench: Bench, found: Sequence[Candidate], kinds: Sequence[EffectKind]
-) -> Iterator[Candidate]:
-    """Charge what filters the noise of a BPM with what healthy noise may differ in level."""
-    noise = next((kind for kind in kinds if kind.id == "noise-level"), None)
-    spares = level_spares(bench, noise) if isinstance(noise, NoiseKind) else None
-    for one in found:
-        kind, places = one.cause.kind, one.cause.places
-        filters = isinstance(kind, SensorKind) and kind.colours
-        if spares is not None and filters and len(places) == 1:
-            yield replace(one, alone=one.gain + float(spares[places[0]]))
-        else:
-            yield one
 
 
 def _scaled_noise(found: Sequence[Candidate], kinds: Sequence[EffectKind]) -> Iterator[Candidate]:

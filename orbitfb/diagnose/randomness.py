@@ -89,23 +89,6 @@ def projections(bench: Bench, patterns: Matrix) -> tuple[Matrix, Vector]:
     return bench.white @ modal, np.sum(modal**2, axis=0)
 
 
-def level_spares(bench: Bench, kind: NoiseKind) -> Vector:
-    """Give what another level of the noise of each place is worth beyond what counts [nats].
-
-    Healthy devices scatter: so much of the gain of whatever changes the level is no evidence.
-
-    Args:
-        bench: The record under the causes accepted so far.
-        kind: The level of the noise.
-
-    Returns:
-        Shape (places,), at least 0.
-    """
-    its = _scattered(bench, kind, kind.patterns(bench.record.layout))
-    alone = len(bench.record) * _per_row(its.over)
-    return np.maximum(alone - 0.5 * (its.seen / its.deviation) ** 2, 0.0)
-
-
 def _per_row(over: Vector) -> Vector:
     """Gain of a row by a variance of its own, from the logarithm of its ratio to the floor's."""
     return 0.5 * (np.expm1(over) - over)

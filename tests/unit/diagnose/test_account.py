@@ -63,6 +63,7 @@ def test_what_has_only_stand_ins_is_no_quiet_record(gain, scatter, state):
         (True, (), True, 0.05, "unknown"),  # what acts by another law is not that effect
         (False, (), False, 0.9, "ambiguous"),  # with nothing at all
         (False, (), True, 0.9, "unknown"),
+        (False, (), False, 0.05, "no_gap"),  # or by another law: then it is nothing
     ],
 )
 def test_a_name_needs_certainty(sure, rivals, remains, chance, state):
@@ -79,7 +80,7 @@ def test_a_name_needs_certainty(sure, rivals, remains, chance, state):
     if departures[0].nameless:  # what the screen proves has a name, whatever is found besides
         certain.causes = ("bpm-stuck",)
         told = _state(outcome, certain, departures, remains=remains, explained=1.0)  # type: ignore[arg-type]
-        assert told == "named_plus_remainder"
+        assert told == ("named_plus_remainder" if sure or remains else "named")
 
 
 def test_what_may_be_nothing_is_told_so():

@@ -18,7 +18,7 @@ from orbitfb.effects.settings import parse_effect
 
 GAIN = all_effects()["bpm-gain"]
 ROWS, MODES = 300, 7
-NOISE = 2e-7
+NOISE, USUAL = 2e-7, -0.03
 
 
 def levels(scatter):
@@ -26,7 +26,7 @@ def levels(scatter):
     axes = np.linalg.qr(rng.standard_normal((MODES, MODES)))[0][[1, 4]]
     rows = np.ones(ROWS, dtype=bool)
     rows[:40] = False
-    return HealthyLevels(rows, axes, scatter), rng.standard_normal((ROWS, MODES))
+    return HealthyLevels(rows, axes, USUAL, scatter), rng.standard_normal((ROWS, MODES))
 
 
 def as_likely(noise, scatter):
@@ -36,7 +36,7 @@ def as_likely(noise, scatter):
         return (
             0.5 * np.sum(noise**2) * np.exp(-2.0 * level)
             + len(noise) * level
-            + 0.5 * (level / scatter) ** 2
+            + 0.5 * ((level - USUAL) / scatter) ** 2
         )
 
     return -float(minimize_scalar(cost, bounds=(-3.0, 3.0), method="bounded").fun)
@@ -47,7 +47,7 @@ def test_levels_are_the_most_likely_ones(scatter):
     its, before = levels(scatter)
     louder = before.copy()
     louder[its.rows] += 0.7 * (before[its.rows] @ its.axes[0])[:, None] * its.axes[0]
-    left, owed = its.likeliest(lambda: before, louder)
+    left, owed = its.likeliest(before, louder)
     got = np.sum(owed) - 0.5 * np.sum(left**2)
     rest = np.sum(louder**2) - np.sum((louder[its.rows] @ its.axes.T) ** 2)
     expected = -0.5 * rest
@@ -65,12 +65,12 @@ def test_levels_go_along_with_a_small_change(scatter):
     its, before = levels(scatter)
     change = 1e-5 * np.random.default_rng(4).standard_normal(before.shape)
     change[its.rows] += 1e-5 * (before[its.rows] @ its.axes[1])[:, None] * its.axes[1]
-    start, owed_before = its.likeliest(lambda: before, before)
-    end, owed_after = its.likeliest(lambda: before, before + change)
-    moved, owed = its.following(start, change)
+    start, owed_before = its.likeliest(before, before)
+    end, owed_after = its.likeliest(before, before + change)
+    moved, owed = its.following(before, change)
     steady = ~its.rows
     np.testing.assert_allclose(moved[steady], change[steady])
-    assert np.sum(owed) == pytest.approx(np.sum(owed_after - owed_before), rel=0.05, abs=1e-6)
+    assert np.sum(owed) == pytest.approx(np.sum(owed_after - owed_before), rel=1e-3, abs=1e-8)
     assert np.sum((moved - (end - start)) ** 2) < 0.02 * np.sum(change**2)
 
 
@@ -101,4 +101,4 @@ def test_a_gain_is_seen_where_the_orbit_moves_however_loud_the_bpm():
     found = gained(loud(1.15, 0.2))
     assert found.gain > 30.0
     low, high = found.interval(0)
-    assert low < 0.2 < high
+    assert low - 0.01 < 0.2 < high + 0.01
