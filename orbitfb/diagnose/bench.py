@@ -10,7 +10,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import Background
 from orbitfb.diagnose.changed import Change, Explained
 from orbitfb.diagnose.drift_memory import echoes
-from orbitfb.diagnose.explain import Cause, actuated, explain, restored
+from orbitfb.diagnose.explain import Cause, actuated, explain, heard, restored
 from orbitfb.diagnose.floor import estimate_floor
 from orbitfb.diagnose.free import Beyond, beyond, orthonormal
 from orbitfb.diagnose.healthy_levels import HealthyLevels
@@ -85,7 +85,8 @@ class Bench:
         for _ in range(_PASSES):
             self.floor = floor or estimate_floor(leftover.left - healthy, starts, modes)
             innovation, _ = self.floor.innovations(leftover.left - healthy, starts)
-            self.orbit = readings - self.floor.to_bpms(innovation)
+            moved = heard(record, self.causes, self.orbit)
+            self.orbit = readings - moved - self.floor.to_bpms(innovation)
             leftover = explain(record, self.causes, self.orbit)
             self.background = Background(
                 record.layout, self.currents, self.orbit, record.starts, background
@@ -141,7 +142,7 @@ class Bench:
         moved, sizes = self._unhealed(free(white - before), free, SEEN)
         jacobian = jacobian - jacobian_before
         for levels in self._levels(others):
-            moved, owed = levels.following(left, moved)
+            moved, owed = levels.following(self.white, left, moved)
             jacobian = jacobian + owed
         return moved, sizes, jacobian
 

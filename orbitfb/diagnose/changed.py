@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.explain import Cause, actuated, added, explain, restored
+from orbitfb.diagnose.explain import Cause, actuated, added, adds, explain, restored
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.effects.record import Record
@@ -83,7 +83,7 @@ class Explained:
             moved = moved[:, correctors]
         orbit: Matrix | None = None
         for cause in causes:
-            if isinstance(cause.kind, SourceKind | RingKind):
+            if adds(cause.kind):
                 more = added(record, cause, acting, self.orbit)
                 orbit = -more if orbit is None else orbit - more
         if len(correctors):

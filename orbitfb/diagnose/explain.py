@@ -64,7 +64,7 @@ def explain(record: Record, causes: Sequence[Cause], orbit: Matrix) -> Leftover:
     left, log_jacobian = restored(record, causes)
     left = left - currents @ record.layout.response.T
     for cause in causes:
-        if isinstance(cause.kind, SourceKind | RingKind):
+        if adds(cause.kind):
             left -= added(record, cause, currents, orbit)
     return Leftover(left, log_jacobian)
 
@@ -115,10 +115,25 @@ def restored(record: Record, causes: Sequence[Cause]) -> tuple[Matrix, Vector]:
     return readings, log_jacobian
 
 
+def heard(record: Record, causes: Sequence[Cause], orbit: Matrix) -> Matrix | float:
+    """What restored readings still have of sensors' causes, shape (N, n) [m]; 0: nothing."""
+    blurring = [c for c in causes if isinstance(c.kind, SensorKind) and c.kind.blurs]
+    return sum((added(record, cause, record.setpoints, orbit) for cause in blurring), 0.0)
+
+
+def adds(kind: EffectKind) -> bool:
+    """Whether an effect adds to the predicted orbit, or to what is read of it."""
+    return isinstance(kind, SourceKind | RingKind) or (isinstance(kind, SensorKind) and kind.blurs)
+
+
 def added(record: Record, cause: Cause, currents: Matrix, orbit: Matrix) -> Matrix:
-    """Orbit that a source or an effect on the whole ring adds from its onset on, shape (N, n)."""
+    """What an effect adds to the orbit, or to its restored readings, from its onset on, (N, n)."""
     kind, onset = cause.kind, cause.onset
     orbit_added = np.zeros_like(record.readings)
+    if isinstance(kind, SensorKind):
+        tail, columns = slice(onset, None), columns_of(cause, orbit.shape[1])
+        own = _from(record, kind, onset)
+        orbit_added[tail, columns] = kind.heard(orbit[tail, columns], cause.values, own)
     if not isinstance(kind, SourceKind | RingKind):
         return orbit_added
     own = _from(record, kind, onset) if kind.grows else record

@@ -71,38 +71,49 @@ class HealthyLevels:
             left: The same with it, shape (N, n).
 
         Returns:
-            `left` at these levels; and what that adds to the log-Jacobian, beyond what levels
-            would gain without the cause, shape (N,) [nats].
+            `left` at these levels over those without the cause; and what belongs to the
+            log-Jacobian, beyond what levels would gain without the cause, shape (N,) [nats].
         """
-        noise, count = left[self.rows] @ self.axes.T, int(self.rows.sum())
-        usual = np.sum((before[self.rows] @ self.axes.T) ** 2, axis=0)
-        level, known = self._level(np.sum(noise**2, axis=0), count), self._level(usual, count)
-        spared = -0.5 * usual * np.expm1(-2.0 * known) - count * known - self._unlikely(known)
+        noise, usual = self._noise(left), np.sum(self._noise(before) ** 2, axis=0)
+        count, squares = len(noise), np.sum(noise**2, axis=0)
+        level, known = self._level(squares, count), self._level(usual, count)
+        gained = self._gain(squares, level, count) - self._gain(usual, known, count)
+        scale = np.exp(known - level)
         left, owed = left.copy(), np.zeros(len(left))
-        left[self.rows] += (noise * np.expm1(-level)) @ self.axes
-        owed[self.rows] = -np.sum(level + (self._unlikely(level) + spared) / count)
+        left[self.rows] += (noise * (scale - 1.0)) @ self.axes
+        owed[self.rows] = float(np.sum(gained + 0.5 * (squares * scale**2 - usual))) / count
         return left, owed
 
-    def following(self, left: Matrix, change: Matrix) -> tuple[Matrix, Vector]:
+    def following(self, before: Matrix, left: Matrix, change: Matrix) -> tuple[Matrix, Vector]:
         """Let the levels go along with a small change.
 
         Args:
-            left: White innovations, the levels not in them yet, shape (N, n).
-            change: Of them, shape (N, n).
+            before: White innovations without the cause, shape (N, n).
+            left: The same with it, the levels not in them yet, shape (N, n).
+            change: Of these, shape (N, n).
 
         Returns:
             What is left of the change, and what the levels add to the log-Jacobian, (N,) [nats].
         """
-        noise, moved = left[self.rows] @ self.axes.T, change[self.rows] @ self.axes.T
+        noise, moved = self._noise(left), self._noise(change)
         count = len(noise)
-        scale = np.exp(-self._level(np.sum(noise**2, axis=0), count))
-        noise, seen = noise * scale, moved * scale
-        squares = np.sum(noise**2, axis=0)
-        more = 2.0 * np.sum(noise * seen, axis=0) / (2.0 * squares + self.scatter**-2)
+        known = self._level(np.sum(self._noise(before) ** 2, axis=0), count)
+        scale = np.exp(known - self._level(np.sum(noise**2, axis=0), count))
+        noise, seen, usual = noise * scale, moved * scale, np.exp(-2.0 * known)
+        squares, pull = np.sum(noise**2, axis=0), np.sum(noise * seen, axis=0)
+        more = 2.0 * usual * pull / (2.0 * usual * squares + self.scatter**-2)
         change, owed = change.copy(), np.zeros(len(left))
         change[self.rows] += (seen - moved - noise * more) @ self.axes
-        owed[self.rows] = -float(np.sum(more * squares)) / count  # of what is less likely too
+        owed[self.rows] = float(np.sum((1.0 - usual) * pull - squares * more)) / count
         return change, owed
+
+    def _noise(self, white: Matrix) -> Matrix:
+        """What these BPMs have of innovations since the cause acts, shape (rows, k)."""
+        return white[self.rows] @ self.axes.T
+
+    def _gain(self, squares: Vector, level: Vector, count: int) -> Vector:
+        """Log-likelihood at a level, shape (k,)."""
+        return -0.5 * squares * np.exp(-2.0 * level) - count * level - self._unlikely(level)
 
     def _unlikely(self, level: Vector) -> Vector:
         return 0.5 * ((level - self.usual) / self.scatter) ** 2

@@ -186,6 +186,9 @@ class Replay:
             return errors[:, columns]
         orbit = restored(self.record, model.causes)[0] - errors
         own = self.record.rows(cause.onset, len(self.record))
+        orbit[cause.onset :, columns] -= kind.heard(
+            self.orbit[cause.onset :, columns], cause.values, own
+        )
         told = kind.distort(orbit[cause.onset :, columns], cause.values, own)
         late = errors[:, columns].copy()
         late[cause.onset :] = self.record.readings[cause.onset :, columns] - told

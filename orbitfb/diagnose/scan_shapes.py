@@ -98,7 +98,10 @@ class Scoring:
             return None
         readings = restored(self._bench.record, self._bench.causes)[0]
         undone, jacobian = kind.restore(readings, values, self._bench.record)
-        return None if np.any(jacobian) else readings - undone
+        if np.any(jacobian):
+            return None
+        moved = readings - undone
+        return moved + kind.heard(self._bench.orbit, values, self._bench.record)
 
     def _shapes(self, name: str, patterns: Callable[[], Matrix]) -> Shapes:
         """Patterns by name, prepared once."""

@@ -57,11 +57,13 @@ class SensorKind(EffectKind):
         colours: Whether it filters the noise of the readings, so that it shows by that alone.
         scales: Whether it scales the noise with the readings (by 1 + its `linear` parameter if it
             has one), so that it shows by that alone.
+        blurs: Whether it mixes orbits of several times, but not their noise: see `heard`.
     """
 
     target = "bpm"
     colours: ClassVar[bool] = False
     scales: ClassVar[bool] = False
+    blurs: ClassVar[bool] = False
 
     @abstractmethod
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
@@ -86,6 +88,21 @@ class SensorKind(EffectKind):
             values: All parameters.
         """
         return 0
+
+    def heard(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
+        """Tell what restored readings still have of the effect, if it blurs.
+
+        What mixes orbits but not their noise cannot be undone in the readings without mixing that.
+
+        Args:
+            orbit: Predicted, at k BPMs, shape (N, k) [m].
+            values: All parameters.
+            record: As for `restore`.
+
+        Returns:
+            What they have more than the orbit, shape (N, k) [m].
+        """
+        return np.zeros_like(orbit)
 
     @abstractmethod
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:

@@ -99,6 +99,23 @@ def test_restoring_gives_back_the_orbit(layout, name):
     assert_allclose(restored[:known], orbit[:known, PLACES], rtol=0, atol=EXACT)
 
 
+@pytest.mark.parametrize("ticks", [0.3, 1.0, 2.6])
+def test_readings_that_are_late_by_a_part_of_a_tick_have_noise_of_one_tick(layout, ticks):
+    kind, orbit, whole = effect("bpm-latency"), walk(layout), int(ticks)
+    noise = 0.2e-6 * np.random.default_rng(5).standard_normal(orbit.shape)
+    readings = run(kind, layout, PLACES, {"ticks": ticks}, orbit, noise)[:, PLACES]
+    record, own = record_of(layout, orbit), orbit[:, PLACES]
+    at = np.arange(whole + 1, ROWS)
+    expected = [np.interp(at - ticks, np.arange(ROWS), column) for column in own.T]
+    late = kind.distort(own, {"ticks": ticks}, record)
+    assert_allclose(late[at], np.transpose(expected), atol=1e-15)
+    assert_allclose((readings - late)[at], noise[at - whole][:, PLACES], atol=1e-15)
+    restored, _ = kind.restore(readings, {"ticks": ticks}, record)
+    restored = restored - kind.heard(own, {"ticks": ticks}, record)
+    rows = np.arange(1, ROWS - whole)
+    assert_allclose((restored - own)[rows], noise[rows][:, PLACES], atol=1e-15)
+
+
 @pytest.mark.parametrize("name", SENSORS)
 def test_memory_restarts_with_every_stretch(layout, name):
     kind, values, orbit = effect(name), SENSORS[name], walk(layout)[:, PLACES]
