@@ -12,6 +12,7 @@ from orbitfb.diagnose.answer_parts import Finding as Told
 from orbitfb.diagnose.answer_parts import NotTested, Provenance
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import SEARCH_SECONDS, Budget
+from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.certain import beside, certain_causes, shown_by
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.finding import Finding
@@ -64,11 +65,12 @@ def diagnose(
     budget = Budget(search_seconds)
     shown = shown_by(findings, whole)
 
-    def look(part: Record, begin: float, end: float) -> Outcome:
+    def look(part: Record, begin: float, end: float, *also: Candidate) -> Outcome:
         def tell(what: str, share: float) -> None:
             progress(what, begin + share * (end - begin))
 
-        return search(part, kinds, floor, given, tell, budget, shown, beside=bool(certain.causes))
+        besides = bool(certain.causes)
+        return search(part, kinds, floor, given, tell, budget, shown, beside=besides, also=also)
 
     outcome = look(first, 0.0, 0.7)
     if certain.given and not budget.over():
@@ -78,14 +80,13 @@ def diagnose(
         if better or _taken_back(given, outcome):
             certain, outcome = certain.without_given(), free
     given = certain.given
-    if (
-        not outcome.sure
-        and first is not whole
-        and not budget.over()
-        and (given or outcome.hopeful or look(_end(whole, first), 0.7, 0.75).hopeful)
-    ):
+    if not outcome.sure and first is not whole and not budget.over():
         # Nothing sure yet: the end of the record may show what its beginning does not.
-        again = look(whole, 0.75, 0.85)
+        hopeful, late = bool(given) or outcome.hopeful, list[Candidate]()
+        if not hopeful:
+            end = look(_end(whole, first), 0.7, 0.75)
+            hopeful, late = end.hopeful, end.late(_end_row(whole, first), len(whole))
+        again = look(whole, 0.75, 0.85, *late) if hopeful else outcome
         if again.sure or (not outcome.winners and (again.winners or not given)):
             outcome, later = again, None
     judged = judge(outcome, certain, seed)
@@ -105,8 +106,12 @@ def diagnose(
 
 def _end(whole: Record, first: Record) -> Record:
     """As many of the first rows as there are others, and these: what began late shows there."""
-    end = whole.rows(max(2 * len(first) - len(whole), 0), len(whole))
+    end = whole.rows(_end_row(whole, first), len(whole))
     return replace(end, time=end.time - end.time[0])  # what grows begins with its first row
+
+
+def _end_row(whole: Record, first: Record) -> int:
+    return max(2 * len(first) - len(whole), 0)
 
 
 def _taken_back(given: Sequence[Cause], outcome: Outcome) -> bool:

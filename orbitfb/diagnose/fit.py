@@ -267,9 +267,12 @@ def _result(
         rows = np.stack([-np.sum(s[0] * padded[0], axis=1) + s[2] for s in slopes], axis=1)
         curvature = _normal_equations(padded, slopes)[1]
         inverse = scores.inverse(curvature, scale)
-        inflation = scores.inflation(rows, inverse, scores.known_by_row(slopes, inverse))
+        known = scores.known_by_row(slopes, inverse)
+        inflation = scores.inflation(rows, inverse, known)
         covariance[np.ix_(smooth, smooth)] = inverse * inflation
         held, unstable[smooth] = scores.held_out(scale, padded, slopes, rows, gains)
+        if held.sum() <= 0.0 and scores.telling(known) < scores.FEW_BLOCKS:
+            held = gains  # what shows once or twice is judged by the price of its choice alone
         bent = np.eye(len(smooth)) + curvature * np.outer(scale, scale)
         volume += 0.5 * float(np.linalg.slogdet(bent)[1])
     ranges: list[tuple[float, float] | None] = [None] * count

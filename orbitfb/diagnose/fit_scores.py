@@ -14,6 +14,8 @@ BLOCK = 25
 """Ticks of a block of the split, and of the variance of the scores."""
 _NEARLY_NOTHING = 1e-6
 """Share of the prior's precision that holds values of which nothing is known."""
+FEW_BLOCKS = 4.0
+"""Of less, of like weight, no half of the blocks tells what the other may hold it to."""
 _TIDY_BLOCKS = 8.0
 """Weight of the prior that scores scatter as the noise model says [blocks]."""
 
@@ -59,9 +61,19 @@ def inflation(rows: Matrix, inverse: Matrix, known: Vector) -> float:
     sums = rows[: blocks * BLOCK].reshape(blocks, BLOCK, -1).sum(axis=1)
     sums -= sums.mean(axis=0)
     scatter = float(np.trace(inverse @ (sums.T @ sums))) / len(inverse)
-    weight = np.maximum(known[: blocks * BLOCK].reshape(blocks, BLOCK).sum(axis=1), 0.0)
-    alike = float(np.sum(weight) ** 2 / max(float(np.sum(weight**2)), 1e-300))
+    alike = telling(known)
     return max(1.0, (_TIDY_BLOCKS + alike * scatter) / (_TIDY_BLOCKS + alike))
+
+
+def telling(known: Vector) -> float:
+    """Count the blocks that tell of the values, as so many of like weight.
+
+    Args:
+        known: Share of every row in what is known of them, shape (N,).
+    """
+    blocks = len(known) // BLOCK
+    weight = np.maximum(known[: blocks * BLOCK].reshape(blocks, BLOCK).sum(axis=1), 0.0)
+    return float(np.sum(weight) ** 2 / max(float(np.sum(weight**2)), 1e-300))
 
 
 def held_out(

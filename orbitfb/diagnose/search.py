@@ -7,6 +7,7 @@ import numpy as np
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import Budget
+from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.deafened import without_bpms
 from orbitfb.diagnose.entry import HOPELESS, Entry, price
 from orbitfb.diagnose.explain import Cause
@@ -63,6 +64,26 @@ class Outcome:
         needed = least_weight(first.kinds, further=self.given > 0.0)
         return any(entry.weight > HOPELESS * needed for entry in first.entries)
 
+    def late(self, row: int, rows: int) -> list[Candidate]:
+        """Give what was found in the end of a record as what begins there.
+
+        A scan for late effects knows their values from the whole record, where these may be others.
+
+        Args:
+            row: At which the end begins.
+            rows: Of the whole record.
+        """
+        entries = [one.accepted for one in self.winners if one.accepted is not None]
+        return [
+            replace(
+                entry.candidate,
+                cause=replace(entry.cause, onset=row + entry.cause.onset),
+                choices=entry.candidate.choices * (1.0 if entry.cause.onset else rows),
+            )
+            for entry in entries
+            if entry.fit is not None and entry.kind.sudden and not entry.kind.grows
+        ]
+
     def final(self, entry: Entry) -> tuple[Cause, Fit | None]:
         """Give an accepted cause with its values of the joint fit, if it has a course in time."""
         if entry.fit is None or self.joint is None:
@@ -84,6 +105,7 @@ def search(
     shown: Shown = frozenset(),
     *,
     beside: bool = False,
+    also: Sequence[Candidate] = (),
 ) -> Outcome:
     """Find the causes of a record's gap.
 
@@ -96,6 +118,7 @@ def search(
         budget: Time for it; None: all there is.
         shown: What the readbacks show.
         beside: Whether there are causes that are known and have been taken out of the record.
+        also: Candidates that compete beside those of the scan, first of all.
     """
     budget = budget or Budget(np.inf)
     tell = progress or (lambda what, share: None)
@@ -117,11 +140,14 @@ def search(
             budget,
             shown,
             least_weight(len(left), further=bool(beside or given or rounds)),
+            () if rounds else also,
         )
         one = Round(bench, tuple(entries), len(left), None, budget.taken())
         best = winner(one, rounds, worth, beside=beside) if number < MOST_CAUSES else None
         if not rounds and not budget.over() and (other := restless(bench, best)) is not None:
-            return search(other, kinds, floor, given, progress, budget, shown, beside=beside)
+            return search(
+                other, kinds, floor, given, progress, budget, shown, beside=beside, also=also
+            )
         rounds.append(replace(one, accepted=best))
         if best is None:
             break

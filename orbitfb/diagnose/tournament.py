@@ -55,6 +55,7 @@ def tournament(
     budget: Budget | None = None,
     shown: Shown = frozenset(),
     least: float = 0.0,
+    also: Sequence[Candidate] = (),
 ) -> list[Entry]:
     """Let every kind compete to explain what a bench leaves.
 
@@ -65,6 +66,7 @@ def tournament(
         budget: Time for it; what there was no time for is told to it. None: all there is.
         shown: What the readbacks show.
         least: Weight that a cause needs to be accepted [nats].
+        also: Candidates that compete beside those of the scan.
 
     Returns:
         The entries that were fitted, best first; several places of a kind may be among them.
@@ -88,6 +90,8 @@ def tournament(
         bare = Bench(bench.record, bench.causes, told, bench.floor.modes, 0.0)
         hidden = propose(bare, swallowed, lambda what, share: tell(what, 0.4 + 0.1 * share), budget)
         proposals = _distinct([*hidden, *proposals])
+    if also:
+        proposals = sorted(_distinct([*also, *proposals]), key=net, reverse=True)
     entries: list[Entry] = []
     for index, candidate in enumerate(proposals):
         tell("fitting", 0.5 + 0.3 * index / len(proposals))

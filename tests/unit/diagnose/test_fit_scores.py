@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from orbitfb.diagnose.fit_scores import inverse
+from orbitfb.diagnose.fit_scores import BLOCK, FEW_BLOCKS, inverse, telling
 
 
 def test_a_value_in_radians_does_not_hide_one_in_logarithms():
@@ -19,3 +19,11 @@ def test_a_value_of_which_nothing_is_known_stays_finite():
     known = inverse(np.diag([1e20, 0.0]), scale)
     assert np.isclose(known[0, 0], 1e-20)
     assert known[1, 1] <= (1e3 * scale[1]) ** 2 * (1 + 1e-9)
+
+
+def test_what_happens_once_is_told_by_one_block_and_what_goes_on_by_all():
+    once, always = np.zeros(20 * BLOCK), np.ones(20 * BLOCK)
+    once[[70, 72]] = 1.0
+    assert np.isclose(telling(once), 1.0)
+    assert np.isclose(telling(always), 20.0)
+    assert telling(once + 1e-3 * always) < FEW_BLOCKS < telling(once + 0.1 * always)
