@@ -122,6 +122,11 @@ def _fitted(bench: Bench, candidate: Candidate) -> Entry:
     return Entry(candidate, found, found.evidence - least)
 
 
+def refitted(bench: Bench, entry: Entry) -> Entry:
+    """Fit a cause with a course in time on another bench, from its values on."""
+    return _fitted(bench, replace(entry.candidate, cause=entry.cause))
+
+
 def price(candidate: Candidate) -> float:
     """What the choice costs, and what of the gain healthy devices may scatter [nats]."""
     return float(np.log(candidate.choices)) + candidate.whole - candidate.gain

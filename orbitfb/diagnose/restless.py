@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.entry import Entry
+from orbitfb.diagnose.entry import Entry, profiled, refitted
 from orbitfb.effects.record import Record
 
 _SCATTERS = (1.5, 2.0, 3.0)
@@ -24,8 +24,12 @@ _USUAL = 0.5
 def restless(bench: Bench, best: Entry | None) -> Record | None:
     """Give the record of a more restless ring, if that explains it better than a cause does.
 
-    What a single error gains is shared out by gradients everywhere, two thirds of it: they are
-    the better explanation only where many of them are larger.
+    A cause may be there in such a ring too. So what is compared is the evidence of all that each
+    ring would tell: gradients that are larger, with the cause where it is still worth its price
+    beside them, against the cause in the usual ring, which pays for its values and the choice of
+    its place as well. What a single error gains is shared out by gradients everywhere, two thirds
+    of it, and the rest is not worth the price twice: they are the better explanation only where
+    many of them are larger.
 
     Args:
         bench: The record without the cause.
@@ -36,11 +40,11 @@ def restless(bench: Bench, best: Entry | None) -> Record | None:
         return None
     if layout.ring is None or layout.restless != 1.0:
         return None
-    gain, found = max(_gains(bench), key=lambda one: one[0])
-    return found if gain > best.gain else None
+    evidence, found = max(_evidences(bench, best), key=lambda one: one[0])
+    return found if evidence > best.weight else None
 
 
-def _gains(bench: Bench) -> Iterator[tuple[float, Record]]:
+def _evidences(bench: Bench, best: Entry) -> Iterator[tuple[float, Record]]:
     """Evidence for more restless rings beyond the usual one [nats], and the record in each."""
     record, usual = bench.record, _evidence(bench)
     floor = bench.floor if bench.told_floor else None
@@ -48,7 +52,16 @@ def _gains(bench: Bench) -> Iterator[tuple[float, Record]]:
         there = replace(record, layout=replace(record.layout, restless=scatter))
         wider = Bench(there, bench.causes, floor, bench.floor.modes)
         price = 0.5 * (np.log(scatter) / _USUAL) ** 2
-        yield _evidence(wider) - usual - float(price), there
+        beside = max(_beside(wider, best), 0.0)
+        yield _evidence(wider) - usual - float(price) + beside, there
+
+
+def _beside(wider: Bench, best: Entry) -> float:
+    """What a cause is still worth where gradients are larger [nats]."""
+    if best.fit is None:
+        return 0.0
+    there = refitted(wider, best)
+    return profiled(wider, there, there.weight)[0].weight
 
 
 def _evidence(bench: Bench) -> float:

@@ -18,6 +18,7 @@ from orbitfb.diagnose.candidate import (
     LEAST_INFORMATION,
     Candidate,
     best_strength,
+    sized,
 )
 from orbitfb.diagnose.device_groups import cells
 from orbitfb.diagnose.problem import highest
@@ -121,26 +122,35 @@ class Scanner:
             if own is None and "all" in closer:
                 own = Groups.of(self._scoring, layout, kind, changes)
             for candidate in onsets(self._scoring, kind, values, changes, own):
-                yield self._at_best_values(candidate, grid)
+                yield self._measured(candidate, grid)
             if isinstance(kind, ActuatorKind) and kind.linear is not None:
-                yield from onsets(self._scoring, kind, values, changes, own, free=True)
+                for candidate in onsets(self._scoring, kind, values, changes, own, free=True):
+                    yield self._measured(candidate, grid)
 
-    def _at_best_values(self, candidate: Candidate, grid: Sequence[Values]) -> Candidate:
-        """Judge a group that is struck late at all values of a grid: it was found at one of them.
+    def _measured(self, candidate: Candidate, grid: Sequence[Values]) -> Candidate:
+        """Judge a group that is struck late by what it really does, at all values of a grid.
 
         The best value of the whole record, where the group is struck in a part of it, is not its.
+        And devices that move together and apart by turns hide no usual part of each other: what
+        they would tell together is an estimate, which must not stand in the way of single ones.
         """
         cause, bench = candidate.cause, self._bench
-        if cause.kind.linear is not None or not candidate.group or candidate.gain < _STRIKING:
+        if not candidate.group or candidate.gain < _STRIKING:
             return candidate
-        heights = [
-            log_likelihood(*bench.roughly((replace(cause, values=values),))) for values in grid
-        ]
-        best = int(np.argmax(heights))
-        gain = heights[best] - bench.log_likelihood
-        if gain <= candidate.gain:
-            return candidate
-        return replace(candidate, cause=replace(cause, values=grid[best]), gain=gain)
+        if cause.kind.linear is not None:
+            # What the likelihood falls short of a parabola's top is information that was missed.
+            found = log_likelihood(*bench.residual((cause,))) - bench.log_likelihood
+            share = candidate.gain / max(2.0 * candidate.gain - found, candidate.gain)
+            there = replace(cause, values=sized(cause.kind, cause.values, share))
+            return replace(candidate, cause=there, gain=share * candidate.gain)
+        usual = log_likelihood(*bench.roughly(()))
+
+        def height(values: Values) -> float:
+            return log_likelihood(*bench.roughly((replace(cause, values=values),))) - usual
+
+        values = max((cause.values, *grid), key=height)
+        gain = max(height(values), 0.0)
+        return replace(candidate, cause=replace(cause, values=values), gain=gain)
 
     def _grid(self, kind: EffectKind) -> list[Values]:
         """Values to look at, but those that the rate of the record cannot show."""

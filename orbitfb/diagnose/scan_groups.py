@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -9,7 +10,6 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.candidate import KEPT, Candidate, best_strength, sized
 from orbitfb.diagnose.device_groups import Group, groups_of, membership
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.innovation import information
 from orbitfb.diagnose.scan_changes import Changes
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.effects.device_kinds import ActuatorKind
@@ -17,20 +17,24 @@ from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.physics.optics import Matrix
 
+PART = 64
+"""Rows within which devices of a group hide as much of each other, whatever moves them."""
 
-@dataclass(frozen=True, slots=True, eq=False)
+
+@dataclass(frozen=True, eq=False)
 class Groups:
     """G groups of P devices, as `groups_of` lists them.
 
     Args:
         each: All of them.
         member: Who is in which, shape (G, P).
-        known: Information on all devices, shape (P, P).
+        parts: Information that every `PART` rows of the record have on all devices, each of shape
+            (P, P).
     """
 
     each: tuple[Group, ...]
     member: Matrix
-    known: Matrix
+    parts: tuple[Matrix, ...]
 
     @classmethod
     def of(cls, scoring: Scoring, layout: Layout, kind: EffectKind, changes: Changes) -> "Groups":
@@ -45,24 +49,50 @@ class Groups:
         devices = layout.correctors if isinstance(kind, ActuatorKind) else layout.bpms
         (shapes, drivers), *_ = changes.parts
         keep = np.sqrt(1.0 - changes.information[1])
-        known = information(shapes.fine, scoring.courses(drivers)) * np.outer(keep, keep)
+        seen = [shape.T @ shape * np.outer(keep, keep) for shape in shapes.fine]
+        courses = scoring.courses(drivers)
+        parts = tuple(
+            np.sum(
+                [
+                    both * (course[begin : begin + PART].T @ course[begin : begin + PART])
+                    for both, course in zip(seen, courses, strict=True)
+                ],
+                axis=0,
+            )
+            for begin in range(0, len(drivers), PART)
+        )
         groups = groups_of(devices)
-        return cls(groups, membership(groups, len(devices)), known)
+        return cls(groups, membership(groups, len(devices)), parts)
 
     @property
     def choices(self) -> Vector:
         """Of how many every group is one, shape (G,)."""
         return np.array([group.choices for group in self.each])
 
-    @property
+    @cached_property
     def information(self) -> Vector:
         """On every group whose devices are struck alike, shape (G,)."""
-        return np.einsum("gp,gp->g", self.member @ self.known, self.member)
+        return self._together(np.sum(self.parts, axis=0))
 
     @property
     def alone(self) -> Vector:
         """On every device, shape (P,)."""
-        return np.diagonal(self.known)
+        return np.sum([np.diagonal(part) for part in self.parts], axis=0)
+
+    @cached_property
+    def visible(self) -> Matrix:
+        """Share that devices leave of each other, group by group in every part, shape (parts, G).
+
+        Devices that steer the drift away hide each other nearly whole, those that make a new golden
+        orbit do not: one share for all of a record would take a step for far less than it tells.
+        """
+        apart = np.array([self.member @ np.diagonal(part) for part in self.parts])
+        together = np.array([self._together(part) for part in self.parts])
+        return together / np.maximum(apart, 1e-300)
+
+    def _together(self, known: Matrix) -> Vector:
+        """Sum of what is known of the members of every group, shape (G,) of (P, P)."""
+        return np.einsum("gp,gp->g", self.member @ known, self.member)
 
 
 def of_places(kind: EffectKind, values: Values, score: Vector, info: Vector) -> Iterator[Candidate]:

@@ -19,7 +19,7 @@ from orbitfb.diagnose.candidate import (
 from orbitfb.diagnose.device_groups import Group, each_alone
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan_changes import Changes, Shapes
-from orbitfb.diagnose.scan_groups import Groups
+from orbitfb.diagnose.scan_groups import PART, Groups
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.diagnose.standing import price_of_steps
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
@@ -68,21 +68,23 @@ def onsets(
         later_score += shapes.pull * drivers
         for shape, course in zip(shapes.fine, scoring.courses(drivers), strict=True):
             info += np.sum(shape**2, axis=0, dtype=np.float32) * course**2
-    later_score, later = to_the_end(later_score), to_the_end(info)
+    by_row, later_score, later = info, to_the_end(later_score), to_the_end(info)
+    steps = np.zeros_like(later)
     for shapes, drivers in changes.parts:
         if holds:
             later_score -= to_the_end(shapes.pull) * drivers
         else:
-            later += _steps(scoring, shapes, rows) * drivers**2
-    single = _highest(kind, later_score, later)
+            steps += _steps(scoring, shapes, rows) * drivers**2
+    single = _highest(kind, later_score, later + steps)
     yield from _beginnings(kind, values, single, each_alone(later.shape[1]), free=free)
     if groups is not None:
-        # from every row on neighbours hide as much of each other as over the whole record
-        member = groups.member
-        hidden = groups.information / np.maximum(member @ groups.alone, 1e-300)
-        some = slice(None, None, _STRIDE)
-        late, info = later_score[some] @ member.T, (later[some] @ member.T) * hidden
-        found = _highest(kind, late, info, _STRIDE)
+        member, some = groups.member, slice(None, None, _STRIDE)
+        # the rows of a stride lie in one part of the record
+        few = np.add.reduceat(by_row, np.arange(0, rows, _STRIDE), axis=0) @ member.T
+        part = np.arange(0, rows, _STRIDE) // PART
+        info = to_the_end(few * groups.visible[part])
+        info += (steps[some] @ member.T) * groups.visible[part]
+        found = _highest(kind, later_score[some] @ member.T, info, _STRIDE)
         if free:  # what one step gains or costs is the fit's affair, that of many a group's
             (shapes, _), *_ = changes.parts
             prices = price_of_steps(_steps(scoring, shapes, rows)[found.row])

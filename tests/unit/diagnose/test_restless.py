@@ -8,8 +8,9 @@ import pytest
 
 from orbitfb.diagnose.background import _gradient_scatters
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.entry import Entry, enter
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.restless import restless
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import layout_of
@@ -30,9 +31,9 @@ def bench_of(sizes) -> Bench:
     return Bench(simulate_record(RING, "x", 400, 5, (wrong,), dither=3e-3, period=LAYOUT.period))
 
 
-def best(kind: str, gain: float) -> Any:
+def best(kind: str, weight: float, fitted: Any = None) -> Any:
     """What the search looks at of an entry."""
-    return SimpleNamespace(kind=all_effects()[kind], gain=gain)
+    return SimpleNamespace(kind=all_effects()[kind], weight=weight, fit=fitted)
 
 
 @pytest.fixture(scope="module")
@@ -54,11 +55,27 @@ def test_they_are_no_rival_of_what_explains_more_or_of_another_effect(everywhere
     assert restless(everywhere, None) is None
 
 
+def entry_of(bench: Bench, gradient: float) -> Entry:
+    kind = all_effects()["quadrupole-gradient"]
+    cause = Cause(kind, (PLACE,), {"gradient": gradient})
+    return enter(bench, Candidate(cause, 0.0, float(len(QUADS))))
+
+
+def test_a_cause_pays_for_its_choice_and_may_be_there_in_a_restless_ring_too():
+    sizes = 1.5 * np.random.default_rng(4).standard_normal(len(QUADS))
+    bench = bench_of(sizes + 40.0 * np.eye(len(QUADS))[PLACE])
+    entry = entry_of(bench, 1e-4)
+    # larger gradients everywhere by themselves explain less than the cause gains
+    assert restless(bench, best(entry.kind.id, entry.gain)) is None
+    found = restless(bench, entry)
+    assert found is not None and found.layout.restless == 1.5
+    assert 0.0 < entry_of(Bench(found), 1e-4).weight < 0.5 * entry.weight
+
+
 @pytest.mark.parametrize("size", [0.0, 40.0])
 def test_one_large_gradient_and_usual_ones_are_no_restless_ring(size):
     sizes = np.random.default_rng(4).standard_normal(len(QUADS))
     bench = bench_of(sizes + size * np.eye(len(QUADS))[PLACE])
-    kind = all_effects()["quadrupole-gradient"]
-    gain = fit(bench, (Cause(kind, (PLACE,), {"gradient": 1e-4}),)).gain
-    assert gain > 0.5 * size
-    assert restless(bench, best(kind.id, gain)) is None
+    entry = entry_of(bench, 1e-4)
+    assert entry.gain > 0.5 * size
+    assert restless(bench, entry) is None
