@@ -34,8 +34,10 @@ default ring by errors of `BEAT_RMS`."""
 Healthy = Literal["correctors", "bpms", "x", "y"]
 """What has small errors: gains of correctors, of BPMs, gradients as seen in a plane."""
 
-_COURSES, _MODES = 6, 40
-"""Orbits that are steered most, and modes of the response that are wrong for each of them."""
+_MOST_ERRORS = 1000
+"""Errors of a response whose optics are not known, of a plane."""
+_LEAST = 1e-3
+"""Share of the largest one below which none of them is seen."""
 
 _LEVELS = 14
 """Of the ladder of filters: what is wrong in the information stays in the best sizes."""
@@ -201,10 +203,12 @@ class Background:
 
 
 def _response_errors(layout: Layout, plane: ChannelPlane, currents: Matrix, share: float) -> _Part:
-    """Errors of the response to what is steered most, of a ring whose optics are not known.
+    """Errors of the response to all that is steered, of a ring whose optics are not known.
 
     Gradients that are wrong at random kick at random by an orbit: what that adds is distributed
     over the modes of the response as orbits of random kicks are, with the squares of its values.
+    A dither steers as many independent orbits as there are correctors, each of which is wrong by
+    itself; where a loop steers few, few matter. So those that add most to the orbit are listed.
 
     Args:
         layout: Devices and model.
@@ -217,16 +221,16 @@ def _response_errors(layout: Layout, plane: ChannelPlane, currents: Matrix, shar
     response[rows] = layout.response[rows]
     steered = currents @ response.T
     steered = steered - steered.mean(axis=0)
-    shapes = np.linalg.eigh(steered.T @ steered)[1][:, ::-1][:, :_COURSES]
+    squares, shapes = np.linalg.eigh(steered.T @ steered)
     modes, values, _ = np.linalg.svd(response, full_matrices=False)
-    scatter = share * values[:_MODES] / max(float(np.linalg.norm(values[:_MODES])), 1e-300)
-    weights, count = np.pad(response.T @ shapes, ((0, len(response)), (0, 0))), len(scatter)
-    return _Part(
-        "response of a ring that is not known",
-        np.tile(modes[:, :count], weights.shape[1]),
-        np.repeat(weights, count, axis=1),
-        np.tile(scatter, weights.shape[1]),
-    )
+    scatter = share * values / max(float(np.linalg.norm(values)), 1e-300)
+    added = np.outer(np.sqrt(np.maximum(squares, 0.0)), scatter).ravel()
+    chosen = np.argsort(-added, kind="stable")[:_MOST_ERRORS]
+    chosen = chosen[added[chosen] >= _LEAST * added[chosen[0]]]
+    course, mode = np.unravel_index(chosen, (len(squares), len(scatter)))
+    weights = np.pad(response.T @ shapes[:, course], ((0, len(response)), (0, 0)))
+    name = "response of a ring that is not known"
+    return _Part(name, modes[:, mode], weights, scatter[mode])
 
 
 def _gradient_scatters(layout: Layout) -> Vector:
