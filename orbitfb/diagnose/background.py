@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.bent import Bent
 from orbitfb.diagnose.healing import Errors, Preconditioner, Single
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.layout import ChannelPlane, Layout
@@ -81,15 +82,16 @@ class Background:
         self._scale = scale
         n, m = layout.response.shape
         gain = GAIN_RMS * scale
+        bent = Bent(layout)
         self._parts = [
-            _Part("correctors", layout.response, np.eye(m + n, m), np.full(m, gain)),
+            _Part("correctors", bent.response, np.eye(m + n, m), np.full(m, gain)),
             _Part("bpms", np.eye(n), np.eye(m + n, n, -m), np.full(n, gain)),
         ]
         if layout.ring is not None and len(layout.ring.places("QUAD")):
             gradients = _gradient_scatters(layout)
             for plane in layout.planes:
-                to_bpms = layout.orbit_per_kick("QUAD", plane)
-                at_quads = np.pad(layout.orbit_at("QUAD", plane).T, ((0, n), (0, 0)))
+                to_bpms = bent.orbit_per_kick(plane)
+                at_quads = np.pad(bent.orbit_at(plane).T, ((0, n), (0, 0)))
                 scatter = scale * layout.restless * gradients
                 held = _tune_changes(layout, plane) * scatter / TUNE_RMS
                 self._parts.append(_Part(plane, to_bpms, at_quads, scatter, held))
@@ -135,13 +137,23 @@ class Background:
         Args:
             name: Gains of `correctors` or `bpms`; gradients of the quadrupoles as seen in `x`, `y`.
         """
+        its, columns = self._find(name)
+        if self._solver is None:
+            return np.zeros(len(its.scatter))
+        return self._solver.absorbed[columns]
+
+    def errors(self, name: Healthy, sizes: Vector) -> Vector:
+        """Errors of sizes over all parts: relative gains, or kicks per orbit [1/m], shape (P,)."""
+        its, columns = self._find(name)
+        return self._within(sizes, -0.5)[columns] * its.scatter
+
+    def _find(self, name: Healthy) -> tuple[_Part, slice]:
+        """What has this name, and where its sizes are among those of all parts."""
         begin = 0
         for part in self._parts:
             end = begin + len(part.scatter)
             if part.name == name:
-                if self._solver is None:
-                    return np.zeros(end - begin)
-                return self._solver.absorbed[begin:end]
+                return part, slice(begin, end)
             begin = end
         raise KeyError(name)
 
