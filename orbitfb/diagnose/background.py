@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.bent import Bent
 from orbitfb.diagnose.healing import Errors, Preconditioner, Single
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.layout import ChannelPlane, Layout
@@ -34,8 +35,10 @@ default ring by errors of `BEAT_RMS`."""
 Healthy = Literal["correctors", "bpms", "x", "y"]
 """What has small errors: gains of correctors, of BPMs, gradients as seen in a plane."""
 
-_COURSES, _MODES = 6, 40
-"""Orbits that are steered most, and modes of the response that are wrong for each of them."""
+_MOST_ERRORS = 1000
+"""Errors of a response whose optics are not known, of a plane."""
+_LEAST = 1e-3
+"""Share of the largest one below which none of them is seen."""
 
 _LEVELS = 14
 """Of the ladder of filters: what is wrong in the information stays in the best sizes."""
@@ -79,15 +82,16 @@ class Background:
         self._scale = scale
         n, m = layout.response.shape
         gain = GAIN_RMS * scale
+        bent = Bent(layout)
         self._parts = [
-            _Part("correctors", layout.response, np.eye(m + n, m), np.full(m, gain)),
+            _Part("correctors", bent.response, np.eye(m + n, m), np.full(m, gain)),
             _Part("bpms", np.eye(n), np.eye(m + n, n, -m), np.full(n, gain)),
         ]
         if layout.ring is not None and len(layout.ring.places("QUAD")):
             gradients = _gradient_scatters(layout)
             for plane in layout.planes:
-                to_bpms = layout.orbit_per_kick("QUAD", plane)
-                at_quads = np.pad(layout.orbit_at("QUAD", plane).T, ((0, n), (0, 0)))
+                to_bpms = bent.orbit_per_kick(plane)
+                at_quads = np.pad(bent.orbit_at(plane).T, ((0, n), (0, 0)))
                 scatter = scale * layout.restless * gradients
                 held = _tune_changes(layout, plane) * scatter / TUNE_RMS
                 self._parts.append(_Part(plane, to_bpms, at_quads, scatter, held))
@@ -133,13 +137,23 @@ class Background:
         Args:
             name: Gains of `correctors` or `bpms`; gradients of the quadrupoles as seen in `x`, `y`.
         """
+        its, columns = self._find(name)
+        if self._solver is None:
+            return np.zeros(len(its.scatter))
+        return self._solver.absorbed[columns]
+
+    def errors(self, name: Healthy, sizes: Vector) -> Vector:
+        """Errors of sizes over all parts: relative gains, or kicks per orbit [1/m], shape (P,)."""
+        its, columns = self._find(name)
+        return self._within(sizes, -0.5)[columns] * its.scatter
+
+    def _find(self, name: Healthy) -> tuple[_Part, slice]:
+        """What has this name, and where its sizes are among those of all parts."""
         begin = 0
         for part in self._parts:
             end = begin + len(part.scatter)
             if part.name == name:
-                if self._solver is None:
-                    return np.zeros(end - begin)
-                return self._solver.absorbed[begin:end]
+                return part, slice(begin, end)
             begin = end
         raise KeyError(name)
 
@@ -201,10 +215,12 @@ class Background:
 
 
 def _response_errors(layout: Layout, plane: ChannelPlane, currents: Matrix, share: float) -> _Part:
-    """Errors of the response to what is steered most, of a ring whose optics are not known.
+    """Errors of the response to all that is steered, of a ring whose optics are not known.
 
     Gradients that are wrong at random kick at random by an orbit: what that adds is distributed
     over the modes of the response as orbits of random kicks are, with the squares of its values.
+    A dither steers as many independent orbits as there are correctors, each of which is wrong by
+    itself; where a loop steers few, few matter. So those that add most to the orbit are listed.
 
     Args:
         layout: Devices and model.
@@ -217,16 +233,16 @@ def _response_errors(layout: Layout, plane: ChannelPlane, currents: Matrix, shar
     response[rows] = layout.response[rows]
     steered = currents @ response.T
     steered = steered - steered.mean(axis=0)
-    shapes = np.linalg.eigh(steered.T @ steered)[1][:, ::-1][:, :_COURSES]
+    squares, shapes = np.linalg.eigh(steered.T @ steered)
     modes, values, _ = np.linalg.svd(response, full_matrices=False)
-    scatter = share * values[:_MODES] / max(float(np.linalg.norm(values[:_MODES])), 1e-300)
-    weights, count = np.pad(response.T @ shapes, ((0, len(response)), (0, 0))), len(scatter)
-    return _Part(
-        "response of a ring that is not known",
-        np.tile(modes[:, :count], weights.shape[1]),
-        np.repeat(weights, count, axis=1),
-        np.tile(scatter, weights.shape[1]),
-    )
+    scatter = share * values / max(float(np.linalg.norm(values)), 1e-300)
+    added = np.outer(np.sqrt(np.maximum(squares, 0.0)), scatter).ravel()
+    chosen = np.argsort(-added, kind="stable")[:_MOST_ERRORS]
+    chosen = chosen[added[chosen] >= _LEAST * added[chosen[0]]]
+    course, mode = np.unravel_index(chosen, (len(squares), len(scatter)))
+    weights = np.pad(response.T @ shapes[:, course], ((0, len(response)), (0, 0)))
+    name = "response of a ring that is not known"
+    return _Part(name, modes[:, mode], weights, scatter[mode])
 
 
 def _gradient_scatters(layout: Layout) -> Vector:

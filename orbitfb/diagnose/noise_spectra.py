@@ -4,6 +4,8 @@ The steps of what is left have in every mode the spectrum q + r² |1 − exp(iω
 adds κ(ω) b bᵀ (P. Whittle, Ark. Mat. 2 (1953) 423).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -14,7 +16,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause, explain
 from orbitfb.diagnose.innovation import stretches
 from orbitfb.diagnose.standing import stretches_across
-from orbitfb.diagnose.strike_scan import strikes
+from orbitfb.diagnose.strike_scan import shapes_at, strikes
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.physics.optics import Matrix
@@ -195,9 +197,9 @@ class Spectra:
 class Jitter:
     """Strikes of normal strength at every row: neighbours share innovations, so all together."""
 
-    def __init__(self, bench: Bench, kind: LatentKind) -> None:
-        score, _ = strikes(bench, kind)
-        shapes = bench.floor.to_modes(kind.shapes(bench.record, bench.currents, bench.orbit))
+    def __init__(self, bench: Bench, kind: LatentKind, places: Sequence[int] = ()) -> None:
+        score, _ = strikes(bench, kind, places)
+        shapes = bench.floor.to_modes(shapes_at(bench, kind, places))
         gains, variance = bench.floor.gains, bench.floor.innovation_variance
         rows = len(shapes)
         self._score = score[:, 0]

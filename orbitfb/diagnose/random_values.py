@@ -64,7 +64,7 @@ def state(bench: Bench, cause: Cause) -> Stated:
     if not isinstance(kind, LatentKind):
         raise TypeError(f"{kind.id} has a course in time: fit it")
     if kind.strength == "normal" and not kind.per_bpm:
-        return _best(bench, cause, Jitter(bench, kind).log_likelihood)
+        return _best(bench, cause, Jitter(bench, kind, cause.places).log_likelihood)
     return _best(bench, cause, lambda values: _struck(bench, replace(cause, values=values)))
 
 

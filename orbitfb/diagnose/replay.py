@@ -11,6 +11,7 @@ import numpy as np
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.background import Background
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.bent import straightened
 from orbitfb.diagnose.explain import Cause, actuated, columns_of, explain, restored
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.device_kinds import PairKind, SensorKind
@@ -73,6 +74,8 @@ class Replay:
             record: Of the same devices; nothing is fitted to it.
         """
         currents = actuated(record, causes)
+        if (errors := bench.record.layout.healthy) is not None and record.layout.healthy is None:
+            record = straightened(record, errors, currents)
         orbit, healthy = record.readings, np.zeros_like(record.readings)
         for _ in range(_PASSES):
             left = explain(record, causes, orbit).left - healthy

@@ -16,6 +16,7 @@ from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.restless import restless
 from orbitfb.diagnose.rounds import Round, least_weight, winner
+from orbitfb.diagnose.second_order import second_order
 from orbitfb.diagnose.strikes import without_strikes
 from orbitfb.diagnose.switching import without_switching
 from orbitfb.diagnose.tournament import Shown, tournament
@@ -122,7 +123,7 @@ def search(
     """
     budget = budget or Budget(np.inf)
     tell = progress or (lambda what, share: None)
-    nominal = Bench(record, given, floor)
+    nominal = second_order(Bench(record, given, floor))
     worth = _worth(nominal, floor) if given else 0.0
     bench = heard = nominal
     rounds: list[Round] = []

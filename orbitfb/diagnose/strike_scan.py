@@ -17,6 +17,7 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import LatentKind
+from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 
 _RARE = np.geomspace(0.0005, 0.5, 25)
@@ -25,8 +26,10 @@ _LEAST_SPIKE = 2.0
 _MOST_SPIKES = 0.05
 _SOME = 0.03
 """Probability by which crates are compared."""
+_SOMEWHAT = np.array([0.1, 0.3, 1.0])
+"""Sizes by which they are, where there is another one at every tick: of one that is just seen."""
 _CRATE = 40
-"""Correctors that share a crate, at most."""
+"""Devices that share a crate, at most."""
 _KEPT = 3
 
 
@@ -72,26 +75,31 @@ def latent_candidates(bench: Bench, kind: LatentKind) -> list[Candidate]:
         if gain > (0.0 if best is None else best.gain):
             best = Candidate(Cause(kind, (), values), gain, 10.0)
     found = [] if best is None else [best]
-    return found + (list(_crates(bench, kind)) if kind.target == "corrector" else [])
+    return found + (list(_crates(bench, kind)) if kind.target in ("bpm", "corrector") else [])
 
 
 def _crates(bench: Bench, kind: LatentKind) -> Iterator[Candidate]:
-    """Correctors that are struck together: each by itself, and crates."""
-    devices, floor = bench.record.layout.correctors, bench.floor
-    groups = [
-        *each_alone(len(devices)),
-        *(its for its in crates(devices) if len(its.members) <= _CRATE),
-    ]
-    moves = kind.moves(bench.record, bench.currents)
-    modal = floor.to_modes(bench.record.layout.response.T)
-    known = (modal * _echo(floor)) @ modal.T
-    pulls = (bench.slope @ bench.record.layout.response) * moves
+    """Correctors or BPMs that are struck together: crates, and each corrector by itself.
+
+    What BPMs do each by itself is their noise: a crate has to gain more than that.
+    """
+    layout = bench.record.layout
+    devices = layout.correctors if kind.target == "corrector" else layout.bpms
+    groups = [its for its in crates(devices) if len(its.members) <= _CRATE]
+    moves, pulls, known = _alone(bench, kind)
+    apart = np.zeros(len(devices))
+    if kind.target == "corrector":
+        groups += each_alone(len(devices))
+    else:
+        apart = _noisier(pulls, moves**2 * np.diagonal(known))
     heights = np.zeros(len(groups))
     for index, (_, columns, choices) in enumerate(groups):
         own = moves[:, columns]
         score = pulls[:, columns].sum(axis=1, keepdims=True)
         info = np.sum((own @ known[np.ix_(columns, columns)]) * own, axis=1, keepdims=True)
-        heights[index] = np.sum(_ratio(kind, score, info, [_SOME])) - np.log(choices)
+        tried = [_SOME] if kind.strength == "always one" else _SOMEWHAT * _typical(info)
+        best = max(float(np.sum(_ratio(kind, score, info, [number]))) for number in tried)
+        heights[index] = best - apart[columns].sum() - np.log(choices)
     for index in np.argsort(heights)[::-1][:_KEPT]:
         name, columns, choices = groups[int(index)]
         places = tuple(int(column) for column in columns)
@@ -99,9 +107,53 @@ def _crates(bench: Bench, kind: LatentKind) -> Iterator[Candidate]:
         grid = list(_latent_grid(kind, score, info))
         gains = [float(np.sum(_ratio(kind, score, info, [*its.values()]))) for its in grid]
         best = int(np.argmax(gains))
-        if gains[best] > 0.0:
+        if (gain := gains[best] - float(apart[columns].sum())) > 0.0:
             cause = Cause(kind, places, grid[best])
-            yield Candidate(cause, gains[best], 10.0 * choices, name)
+            yield Candidate(cause, gain, 10.0 * choices, name)
+
+
+def _alone(bench: Bench, kind: LatentKind) -> tuple[Matrix, Matrix, Matrix]:
+    """What a strike moves of every device, its score, and the information on unit moves.
+
+    Returns:
+        Shapes (N, k), (N, k) and (k, k).
+    """
+    record, floor = bench.record, bench.floor
+    if kind.target == "corrector":
+        moves = kind.moves(record, bench.currents)
+        modal = floor.to_modes(record.layout.response.T)
+        pulls = (bench.slope @ record.layout.response) * moves
+    else:
+        moves = _spoken(record, kind.shapes(record, bench.currents, bench.orbit))
+        modal, pulls = floor.modes.directions, bench.slope * moves
+    return moves, pulls, (modal * _echo(floor)) @ modal.T
+
+
+def _spoken(record: Record, shapes: Matrix) -> Matrix:
+    """Shapes where readings speak: neither what was filled in does, nor the step after it."""
+    filled = record.filled.copy()
+    filled[1:] |= record.filled[:-1]
+    return np.where(filled, 0.0, shapes)
+
+
+def shapes_at(bench: Bench, kind: LatentKind, places: Sequence[int] = ()) -> Matrix:
+    """Change of the prediction by a strike of strength one at some places, shape (N, n) [m].
+
+    Args:
+        bench: The record under the causes so far.
+        kind: The effect.
+        places: That it strikes together; all when there are none, or where it strikes one by one.
+    """
+    record, own = bench.record, list(places)
+    if own and kind.target == "corrector":
+        moves = kind.moves(record, bench.currents)[:, own]
+        return moves @ record.layout.response[:, own].T
+    shapes = kind.shapes(record, bench.currents, bench.orbit)
+    if own and kind.target == "bpm" and not kind.per_bpm:
+        struck = np.zeros(shapes.shape[1])
+        struck[own] = 1.0
+        shapes = shapes * struck
+    return shapes
 
 
 def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) -> list[Candidate]:
@@ -129,7 +181,7 @@ def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) 
 
 
 def _noisier(score: Matrix, info: Matrix) -> Vector:
-    """Gain of every BPM if its readings were noisier all the time: that is no rare strike, (n,)."""
+    """Gain of every BPM if its readings were noisier all the time, each by itself, shape (n,)."""
     sizes = _typical(info) * np.geomspace(0.02, 10.0, 24)
     gains = [_normal(score, info, size**2).sum(axis=0) for size in sizes]
     return np.maximum(np.max(gains, axis=0), 0.0)
@@ -137,19 +189,9 @@ def _noisier(score: Matrix, info: Matrix) -> Vector:
 
 def strikes(bench: Bench, kind: LatentKind, places: Sequence[int] = ()) -> tuple[Matrix, Matrix]:
     """Score and information of a strike of strength one, (N, 1) or per BPM (N, n)."""
-    record = bench.record
-    if len(places) and kind.target == "corrector":
-        own = list(places)
-        moves = kind.moves(record, bench.currents)[:, own]
-        shapes = moves @ record.layout.response[:, own].T
-    else:
-        shapes = kind.shapes(record, bench.currents, bench.orbit)
     floor = bench.floor
     echo = _echo(floor)
-    # A reading that was filled in speaks neither for nor against, nor does the step after it.
-    filled = bench.record.filled.copy()
-    filled[1:] |= bench.record.filled[:-1]
-    shapes = np.where(filled, 0.0, shapes)
+    shapes = _spoken(bench.record, shapes_at(bench, kind, places))
     score = bench.slope * shapes
     if kind.per_bpm:
         return score, shapes**2 * (floor.modes.directions**2 @ echo)

@@ -14,10 +14,14 @@ from orbitfb.physics.places import Indices
 
 
 class ClockJitter(LatentKind):
-    """y_n = x(t_n + δ_n), δ normal and new at every tick, one for all BPMs."""
+    """y_n = x(t_n + δ_n), δ normal and new at every tick, one for all BPMs or for those of a crate.
+
+    Crates have triggers of their own.
+    """
 
     id = "clock-jitter"
     stage = "timing"
+    target = "bpm"
     strength = "normal"
     parameters = (
         Parameter("rms", "s", 0.0, 10.0, 0.0, 0.01, "Of the time of sampling.", log=True),
@@ -25,11 +29,12 @@ class ClockJitter(LatentKind):
     title = "jitter of the time of sampling"
     sentence = (
         "The orbit is sampled a little early or late, differently at every tick, so a moving "
-        "orbit is read with an error that has its own shape; look at the trigger of the BPMs."
+        "orbit is read with an error that has its own shape; look at the trigger of the BPMs: that "
+        "of all if all are struck, else that of the crate."
     )
     equation = (
-        "y_n = x_n + δ_n (x_n − x_(n−1)) / T, δ_n normal and the same for all BPMs: the slope of "
-        "the orbit, not of the noise"
+        "y_n = x_n + δ_n (x_n − x_(n−1)) / T, δ_n normal and the same for all BPMs of a crate: "
+        "the slope of the orbit, not of the noise"
     )
     confused_with = ("missed-read", "missed-write", "loop-delay", "noise-correlated")
     splits = "time stamps of the BPMs themselves; steps of the orbit, which make the error large"
@@ -44,7 +49,9 @@ class ClockJitter(LatentKind):
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
     ) -> Effect:
         """Shift the samples; it must come after all effects that disturb the orbit."""
-        return _Jitter(values["rms"] / layout.period, rng)
+        struck = np.zeros(len(layout.bpms))
+        struck[places if len(places) else slice(None)] = 1.0
+        return _Jitter(values["rms"] / layout.period * struck, rng)
 
     def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
         """Slope of the orbit that the correctors make [m/s]; zero at the beginning of a stretch.
@@ -59,11 +66,11 @@ class _Jitter(Effect):
     """Readings shifted along the motion of the true orbit.
 
     Args:
-        share: Rms of the shift in periods.
+        share: Rms of the shift of every BPM in periods, shape (n,).
         rng: Random numbers.
     """
 
-    def __init__(self, share: float, rng: np.random.Generator) -> None:
+    def __init__(self, share: Vector, rng: np.random.Generator) -> None:
         self._share, self._rng = share, rng
         self._last: Vector | None = None
         self._step: Vector = np.zeros(0)

@@ -1,6 +1,6 @@
 """Which devices a record or a plant has, and what the optics make of a kick at any place."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -63,6 +63,19 @@ class Devices:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class HealthyErrors:
+    """Small errors that any ring has.
+
+    Args:
+        gains: Of correctors, less 1, shape (m,).
+        kicks: Of every quadrupole per orbit in it, plane by plane, shape (q,) [1/m].
+    """
+
+    gains: Vector
+    kicks: Mapping[ChannelPlane, Vector]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Layout:
     """The devices, and the model that is to be questioned.
 
@@ -74,6 +87,8 @@ class Layout:
         ring: The ring that the names belong to; None when they are of no known ring. Effects of
             the optics then cannot be tested, and sources are looked for at the correctors only.
         restless: Scatter of the healthy gradients over what is usual in a ring.
+        healthy: Small errors that the record has shown; what they do beyond their own sum has been
+            taken out of its readings. None: not known yet.
     """
 
     bpms: Devices
@@ -82,6 +97,7 @@ class Layout:
     period: float
     ring: Ring | None
     restless: float = 1.0
+    healthy: HealthyErrors | None = None
 
     def orbit_per_kick(self, sources: Indices | Kind, plane: Plane) -> Matrix:
         """Orbit at the BPMs per kick in one plane at places of the ring, shape (n, k) [m/rad].

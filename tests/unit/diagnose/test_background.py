@@ -1,5 +1,7 @@
 """Healthy errors against dense linear algebra, and the ladder against the filters it stands for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -113,3 +115,45 @@ def test_healthy_gradients_do_to_steered_orbits_what_an_unknown_ring_is_given() 
         currents = inverse @ (modes.T @ np.column_stack([smooth, np.eye(180)[:, [0, 50, 100]]]))
         shares.append(np.sum((change @ currents) ** 2) / np.sum((layout.response @ currents) ** 2))
     assert np.sqrt(np.mean(shares)) == pytest.approx(OPTICS_RMS, rel=0.25)
+
+
+def test_every_orbit_that_a_dither_steers_is_wrong_by_itself_in_an_unknown_ring() -> None:
+    ring, rng = Ring.load(), np.random.default_rng(3)
+    whole = layout_of(ring, "x", 0.1)
+    scatter = _gradient_scatters(whole)
+    wrong = response_with(whole, scatter * rng.normal(size=len(scatter)))
+    quiet = simulate_record(RING, "x", 600, 3, steering=0)
+    few = np.arange(0, len(wrong), 4)
+    response = whole.response[np.ix_(few, few)]
+    _, values, directions = np.linalg.svd(response)
+    # A dither that moves the orbit by as much in 30 modes.
+    shaped = directions[:30].T * (5e-6 / np.sqrt(30.0) * np.sqrt(len(few)) / values[:30])
+    setpoints = rng.normal(size=(len(quiet), 30)) @ shaped.T
+    layout = replace(
+        whole,
+        ring=None,
+        response=response,
+        bpms=whole.bpms.only(few),
+        correctors=whole.correctors.only(few),
+    )
+    # Steps of the setpoints alone: what the loop did is in the readings, as drift.
+    still = quiet.readings[:, few] - quiet.setpoints @ whole.response[few].T
+    healthy_ring, exact = (
+        replace(
+            quiet,
+            layout=layout,
+            setpoints=setpoints,
+            requested=np.zeros_like(setpoints),
+            readings=still + setpoints @ its.T,
+            readback=None,
+            reference=None,
+            filled=quiet.filled[:, few],
+        )
+        for its in (wrong[np.ix_(few, few)], response)
+    )
+    told = Bench(exact)
+    left = Bench(healthy_ring, (), told.floor).white[1:]
+    without = Bench(healthy_ring, (), told.floor, background=0.0).white[1:]
+    excess, before = (np.mean(own**2) - np.mean(told.white[1:] ** 2) for own in (left, without))
+    assert before > 0.3
+    assert excess < 0.05 * before
