@@ -151,7 +151,7 @@ class Bench:
         return HealthyLevels.of(self.record, self.floor, causes, self.white) if causes else []
 
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
-        """As `residual`, no memory and the sizes of the background as they are: a first look."""
+        """As `residual`; memory, levels of noise and background as they are: a first look."""
         (white, log_jacobian), near = self._with(causes), self._healthy.nearby
         kicks = beyond(self.free_steps.basis((*self.causes, *causes)))
         return kicks(white - near.change), near.sizes, log_jacobian

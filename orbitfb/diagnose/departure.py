@@ -209,11 +209,10 @@ class _Beside:
         if isinstance(cause.kind, SensorKind) or cause.kind.target == "bpm":
             columns = own_columns(bench, cause, bench.white.shape[1])
             noise = restored(record, bench.causes)[0] - bench.orbit
-            level = np.full(len(record), -float(len(columns)))
             for late in (0, *_COLOURS):
                 echo = np.zeros_like(noise)
                 echo[late:, columns] = noise[: len(noise) - late, columns]
-                scale = 0.0 * level if late else level
+                scale = np.full(len(record), 0.0 if late else -float(len(columns)))
                 free.append(_seen(bench, echo, scale / np.sqrt(len(columns))))
                 pulls.append(float(free[-1] @ left + np.sum(scale)))
         sizes = np.array([np.linalg.norm(its) or 1.0 for its in free])

@@ -1,8 +1,8 @@
 """Whether what strikes single ticks does so by as much, and as often, as its law says.
 
 A lost set of setpoints takes all of a step back, a late sample any part of it: the same orbit, so
-that each passes for the other where it is not known itself. What strikes may begin
-in mid-record, by any of the laws: that is no departure either.
+that each passes for the other where it is not known itself. What strikes may begin in mid-record,
+by any of the laws: that is no departure either.
 """
 
 from collections.abc import Callable, Iterator
