@@ -1,7 +1,11 @@
 """What the curvature of a likelihood says of its values."""
 
 import numpy as np
+import pytest
+from gap_cases import bench, gain_error
 
+from orbitfb.diagnose import fit_scores
+from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.fit_scores import BLOCK, FEW_BLOCKS, inverse, telling
 
 
@@ -27,3 +31,15 @@ def test_what_happens_once_is_told_by_one_block_and_what_goes_on_by_all():
     assert np.isclose(telling(once), 1.0)
     assert np.isclose(telling(always), 20.0)
     assert telling(once + 1e-3 * always) < FEW_BLOCKS < telling(once + 0.1 * always)
+
+
+@pytest.mark.parametrize(("blocks", "held"), [(2.0, True), (20.0, False)])
+def test_only_what_goes_on_is_refuted_by_the_other_half(monkeypatch, blocks, held):
+    def refuted(scale, now, slopes, rows, gains):
+        return -np.ones_like(gains), np.zeros(len(scale), dtype=np.bool_)
+
+    monkeypatch.setattr(fit_scores, "held_out", refuted)
+    monkeypatch.setattr(fit_scores, "telling", lambda known: blocks)
+    found = fit(bench(with_error=True), (gain_error(),))
+    assert (found.held_out == pytest.approx(found.gain)) is held
+    assert (found.held_out > 0.0) is held
