@@ -12,7 +12,7 @@ from orbitfb.diagnose.changed import Change, Explained
 from orbitfb.diagnose.drift_memory import echoes
 from orbitfb.diagnose.explain import Cause, actuated, explain, heard, restored
 from orbitfb.diagnose.floor import estimate_floor
-from orbitfb.diagnose.free import Beyond, beyond, orthonormal
+from orbitfb.diagnose.free import Beyond, Few, beyond, orthonormal
 from orbitfb.diagnose.healthy_levels import HealthyLevels
 from orbitfb.diagnose.healthy_search import HealthySearch
 from orbitfb.diagnose.innovation import NoiseFloor
@@ -118,10 +118,12 @@ class Bench:
         white, log_jacobian = self._with(causes)
         every = (*self.causes, *causes)
         kicks = self.free_steps.basis(every)
-        left, sizes = self._healthy.healed(beyond(kicks)(white), beyond(kicks))
-        memory = echoes(self._quick, left.astype(np.float32))
-        free = beyond(kicks, orthonormal(memory, kicks))
+        without = beyond(kicks)
+        left, sizes = self._healthy.healed(without(white), without)
+        free, memory = without, echoes(self._quick, left.astype(np.float32))
         if len(memory):
+            kept = [without(echo.reshape(left.shape)).reshape(-1) for echo in memory]
+            free = beyond(kicks, Few(orthonormal(np.array(kept))))
             left, sizes = self._healthy.healed(free(white), free)
         self._freed = [*self._freed[1 - _REMEMBERED :], (self.floor, every, free, left)]
         for levels in self._levels(causes):

@@ -109,7 +109,9 @@ class NoiseFloor:
             e in the modes and its standard deviation √S, each of shape (N, n) [m]; e is zero in
             the first row of every stretch.
         """
-        z = self.to_modes(left)
+        return self._predicted(self.to_modes(left), starts)
+
+    def _predicted(self, z: Matrix, starts: Mask) -> tuple[Matrix, Matrix]:
         innovation = np.zeros_like(z)
         innovation[1:] = z[1:] - z[:-1]
         innovation[starts] = 0.0
@@ -120,7 +122,11 @@ class NoiseFloor:
 
     def whiten(self, left: Matrix, starts: Mask) -> Matrix:
         """Turn what a model leaves into innovations of unit variance, in the modes, (N, n)."""
-        innovation, deviation = self.innovations(left, starts)
+        return self.whiten_modes(self.to_modes(left), starts)
+
+    def whiten_modes(self, z: Matrix, starts: Mask) -> Matrix:
+        """As `whiten`, of what is left in the modes, (N, n) [m]."""
+        innovation, deviation = self._predicted(z, starts)
         innovation /= deviation
         return innovation
 

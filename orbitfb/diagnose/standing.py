@@ -15,7 +15,8 @@ import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.free import Directions, orthonormal
+from orbitfb.diagnose.fading import Steps
+from orbitfb.diagnose.free import Directions, Few
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.record import Record
@@ -67,57 +68,46 @@ class FreeSteps:
 
     def __init__(self, record: Record, floor: NoiseFloor) -> None:
         self._record, self.floor = record, floor
-        self._known: dict[_Key, tuple[Directions, Vector]] = {}
+        self._known: dict[_Key, Steps] = {}
 
     def basis(self, causes: Sequence[Cause]) -> Directions:
-        """Orthonormal innovations that first kicks may have made, shape (k, N n).
+        """Orthonormal innovations that first kicks may have made.
 
         Args:
             causes: Those with a free first kick count.
         """
         free = tuple(cause for cause in causes if is_standing(cause))
-        return self._basis(free)[0] if free else np.zeros((0, self._record.readings.size))
+        return self._steps(free) if free else Few(np.zeros((0, self._record.readings.size)))
 
     def price(self, causes: Sequence[Cause]) -> float:
         """What the choice of the first kicks costs [nats]."""
         free = tuple(cause for cause in causes if is_standing(cause))
-        if not free:
-            return 0.0
-        return float(np.sum(_price(self._basis(free)[1])))
+        return float(np.sum(_price(self._steps(free).information))) if free else 0.0
 
-    def _basis(self, free: tuple[Cause, ...]) -> tuple[Directions, Vector]:
-        """Orthonormal steps, shape (k, N n), and the information on each of their kicks, (k,)."""
+    def _steps(self, free: tuple[Cause, ...]) -> Steps:
+        """The orbits of kicks of 1 rad since the onsets."""
         key = tuple((cause.kind.id, cause.places, cause.onset) for cause in free)
         if key not in self._known:
             while len(self._known) >= _REMEMBERED:
                 del self._known[next(iter(self._known))]
-            self._known[key] = self._made(free)
+            each = [(cause.onset, orbit) for cause in free for orbit in self._orbits(cause)]
+            onsets = np.array([onset for onset, _ in each], dtype=np.intp)
+            orbits = np.array([orbit for _, orbit in each])
+            self._known[key] = Steps(self.floor, self._record.starts, onsets, orbits)
         return self._known[key]
 
-    def _made(self, free: tuple[Cause, ...]) -> tuple[Directions, Vector]:
-        starts = self._record.starts
-        whitened = [
-            self.floor.whiten(step, starts).reshape(-1)
-            for cause in free
-            for step in self._steps(cause)
-        ]
-        matrix = np.array(whitened).reshape(len(whitened), self._record.readings.size)
-        return orthonormal(matrix), np.sum(matrix**2, axis=1)
-
-    def _steps(self, cause: Cause) -> list[Matrix]:
-        """The orbit of a kick of 1 rad since the onset, for every place and plane."""
-        layout, kind, found = self._record.layout, cause.kind, list[Matrix]()
+    def _orbits(self, cause: Cause) -> list[Vector]:
+        """The orbit of a kick of 1 rad, for every place and plane, each of shape (n,) [m]."""
+        layout, kind, found = self._record.layout, cause.kind, list[Vector]()
         patterns = (
             kind.patterns(layout)
             if isinstance(kind, SourceKind)
             else layout.response * (_CURRENT / _KICK)
         )
         for place in cause.places:
-            pattern = patterns[:, place]
             for plane in layout.planes:
                 rows = layout.bpms.in_plane(plane)
-                step = np.zeros((len(self._record), len(pattern)))
-                step[cause.onset :, rows] = pattern[rows]
-                if step.any():
-                    found.append(step)
+                orbit = np.zeros(len(patterns))
+                orbit[rows] = patterns[rows, place]
+                found.append(orbit)
         return found
