@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.candidate import KEPT, Candidate, best_strength, sized
@@ -92,7 +93,12 @@ class Groups:
 
     def _together(self, known: Matrix) -> Vector:
         """Sum of what is known of the members of every group, shape (G,) of (P, P)."""
-        return np.einsum("gp,gp->g", self.member @ known, self.member)
+        return np.einsum("gp,gp->g", self._few @ known, self.member)
+
+    @cached_property
+    def _few(self) -> "csr_array[np.float64]":
+        """`member` without its zeros: most devices are in few of the groups."""
+        return csr_array(self.member)
 
 
 def of_places(kind: EffectKind, values: Values, score: Vector, info: Vector) -> Iterator[Candidate]:
