@@ -16,6 +16,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.blocks import BLOCK, Draws
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.open_errors import OpenErrors
 from orbitfb.diagnose.replay import NOMINAL, Model, Replay
 from orbitfb.physics.optics import Matrix
 
@@ -32,6 +33,7 @@ class Contrast:
             of: without them a stand-in is not told from the right cause.
         net: Orbit that a second competitor adds, shape (N, n) [m]; None: there is none. It widens
             the span for its own figures only: those of the others are the same with and without.
+        healthy: What healthy errors may do in the later record; None: what they do in it is known.
 
     Attributes:
         model: With all the causes.
@@ -51,8 +53,9 @@ class Contrast:
         seed: int,
         rivals: Sequence[Cause] = (),
         net: Matrix | None = None,
+        healthy: OpenErrors | None = None,
     ) -> None:
-        self.replay, self._seed = replay, seed
+        self.replay, self._seed, self._healthy = replay, seed, healthy
         ladder = [Model(tuple(causes[:count])) for count in range(len(causes) + 1)]
         self._pairs = [*itertools.pairwise(ladder)]
         self.model = ladder[-1]
@@ -70,16 +73,21 @@ class Contrast:
         self.draws = Draws.of(replay.counted(), seed)
         self.ticks = int(replay.counted().sum())
         differences = [self._white(change) for change in self._differences(1)]
-        error = self._white(replay.errors(NOMINAL))
-        self._normal = self.draws.sums(_products(differences, differences))
+        left = [self._left(change) for change in differences]
+        error = self._left(self._white(replay.errors(NOMINAL)))
+        normal = self.draws.sums(_products(differences, left))
+        self._normal = 0.5 * (normal + normal.swapaxes(1, 2))  # alike over all rows only
         self._score = self.draws.sums(_products(differences, [error]))[:, :, 0]
         self._solved: dict[int, tuple[Matrix, Vector]] = {}
 
     def likelihood(self, model: Model) -> Vector:
         """Gain of log-likelihood over the nominal model [nats/tick], shape (DRAWS + 1,)."""
-        white, nominal = self.replay.white(model), self.replay.white(NOMINAL)
+        nominal, its = (
+            np.sum(white * self._left(white), axis=1)
+            for white in (self.replay.white(NOMINAL), self.replay.white(model))
+        )
         jacobian = self.replay.jacobian(model).sum(axis=1)
-        return self.draws.means(0.5 * np.sum(nominal**2 - white**2, axis=1) + jacobian)
+        return self.draws.means(0.5 * (nominal - its) + jacobian)
 
     def distance(self, weights: Vector) -> Vector:
         """Gap of a model to the best in the span [nats/tick], shape (DRAWS + 1,).
@@ -145,6 +153,10 @@ class Contrast:
             self.replay.errors(one, steps) - self.replay.errors(other, steps)
             for one, other in self._pairs
         ]
+
+    def _left(self, white: Matrix) -> Matrix:
+        """What healthy errors leave of innovations, shape (N, n)."""
+        return white if self._healthy is None else self._healthy.left(white)
 
     def _white(self, errors: Matrix) -> Matrix:
         return self.replay.floor.to_modes(errors) / self.replay.deviation

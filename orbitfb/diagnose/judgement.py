@@ -135,7 +135,7 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
         shrunk: On data used neither for fitting nor for selection; None if there are none.
     """
     named = judged.state in ("named", "ambiguous", "named_plus_remainder")
-    if shrunk is None or not shrunk.resolved or shrunk.high is None or not named:
+    if shrunk is None or shrunk.high is None or not named or not too_little(shrunk):
         return judged
     if shrunk.nats is not None and abs(shrunk.nats) < _NO_TRACE:
         return judged
@@ -143,12 +143,17 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
     if shrunk.high < _STAND_IN_SHRINK:
         # What grows does not go on for ever; of which kind and where it is the record has shown.
         state: State = "named_plus_remainder" if grows else "unknown"
-    elif shrunk.high < _HALF and judged.state == "named":
+    elif judged.state == "named":
         state = "named_plus_remainder"
     else:
         return judged
     unknown = _unknown(outcome, judged.audit, judged.departures, judged.explained)
     return replace(judged, state=state, unknown=unknown)
+
+
+def too_little(shrunk: Shrink) -> bool:
+    """Whether causes explain less than half of a gap, on data that they were not found in."""
+    return shrunk.resolved and shrunk.high is not None and shrunk.high < _HALF
 
 
 def beside_untold(

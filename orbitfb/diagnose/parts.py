@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from orbitfb.diagnose.ambiguity import identifiability
 from orbitfb.diagnose.answer import Diagnosis
 from orbitfb.diagnose.answer_blocks import AmbiguousSet
-from orbitfb.diagnose.answer_parts import Experiment, Gap, NotTested, Provenance
+from orbitfb.diagnose.answer_parts import Experiment, Gap, NotTested, Provenance, Shrink
 from orbitfb.diagnose.answering import named_causes, tournament_rows
 from orbitfb.diagnose.certain import Certain
 from orbitfb.diagnose.closed_loop import closed_loop
@@ -16,7 +16,7 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fingerprints import fingerprints
 from orbitfb.diagnose.gap import gap, surplus
 from orbitfb.diagnose.gap_maps import lag_profile, maps
-from orbitfb.diagnose.judgement import Judgement, held_to_account
+from orbitfb.diagnose.judgement import Judgement, held_to_account, too_little
 from orbitfb.diagnose.naming import geometry
 from orbitfb.diagnose.net_competitor import fitted_net
 from orbitfb.diagnose.plan import plan
@@ -33,6 +33,9 @@ _RIVALS = 4
 _PLANNED = 3
 """Rivals at most from which an experiment has to split the best cause."""
 _FAINT = "what speaks for an effect is short of a certainty of 0.99"
+_HEALTHY = 10.0
+"""What causes leave of a gap on later data, beyond what healthy errors may have made there, up to
+which it does not speak against them [nats]."""
 _MORE = "a longer record, or the recommended experiment"
 
 
@@ -59,9 +62,7 @@ class Parts:
     def answer(self, certain: Certain, not_tested: tuple[NotTested, ...]) -> Diagnosis:
         """Write the answer; its provenance is left to who knows the records."""
         outcome = self.outcome
-        compared, net_note = self._compared()
-        where = "the later record" if self.told else "the end of the record"
-        shrunk = None if compared is None else shrink(compared, where, net_note)
+        compared, shrunk = self._compared()
         judged = held_to_account(self.judged, outcome, shrunk)
         bench = outcome.bench
         gains = Gains(bench)
@@ -131,19 +132,30 @@ class Parts:
             gains=gains,
         )
 
-    def _compared(self) -> tuple[Contrast | None, str]:
-        """Bring causes and competitors to the later record; and why there is no forward net."""
+    def _compared(self) -> tuple[Contrast | None, Shrink | None]:
+        """Bring causes and competitors to the later record.
+
+        That the causes leave a gap there speaks against them as far as healthy errors, of which the
+        first record has not shown all, cannot have made it.
+        """
         moving = [
             cause
             for cause in self.outcome.causes
             if not isinstance(cause.kind, NoiseKind | LatentKind)
         ]
         if self.later is None or not moving:
-            return None, ""
-        bench = self.outcome.bench
+            return None, None
+        bench, rivals = self.outcome.bench, self._rivals()
         net = fitted_net(bench, self.seed)
-        compared = contrast(bench, self.later, self.seed, self._rivals(), net)
-        return compared, net.note
+        where = "the later record" if self.told else "the end of the record"
+        compared = contrast(bench, self.later, self.seed, rivals, net)
+        shrunk = shrink(compared, where, net.note)
+        if too_little(shrunk):
+            rest = contrast(bench, self.later, self.seed, rivals, net, beyond_healthy=True)
+            left = shrink(rest, f"{where}, beyond what healthy errors may do there", net.note)
+            if (left.after_nats_per_tick or 0.0) * left.held_out_ticks < _HEALTHY:
+                return rest, left
+        return compared, shrunk
 
     def _rivals(self) -> tuple[Cause, ...]:
         """The best that were not accepted: a stand-in must not be judged by itself alone.

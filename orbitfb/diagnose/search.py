@@ -1,6 +1,6 @@
 """Forward selection: accept the best cause, judge the record with it, look again, fit jointly."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -90,8 +90,7 @@ class Outcome:
         if entry.fit is None or self.joint is None:
             return entry.cause, None
         for cause in self.joint.causes:
-            same = cause.kind.id == entry.kind.id and cause.places == entry.cause.places
-            if same and cause.onset == entry.cause.onset:
+            if _same(cause, entry.cause):
                 return cause, self.joint
         return entry.cause, entry.fit
 
@@ -167,6 +166,16 @@ def search(
         told = floor if nominal.told_floor else None
         bench = Bench(nominal.record, (*given, *_moving(causes)), told, nominal.floor.modes)
     rounds, joint, moving = _without_void(nominal, bench, rounds)
+
+    def beside_others(others: tuple[Cause, ...], also: Sequence[Candidate]) -> Round:
+        told = floor if nominal.told_floor else None
+        own = Bench(nominal.record, (*given, *others), told, nominal.floor.modes)
+        least = least_weight(len(left), further=True)
+        entries = tournament(own, left, None, budget, shown, least, also)
+        return Round(own, tuple(entries), len(left), None, budget.taken())
+
+    if (again := _looked_at_again(rounds, moving, beside_others, budget)) != rounds:
+        rounds, joint, moving = _without_void(nominal, bench, again)
     causes = tuple(one.accepted.cause for one in rounds if one.accepted is not None)
     final = heard  # with the BPMs that were left out of the search
     if moving:
@@ -205,6 +214,47 @@ def _cleaned(bench: Bench, cause: Cause) -> Record | None:
 def _moving(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Causes with a course in time."""
     return tuple(c for c in causes if not isinstance(c.kind, LatentKind | NoiseKind))
+
+
+def _looked_at_again(
+    rounds: list[Round],
+    moving: tuple[Cause, ...],
+    beside: Callable[[tuple[Cause, ...], Sequence[Candidate]], Round],
+    budget: Budget,
+) -> list[Round]:
+    """Let what was found first compete once more, beside what was found after it.
+
+    What a later cause did spoke for or against the laws that the first one was chosen from.
+
+    Args:
+        rounds: With their winners.
+        moving: Causes of a joint fit.
+        beside: Holds a tournament beside some causes.
+        budget: Time for it.
+    """
+    own = [
+        index
+        for index, one in enumerate(rounds)
+        if one.accepted is not None and one.accepted.fit is not None
+    ]
+    found = list(rounds)
+    for index in own[:-1]:
+        if budget.over():
+            budget.leave("the first cause was not judged again beside the later ones")
+            break
+        entry = rounds[index].accepted
+        if entry is None:
+            continue
+        others = tuple(cause for cause in moving if not _same(cause, entry.cause))
+        one = beside(others, [replace(entry.candidate, cause=entry.cause)])
+        if one.sure and one.entries[0].fit is not None and one.entries[0].held_out > 0.0:
+            found[index] = replace(one, accepted=one.entries[0])
+    return found
+
+
+def _same(one: Cause, other: Cause) -> bool:
+    """Whether two causes are one, whatever their values."""
+    return (one.kind.id, one.places, one.onset) == (other.kind.id, other.places, other.onset)
 
 
 def _without_void(

@@ -16,8 +16,9 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import interval
 from orbitfb.diagnose.competitor import refitted_response
 from orbitfb.diagnose.contrast import Contrast
-from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.explain import Cause, actuated
 from orbitfb.diagnose.net_competitor import NetCompetitor
+from orbitfb.diagnose.open_errors import OpenErrors
 from orbitfb.diagnose.replay import Model, Replay
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.record import Record
@@ -51,6 +52,8 @@ def contrast(
     seed: int = 0,
     rivals: Sequence[Cause] = (),
     net: NetCompetitor | None = None,
+    *,
+    beyond_healthy: bool = False,
 ) -> Contrast:
     """Bring the causes and their competitor to a later record.
 
@@ -62,6 +65,8 @@ def contrast(
         seed: Of the bootstrap.
         rivals: The best few of the tournament that were not accepted, fitted to the same ticks.
         net: Fitted to the same ticks; None: left out.
+        beyond_healthy: Whether healthy errors may do in the later record what the first one
+            leaves open, so that only the rest of its gap counts.
     """
     rivals = tuple(replace(rival, onset=0) for rival in rivals)
     causes = tuple(
@@ -75,7 +80,10 @@ def contrast(
         causes = _in_phase(replay, causes)
     change = refitted_response(Replay.of(bench))
     orbit = None if net is None else net.extra(replay)
-    return Contrast(replay, causes, change, seed, rivals, orbit)
+    healthy = None
+    if beyond_healthy:
+        healthy = OpenErrors(bench, replay.record, actuated(replay.record, causes), replay.orbit)
+    return Contrast(replay, causes, change, seed, rivals, orbit, healthy)
 
 
 def shrink(its: Contrast, on: str = "the later record", net_note: str = "") -> Shrink:

@@ -9,6 +9,7 @@ from gap_cases import GAIN, PLACE, bench, gain_error, record
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.competitor import refitted_response
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.judgement import too_little
 from orbitfb.diagnose.replay import Replay
 from orbitfb.diagnose.shrink import contrast, k_steps, put_aside, shrink
 from orbitfb.diagnose.simulate import simulate_record
@@ -131,3 +132,30 @@ def test_a_drift_goes_on_in_a_record_whose_time_begins_anew(clock):
     its = shrink(contrast(Bench(first, (cause,)), later))
     assert its.resolved
     assert its.nats > 0.9
+
+
+@pytest.mark.parametrize(("error", "healthy"), [(0.02, True), (0.3, False)])
+def test_what_healthy_errors_may_do_in_a_later_record_speaks_against_no_cause(error, healthy):
+    """A corrector that the first record hardly moves is moved far in the later one."""
+    ring, other = Ring.load(), 60
+    layout = layout_of(ring, "x", 0.1)
+    model = layout.response.copy()
+    model[:, other] /= 1.0 + error
+    effects = build(
+        [parse_effect(f"corrector-gain:gain=0.3,names={layout.correctors.names[PLACE]}")], layout, 1
+    )
+    far = np.zeros((500, len(layout.correctors)))
+    far[:, other] = 0.1 * np.repeat(np.random.default_rng(1).standard_normal(50), 10)
+    first, later = (
+        simulate_record(
+            ring, "x", 500, seed, effects, dither=dither, response=model, excitation=moved
+        )
+        for seed, dither, moved in ((5, 1e-4, None), (6, 0.0, far))
+    )
+    bench, rival = Bench(first, [gain_error()]), gain_error(other, error)
+    plain, beyond = (
+        shrink(contrast(bench, later, rivals=[rival], beyond_healthy=open_)) for open_ in (0, 1)
+    )
+    assert too_little(plain)
+    assert plain.after_nats_per_tick * 500 > 500.0
+    assert (beyond.after_nats_per_tick * 500 < 10.0) is healthy
