@@ -7,6 +7,7 @@ judged. A cause has to be larger than this prior (LOCO's fitted parameters of he
 by as much: J. Safranek, Nucl. Instrum. Meth. A 388 (1997)).
 """
 
+import copy
 from dataclasses import dataclass
 from typing import Literal
 
@@ -100,13 +101,29 @@ class Background:
                 _response_errors(layout, plane, currents, OPTICS_RMS * scale)
                 for plane in layout.planes
             ]
-        # Single precision is enough for errors of one per cent, and half the work.
+        self._errors = self._acting(currents, orbit)
+        self._held = self._sums()
+        self._solver: Preconditioner | None = None
+
+    def elsewhere(self, currents: Matrix, orbit: Matrix, starts: Mask) -> "Background":
+        """The very same errors in another record; which they are may depend on the record.
+
+        Args:
+            currents: That act on the beam there, shape (N, m) [A].
+            orbit: Predicted orbit at the BPMs, shape (N, n) [m].
+            starts: Where stretches begin, shape (N,).
+        """
+        other = copy.copy(self)
+        other._starts, other._solver = starts, None
+        other._errors = other._acting(currents, orbit)
+        return other
+
+    def _acting(self, currents: Matrix, orbit: Matrix) -> Errors:
+        """All parts with what drives them; single precision is enough for errors of a per cent."""
         patterns = np.concatenate([p.patterns for p in self._parts], axis=1)
         weights = np.concatenate([p.weights * p.scatter for p in self._parts], axis=1)
         courses = np.hstack([currents, orbit])
-        self._errors = Errors(patterns, courses - courses.mean(axis=0), weights)
-        self._held = self._sums()
-        self._solver: Preconditioner | None = None
+        return Errors(patterns, courses - courses.mean(axis=0), weights)
 
     def prepare(self, floor: NoiseFloor, levels: int = _LEVELS) -> None:
         """Compute the information of the record on all sizes, once for a floor.

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.diagnose.background import Background
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.bent import straightened
 from orbitfb.diagnose.explain import Cause, actuated, columns_of, explain, restored
@@ -81,7 +80,7 @@ class Replay:
             left = explain(record, causes, orbit).left - healthy
             innovation, _ = bench.floor.innovations(left, record.starts)
             orbit = record.readings - bench.floor.to_bpms(innovation)
-            around = Background(record.layout, currents, orbit, record.starts, bench.scale)
+            around = bench.background.elsewhere(currents, orbit, record.starts)
             healthy = around.orbit(_healthy(bench.sizes))
         return cls(record, bench.floor, orbit, healthy)
 

@@ -159,3 +159,19 @@ def test_what_healthy_errors_may_do_in_a_later_record_speaks_against_no_cause(er
     assert too_little(plain)
     assert plain.after_nats_per_tick * 500 > 500.0
     assert (beyond.after_nats_per_tick * 500 < 10.0) is healthy
+
+
+def test_errors_of_an_unknown_ring_are_the_same_in_a_later_record_of_another_excitation():
+    """Which orbits are wrong by themselves is chosen by what the first record steers."""
+    first, later = (
+        replace(one, layout=replace(one.layout, ring=None))
+        for one in (record(True), record(True, seed=6, dither=2e-4))
+    )
+    fitted = Bench(first, [gain_error()])
+    there = fitted.background.elsewhere(fitted.currents, fitted.orbit, first.starts)
+    sizes = np.random.default_rng(2).standard_normal(len(fitted.sizes))
+    np.testing.assert_array_equal(there.orbit(sizes), fitted.background.orbit(sizes))
+    assert len(Bench(later, [gain_error()]).sizes) != len(fitted.sizes)
+    its = shrink(contrast(fitted, later))
+    assert its.resolved
+    assert its.nats > 0.9
