@@ -17,6 +17,7 @@ from orbitfb.diagnose.courses import is_wave, own_columns, trials
 from orbitfb.diagnose.explain import Cause, explain, restored
 from orbitfb.diagnose.latent_laws import latent_laws
 from orbitfb.diagnose.noise_departure import noise_laws
+from orbitfb.diagnose.noise_follows import follows
 from orbitfb.diagnose.other_orbit import other_orbit
 from orbitfb.diagnose.problem import Problem
 from orbitfb.diagnose.rhythm import rhythm
@@ -126,6 +127,9 @@ def departure(
     if isinstance(cause.kind, LatentKind | NoiseKind):
         if (clock := 0.0 if before is None else rhythm(before, cause)) > 0.0:
             return Departure("by a clock, always after as many ticks", clock, gain, 0.0)
+        course, nats = follows(bench, cause)
+        if nats > 0.0:  # noise does not, not even now and then
+            return Departure(course, nats, gain, 0.0)
         laws = (
             *noise_laws(bench, cause, gain if whole is None else whole),
             *latent_laws(bench if before is None else before, cause),
