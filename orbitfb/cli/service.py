@@ -95,7 +95,10 @@ def run(
         effect=chosen,
         observe__port=metrics_port,
     )
-    raise typer.Exit(run_service(settings, ioc, start, duration, summary, _tell, excite, live))
+    asked = policy is not None
+    raise typer.Exit(
+        run_service(settings, ioc, start, duration, summary, _tell, excite, live, asked)
+    )
 
 
 def _tell(line: str) -> None:
