@@ -93,6 +93,7 @@ def run(
         plant__drift__preset=drift,
         plant__drift__ticks=drift_ticks,
         effect=chosen,
+        effects_file=effects,
         observe__port=metrics_port,
     )
     asked = policy is not None
@@ -148,6 +149,7 @@ def ioc(
         plant__drift__preset=drift,
         plant__drift__ticks=drift_ticks,
         effect=chosen_effects(effect, effects),
+        effects_file=effects,
     )
     where = settings.sim.interface
 
