@@ -76,6 +76,7 @@ class Service:
         stack: Closes what is opened here, in reverse order.
         excite: File of an excitation.
         say: Gets a line now and then about what takes long before the loop runs.
+        asked: Whether the kind of policy was asked for at this start.
     """
 
     def __init__(
@@ -87,6 +88,7 @@ class Service:
         stack: ExitStack,
         excite: Path | None = None,
         say: Callable[[str], None] = lambda _: None,
+        asked: bool = False,
     ) -> None:
         directory = config.data_directory
         ring = config.ring.load()
@@ -124,7 +126,7 @@ class Service:
         self.store = open_store(config)
         keeper = Keeper(self.store, self.channels, config.policies_kept)
         nominal = baseline(config, ring, lambda line: say_and_log(say, line))
-        first = keeper.first(nominal, movable, new_ring=ioc == SIMULATED)
+        first = keeper.first(nominal, movable, ioc == SIMULATED, asked)
         self.slot = PolicySlot(first)
         self.statistics = LoopStatistics(self.channels, config.limits.setpoint, clock, counting)
         if warning := warning_of(growth_of(first)):
@@ -229,17 +231,17 @@ class Service:
             "addresses": epics.address_list,
             "port": epics.server_port,
             "metrics": http.address,
-            "policy": self.slot.current.policy_id,
+            "policy": first.policy_id,
+            "policy_reason": keeper.reason,
             "data": str(directory.resolve()),
             **panel,
         }
         _log.info("service_started", **self._where)
-        place = f"{epics.address_list}:{epics.server_port}"
-        same = config.measure.same_setpoint
-        self._astray = left_astray(directory, self.machine, place, ioc, same)
-        if self._astray:
-            _log.warning("setpoints_astray", problem=self._astray)
-            self.statistics.happened("measurement", self._astray)
+        place, same = f"{epics.address_list}:{epics.server_port}", config.measure.same_setpoint
+        if astray := left_astray(directory, self.machine, place, ioc, same):
+            _log.warning("setpoints_astray", problem=astray)
+            self.statistics.happened("measurement", astray)
+        self._astray = astray
 
     def announce(self, say: Callable[[str], None]) -> None:
         """Say what was started where."""

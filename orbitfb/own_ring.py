@@ -32,6 +32,15 @@ class OwnRing:
 
     def __init__(self, job: SimJob, stack: ExitStack) -> None:
         self.failure = ""
+        for its in job.effects:
+            _log.info(
+                "effect_simulated",
+                effect=its.id,
+                values=its.filled,
+                devices="+".join(its.names or its.cells) or "all",
+                planes=its.planes,
+                since=its.since,
+            )
         self._child = SimChild(job)
         self._port = self._child.start()
         stack.callback(self._child.stop)

@@ -26,6 +26,7 @@ def run_service(
     announce: Callable[[str], None] = lambda _: None,
     excite: Path | None = None,
     live: bool = False,
+    asked: bool = False,
 ) -> int:
     """Run the loop until a signal, the end of the duration, or FAULT.
 
@@ -38,6 +39,7 @@ def run_service(
         announce: Gets a few lines about what was started where.
         excite: File of an excitation, to be done once.
         live: Whether the port of production is meant; then the loop starts OPEN.
+        asked: Whether the kind of policy was asked for at this start.
 
     Returns:
         The exit code: 0, or 1 after FAULT.
@@ -53,7 +55,7 @@ def run_service(
         check_place(summary_file)
     with StopSignals() as signals, ExitStack() as stack:
         try:
-            service = Service(config, ioc, state, duration, stack, excite, announce)
+            service = Service(config, ioc, state, duration, stack, excite, announce, asked)
         except OrbitFeedbackError as error:
             if structlog.is_configured():  # the log is open
                 _log.error("start_failed", problem=str(error))

@@ -275,7 +275,7 @@ def announcement(where: Mapping[str, object], simulated: bool) -> Iterator[str]:
 
     Args:
         where: `addresses` and `port` of the ring, address of the `metrics` and of the
-            `page`, `data` directory.
+            `page`, `policy` and `policy_reason`, `data` directory.
         simulated: Whether the ring is a simulated one of our own.
     """
     addresses, port = where["addresses"], where["port"]
@@ -294,3 +294,4 @@ def announcement(where: Mapping[str, object], simulated: bool) -> Iterator[str]:
     elif where.get("page_problem"):
         yield f"no operator page: {where['page_problem']}"
     yield f"archive, policies and log in {where['data']}"
+    yield f"policy {where['policy']}: {where['policy_reason']}"

@@ -64,6 +64,7 @@ def evaluate_agent_command(
         plant__drift__preset=drift,
         plant__drift__ticks=None if drift is None else ticks,
         effect=chosen_effects(effect, effects),
+        effects_file=effects,
     )
     asked = {
         "ticks": ticks,

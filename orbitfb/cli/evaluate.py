@@ -39,7 +39,7 @@ def evaluate_refit_command(
     """Refits of the learner beside naive ones, a frozen and a true response, in process."""
     from orbitfb.evaluate.refit import RefitEvaluationSettings, evaluate_refit, write
 
-    settings = configure(config_file, effect=chosen_effects(effect, effects))
+    settings = configure(config_file, effect=chosen_effects(effect, effects), effects_file=effects)
     asked = {"drift": "none" if no_drift else drift, "ticks": ticks, "seed": seed}
     common = {
         "planes": settings.ring.planes,
@@ -79,7 +79,12 @@ def evaluate_live_command(
     from orbitfb.evaluate.live import LiveSettings, evaluate_live, figures
     from orbitfb.evaluate.live_report import LiveResult, write
 
-    settings = configure(config_file, policy__kind=policy, effect=chosen_effects(effect, effects))
+    settings = configure(
+        config_file,
+        policy__kind=policy,
+        effect=chosen_effects(effect, effects),
+        effects_file=effects,
+    )
     common = {
         "planes": settings.ring.planes,
         "policy": settings.policy,

@@ -54,7 +54,7 @@ def evaluate_kick_command(
     from orbitfb.evaluate.kick_report import table, write
     from orbitfb.evaluate.kick_settings import KickSettings
 
-    settings = configure(config_file, effect=chosen_effects(effect, effects))
+    settings = configure(config_file, effect=chosen_effects(effect, effects), effects_file=effects)
     asked = {
         "error": error,
         "matrix_error": matrix_error,

@@ -45,8 +45,10 @@ EffectSpecs = Annotated[
         "--effect",
         metavar="SPEC",
         help="Effect of the simulated ring, ID:KEY=VALUE,…, as in "
-        "corrector-lag:tau=0.1s,cells=3-5,from=30s,planes=x; names=A+B instead of cells; may be "
-        "given again; `orbitfb effects` lists them [those of the configuration].",
+        "corrector-lag:tau=0.1s,cells=3-5,from=30s,planes=x; names=A+B instead of cells; without "
+        "these on all devices; parameters left out are typical; cells go along the ring, 5-3 past "
+        "its beginning; may be given again; `orbitfb effects` lists them [those of the "
+        "configuration].",
     ),
 ]
 EffectsFile = Annotated[
@@ -72,11 +74,42 @@ RingParameters = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
-def configure(path: Path | None, **options: Any) -> "AppConfig":
-    """Compose the configuration; an option `loop__rate_hz` is the key `loop.rate_hz`."""
+def configure(path: Path | None, effects_file: Path | None = None, **options: Any) -> "AppConfig":
+    """Compose the configuration; an option `loop__rate_hz` is the key `loop.rate_hz`.
+
+    Args:
+        path: Of the configuration file.
+        effects_file: Where effects among the options are from.
+        options: By key.
+
+    Raises:
+        ConfigError: The configuration is wrong, or the effects of the file are not of its ring.
+    """
     from orbitfb.config import load_config
 
-    return load_config(path, {name.replace("__", "."): value for name, value in options.items()})
+    settings = load_config(
+        path, {name.replace("__", "."): value for name, value in options.items()}
+    )
+    if effects_file is not None:
+        _check_effects(settings, effects_file)
+    return settings
+
+
+def _check_effects(settings: "AppConfig", file: Path) -> None:
+    """See that what a file of effects names is there, before a process is started for it."""
+    from orbitfb.core.errors import ConfigError
+    from orbitfb.effects.build import layout_of
+    from orbitfb.effects.files import read_effects
+    from orbitfb.effects.places import resolve
+
+    layout = layout_of(settings.ring.load(), settings.ring.planes, settings.loop.period)
+    for its in read_effects(file):
+        try:
+            resolve(its, layout)
+        except ConfigError as error:
+            raise ConfigError(
+                f"--effects {file} is not of this ring and cannot be simulated on it: {error}"
+            ) from error
 
 
 def chosen_effects(specs: list[str] | None, file: Path | None) -> "list[dict[str, Any]] | None":

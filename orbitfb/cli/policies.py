@@ -127,6 +127,7 @@ def policies_compare(
         plant__drift__preset=drift,
         plant__drift__ticks=None if drift is None else ticks,
         effect=chosen_effects(effect, effects),
+        effects_file=effects,
     )
     settings = validated(
         CompareSettings,

@@ -93,9 +93,13 @@ def run(
         plant__drift__preset=drift,
         plant__drift__ticks=drift_ticks,
         effect=chosen,
+        effects_file=effects,
         observe__port=metrics_port,
     )
-    raise typer.Exit(run_service(settings, ioc, start, duration, summary, _tell, excite, live))
+    asked = policy is not None
+    raise typer.Exit(
+        run_service(settings, ioc, start, duration, summary, _tell, excite, live, asked)
+    )
 
 
 def _tell(line: str) -> None:
@@ -145,6 +149,7 @@ def ioc(
         plant__drift__preset=drift,
         plant__drift__ticks=drift_ticks,
         effect=chosen_effects(effect, effects),
+        effects_file=effects,
     )
     where = settings.sim.interface
 

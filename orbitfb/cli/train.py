@@ -86,6 +86,7 @@ def train(
         data_directory=data,
         ring__planes=planes,
         effect=chosen_effects(effect, effects),
+        effects_file=effects,
     )
     request = TrainingRequest(
         method=method,

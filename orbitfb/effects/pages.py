@@ -1,10 +1,19 @@
 """Pages of the docs about the effects, from what every kind tells of itself."""
 
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import get_args
 
+from orbitfb.effects.build import layout_of
+from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind, Parameter, Stage
+from orbitfb.effects.layout import Layout
+from orbitfb.effects.places import names_for
 from orbitfb.effects.registry import all_effects, effect
+from orbitfb.physics.places import Planes, Ring
+
+_PERIOD = 0.1
+"""From one orbit to the next [s]; no place depends on it."""
 
 _STAGES = {
     "sensor": "What BPMs make of the orbit.",
@@ -34,6 +43,9 @@ orbitfb run --ioc sim --effect corrector-lag:tau=0.1s,cells=3-5,from=30s
 
 After the id and a colon come its parameters (SI numbers, or with a unit: `50ms`, `2%`, `20um`) and
 where it is: `cells=3-5+C07` or `names=PL1A_C01+PL2A_C01`, `planes=x`; without, everywhere.
+Parameters that are left out are typical, as its page tells; the log of the start has all of them
+(`effect_simulated`). A range of cells goes along the ring and may pass its beginning: `5-3` is all
+but cell 4.
 `from=30s` lets it begin later. `--effect` may be given again; a file of effects, as a diagnosis
 writes it, goes to `--effects FILE`, or to `--config FILE`, where each is an `[[effect]]` table:
 
@@ -112,7 +124,31 @@ def _example(kind: EffectKind) -> str:
     units = {p.name: "" if p.unit[:1].isdigit() else p.unit for p in kind.parameters}
     own = [p for p in kind.parameters if not p.optional]
     words = [f"{p.name}={p.typical:g}{units[p.name]}" for p in own]
-    return f"{kind.id}:{','.join(words)}" if words else kind.id
+    place, options = _where(kind)
+    words += place
+    return (f"{kind.id}:{','.join(words)}" if words else kind.id) + options
+
+
+def _where(kind: EffectKind) -> tuple[list[str], str]:
+    """Give the fewest devices that can have it, and the option of their planes.
+
+    On all of them at once hardly any fault is one; randomness and time are common to all.
+    """
+    if kind.target == "ring" or kind.stage in ("noise", "timing"):
+        return [], ""
+    layout = _default_layout("x")
+    if isinstance(kind, PairKind):
+        options = "" if len(kind.pairs(layout)) else " --planes xy"
+        layout = _default_layout("xy" if options else "x")
+        names = names_for(kind, layout)
+        pair = dict.fromkeys(names[int(column)] for column in kind.pairs(layout)[0])
+        return ["names=" + "+".join(pair)], options
+    return [f"names={names_for(kind, layout)[0]}"], ""
+
+
+@lru_cache
+def _default_layout(planes: Planes) -> Layout:
+    return layout_of(Ring.load(), planes, _PERIOD)
 
 
 def _capital(title: str) -> str:

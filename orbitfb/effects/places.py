@@ -74,6 +74,11 @@ def resolve(settings: EffectSettings, layout: Layout) -> Indices:
     return _couple(kind, layout, found, there) if isinstance(kind, PairKind) else found
 
 
+def names_for(kind: EffectKind, layout: Layout) -> tuple[str, ...]:
+    """Give the names that an effect may be on, in the order of the ring; one for each plane."""
+    return _candidates(kind, layout).names
+
+
 def _couple(kind: PairKind, layout: Layout, found: Indices, there: _Candidates) -> Indices:
     """Order columns so that neighbours are the pairs: by device, or plane by plane."""
     by_plane = np.array(sorted(found.tolist(), key=lambda i: there.planes[i]), dtype=np.intp)

@@ -24,8 +24,8 @@ class EffectSettings(Settings):
     id: str = Field(description="Which effect; `orbitfb effects` lists them.")
     cells: tuple[str, ...] = Field(
         default=(),
-        description="Cells whose devices have it: `3`, `C03`, a range `3-5` along the ring; "
-        "none: all.",
+        description="Cells whose devices have it: `3`, `C03`, a range `3-5` along the ring, "
+        "which may pass its beginning (`5-3`: all but 4); none: all.",
     )
     names: tuple[str, ...] = Field(
         default=(), description="Names of the devices that have it; none: all."
@@ -121,7 +121,12 @@ def parse_effect(text: str, origin: str = "--effect") -> EffectSettings:
     Raises:
         ConfigError: It cannot be read; names effect, key, what is allowed.
     """
-    name, _, rest = text.strip().partition(":")
+    name, colon, rest = text.strip().partition(":")
+    if colon and not rest.strip():
+        raise ConfigError(
+            f"{origin} {text}: nothing follows the colon; write KEY=VALUE pairs, for example "
+            f"{name}:cells=3-5,from=30s, or {name} alone for typical values everywhere"
+        )
     tree: dict[str, Any] = {"id": name.strip(), "values": {}}
     seen: set[str] = set()
     for word in filter(None, (part.strip() for part in rest.split(","))):

@@ -77,6 +77,10 @@ def read_segment(path: Path, largest: int) -> SegmentContent:
 
 def _read(file: h5py.File, path: Path, largest: int) -> SegmentContent:
     version = file.attrs.get("schema_version")
+    if version is None:
+        raise CorruptSegmentError(
+            f"{path} is no segment of an archive of orbitfb: it has no schema_version; {_ADVICE}"
+        )
     if version != SCHEMA_VERSION:
         raise CorruptSegmentError(
             f"{path} has schema_version {version}, this program reads {SCHEMA_VERSION}; use the "

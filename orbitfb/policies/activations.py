@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from pydantic import ValidationError
 
@@ -9,6 +10,9 @@ from orbitfb.core.errors import StoreError
 from orbitfb.core.settings import Settings
 from orbitfb.policies.card import check_identifier
 from orbitfb.policies.files import SCHEMA_VERSION, read_json, replace_file
+
+By = Literal["operator", "service"]
+"""Who put a policy in force: somebody by name, or a service that started or promoted it."""
 
 _LARGEST = 2**20
 _KEPT = 200
@@ -20,10 +24,12 @@ class Activation(Settings):
     Args:
         id: The policy that was put in force.
         time: When [s since the epoch].
+        by: Who did it; a file of an earlier version does not say, and means the service.
     """
 
     id: str
     time: float
+    by: By = "service"
 
 
 class _Activations(Settings):
@@ -51,18 +57,42 @@ def read_activations(path: Path) -> tuple[Activation, ...]:
 
 
 def write_activations(path: Path, stack: Sequence[Activation]) -> None:
-    """Write the stack, the oldest beyond 200 left out.
+    """Write the stack, the oldest beyond 200 left out, but not what an operator chose last.
 
     Raises:
         StoreError: It cannot be written; the old one stays.
     """
-    content = _Activations(activations=tuple(stack)[-_KEPT:])
+    content = _Activations(activations=newest(stack, _KEPT))
     try:
         replace_file(path, content.model_dump_json(indent=1).encode())
     except OSError as error:
         raise StoreError(
             f"{path} cannot be written ({error.strerror}); the active policy is unchanged"
         ) from error
+
+
+def chosen(stack: Sequence[Activation]) -> Activation | None:
+    """Give what an operator put in force last; None: nothing is left of that."""
+    return next((entry for entry in reversed(stack) if entry.by == "operator"), None)
+
+
+def with_top(stack: Sequence[Activation], new: Activation) -> tuple[Activation, ...]:
+    """Give the stack with a policy in force; what an operator put in force stays the operator's."""
+    if not stack or stack[-1].id != new.id:
+        return (*stack, new)
+    return (*stack[:-1], new) if new.by == "operator" else tuple(stack)
+
+
+def newest(stack: Sequence[Activation], keep: int) -> tuple[Activation, ...]:
+    """Give the last activations, and before them the operator's last, whatever came after it.
+
+    Args:
+        stack: The one in force last.
+        keep: How many stay.
+    """
+    last = tuple(stack)[-keep:]
+    theirs = chosen(stack)
+    return last if theirs is None or chosen(last) else (theirs, *last)
 
 
 def without(

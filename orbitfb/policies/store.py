@@ -22,7 +22,11 @@ from orbitfb.core.ports import Clock, Policy
 from orbitfb.core.signals import Channels
 from orbitfb.policies.activations import (
     Activation,
+    By,
+    chosen,
+    newest,
     read_activations,
+    with_top,
     without,
     write_activations,
 )
@@ -168,6 +172,15 @@ class PolicyStore:
         stack = self.activations()
         return stack[-1].id if stack else None
 
+    def chosen(self) -> str | None:
+        """Name the policy that an operator put in force last; None when no operator did.
+
+        Raises:
+            StoreError: `active.json` is damaged.
+        """
+        theirs = chosen(self.activations())
+        return theirs.id if theirs else None
+
     def activations(self) -> tuple[Activation, ...]:
         """Give the stack of activations, the one in force last.
 
@@ -176,19 +189,22 @@ class PolicyStore:
         """
         return read_activations(self._active)
 
-    def activate(self, identifier: str) -> None:
-        """Put a policy in force. Activating the active one changes nothing.
+    def activate(self, identifier: str, by: By = "operator") -> None:
+        """Put a policy in force; activating the active one only makes it the operator's choice.
+
+        Args:
+            identifier: Which.
+            by: Who does it.
 
         Raises:
             StoreError: It does not exist or is damaged; the active one stays.
         """
         with sole_writer(self.path):
             self._check_whole(identifier)
+            new = Activation(id=identifier, time=self._clock.wall(), by=by)
             stack = self.activations()
-            if not stack or stack[-1].id != identifier:
-                write_activations(
-                    self._active, (*stack, Activation(id=identifier, time=self._clock.wall()))
-                )
+            if (after := with_top(stack, new)) != stack:
+                write_activations(self._active, after)
 
     def rollback(self) -> str:
         """Go back to the policy that was active before this one; again: one further.
@@ -207,7 +223,8 @@ class PolicyStore:
                     "name instead: `orbitfb policies activate ID`"
                 )
             self._check_whole(stack[-1].id)
-            write_activations(self._active, stack)
+            back = stack[-1].model_copy(update={"by": "operator"})  # who goes back chooses it
+            write_activations(self._active, (*stack[:-1], back))
             return stack[-1].id
 
     def withdraw(self, identifier: str, restored: str) -> None:
@@ -240,7 +257,7 @@ class PolicyStore:
             StoreError: A directory cannot be removed.
         """
         with sole_writer(self.path):
-            stack = self.activations()[-keep:]
+            stack = newest(self.activations(), keep)
             staying = {activation.id for activation in stack}
             cards = self.cards(lambda _: None)  # a damaged one stays, to be looked at
             staying |= {card.id for card in cards[-keep:]}

@@ -65,3 +65,18 @@ def test_a_scheduler_that_does_not_answer_is_not_waited_for(monkeypatch):
     monkeypatch.setattr(socket, "create_connection", refuse)
     with pytest.raises(ConfigError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:8786"):
         run_tasks([Task("math:sqrt", {"x": 4.0})], scheduler="tcp://127.0.0.1:8786")
+
+
+@pytest.mark.parametrize(
+    "command", [("run", "--ioc", "sim"), ("ioc",), ("train", "modal"), ("evaluate", "kick")]
+)
+def test_a_file_of_effects_of_another_ring_is_named(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "theirs.toml").write_text(
+        '[[effect]]\nid = "corrector-gain"\nnames = ["LX03/KICK2"]\nvalues = { gain = 0.3 }\n'
+    )
+    out = ("--out", "out") if command[0] == "evaluate" else ()
+    said = refused(*command, "--effects", "theirs.toml", *out)
+    assert said.startswith("--effects theirs.toml is not of this ring and cannot be simulated on")
+    assert "no correctors called 'LX03/KICK2'" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["theirs.toml"]

@@ -170,3 +170,9 @@ def test_places(layout, both_planes):
 def test_places_that_are_not_there(layout, text, words):
     with pytest.raises(ConfigError, match=words):
         resolve(parse_effect(text), layout)
+
+
+@pytest.mark.parametrize("text", ["corrector-gain:", "corrector-gain: "])
+def test_nothing_after_the_colon_is_refused(text):
+    with pytest.raises(ConfigError, match="nothing follows the colon; write KEY=VALUE pairs"):
+        parse_effect(text)

@@ -136,3 +136,11 @@ def test_no_archive_is_an_error(tmp_path):
         read_archive(tmp_path / "nowhere")
     with pytest.raises(ArchiveError, match="no segment"):
         read_archive(tmp_path)
+
+
+def test_a_foreign_file_is_told_to_be_no_archive(archive):
+    archive.write([make_record(tick) for tick in range(5)])
+    with h5py.File(archive.directory / "foreign.h5", "w") as file:
+        file["orbit"] = np.zeros(3)
+    with pytest.raises(ArchiveError, match=r"foreign\.h5 is no segment of an archive of orbitfb"):
+        read_archive(archive.directory)
