@@ -8,7 +8,8 @@ from record_files import record, ring
 
 from orbitfb.diagnose.certain import certain_causes
 from orbitfb.diagnose.integrity import is_hopeless, screen
-from orbitfb.diagnose.integrity_channels import _evened, _whole
+from orbitfb.diagnose.integrity_channels import _evened, _turned
+from orbitfb.diagnose.integrity_order import check_order
 from orbitfb.diagnose.integrity_steps import Steps
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.physics.effect import Effect
@@ -140,8 +141,8 @@ def test_a_few_rows_of_running_away_do_not_turn_the_model():
     predicted[-8:] *= 1e4
     orbit[-8:] = -predicted[-8:]
     steps = Steps(np.arange(300), orbit, np.zeros((300, 3)), predicted)
-    assert [one.check for one in _whole(steps)] == ["wrong-sign"]
-    assert _whole(_evened(steps)) == []
+    assert [one.check for one in _turned(steps)] == ["wrong-sign"]
+    assert _turned(_evened(steps)) == []
 
 
 def test_a_dead_corrector_is_no_swap_with_one_that_makes_up_for_it():
@@ -409,6 +410,38 @@ def test_columns_in_another_order_or_with_the_other_sign():
     assert screen(replace(made, readings=-made.readings))[0].check == "wrong-sign"
 
 
+@pytest.mark.parametrize("dither", [0.0, 1e-4])
+@pytest.mark.parametrize("shift", [0, 1])
+def test_correctors_in_another_order_are_not_blamed_on_the_bpms(dither, shift):
+    made = record(ticks=400, dither=dither)
+    order = np.roll(np.arange(180), shift) if shift else np.random.default_rng(0).permutation(180)
+    found = only(
+        replace(made, setpoints=made.setpoints[:, order], requested=made.requested[:, order]),
+        "permuted-channels",
+    )
+    assert found.severity == "failure"
+    assert "columns of 'setpoint' (and 'action') are not in the order of corr_names" in found.text
+
+
+def test_bpms_in_another_order_are_not_blamed_on_the_correctors():
+    made = record(ticks=400)
+    found = only(replace(made, readings=np.roll(made.readings, 1, axis=1)), "permuted-channels")
+    assert "columns of 'orbit' are not in the order of bpm_names" in found.text
+    assert "setpoint" not in found.text
+
+
+def test_an_order_that_may_be_of_either_is_told_of_neither():
+    """On a ring of equal cells a turn of the BPMs and one of the correctors are the same."""
+    rng = np.random.default_rng(5)
+    response = 1e-3 * np.cos(2 * np.pi * np.subtract.outer(np.arange(24), np.arange(24)) / 24)
+    response += 1e-3 * np.cos(10 * np.pi * np.subtract.outer(np.arange(24), np.arange(24)) / 24)
+    setpoints = rng.normal(size=(300, 24))
+    predicted = setpoints @ response.T
+    orbit = np.roll(predicted, 3, axis=1) + 1e-5 * rng.normal(size=predicted.shape)
+    (found,) = check_order(Steps(np.arange(300), orbit, setpoints, predicted), response)
+    assert "which of the two, this record does not tell" in found.text
+
+
 def test_setpoints_that_never_move():
     made = record(ticks=200)
     still = replace(
@@ -425,8 +458,9 @@ def test_bpms_that_follow_their_neighbours_a_little_better_are_in_order(turn, to
     rng = np.random.default_rng(4)
     courses, phase = rng.normal(size=(400, 2)), np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
 
-    def orbit(phases):
-        return courses @ np.array([np.cos(phases), np.sin(phases)])
+    def response(phases):
+        return np.array([np.cos(phases), np.sin(phases)]).T
 
-    made = Steps(np.arange(400), orbit(phase + turn), courses, orbit(phase))
-    assert [finding.check for finding in _whole(made)] == told
+    orbit, predicted = (courses @ response(phases).T for phases in (phase + turn, phase))
+    made = Steps(np.arange(400), orbit, courses, predicted)
+    assert [finding.check for finding in check_order(made, response(phase))] == told
