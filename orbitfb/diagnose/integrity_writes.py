@@ -4,6 +4,7 @@ import numpy as np
 
 from orbitfb.core.signals import Mask
 from orbitfb.diagnose.finding import Finding, listed
+from orbitfb.diagnose.integrity_actions import other_actions
 from orbitfb.diagnose.integrity_steps import inner
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -31,6 +32,8 @@ def check_writes(record: Record) -> list[Finding]:
         return []
     if shifted := _shifted(first, asked, done, exact):
         return [shifted]
+    if other := other_actions(first, asked, done, exact):
+        return other
     found: list[Finding] = []
     meant = np.abs(asked) > exact
     still = np.abs(done) <= exact

@@ -11,6 +11,7 @@ from orbitfb.diagnose.integrity import is_hopeless, screen
 from orbitfb.diagnose.integrity_channels import _evened, _turned
 from orbitfb.diagnose.integrity_order import check_order
 from orbitfb.diagnose.integrity_steps import Steps
+from orbitfb.diagnose.integrity_writes import check_writes
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.plant import PlantSettings
@@ -339,6 +340,48 @@ def test_setpoints_of_another_row():
     found = screen(replace(made, setpoints=after).rows(0, 299))
     assert is_hopeless(found)
     assert found[0].check == "shifted-setpoints"
+
+
+@pytest.mark.parametrize(
+    ("factor", "check", "words"),
+    [
+        (1e3, "wrong-units", "'action' is 1000 times the change of 'setpoint'"),
+        (1e-3, "wrong-units", "is setpoint in mA?"),
+        (-1.0, "wrong-sign", "with the opposite sign"),
+    ],
+)
+def test_actions_in_another_unit_or_with_another_sign(factor, check, words):
+    made = record(ticks=300)
+    found = only(replace(made, requested=factor * made.requested), check)
+    assert is_hopeless([found])
+    assert words in found.text
+
+
+def test_setpoints_of_another_record_than_the_actions():
+    made = record(ticks=300)
+    found = only(replace(made, setpoints=made.setpoints[::-1]), "foreign-action")
+    assert is_hopeless([found])
+
+
+def changed(made, change):
+    """The record whose setpoints move by what something makes of the changes asked for."""
+    steps = change(made.requested[:-1])
+    return replace(made, setpoints=np.vstack([0 * steps[:1], np.cumsum(steps, axis=0)]))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda asked: asked + 3.0 * asked.std() * np.random.default_rng(1).normal(size=asked.shape),
+        lambda asked: np.clip(asked, -0.1 * asked.std(), 0.1 * asked.std()),
+        lambda asked: np.roll(asked, 2, axis=0),
+    ],
+)
+def test_setpoints_that_follow_among_other_writes_within_limits_or_late(change):
+    made = record(ticks=300)
+    assert not is_hopeless(
+        [one for one in check_writes(changed(made, change)) if one.check == "foreign-action"]
+    )
 
 
 def test_rounded_setpoints_are_a_note():
