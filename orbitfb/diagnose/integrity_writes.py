@@ -3,7 +3,7 @@
 import numpy as np
 
 from orbitfb.core.signals import Mask
-from orbitfb.diagnose.finding import Finding, listed
+from orbitfb.diagnose.finding import Finding, counted, listed
 from orbitfb.diagnose.integrity_actions import other_actions
 from orbitfb.diagnose.integrity_steps import inner
 from orbitfb.effects.record import Record
@@ -43,7 +43,8 @@ def check_writes(record: Record) -> list[Finding]:
     if lost.any() and lost.mean() < _MOSTLY:
         rows = first[lost]
         text = (
-            f"in {int(lost.sum())} rows (first {int(rows[0])}) the change that was asked for is "
+            f"in "
+            f"{counted(int(lost.sum()), 'row')} (first {int(rows[0])}) the change that was asked for is "
             "not in the next setpoints, of any corrector: those writes were lost"
         )
         span = (int(rows[0]), int(rows[-1]))
@@ -123,7 +124,8 @@ def _others(
     share = float(differs.any(axis=1).mean())
     text = (
         f"in {100 * share:.1f} % of the rows (first {span[0]}) the change of the setpoints is not "
-        f"the action asked for, of {len(columns)} correctors ({listed(list(devices))}), by up to "
+        f"the action asked for, of "
+        f"{counted(len(columns), 'corrector')} ({listed(list(devices))}), by up to "
         f"{np.abs(error).max():.3g} A: limits, or something else writes too; the setpoints are "
         "believed"
     )

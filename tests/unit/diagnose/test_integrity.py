@@ -318,6 +318,13 @@ def test_writes_that_were_lost():
     assert (found.rows, found.effect) == ((20, 90), "missed-write")
 
 
+def test_a_single_row_is_told_in_the_singular():
+    made = record(ticks=300)
+    readings = made.readings.copy()
+    readings[200] = readings[199]
+    assert "in 1 row (first" in only(replace(made, readings=readings), "repeated-orbit").text
+
+
 def test_a_setpoint_that_stays():
     made = record(ticks=300)
     setpoints = made.setpoints.copy()
