@@ -43,9 +43,8 @@ def check_writes(record: Record) -> list[Finding]:
     if lost.any() and lost.mean() < _MOSTLY:
         rows = first[lost]
         text = (
-            f"in "
-            f"{counted(int(lost.sum()), 'row')} (first {int(rows[0])}) the change that was asked for is "
-            "not in the next setpoints, of any corrector: those writes were lost"
+            f"in {counted(int(lost.sum()), 'row')} (first {int(rows[0])}) the change that was "
+            "asked for is not in the next setpoints, of any corrector: those writes were lost"
         )
         span = (int(rows[0]), int(rows[-1]))
         found.append(Finding("lost-write", "warning", (), span, text, effect="missed-write"))

@@ -222,10 +222,9 @@ def _gap_findings(rows: Transition, position: Indices, jumps: Mask) -> list[Find
                 "warning",
                 (),
                 (first, int(position[at[-1]]) + 1),
-                f"at "
-                f"{counted(len(at), 'row')}, first row {int(at[0])} of the file, next_orbit is not the "
-                "orbit of the row after it although the time goes on; rows are missing there, and "
-                "the record is taken in pieces",
+                f"at {counted(len(at), 'row')}, first row {int(at[0])} of the file, next_orbit is "
+                "not the orbit of the row after it although the time goes on; rows are missing "
+                "there, and the record is taken in pieces",
             )
         )
     return found
