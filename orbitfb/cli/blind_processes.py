@@ -81,6 +81,37 @@ def source_checkout() -> Path:
     return root
 
 
+def claim(out: Path, suite: str, seed: int) -> None:
+    """See that a directory is of this suite and seed, and mark a new one as theirs.
+
+    Args:
+        out: Of records, truth and answers.
+        suite: Name of the suite.
+        seed: Of its cases.
+
+    Raises:
+        ConfigError: It holds the cases of another suite or seed, which would be scored with these.
+    """
+    from orbitfb.core.errors import ConfigError
+
+    mark, wanted = out / "suite.json", {"suite": suite, "seed": seed}
+    for file in (mark, out / "truth" / "manifest.json"):
+        if not file.exists():
+            continue
+        try:
+            told = json.loads(file.read_text(encoding="utf-8"))
+            there = {key: told[key] for key in wanted}
+        except (ValueError, KeyError, TypeError) as error:
+            raise ConfigError(f"--out {out}: {file} is damaged; use another --out") from error
+        if there != wanted:
+            raise ConfigError(
+                f"--out {out}: it holds the cases of --suite {there['suite']} --seed "
+                f"{there['seed']}, and not of {suite} and {seed}; use another --out, or go on "
+                "with that suite and seed"
+            )
+    mark.write_text(json.dumps(wanted), encoding="utf-8")
+
+
 def tasks(data: Path, answers: Path, without: dict[str, str] | None = None) -> Iterator[Task]:
     """List the records that still lack an answer.
 

@@ -145,7 +145,10 @@ def progress_bar(quiet: bool) -> "Iterator[Progress]":
         TaskProgressColumn(),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet) as bar:
+    console = Console(stderr=True)
+    # A bar that is no terminal's is an empty line before whatever is said next.
+    hidden = quiet or not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
         task = bar.add_task("reading", total=1.0)
 
         def progress(what: str, share: float) -> None:

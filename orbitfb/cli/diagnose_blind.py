@@ -39,7 +39,7 @@ def diagnose_blind(
 ) -> None:
     """Check the diagnosis on sealed cases; what is answered already is not done again."""
     from orbitfb.cli.blind_experiments import do_experiments
-    from orbitfb.cli.blind_processes import diagnose_all, module, source_checkout, tasks
+    from orbitfb.cli.blind_processes import claim, diagnose_all, module, source_checkout, tasks
     from orbitfb.cli.options import make_out
     from orbitfb.core.errors import ConfigError
 
@@ -47,6 +47,7 @@ def diagnose_blind(
     if suite not in ("quick", "fast", "full"):
         raise ConfigError(f"--suite: there is no {suite!r}; choose quick, fast or full")
     make_out(out)
+    claim(out, suite, seed)
     data, truth, answers = out / "data", out / "truth", out / "answers"
     module(
         source,

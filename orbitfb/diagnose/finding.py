@@ -32,3 +32,8 @@ def listed(names: list[str] | tuple[str, ...], most: int = 5) -> str:
     """Write names in a row, not more than some."""
     shown = ", ".join(names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def counted(number: int, what: str) -> str:
+    """Write a number with what it counts, in the plural where it is not one: `1 row`, `2 rows`."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

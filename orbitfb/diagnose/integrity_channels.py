@@ -13,29 +13,23 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.finding import Finding
-from orbitfb.diagnose.integrity_steps import Steps, steps_of
+from orbitfb.diagnose.integrity_order import check_order
+from orbitfb.diagnose.integrity_steps import SURE, Steps, likelier, one_way, steps_of
 from orbitfb.effects.layout import Devices
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 
-_SURE = 50.0
-"""Log likelihood by which an alternative must win."""
-
 _EXPLAINED = 0.7
 _MOST = 0.8
-_MANY = 0.2
-_HARDLY = 0.9
 _LIKE_OTHERS = 3.0
 _LARGE = 3.0
 """Times the median beyond which a step counts no more."""
 _FEWEST = 30
-_FEWEST_CHANNELS = 4
 _TRIED = 4
 _ROUNDS = 8
-_ONE_WAY = 0.95
-"""Share of the model's steps along one pattern above which a BPM has shown one number only."""
 _APART = 10.0
-"""By so much it must then differ from the others: what is small has any sign by other errors."""
+"""By so much a BPM that has shown one number only must differ from the others: what is small has
+any sign by other errors."""
 _ALL = 0.9
 """Share that a turned or swapped corrector explains of what any response to its steps would."""
 
@@ -62,10 +56,11 @@ def check_channels(record: Record) -> list[Finding]:
     steps = steps_of(record)
     if len(steps.first) < _FEWEST or not steps.predicted.any():
         return []
-    if whole := _whole(_evened(steps)):
-        return whole
     bpms, correctors = record.layout.bpms, record.layout.correctors
     response = record.layout.response
+    evened = _evened(steps)
+    if whole := _turned(evened) or check_order(evened, response):
+        return whole
     found: list[Finding] = []
     alternatives = [*_bpms(steps), *_correctors(steps, response)]
     for _ in range(_ROUNDS):
@@ -114,57 +109,20 @@ def _applied(orbit: Matrix, best: _Alternative) -> Matrix:
     return orbit
 
 
-def _whole(steps: Steps) -> list[Finding]:
-    """Tell a model whose sign, or whose order of rows, is wrong altogether."""
+def _turned(steps: Steps) -> list[Finding]:
+    """Tell a model whose sign is wrong altogether."""
     count = len(steps.first)
     right = np.sum((steps.orbit - steps.predicted) ** 2, axis=0)
     turned = np.sum((steps.orbit + steps.predicted) ** 2, axis=0)
     seen = np.sum(steps.orbit**2, axis=0)
-    against = (turned < _EXPLAINED * seen) & (_gain(count, right, turned) > _SURE)
+    against = (turned < _EXPLAINED * seen) & (likelier(count, right, turned) > SURE)
     if against.mean() > _MOST:
         text = (
             "the orbit moves against the model: model_R, the setpoints or the orbit have the "
             "wrong sign altogether; turn one of them"
         )
         return [Finding("wrong-sign", "failure", (), None, text)]
-    if _one_way(steps):
-        return []
-    likeness = _likeness(steps)
-    own = np.diag(likeness)
-    best = likeness.max(axis=1)
-    elsewhere = _gain(count, 1 - own * np.abs(own), 1 - np.minimum(best, 0.999999) ** 2) > _SURE
-    elsewhere &= own < _HARDLY * best  # one large error makes BPMs follow others a little better
-    n = len(own)
-    if n >= _FEWEST_CHANNELS and elsewhere.sum() >= max(3, _MANY * n):
-        targets = likeness.argmax(axis=1)[elsewhere]
-        if len(np.unique(targets)) > _EXPLAINED * len(targets):
-            text = (
-                f"{int(elsewhere.sum())} of {n} BPM columns follow what the model says of other "
-                "BPMs: columns of 'orbit' are not in the order of bpm_names and model_R"
-            )
-            return [Finding("permuted-channels", "failure", (), None, text)]
     return []
-
-
-def _one_way(steps: Steps) -> bool:
-    """Whether the correctors hardly moved but in proportion, so that all BPMs step alike."""
-    moved = np.linalg.eigvalsh(steps.predicted.T @ steps.predicted)
-    return bool(moved[-1] > _ONE_WAY * moved.sum())
-
-
-def _gain(count: int, left: Vector, left_otherwise: Vector) -> Vector:
-    """Log likelihood by which sums of squares win, shape as given."""
-    valid = (left > 0) & (left_otherwise > 0)
-    ratio = np.divide(left, left_otherwise, out=np.ones_like(left), where=valid)
-    return 0.5 * count * np.log(ratio)
-
-
-def _likeness(steps: Steps) -> Matrix:
-    """Correlation of the step of every BPM with what the model says of every other, (n, n)."""
-    seen = np.sqrt(np.sum(steps.orbit**2, axis=0))
-    made = np.sqrt(np.sum(steps.predicted**2, axis=0))
-    scale = np.outer(np.where(seen > 0, seen, np.inf), np.where(made > 0, made, np.inf))
-    return (steps.orbit.T @ steps.predicted) / scale
 
 
 def _bpms(steps: Steps) -> list[_Alternative]:
@@ -175,21 +133,21 @@ def _bpms(steps: Steps) -> list[_Alternative]:
     made = np.sum(steps.predicted**2, axis=0)
     own = seen - 2 * np.diag(cross) + made
     usual = _LIKE_OTHERS * float(np.median(own))
-    apart = own > (_APART * np.median(own) if _one_way(steps) else 0.0)
+    apart = own > (_APART * np.median(own) if one_way(steps) else 0.0)
     turned = seen + 2 * np.diag(cross) + made
-    gain = _gain(count, own, turned)
-    reversed_ = apart & (gain > _SURE) & (turned < usual) & (turned < _EXPLAINED * seen)
+    gain = likelier(count, own, turned)
+    reversed_ = apart & (gain > SURE) & (turned < usual) & (turned < _EXPLAINED * seen)
     # Against a gain of its own, so that a wrong gain is no swap.
     slope = np.divide(np.diag(cross), made, out=np.zeros(n), where=made > 0)
     reach = np.maximum(np.minimum(own, seen - slope * np.diag(cross)), 0.0)
     left = np.maximum(seen[:, None] - 2 * cross + made[None, :], 0.0)
-    gains = _gain(count, np.broadcast_to(reach[:, None], left.shape).copy(), left)
-    good = apart[:, None] & (gains > _SURE) & (left < usual) & (left < _EXPLAINED * seen[:, None])
+    gains = likelier(count, np.broadcast_to(reach[:, None], left.shape).copy(), left)
+    good = apart[:, None] & (gains > SURE) & (left < usual) & (left < _EXPLAINED * seen[:, None])
     swapped = good & good.T
     # Of two alternatives for a BPM the one that leaves less, whatever each is compared with.
     other = np.broadcast_to(turned[:, None], left.shape).copy()
-    better = reversed_[:, None] & (_gain(count, left, other) > _SURE)
-    worse = reversed_ & np.any(swapped & (_gain(count, other, left) > _SURE), axis=1)
+    better = reversed_[:, None] & (likelier(count, left, other) > SURE)
+    worse = reversed_ & np.any(swapped & (likelier(count, other, left) > SURE), axis=1)
     found = [
         _Alternative(float(gain[i]), "bpm-polarity", (int(i),))
         for i in np.flatnonzero(reversed_ & ~worse)
@@ -235,7 +193,7 @@ def _correctors(steps: Steps, response: Matrix) -> list[_Alternative]:
             if _all_of(residual, change, difference, weights):
                 found.append(_judged(steps, own, rest, residual + change, (j, k)))
     most = max((explained for _, explained in found), default=0.0)
-    return [one for one, explained in found if one is not None and explained > most - _SURE]
+    return [one for one, explained in found if one is not None and explained > most - SURE]
 
 
 def _all_of(residual: Matrix, change: Matrix, drive: Vector, weights: Vector) -> bool:
@@ -279,9 +237,9 @@ def _judged(
     """
     then = np.sum(left**2, axis=0)
     count, alike = len(steps.first), np.sqrt(len(own))  # neighbouring BPMs see one orbit, not many
-    gain = float(np.sum(_gain(count, otherwise, then)) / alike)
-    explained = float(np.sum(_gain(count, own, then)) / alike)
+    gain = float(np.sum(likelier(count, otherwise, then)) / alike)
+    explained = float(np.sum(likelier(count, own, then)) / alike)
     convincing = float(np.median(then / np.where(own > 0, otherwise, np.inf))) < _EXPLAINED
     kind = "corrector-polarity" if len(columns) == 1 else "corrector-swap"
-    kept = gain > _SURE and convincing
+    kept = gain > SURE and convincing
     return (_Alternative(gain, kind, columns) if kept else None), explained

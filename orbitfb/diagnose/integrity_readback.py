@@ -3,7 +3,7 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.finding import Finding, listed
+from orbitfb.diagnose.finding import Finding, counted, listed
 from orbitfb.diagnose.integrity_steps import inner, runs
 from orbitfb.effects.record import Record
 from orbitfb.physics.places import Indices
@@ -93,7 +93,8 @@ def _clipped(label: str, rows: Indices, setpoint: Vector, readback: Vector) -> F
         if len(runs(at)) == 1:
             continue  # stuck at its extreme, or at its limit: nobody can tell
         text = (
-            f"the readback of {label} stops at {sign * top:.6g} A in {int(at.sum())} rows whose "
+            f"the readback of {label} stops at {sign * top:.6g} A in "
+            f"{counted(int(at.sum()), 'row')} whose "
             "setpoints go beyond: the supply is at its limit"
         )
         span = (int(hit[0]), int(hit[-1]))

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.diagnose.finding import Finding, Severity, listed
+from orbitfb.diagnose.finding import Finding, Severity, counted, listed
 from orbitfb.diagnose.integrity_steps import inner, runs
 from orbitfb.effects.record import Record
 
@@ -109,7 +109,8 @@ def _crates(record: Record, shared: Mask, told: set[str]) -> list[Finding]:
     if len(names) < _TOGETHER or told & set(names):
         return []
     text = (
-        f"{listed(names)} repeat their readings, to the last bit, at the same {len(rows)} rows "
+        f"{listed(names)} repeat their readings, to the last bit, at the same "
+        f"{counted(len(rows), 'row')} "
         f"(first {rows[0]}): those readings were missed and the old ones kept"
     )
     span = (int(rows[0]), int(rows[-1]))
@@ -167,7 +168,8 @@ def _whole_orbits(record: Record, whole: Mask) -> list[Finding]:
         )
         return [Finding("frozen-orbit", "failure", (), span, text)]
     text = (
-        f"the whole orbit repeats the one before, to the last bit, in {count} rows (first "
+        f"the whole orbit repeats the one before, to the last bit, in "
+        f"{counted(count, 'row')} (first "
         f"{span[0]}): those readings were missed and the old ones kept"
     )
     return [Finding("repeated-orbit", "warning", (), span, text, effect="missed-read")]
@@ -224,7 +226,8 @@ def check_rails(record: Record) -> list[Finding]:
                 rail = sign * float(np.max(sign * moving))
                 rows = np.flatnonzero(record.readings[:, column] == rail)
                 text = (
-                    f"{label} reads {rail * 1e6:.3f} µm in {at} rows and never goes {word}: its "
+                    f"{label} reads {rail * 1e6:.3f} µm in "
+                    f"{counted(at, 'row')} and never goes {word}: its "
                     "readings are clipped"
                 )
                 span = (int(rows[0]), int(rows[-1]))

@@ -4,10 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbitfb.core.signals import Mask
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+
+SURE = 50.0
+"""Log likelihood by which another sign, name or order must win."""
+
+_ONE_WAY = 0.95
+"""Share of the model's steps along one pattern above which a BPM has shown one number only."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,3 +54,22 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
     """Give the first element and the one after the last of every run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def one_way(steps: Steps) -> bool:
+    """Whether the correctors hardly moved but in proportion, so that all BPMs step alike."""
+    moved = np.linalg.eigvalsh(steps.predicted.T @ steps.predicted)
+    return bool(moved[-1] > _ONE_WAY * moved.sum())
+
+
+def likelier(count: int, left: Vector, left_otherwise: Vector) -> Vector:
+    """Log likelihood by which sums of squares win over others, shape as given [nats].
+
+    Args:
+        count: Steps in every sum.
+        left: What the model leaves as it is.
+        left_otherwise: What it leaves otherwise.
+    """
+    valid = (left > 0) & (left_otherwise > 0)
+    ratio = np.divide(left, left_otherwise, out=np.ones_like(left), where=valid)
+    return 0.5 * count * np.log(ratio)

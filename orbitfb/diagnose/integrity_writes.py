@@ -3,7 +3,8 @@
 import numpy as np
 
 from orbitfb.core.signals import Mask
-from orbitfb.diagnose.finding import Finding, listed
+from orbitfb.diagnose.finding import Finding, counted, listed
+from orbitfb.diagnose.integrity_actions import other_actions
 from orbitfb.diagnose.integrity_steps import inner
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -31,6 +32,8 @@ def check_writes(record: Record) -> list[Finding]:
         return []
     if shifted := _shifted(first, asked, done, exact):
         return [shifted]
+    if other := other_actions(first, asked, done, exact):
+        return other
     found: list[Finding] = []
     meant = np.abs(asked) > exact
     still = np.abs(done) <= exact
@@ -40,8 +43,8 @@ def check_writes(record: Record) -> list[Finding]:
     if lost.any() and lost.mean() < _MOSTLY:
         rows = first[lost]
         text = (
-            f"in {int(lost.sum())} rows (first {int(rows[0])}) the change that was asked for is "
-            "not in the next setpoints, of any corrector: those writes were lost"
+            f"in {counted(int(lost.sum()), 'row')} (first {int(rows[0])}) the change that was "
+            "asked for is not in the next setpoints, of any corrector: those writes were lost"
         )
         span = (int(rows[0]), int(rows[-1]))
         found.append(Finding("lost-write", "warning", (), span, text, effect="missed-write"))
@@ -120,7 +123,8 @@ def _others(
     share = float(differs.any(axis=1).mean())
     text = (
         f"in {100 * share:.1f} % of the rows (first {span[0]}) the change of the setpoints is not "
-        f"the action asked for, of {len(columns)} correctors ({listed(list(devices))}), by up to "
+        f"the action asked for, of "
+        f"{counted(len(columns), 'corrector')} ({listed(list(devices))}), by up to "
         f"{np.abs(error).max():.3g} A: limits, or something else writes too; the setpoints are "
         "believed"
     )

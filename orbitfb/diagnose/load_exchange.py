@@ -6,7 +6,7 @@ import numpy as np
 
 from orbitfb.core.errors import RecordError
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.diagnose.finding import Finding
+from orbitfb.diagnose.finding import Finding, listed
 from orbitfb.diagnose.load_meta import Meta
 from orbitfb.diagnose.load_raw import CURRENTS, NUMBERS, VECTORS, Raw
 from orbitfb.diagnose.load_rows import FEWEST_ROWS, Transition
@@ -92,7 +92,7 @@ def _check_present(raw: Raw) -> None:
 def _check_shapes(raw: Raw) -> tuple[int, int, int]:
     """See that all arrays fit together, shape (T, n, m) of the record."""
     orbit = raw.numbers["orbit"]
-    moved = "action" if "action" in raw.numbers else "setpoint"
+    moved = _trusted(raw)
     for name, names in (("orbit", "bpm_names"), (moved, "corr_names")):
         shape, devices = raw.numbers[name].shape, len(raw.texts[names])
         if len(shape) != 2 or 0 in shape:
@@ -128,6 +128,22 @@ def _check_shapes(raw: Raw) -> tuple[int, int, int]:
     return rows, n, m
 
 
+def _trusted(raw: Raw) -> str:
+    """Choose which of action and setpoint the other arrays of correctors are held against.
+
+    The one with a row for every orbit and a column for every name, and for every one of the model.
+    """
+    there = [name for name in ("action", "setpoint") if name in raw.numbers]
+    model = raw.numbers.get("model_R", np.zeros(0)).shape
+
+    def agreeing(name: str) -> int:
+        rows, *columns = raw.numbers[name].shape
+        right = (rows == len(raw.numbers["orbit"]), columns == [len(raw.texts["corr_names"])])
+        return sum(right) + (columns == [*model[1:]])
+
+    return max(there, key=agreeing)
+
+
 def _check_finite(raw: Raw, name: str) -> None:
     values = raw.numbers[name]
     bad = ~np.isfinite(values)
@@ -135,12 +151,30 @@ def _check_finite(raw: Raw, name: str) -> None:
         return
     where = np.argwhere(bad)[0]
     column = _column(raw, name, int(where[1])) if values.ndim == 2 else ""
-    value = values[tuple(where)]
+    advice = "leave such rows out, or save what was read"
+    if name == "model_R":
+        column = f", column {where[1]} ({_pair(raw, *where)})"
+        advice = "rows are BPMs, columns are correctors: give the response of each to each, or "
+        advice += "leave the device without one out of every array"
+    elif values.ndim == 2 and len(gone := np.flatnonzero(bad.all(axis=0))):
+        kind, names = ("BPM", "bpm_names") if name in VECTORS else ("corrector", "corr_names")
+        dead = [raw.texts[names][i] for i in gone if i < len(raw.texts[names])]
+        column += f", and so column {gone[0]} in every row" if where[1] != gone[0] else ""
+        advice = (
+            f"leave the {kind} without readings ({listed(dead)}) out: its column of every array, "
+            f"its name in {names}, its {'row' if kind == 'BPM' else 'column'} of model_R"
+        )
     raise raw.wrong(
         name,
-        f"is {value} in row {where[0]}{column} ({int(bad.sum())} such values)",
-        "leave such rows out, or save what was read",
+        f"is {values[tuple(where)]} in row {where[0]}{column} ({int(bad.sum())} such values)",
+        advice,
     )
+
+
+def _pair(raw: Raw, row: int, column: int) -> str:
+    """Name the BPM and the corrector of an element of the model."""
+    sides = (("bpm_names", row), ("corr_names", column))
+    return ", ".join(raw.texts[name][i] for name, i in sides if i < len(raw.texts[name]))
 
 
 def _check_size(raw: Raw, name: str) -> None:

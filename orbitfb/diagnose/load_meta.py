@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.load_raw import NUMBERS, Raw, canonical
 
 _SIZES = {
@@ -21,6 +22,7 @@ _ALSO = {"next_orbit": "orbit", "reference": "orbit", "setpoint": "action", "dit
 _ALSO["readback"] = "action"
 _UNUSUAL = {unit for kind in _USUAL for unit in _SIZES[kind]} - set(_USUAL.values())
 _ALIKE = 0.8
+_KEYS = ("dt_s", "planes", "plane", "bpm_planes", "corr_planes", "units")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +62,23 @@ class Meta:
         return _SIZES[kind][unit]
 
 
-def read_meta(raw: Raw) -> Meta:
-    """Read the text `meta`; a record without one says nothing.
+def unread_keys(raw: Raw) -> list[Finding]:
+    """Tell keys of `meta` that are not read, but are nearly one that is: `unit` for `units`.
 
-    Raises:
-        RecordError: It is no JSON object, or a key has a wrong value.
+    Args:
+        raw: The arrays; its `meta` has been read.
     """
+    found: list[Finding] = []
+    for key in _content(raw):
+        short = len(key) > 1 and [known for known in _KEYS if known.startswith(key.lower())]
+        near = short or difflib.get_close_matches(key.lower(), _KEYS, 1, _ALIKE)
+        if near and key not in _KEYS:
+            text = f"meta: {key!r:.40} is not read; did you mean {near[0]!r}?"
+            found.append(Finding("unread-meta", "warning", (), None, text))
+    return found
+
+
+def _content(raw: Raw) -> dict[str, Any]:
     text = raw.texts.get("meta", ("",))[0].strip()
     try:
         content: Any = json.loads(text) if text else {}
@@ -75,6 +88,16 @@ def read_meta(raw: Raw) -> Meta:
         ) from error
     if not isinstance(content, dict):
         raise raw.wrong("meta", f"is a {type(content).__name__}", "write a JSON object {…}")
+    return content
+
+
+def read_meta(raw: Raw) -> Meta:
+    """Read the text `meta`; a record without one says nothing.
+
+    Raises:
+        RecordError: It is no JSON object, or a key has a wrong value.
+    """
+    content = _content(raw)
     return Meta(
         period=_period(raw, content),
         planes=_planes(raw, content),

@@ -9,7 +9,7 @@ import numpy as np
 from orbitfb.core.errors import RecordError
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.digest import digest_of
-from orbitfb.diagnose.finding import Finding
+from orbitfb.diagnose.finding import Finding, counted
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -207,7 +207,8 @@ def _gap_findings(rows: Transition, position: Indices, jumps: Mask) -> list[Find
                 "warning",
                 (),
                 (first, int(position[at[-1]]) + 1),
-                f"the time jumps at {len(at)} rows, first after row {int(at[0])} of the file, at "
+                f"the time jumps at "
+                f"{counted(len(at), 'row')}, first after row {int(at[0])} of the file, at "
                 f"most by {longest:.3g} s; the record is taken in pieces",
             )
         )
@@ -221,9 +222,9 @@ def _gap_findings(rows: Transition, position: Indices, jumps: Mask) -> list[Find
                 "warning",
                 (),
                 (first, int(position[at[-1]]) + 1),
-                f"at {len(at)} rows, first row {int(at[0])} of the file, next_orbit is not the "
-                "orbit of the row after it although the time goes on; rows are missing there, and "
-                "the record is taken in pieces",
+                f"at {counted(len(at), 'row')}, first row {int(at[0])} of the file, next_orbit is "
+                "not the orbit of the row after it although the time goes on; rows are missing "
+                "there, and the record is taken in pieces",
             )
         )
     return found

@@ -11,6 +11,9 @@ _PREFIXES = {3: "ms", 6: "us", 9: "ns"}
 _EXACTLY = 0.004
 """Most that the factor between two periods may be beside a power of ten [decades]."""
 
+_SHORTEST = 1e-3
+"""Period below which float32 is not blamed where most stamps are equal [s]."""
+
 
 def time_of(raw: Raw, time: Vector | None, rows: int, period: float | None) -> Vector:
     """Give the time of every row [s].
@@ -35,12 +38,20 @@ def time_of(raw: Raw, time: Vector | None, rows: int, period: float | None) -> V
         problem = f"does not increase at row {row}"
         given = raw.numbers["t"]
         short = given.astype(np.float32)
-        if np.array_equal(short, given) and np.spacing(short[row]) > np.median(np.abs(steps)):
+        usual = float(np.median(np.abs(steps))) or _SHORTEST
+        if np.array_equal(short, given) and np.spacing(short[row]) > usual:
             raise raw.wrong(
                 "t",
                 f"{problem}: it was saved as float32, which near {given[row]:.0f} tells only every "
                 f"{np.spacing(short[row]):g}",
                 "save it as float64, or count from the first row",
+            )
+        if not steps.any():
+            raise raw.wrong(
+                "t",
+                f"{problem}: it is {time[0]:g} s in every row",
+                "save the time at which each orbit was read, or leave 't' out and give dt_s in "
+                "meta",
             )
         raise raw.wrong(
             "t",

@@ -10,7 +10,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.load_archive import read_transitions
 from orbitfb.diagnose.load_exchange import dropped_columns, transitions_from
-from orbitfb.diagnose.load_meta import Meta, read_meta
+from orbitfb.diagnose.load_meta import Meta, read_meta, unread_keys
 from orbitfb.diagnose.load_names import (
     Named,
     complete_planes,
@@ -65,6 +65,7 @@ def from_arrays(
     """
     meta = read_meta(raw)
     rows, found = transitions_from(raw, meta)
+    found += unread_keys(raw)
     model = _model(raw, rows, meta, planes, ring, response, found)
     seconds = _period(rows.time, period, meta.period, found)
     return _assemble(raw.path, rows, model, planes, seconds, found)

@@ -80,12 +80,19 @@ def check_file(path: Path) -> None:
     """See to it that a plan can be written, before the work for it.
 
     Raises:
-        RecordError: It is a directory, or is to be in one that does not exist.
+        RecordError: It is a directory, is to be in one that does not exist, or is called like
+            neither of the two files that can be run.
     """
     if path.is_dir():
         raise RecordError(f"--out {path}: it is a directory; name a file in it")
     if not path.parent.is_dir():
         raise RecordError(f"--out {path}: there is no directory {path.parent}; make it first")
+    if path.suffix not in (".toml", ".npz"):
+        raise RecordError(
+            f"--out {path}: `orbitfb run --excite` reads a description (.toml) or a waveform "
+            f"(.npz), not {path.suffix or 'a name without an ending'!r}; give the file one of "
+            "these endings"
+        )
 
 
 def _toml(text: str, settings: ExcitationSettings) -> str:

@@ -105,6 +105,8 @@ def _crates(bench: Bench, kind: LatentKind) -> Iterator[Candidate]:
         places = tuple(int(column) for column in columns)
         score, info = strikes(bench, kind, places)
         grid = list(_latent_grid(kind, score, info))
+        if not grid:  # what would just be seen is beyond what the effect can be
+            continue
         gains = [float(np.sum(_ratio(kind, score, info, [*its.values()]))) for its in grid]
         best = int(np.argmax(gains))
         if (gain := gains[best] - float(apart[columns].sum())) > 0.0:

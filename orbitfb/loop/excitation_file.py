@@ -43,6 +43,11 @@ from orbitfb.loop.excitation_design import (
 )
 
 Matrix = NDArray[np.float64]
+HOW_TO = (
+    "a description (TOML) holds one [[part]] or more, each with kind, modes or correctors, "
+    "amplitude and duration; a waveform (.npz) holds waveform (T, k) [A] and corr_names (k,); "
+    "`orbitfb diagnose plan RECORD --out FILE` makes either"
+)
 _LARGEST, _USUAL, _ABSURD_RATIO = 1 << 30, 1 << 26, 200
 _DAMAGED = (
     ValueError, EOFError, KeyError, TypeError, SyntaxError, RecursionError, OverflowError,
@@ -73,8 +78,15 @@ def read_excitation(path: Path, channels: Channels, response: Matrix, period: fl
     try:
         settings = ExcitationSettings.model_validate(tree)
     except ValidationError as error:
-        raise ConfigError(f"--excite {path}: {_problems(error)}") from None
+        raise ConfigError(f"--excite {path}: {_problems(error)}; {HOW_TO}") from None
     return design(settings, channels, response, period, f"--excite {path}")
+
+
+_SAID = {
+    "missing": "{0} is missing",
+    "extra_forbidden": "{0} is no key of a description",
+}
+"""What is wrong, by the validator's type, of what stands where; its own words for the others."""
 
 
 def _problems(error: ValidationError) -> str:
@@ -86,8 +98,9 @@ def _problems(error: ValidationError) -> str:
         if each["loc"] not in outer:
             where = " ".join(str(key + 1 if isinstance(key, int) else key) for key in each["loc"])
             given = each["input"]
-            got = f", got {given!r:.60}" if isinstance(given, str | int | float) else ""
-            told.append(f"{where}: {each['msg']}{got}")
+            told_value = isinstance(given, str | int | float) and each["type"] != "extra_forbidden"
+            got = f", got {given!r:.60}" if told_value else ""
+            told.append(_SAID.get(each["type"], "{0}: {1}").format(where, each["msg"]) + got)
     return "; ".join(told)
 
 
@@ -104,7 +117,7 @@ def _from_arrays(path: Path, channels: Channels, period: float) -> Waveform:
         raise ConfigError(f"{where}: is no file of arrays that can be read: {error}") from None
     missing = {"waveform", "corr_names"} - set(given)
     if missing:
-        raise ConfigError(f"{where}: has no {' and no '.join(sorted(missing))}")
+        raise ConfigError(f"{where}: has no {' and no '.join(sorted(missing))}; {HOW_TO}")
     rows, names = given["waveform"], [str(name) for name in np.atleast_1d(given["corr_names"])]
     if rows.ndim != 2 or rows.shape[1] != len(names) or not 0 < len(rows) <= LONGEST:
         raise ConfigError(

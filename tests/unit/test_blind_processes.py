@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from orbitfb.cli import blind_processes
+from orbitfb.core.errors import ConfigError
 
 SLEEPER = """
 import os, subprocess, sys, time
@@ -88,3 +89,17 @@ def test_how_a_command_ends_is_told(tmp_path, monkeypatch, code):
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     ended = blind_processes.command(module="ender")
     assert (ended.code, ended.stdout, ended.stderr) == (code, "told\n", "")
+
+
+def test_cases_of_two_suites_are_not_mixed(tmp_path):
+    blind_processes.claim(tmp_path, "quick", 1)
+    blind_processes.claim(tmp_path, "quick", 1)  # to go on with them
+    for suite, seed in (("quick", 9), ("fast", 1)):
+        with pytest.raises(ConfigError, match=r"--suite quick --seed 1, .*use another --out"):
+            blind_processes.claim(tmp_path, suite, seed)
+    (tmp_path / "suite.json").unlink()
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth" / "manifest.json").write_text('{"suite": "quick", "seed": 1}')
+    with pytest.raises(ConfigError, match="--seed 1"):
+        blind_processes.claim(tmp_path, "quick", 9)
+    assert not (tmp_path / "suite.json").exists()

@@ -8,8 +8,10 @@ from record_files import record, ring
 
 from orbitfb.diagnose.certain import certain_causes
 from orbitfb.diagnose.integrity import is_hopeless, screen
-from orbitfb.diagnose.integrity_channels import _evened, _whole
+from orbitfb.diagnose.integrity_channels import _evened, _turned
+from orbitfb.diagnose.integrity_order import check_order
 from orbitfb.diagnose.integrity_steps import Steps
+from orbitfb.diagnose.integrity_writes import check_writes
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.plant import PlantSettings
@@ -140,8 +142,8 @@ def test_a_few_rows_of_running_away_do_not_turn_the_model():
     predicted[-8:] *= 1e4
     orbit[-8:] = -predicted[-8:]
     steps = Steps(np.arange(300), orbit, np.zeros((300, 3)), predicted)
-    assert [one.check for one in _whole(steps)] == ["wrong-sign"]
-    assert _whole(_evened(steps)) == []
+    assert [one.check for one in _turned(steps)] == ["wrong-sign"]
+    assert _turned(_evened(steps)) == []
 
 
 def test_a_dead_corrector_is_no_swap_with_one_that_makes_up_for_it():
@@ -316,6 +318,13 @@ def test_writes_that_were_lost():
     assert (found.rows, found.effect) == ((20, 90), "missed-write")
 
 
+def test_a_single_row_is_told_in_the_singular():
+    made = record(ticks=300)
+    readings = made.readings.copy()
+    readings[200] = readings[199]
+    assert "in 1 row (first" in only(replace(made, readings=readings), "repeated-orbit").text
+
+
 def test_a_setpoint_that_stays():
     made = record(ticks=300)
     setpoints = made.setpoints.copy()
@@ -338,6 +347,48 @@ def test_setpoints_of_another_row():
     found = screen(replace(made, setpoints=after).rows(0, 299))
     assert is_hopeless(found)
     assert found[0].check == "shifted-setpoints"
+
+
+@pytest.mark.parametrize(
+    ("factor", "check", "words"),
+    [
+        (1e3, "wrong-units", "'action' is 1000 times the change of 'setpoint'"),
+        (1e-3, "wrong-units", "is setpoint in mA?"),
+        (-1.0, "wrong-sign", "with the opposite sign"),
+    ],
+)
+def test_actions_in_another_unit_or_with_another_sign(factor, check, words):
+    made = record(ticks=300)
+    found = only(replace(made, requested=factor * made.requested), check)
+    assert is_hopeless([found])
+    assert words in found.text
+
+
+def test_setpoints_of_another_record_than_the_actions():
+    made = record(ticks=300)
+    found = only(replace(made, setpoints=made.setpoints[::-1]), "foreign-action")
+    assert is_hopeless([found])
+
+
+def changed(made, change):
+    """The record whose setpoints move by what something makes of the changes asked for."""
+    steps = change(made.requested[:-1])
+    return replace(made, setpoints=np.vstack([0 * steps[:1], np.cumsum(steps, axis=0)]))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda asked: asked + 3.0 * asked.std() * np.random.default_rng(1).normal(size=asked.shape),
+        lambda asked: np.clip(asked, -0.1 * asked.std(), 0.1 * asked.std()),
+        lambda asked: np.roll(asked, 2, axis=0),
+    ],
+)
+def test_setpoints_that_follow_among_other_writes_within_limits_or_late(change):
+    made = record(ticks=300)
+    assert not is_hopeless(
+        [one for one in check_writes(changed(made, change)) if one.check == "foreign-action"]
+    )
 
 
 def test_rounded_setpoints_are_a_note():
@@ -409,6 +460,38 @@ def test_columns_in_another_order_or_with_the_other_sign():
     assert screen(replace(made, readings=-made.readings))[0].check == "wrong-sign"
 
 
+@pytest.mark.parametrize("dither", [0.0, 1e-4])
+@pytest.mark.parametrize("shift", [0, 1])
+def test_correctors_in_another_order_are_not_blamed_on_the_bpms(dither, shift):
+    made = record(ticks=400, dither=dither)
+    order = np.roll(np.arange(180), shift) if shift else np.random.default_rng(0).permutation(180)
+    found = only(
+        replace(made, setpoints=made.setpoints[:, order], requested=made.requested[:, order]),
+        "permuted-channels",
+    )
+    assert found.severity == "failure"
+    assert "columns of 'setpoint' (and 'action') are not in the order of corr_names" in found.text
+
+
+def test_bpms_in_another_order_are_not_blamed_on_the_correctors():
+    made = record(ticks=400)
+    found = only(replace(made, readings=np.roll(made.readings, 1, axis=1)), "permuted-channels")
+    assert "columns of 'orbit' are not in the order of bpm_names" in found.text
+    assert "setpoint" not in found.text
+
+
+def test_an_order_that_may_be_of_either_is_told_of_neither():
+    """On a ring of equal cells a turn of the BPMs and one of the correctors are the same."""
+    rng = np.random.default_rng(5)
+    response = 1e-3 * np.cos(2 * np.pi * np.subtract.outer(np.arange(24), np.arange(24)) / 24)
+    response += 1e-3 * np.cos(10 * np.pi * np.subtract.outer(np.arange(24), np.arange(24)) / 24)
+    setpoints = rng.normal(size=(300, 24))
+    predicted = setpoints @ response.T
+    orbit = np.roll(predicted, 3, axis=1) + 1e-5 * rng.normal(size=predicted.shape)
+    (found,) = check_order(Steps(np.arange(300), orbit, setpoints, predicted), response)
+    assert "which of the two, this record does not tell" in found.text
+
+
 def test_setpoints_that_never_move():
     made = record(ticks=200)
     still = replace(
@@ -425,8 +508,9 @@ def test_bpms_that_follow_their_neighbours_a_little_better_are_in_order(turn, to
     rng = np.random.default_rng(4)
     courses, phase = rng.normal(size=(400, 2)), np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
 
-    def orbit(phases):
-        return courses @ np.array([np.cos(phases), np.sin(phases)])
+    def response(phases):
+        return np.array([np.cos(phases), np.sin(phases)]).T
 
-    made = Steps(np.arange(400), orbit(phase + turn), courses, orbit(phase))
-    assert [finding.check for finding in _whole(made)] == told
+    orbit, predicted = (courses @ response(phases).T for phases in (phase + turn, phase))
+    made = Steps(np.arange(400), orbit, courses, predicted)
+    assert [finding.check for finding in check_order(made, response(phase))] == told

@@ -70,9 +70,22 @@ WRONG = {
     "NaN in orbit": (put("orbit", 17, np.nan), ["'orbit'", "row 17", "column 3"]),
     "inf in action": (put("action", 5, np.inf), ["'action'", "row 5", "inf"]),
     "NaN in t": (put("t", 9, np.nan), ["'t'", "row 9"]),
-    "NaN in model": (put("model_R", 2, np.nan), ["'model_R'", "row 2"]),
+    "NaN in model": (put("model_R", 2, np.nan), ["'model_R'", "row 2", "rows are BPMs"]),
+    "too few columns in action": (
+        replace("action", lambda a: a[:, :-1]),
+        ["array 'action'", "(120, 9)", "setpoint (120, 10) call for"],
+    ),
+    "too few columns in setpoint": (
+        replace("setpoint", lambda a: a[:, :-1]),
+        ["array 'setpoint'", "(120, 9)", "action (120, 10) call for"],
+    ),
     "time goes back": (put("t", 60, 1.0), ["'t'", "row 60", "does not increase"]),
-    "time stands": (replace("t", np.zeros_like), ["'t'", "row 1"]),
+    "time stands": (replace("t", np.zeros_like), ["'t'", "row 1", "it is 0 s in every row"]),
+    "time stands at 5 s": (replace("t", lambda a: 0 * a + 5), ["'t'", "it is 5 s in every row"]),
+    "a dead BPM": (
+        put("orbit", slice(None), np.nan),
+        ["'orbit'", "leave the BPM without readings", "its row of model_R"],
+    ),
     "time of float32": (replace("t", lambda a: (a + 1.7e9).astype("f4")), ["'t'", "float32"]),
     "next orbit is the orbit": (
         lambda made: made.update(next_orbit=made["orbit"]),

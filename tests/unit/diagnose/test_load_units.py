@@ -54,6 +54,18 @@ def test_units_that_are_the_usual_ones_or_of_something_else(tmp_path, units):
     assert load(save(tmp_path / "record.npz", made)).record.layout.period == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize(
+    ("key", "near"), [("unit", "units"), ("dt", "dt_s"), ("Planes", "planes"), ("note", None)]
+)
+def test_a_key_that_is_nearly_one_that_is_read(tmp_path, key, near):
+    made = small() | {"meta": meta(dt_s=0.1, **{key: "x"})}
+    told = [one for one in load(save(tmp_path / "record.npz", made)).findings
+            if one.check == "unread-meta"]  # fmt: skip
+    expected = [] if near is None else [f"meta: '{key}' is not read; did you mean '{near}'?"]
+    assert [one.text for one in told] == expected
+    assert all(one.severity == "warning" for one in told)
+
+
 def hdf5(path, made, units):
     with h5py.File(path, "w") as file:
         for name, array in made.items():

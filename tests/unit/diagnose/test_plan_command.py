@@ -75,7 +75,7 @@ def test_an_effect_is_not_told_from_itself(made, tmp_path):
     assert "--against corrector-lag" in str(result.exception)
 
 
-@pytest.mark.parametrize("name", ["", "not-there/excite.toml"])
+@pytest.mark.parametrize("name", ["", "not-there/excite.toml", "excite.csv", "excite"])
 def test_a_file_that_cannot_be_is_told_before_the_work(tmp_path, name):
     result = run(tmp_path / "no-record.npz", "--out", tmp_path / name)
     assert "--out" in str(result.exception)

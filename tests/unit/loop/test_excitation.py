@@ -7,7 +7,7 @@ from orbitfb.core.signals import LoopState
 from orbitfb.loop.dither import Dither, DitherSettings
 from orbitfb.loop.excitation import Excitation, Progress, Waveform
 from orbitfb.loop.excitation_design import ExcitationSettings, check_excitation, design
-from orbitfb.loop.excitation_file import read_excitation
+from orbitfb.loop.excitation_file import HOW_TO, read_excitation
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
@@ -138,7 +138,7 @@ def test_arrays(tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "words"),
     [
-        ({"waveform": ROWS}, "has no corr_names"),
+        ({"waveform": ROWS}, "has no corr_names; .*diagnose plan RECORD --out FILE"),
         ({"waveform": ROWS, "corr_names": ["COR0"]}, r"shape \(5, 4\); it must be \(T, 1\)"),
         ({"waveform": ROWS[:, :1], "corr_names": ["COR9"]}, "no corrector called 'COR9'"),
         ({"waveform": ROWS[:, :2], "corr_names": ["COR0", "COR0"]}, "COR0 is not unique"),
@@ -156,7 +156,8 @@ def test_wrong_arrays(tmp_path, arrays, words):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "part: Field required"),
+        ("", r"part is missing; .*\[\[part\]\] .*diagnose plan RECORD --out FILE"),
+        ("x = 1", "x is no key of a description; "),
         ("part = 3", "part: Input should be"),
         ('[[part]]\nkind="prbs"\namplitude=1\nduration=1', "either modes or correctors"),
         ('[[part]]\nkind="prbs"\nmodes=[5]\namplitude=1\nduration=1', "numbered from 1 to 4"),
@@ -179,10 +180,10 @@ def test_a_wrong_part_is_told_once_and_a_file_is_not_printed(tmp_path):
     with pytest.raises(ConfigError) as raised:
         read_excitation(path, CHANNELS, RESPONSE, 0.1)
     said = str(raised.value)
-    assert "part 1 hold: " in said and said.endswith("got nan")
-    assert "at least 1 item" not in said and "{" not in said
+    assert "part 1 hold: " in said and "got nan; a description" in said
+    assert "at least 1 item" not in said and "{" not in said.removesuffix(HOW_TO)
     path.write_text("")
-    with pytest.raises(ConfigError, match=r"part: Field required$"):
+    with pytest.raises(ConfigError, match=r": part is missing; a desc"):
         read_excitation(path, CHANNELS, RESPONSE, 0.1)
 
 
