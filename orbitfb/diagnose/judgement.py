@@ -9,14 +9,14 @@ from orbitfb.diagnose.ambiguity import Group, classes
 from orbitfb.diagnose.answer import State
 from orbitfb.diagnose.answer_blocks import Audit, Unknown
 from orbitfb.diagnose.answer_parts import Shrink
-from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.answering import place_names
 from orbitfb.diagnose.ceiling import Ceiling, ceiling
 from orbitfb.diagnose.certain import Certain, Untold
 from orbitfb.diagnose.departure import Departure, departure
 from orbitfb.diagnose.drift_shape import with_own_shape
 from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.gof import audit, flagged_nats, flagged_stage
-from orbitfb.diagnose.naming import column_names
+from orbitfb.diagnose.naming import column_names, devices_and_planes
 from orbitfb.diagnose.rounds import CLOSE, SURE, Round
 from orbitfb.diagnose.search import Outcome
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
@@ -148,6 +148,13 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
     else:
         return judged
     unknown = _unknown(outcome, judged.audit, judged.departures, judged.explained)
+    first = outcome.winners[0].accepted
+    if first is not None and not unknown.text:
+        text = (
+            f"{first.kind.id} explains the record itself, but not {shrunk.on}: it is mended by "
+            "then, or it stands for something else."
+        )
+        unknown = unknown.model_copy(update={"text": text})
     return replace(judged, state=state, unknown=unknown)
 
 
@@ -233,7 +240,7 @@ def _unknown(
         stages = dict[str, float | None]({flagged: 1.0})  # no effect says anything, but a test does
     return Unknown(
         stages=stages,
-        places=_places(outcome.bench),
+        places=_places(outcome),
         text=f"What is left goes {courses[0]}." if courses else "",
         nearest=first.entries[0].kind.id if first.entries else "",
         nearest_nats=first.entries[0].held_out if first.entries else None,
@@ -255,9 +262,16 @@ def stage_shares(one: Round) -> dict[str, float | None]:
     return dict(zip(best, shares.tolist(), strict=True))
 
 
-def _places(bench: Bench, most: int = 5) -> tuple[str, ...]:
-    """BPMs whose innovations scatter most."""
+def _places(outcome: Outcome, most: int = 5) -> tuple[str, ...]:
+    """Devices of the nearest effect, if it explains anything; then BPMs that scatter most."""
+    bench, layout = outcome.bench, outcome.bench.record.layout
+    nearest = tuple[str, ...]()
+    for entry in outcome.rounds[0].entries[:1]:
+        if entry.weight > 0.0 and len(entry.cause.places) <= most:
+            own = place_names(layout, entry.kind, entry.cause.places)
+            nearest = devices_and_planes(own)[0]
     counted = ~bench.record.starts
     scatter = np.mean(bench.floor.by_bpm(bench.white[counted]) ** 2, axis=0)
-    names = column_names(bench.record.layout.bpms)
-    return tuple(names[int(i)] for i in np.argsort(scatter)[::-1][:most])
+    names = column_names(layout.bpms)
+    loudest = (names[int(index)] for index in np.argsort(scatter)[::-1][:most])
+    return tuple(dict.fromkeys((*nearest, *loudest)))[:most]

@@ -130,7 +130,7 @@ def _spectrum(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
     colours = 0.5 * scores**2 / known
     ticks = int(np.argmax(colours)) + 1
     price = float(np.log(_COLOURS)) + _OCCAM
-    yield f"with an echo after {ticks} ticks", float(colours[ticks - 1]) - price
+    yield f"with an echo after {ticks} tick{'s' * (ticks > 1)}", float(colours[ticks - 1]) - price
     yield f"as a line at {where:.3g} Hz", top - float(np.log(lines)) - _OCCAM
     turns = spectra.alternating(cause.values) / len(places)
     height = sum(0.5 * _line(float(turn), len(places)) for turn in turns)

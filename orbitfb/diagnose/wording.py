@@ -9,6 +9,9 @@ from orbitfb.diagnose.answer_parts import Cause, Finding, Gap, ParameterValue, S
 _LEAST_TOLD = 0.1
 """Probability of a further cause below which the sentence leaves it to the table."""
 
+_LIKELIER = 0.5
+"""Probability from which a law is more likely than not that of the cause."""
+
 
 def headline(
     state: State | None,
@@ -99,9 +102,17 @@ def _named(causes: Sequence[Cause]) -> str:
         if index == 0 or cause.probability is None or cause.probability >= _LEAST_TOLD
     ]
     return " ".join(
-        f"{'Cause' if index == 0 else 'And'}: {describe(cause)}."
+        f"{_introduced(cause, first=index == 0)}: {describe(cause)}."
         for index, cause in enumerate(told)
     )
+
+
+def _introduced(cause: Cause, *, first: bool) -> str:
+    """Begin a sentence about a cause: what is less likely than not is no more than the nearest."""
+    likely = cause.probability is None or cause.probability >= _LIKELIER
+    if likely:
+        return "Cause" if first else "And"
+    return "Nearest known cause" if first else "And perhaps"
 
 
 def describe(cause: Cause) -> str:
