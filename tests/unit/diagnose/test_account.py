@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from orbitfb.diagnose.answer_blocks import AmbiguousSet, Audit
+from orbitfb.diagnose.answer_blocks import AmbiguousSet, Audit, Unknown
 from orbitfb.diagnose.answer_parts import Cause, Shrink
 from orbitfb.diagnose.judgement import Judgement, _state, held_to_account
 from orbitfb.diagnose.wording import headline
@@ -27,12 +27,21 @@ def outcome_of(name: str) -> SimpleNamespace:
     ],
 )
 def test_a_name_is_held_to_later_data(name, nats, high, state, monkeypatch):
-    monkeypatch.setattr("orbitfb.diagnose.judgement._unknown", lambda *parts: None)
+    monkeypatch.setattr("orbitfb.diagnose.judgement._unknown", lambda *parts: Unknown())
     judged = Judgement("named", Audit(), None, 1.0, (), None)  # type: ignore[arg-type]
     shrunk = Shrink(
-        nats=nats, low=min(nats, 0.0), high=high, um=nats, held_out_ticks=1000, resolved=True
+        nats=nats,
+        low=min(nats, 0.0),
+        high=high,
+        um=nats,
+        held_out_ticks=1000,
+        on="the later record",
     )
-    assert held_to_account(judged, outcome_of(name), shrunk).state == state  # type: ignore[arg-type]
+    found = held_to_account(judged, outcome_of(name), shrunk)  # type: ignore[arg-type]
+    assert found.state == state
+    assert (found.unknown is None) == (state == "named")
+    if found.unknown is not None:
+        assert f"{name} explains the record itself, but not the later record" in found.unknown.text
 
 
 @pytest.mark.parametrize(
