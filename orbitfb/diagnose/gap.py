@@ -8,6 +8,7 @@ A floor estimated with the record itself cannot tell that.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from orbitfb.diagnose.gap_parts import bands, bins, windows
 from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.replay import NOMINAL, Model, Replay
 from orbitfb.diagnose.surplus import Surplus
+from orbitfb.diagnose.unseen import Unseen
 from orbitfb.diagnose.worth import Gains, shapley
 from orbitfb.physics.optics import Matrix
 
@@ -35,7 +37,7 @@ def surplus(
     bench: Bench,
     *,
     best: Matrix | None = None,
-    unseen: float = 0.0,
+    unseen: Unseen | None = None,
     reference_rows: int | None = None,
 ) -> Surplus:
     """Compare the nominal model with the best explanation, cell by cell.
@@ -44,15 +46,15 @@ def surplus(
         bench: The record under the causes that were found.
         best: White innovations of an explanation better than the causes, on ticks it was not
             fitted to, shape (N, n) (`ceiling`); those of the causes when None.
-        unseen: Gain of causes without a course in time (noise, strikes), which no innovation
-            shows [nats over the record].
+        unseen: What causes without a course in time gain; None: there are none.
         reference_rows: Rows of the record that the floor comes from; as many as this one's when
             None. Without effect where the floor comes from the record itself.
     """
     replay = Replay.of(bench)
     counted = replay.counted()
     mine = Model(bench.causes)
-    even = np.where(counted, unseen / max(int(counted.sum()), 1), 0.0)
+    unseen = unseen or Unseen()
+    even = np.where(counted, unseen.whole / max(int(counted.sum()), 1), 0.0)
     whole = Surplus(
         bench.floor,
         counted,
@@ -60,6 +62,7 @@ def surplus(
         replay.white(mine) if best is None else best,
         replay.jacobian(mine),
         even,
+        unseen.where,
     )
     if not bench.told_floor:
         return whole
@@ -71,14 +74,14 @@ def surplus(
     doubt = np.hypot(doubt, np.sqrt(n / 2.0 / (reference_rows or rows))) * _SURE
     if abs(float(rest.mean())) < doubt + 0.5 * n * STEADY:
         return whole
-    return Surplus(bench.floor, counted, whole.nominal, whole.best, whole.jacobian, even, raw)
+    return replace(whole, raw=raw)
 
 
 def gap(
     bench: Bench,
     *,
     best: Matrix | None = None,
-    unseen: Mapping[str, float] | None = None,
+    unseen: Unseen | None = None,
     stage_gains: Mapping[str, float] | None = None,
     reference_rows: int | None = None,
     seed: int = 0,
@@ -89,15 +92,15 @@ def gap(
     Args:
         bench: The record under the causes that were found (none: the nominal model).
         best: As for `surplus`.
-        unseen: Gains of causes without a course in time by stage [nats over the record].
+        unseen: As for `surplus`.
         stage_gains: Best gains of the tournament by stage [nats over the record]; what no cause
             explains is shared out by them, as far as they reach.
         reference_rows: As for `surplus`.
         seed: Of the bootstrap.
         gains: Of the bench, where they are known already.
     """
-    hidden = dict(unseen or {})
-    whole = surplus(bench, best=best, unseen=sum(hidden.values()), reference_rows=reference_rows)
+    hidden = {} if unseen is None else unseen.by_stage
+    whole = surplus(bench, best=best, unseen=unseen, reference_rows=reference_rows)
     draws = Draws.of(whole.counted, seed)
     ticks = max(int(whole.counted.sum()), 1)
     by_row = whole.by_row

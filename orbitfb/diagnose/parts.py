@@ -23,6 +23,7 @@ from orbitfb.diagnose.plan import plan
 from orbitfb.diagnose.score_map import score_map
 from orbitfb.diagnose.search import Outcome
 from orbitfb.diagnose.shrink import contrast, k_steps, shrink
+from orbitfb.diagnose.unseen import Unseen
 from orbitfb.diagnose.wording import headline
 from orbitfb.diagnose.worth import Gains, Worths, waterfall
 from orbitfb.effects.kinds import EffectKind
@@ -113,20 +114,15 @@ class Parts:
 
     def _gap(self, gains: Gains) -> Gap:
         stages: dict[str, float] = {}
-        unseen: dict[str, float] = {}
         for entry in self.outcome.rounds[0].entries:
             stage = entry.kind.stage
             stages[stage] = max(stages.get(stage, 0.0), entry.candidate.gain)
-        for one in self.outcome.winners:
-            entry = one.accepted
-            if entry is not None and isinstance(entry.kind, NoiseKind | LatentKind):
-                stage = entry.kind.stage
-                unseen[stage] = unseen.get(stage, 0.0) + entry.candidate.gain
+        accepted = [one.accepted for one in self.outcome.winners if one.accepted is not None]
         rest = self.judged.rest
         return gap(
             self.outcome.bench,
             best=rest.white if rest.resolved else None,
-            unseen=unseen,
+            unseen=Unseen.of(self.outcome.bench, accepted),
             stage_gains=stages,
             seed=self.seed,
             gains=gains,

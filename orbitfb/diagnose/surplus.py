@@ -26,7 +26,8 @@ class Surplus:
         nominal: White innovations of the nominal model, shape (N, n).
         best: Those of the best explanation, shape (N, n).
         jacobian: log |∂restored/∂reading| of the best explanation by row and BPM, (N, n).
-        even: Gap that belongs to no channel, by row, shape (N,) [nats].
+        even: Gap that no innovation shows, by row, shape (N,) [nats].
+        where: Share of it that every BPM has, shape (n,), of sum 1; None: all alike.
         raw: White innovations of the best explanation before the healthy errors are taken out,
             shape (N, n), if what is left above the floor is a part of the gap; None if it is not.
             (The mean of raw · best is 1 in every cell of a right model, whatever the prior of the
@@ -39,6 +40,7 @@ class Surplus:
     best: Matrix
     jacobian: Matrix
     even: Vector
+    where: Vector | None = None
     raw: Matrix | None = None
 
     @property
@@ -51,7 +53,7 @@ class Surplus:
         cells = self._quadratic(self.floor.modes.axes.T) + np.where(
             self.counted[:, None], self.jacobian, 0.0
         )
-        return cells + self._spread(self.even)
+        return cells + self._unseen()
 
     def by_direction(self, basis: Matrix) -> Matrix:
         """Gap of every row and direction of an orthonormal basis of orbits, shape (N, n) [nats].
@@ -59,7 +61,9 @@ class Surplus:
         Args:
             basis: Columns, shape (n, n).
         """
-        return self._quadratic(self.floor.modes.axes.T @ basis) + self._spread(self._whole_rows())
+        channels = self.nominal.shape[1]
+        alike = np.where(self.counted, self.jacobian.sum(axis=1), 0.0)[:, None] / channels
+        return self._quadratic(self.floor.modes.axes.T @ basis) + alike + self._unseen(basis)
 
     def by_frequency(self, edges: Vector) -> list[Matrix]:
         """Gap of every row and BPM in bands of frequency, each of shape (N, n) [nats].
@@ -78,7 +82,7 @@ class Surplus:
             tuple(np.fft.rfft((one * self.counted[:, None]) @ rotation, axis=0) for one in pair)
             for pair in pairs
         ]
-        flat = self.jacobian * self.counted[:, None] + self._spread(self.even)
+        flat = self.jacobian * self.counted[:, None] + self._unseen()
         if self.raw is not None:
             flat -= 0.5 * self.counted[:, None]
         bands: list[Matrix] = []
@@ -105,9 +109,13 @@ class Surplus:
     def _whole_rows(self) -> Vector:
         return np.where(self.counted, self.jacobian.sum(axis=1) + self.even, 0.0)
 
-    def _spread(self, by_row: Vector) -> Matrix:
+    def _unseen(self, basis: Matrix | None = None) -> Matrix:
+        """What no innovation shows by row and BPM, or direction of a basis (n, n), shape (N, n)."""
         channels = self.nominal.shape[1]
-        return np.where(self.counted, by_row, 0.0)[:, None] / channels * np.ones(channels)
+        shares = np.full(channels, 1.0 / channels) if self.where is None else self.where
+        if basis is not None:
+            shares = shares @ basis**2  # noise of a BPM moves every direction that has a part of it
+        return np.outer(np.where(self.counted, self.even, 0.0), shares)
 
 
 def _weight(frequency: Vector, chosen: Mask, rows: int) -> float:

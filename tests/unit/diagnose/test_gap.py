@@ -5,12 +5,15 @@ import pytest
 from gap_cases import GAIN, PLACE, bench, gain_error, record
 
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.gap import UNEXPLAINED, gap, surplus
 from orbitfb.diagnose.gap_maps import lag_profile, maps
 from orbitfb.diagnose.gap_parts import band_edges
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.replay import NOMINAL, Model, Replay
+from orbitfb.diagnose.unseen import Unseen
 from orbitfb.diagnose.worth import Gains, shapley
 from orbitfb.effects.registry import effect
 
@@ -30,7 +33,8 @@ def _told(found):
 
 @pytest.mark.parametrize("told", [False, True])
 def test_the_parts_add_up(found, told):
-    whole = surplus(_told(found) if told else found, unseen=3.0)
+    unseen = Unseen({"noise": 3.0}, np.eye(180)[7] if told else None)
+    whole = surplus(_told(found) if told else found, unseen=unseen)
     assert (whole.raw is not None) == told
     total = whole.by_row.sum()
     directions = np.linalg.svd(found.record.layout.response)[0]
@@ -39,8 +43,24 @@ def test_the_parts_add_up(found, told):
         assert np.sum(parts) == pytest.approx(total, rel=1e-9)
 
 
+def test_noise_lies_at_its_bpms():
+    quiet = bench(False)
+    kinds = (("noise-level", (7,)), ("bpm-walk", (9,)), ("corrector-gain", (3,)))
+    entries = [
+        Entry(Candidate(Cause(effect(kind), places, {}), gain, 1.0), None, gain)
+        for (kind, places), gain in zip(kinds, (30.0, 60.0, 500.0), strict=True)
+    ]
+    unseen = Unseen.of(quiet, entries)
+    assert unseen.by_stage == {"noise": 30.0, "sensor": 60.0}
+    its = gap(quiet, unseen=unseen)
+    names = quiet.record.layout.bpms.names
+    assert its.by_bpm[names[7]] == pytest.approx(30.0 / 400, rel=1e-6)
+    assert its.by_bpm[names[9]] == pytest.approx(60.0 / 400, rel=1e-6)
+    assert sum(its.by_mode) == pytest.approx(90.0 / 400, rel=1e-5)
+
+
 def test_the_parts_of_the_answer_add_up(found):
-    its = gap(found, unseen={"noise": 2.0}, stage_gains={"sensor": 1.0})
+    its = gap(found, unseen=Unseen({"noise": 2.0}, np.eye(180)[7]), stage_gains={"sensor": 1.0})
     for parts in (
         its.by_stage.values(),
         its.by_bpm.values(),
