@@ -19,6 +19,8 @@ from orbitfb.diagnose.report.html import (
     table,
     text,
 )
+from orbitfb.effects.random_kinds import LatentKind, NoiseKind
+from orbitfb.effects.registry import all_effects
 
 _CLASS_MOST = 6
 
@@ -253,7 +255,18 @@ def audit(its: Diagnosis) -> str:
     title = "Residual audit"
     if its.audit is None:
         return section("audit", title, missing("The audit of what is left"))
-    return section("audit", title, *_audit(its.audit))
+    kinds = all_effects()
+    noisy = [
+        one.effect
+        for one in its.causes
+        if isinstance(kinds.get(one.effect), NoiseKind | LatentKind)
+    ]
+    beside = (
+        f"Noise has no course that could be taken out: what {' and '.join(noisy)} does is still in "
+        "what these tests look at, and they may show it."
+    )
+    pieces = ([paragraph(text(beside), "note")] if noisy else []) + _audit(its.audit)
+    return section("audit", title, *pieces)
 
 
 def _audit(its: Audit) -> list[str]:
