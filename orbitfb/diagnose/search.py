@@ -1,6 +1,6 @@
 """Forward selection: accept the best cause, judge the record with it, look again, fit jointly."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,9 +9,9 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import Budget
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.deafened import without_bpms
-from orbitfb.diagnose.entry import HOPELESS, Entry, price
+from orbitfb.diagnose.entry import HOPELESS, Entry
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.fit import Fit, fit
+from orbitfb.diagnose.fit import Fit
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.restless import restless
@@ -19,6 +19,7 @@ from orbitfb.diagnose.rounds import Round, least_weight, winner
 from orbitfb.diagnose.second_order import second_order
 from orbitfb.diagnose.strikes import without_strikes
 from orbitfb.diagnose.switching import without_switching
+from orbitfb.diagnose.together import looked_at_again, same, without_void
 from orbitfb.diagnose.tournament import Shown, tournament
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
@@ -90,7 +91,7 @@ class Outcome:
         if entry.fit is None or self.joint is None:
             return entry.cause, None
         for cause in self.joint.causes:
-            if _same(cause, entry.cause):
+            if same(cause, entry.cause):
                 return cause, self.joint
         return entry.cause, entry.fit
 
@@ -165,7 +166,7 @@ def search(
                 break  # the floor does not have it, so that what is left is its own doing first
         told = floor if nominal.told_floor else None
         bench = Bench(nominal.record, (*given, *_moving(causes)), told, nominal.floor.modes)
-    rounds, joint, moving = _without_void(nominal, bench, rounds)
+    rounds, joint, moving = without_void(nominal, bench, rounds)
 
     def beside_others(others: tuple[Cause, ...], also: Sequence[Candidate]) -> Round:
         told = floor if nominal.told_floor else None
@@ -174,8 +175,8 @@ def search(
         entries = tournament(own, left, None, budget, shown, least, also)
         return Round(own, tuple(entries), len(left), None, budget.taken())
 
-    if (again := _looked_at_again(rounds, moving, beside_others, budget)) != rounds:
-        rounds, joint, moving = _without_void(nominal, bench, again)
+    if (again := looked_at_again(rounds, moving, beside_others, budget)) != rounds:
+        rounds, joint, moving = without_void(nominal, bench, again)
     causes = tuple(one.accepted.cause for one in rounds if one.accepted is not None)
     final = heard  # with the BPMs that were left out of the search
     if moving:
@@ -214,91 +215,3 @@ def _cleaned(bench: Bench, cause: Cause) -> Record | None:
 def _moving(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Causes with a course in time."""
     return tuple(c for c in causes if not isinstance(c.kind, LatentKind | NoiseKind))
-
-
-def _looked_at_again(
-    rounds: list[Round],
-    moving: tuple[Cause, ...],
-    beside: Callable[[tuple[Cause, ...], Sequence[Candidate]], Round],
-    budget: Budget,
-) -> list[Round]:
-    """Let what was found first compete once more, beside what was found after it.
-
-    What a later cause did spoke for or against the laws that the first one was chosen from.
-
-    Args:
-        rounds: With their winners.
-        moving: Causes of a joint fit.
-        beside: Holds a tournament beside some causes.
-        budget: Time for it.
-    """
-    own = [
-        index
-        for index, one in enumerate(rounds)
-        if one.accepted is not None and one.accepted.fit is not None
-    ]
-    found = list(rounds)
-    for index in own[:-1]:
-        if budget.over():
-            budget.leave("the first cause was not judged again beside the later ones")
-            break
-        entry = rounds[index].accepted
-        if entry is None:
-            continue
-        others = tuple(cause for cause in moving if not _same(cause, entry.cause))
-        one = beside(others, [replace(entry.candidate, cause=entry.cause)])
-        if one.sure and one.entries[0].fit is not None and one.entries[0].held_out > 0.0:
-            found[index] = replace(one, accepted=one.entries[0])
-    return found
-
-
-def _same(one: Cause, other: Cause) -> bool:
-    """Whether two causes are one, whatever their values."""
-    return (one.kind.id, one.places, one.onset) == (other.kind.id, other.places, other.onset)
-
-
-def _without_void(
-    nominal: Bench, last: Bench, rounds: Sequence[Round]
-) -> tuple[list[Round], Fit | None, tuple[Cause, ...]]:
-    """Fit all causes jointly, and drop those that the others have made void.
-
-    What came first may have stood in for what came later: each must be worth its price beside all
-    others, which are fitted anew without it.
-
-    Returns:
-        The rounds, those of dropped causes without a winner; the joint fit and its causes.
-    """
-    kept = list(rounds)
-    while True:
-        own = [
-            (index, one.accepted)
-            for index, one in enumerate(kept)
-            if one.accepted is not None and one.accepted.fit is not None
-        ]
-        joint, moving = _together(nominal, last, tuple(entry.cause for _, entry in own))
-        if joint is None or len(moving) < 2:
-            return kept, joint, moving
-        base = nominal.with_floor(last.floor)
-        worths: list[float] = []
-        for place, (_, entry) in enumerate(own):
-            rest = fit(base, (*moving[:place], *moving[place + 1 :]))
-            occam = 0.0 if entry.fit is None else entry.fit.occam
-            lost = (joint.gain - rest.gain) / joint.inflation
-            worths.append(lost - occam - price(entry.candidate))
-        void = int(np.argmin(worths))
-        if worths[void] >= 0.0:
-            return kept, joint, moving
-        index = own[void][0]
-        kept[index] = replace(kept[index], accepted=None)
-
-
-def _together(
-    nominal: Bench, last: Bench, causes: tuple[Cause, ...]
-) -> tuple[Fit | None, tuple[Cause, ...]]:
-    """Fit all causes jointly under the floor that they leave."""
-    if not causes:
-        return None, ()
-    found = fit(nominal.with_floor(last.floor), causes, precise=True)
-    if not found.parameters and any(cause.kind.parameters for cause in causes):
-        return None, causes  # jointly they cannot be told apart; they stay as they were found
-    return found, found.causes
