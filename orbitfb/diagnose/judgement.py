@@ -30,6 +30,8 @@ _STAND_IN = 3.0
 _HALF = 0.5
 _STAND_IN_SHRINK = 0.2
 """Share of a resolved gap on held-out data below which the causes only stood in for another."""
+_BY_ITSELF = 15.0
+"""Weight from which what grows is there, if not in a later record: it may have settled [nats]."""
 _NO_TRACE = 1e-6
 """Share below which the causes change nothing there, as what began before and stays does."""
 
@@ -139,7 +141,8 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
         return judged
     if shrunk.nats is not None and abs(shrunk.nats) < _NO_TRACE:
         return judged
-    grows = any(one.accepted is not None and one.accepted.kind.grows for one in outcome.winners[:1])
+    first = outcome.winners[0].accepted
+    grows = first is not None and first.kind.grows and first.weight > _BY_ITSELF
     if shrunk.high < _STAND_IN_SHRINK:
         # What grows does not go on for ever; of which kind and where it is the record has shown.
         state: State = "named_plus_remainder" if grows else "unknown"
@@ -148,7 +151,6 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
     else:
         return judged
     unknown = _unknown(outcome, judged.audit, judged.departures, judged.explained)
-    first = outcome.winners[0].accepted
     if first is not None and not unknown.text:
         text = (
             f"{first.kind.id} explains the record itself, but not {shrunk.on}: it is mended by "

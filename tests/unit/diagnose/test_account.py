@@ -11,22 +11,23 @@ from orbitfb.diagnose.wording import headline
 from orbitfb.effects.registry import effect
 
 
-def outcome_of(name: str) -> SimpleNamespace:
-    winner = SimpleNamespace(accepted=SimpleNamespace(kind=effect(name)))
+def outcome_of(name: str, weight: float = 50.0) -> SimpleNamespace:
+    winner = SimpleNamespace(accepted=SimpleNamespace(kind=effect(name), weight=weight))
     return SimpleNamespace(rounds=(SimpleNamespace(entries=()),), bench=None, winners=(winner,))
 
 
 @pytest.mark.parametrize(
-    ("name", "nats", "high", "state"),
+    ("name", "weight", "nats", "high", "state"),
     [
-        ("bpm-gain", 0.95, 0.99, "named"),
-        ("bpm-gain", 0.3, 0.4, "named_plus_remainder"),
-        ("bpm-gain", 0.02, 0.1, "unknown"),
-        ("bpm-gain", 3e-12, 2e-11, "named"),  # it began before and stays: nothing to explain
-        ("bpm-drift", -7.0, -5.0, "named_plus_remainder"),  # it has settled since
+        ("bpm-gain", 50.0, 0.95, 0.99, "named"),
+        ("bpm-gain", 50.0, 0.3, 0.4, "named_plus_remainder"),
+        ("bpm-gain", 50.0, 0.02, 0.1, "unknown"),
+        ("bpm-gain", 50.0, 3e-12, 2e-11, "named"),  # it began before and stays: nothing to explain
+        ("bpm-drift", 50.0, -7.0, -5.0, "named_plus_remainder"),  # it has settled since
+        ("bpm-drift", 9.0, -7.0, -5.0, "unknown"),  # hardly shown, and not gone on
     ],
 )
-def test_a_name_is_held_to_later_data(name, nats, high, state, monkeypatch):
+def test_a_name_is_held_to_later_data(name, weight, nats, high, state, monkeypatch):
     monkeypatch.setattr("orbitfb.diagnose.judgement._unknown", lambda *parts: Unknown())
     judged = Judgement("named", Audit(), None, 1.0, (), None)  # type: ignore[arg-type]
     shrunk = Shrink(
@@ -37,7 +38,7 @@ def test_a_name_is_held_to_later_data(name, nats, high, state, monkeypatch):
         held_out_ticks=1000,
         on="the later record",
     )
-    found = held_to_account(judged, outcome_of(name), shrunk)  # type: ignore[arg-type]
+    found = held_to_account(judged, outcome_of(name, weight), shrunk)  # type: ignore[arg-type]
     assert found.state == state
     assert (found.unknown is None) == (state == "named")
     if found.unknown is not None:

@@ -23,6 +23,7 @@ def test_without_the_extra_it_says_how_to_install_it(monkeypatch: pytest.MonkeyP
     assert page.where == ""
     assert "(uvicorn)" in page.problem and "pip install 'orbitfb[web]'" in page.problem
     where = {"addresses": "h", "port": 1, "metrics": "", "data": "d", "page": ""}
+    where |= {"policy": "svd", "policy_reason": "the baseline"}
     lines = list(announcement({**where, "page_problem": page.problem}, False))
     assert f"no operator page: {page.problem}" in lines
 
