@@ -129,6 +129,11 @@ def search(
     rounds: list[Round] = []
     causes: tuple[Cause, ...] = ()
     left = list(kinds)
+
+    def under(causes: Sequence[Cause]) -> Bench:
+        told = floor if nominal.told_floor else None
+        return Bench(nominal.record, (*given, *causes), told, nominal.floor.modes)
+
     for number in range(MOST_CAUSES + 1):
         share = number / (MOST_CAUSES + 1)
         if rounds and budget.over():
@@ -164,14 +169,11 @@ def search(
                 left = [kind for kind in left if not _kin(kind, best.kind)]
             else:
                 break  # the floor does not have it, so that what is left is its own doing first
-        told = floor if nominal.told_floor else None
-        bench = Bench(nominal.record, (*given, *_moving(causes)), told, nominal.floor.modes)
+        bench = under(_moving(causes))
     rounds, joint, moving = without_void(nominal, bench, rounds)
 
     def beside_others(others: tuple[Cause, ...], also: Sequence[Candidate]) -> Round:
-        told = floor if nominal.told_floor else None
-        own = Bench(nominal.record, (*given, *others), told, nominal.floor.modes)
-        least = least_weight(len(left), further=True)
+        own, least = under(others), least_weight(len(left), further=True)
         entries = tournament(own, left, None, budget, shown, least, also)
         return Round(own, tuple(entries), len(left), None, budget.taken())
 

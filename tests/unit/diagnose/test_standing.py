@@ -8,6 +8,7 @@ import pytest
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.fading import Steps
 from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.free import beyond
 from orbitfb.diagnose.noise_walk import walking_candidates
@@ -77,6 +78,28 @@ def test_what_a_first_kick_may_have_made_is_left_out_and_nothing_else(record):
     assert steps.price((cause,)) > 1.0
     for other in (replace(cause, onset=0), Cause(KINDS["local-kick"], (3,), {}, ONSET)):
         assert not len(steps.basis((other,))) and steps.price((other,)) == 0.0
+
+
+def test_steps_of_many_places_and_onsets_are_those_of_dense_linear_algebra(record):
+    """The projection on every whitened step, one by one, by least squares."""
+    floor, starts = Bench(record).floor, record.starts.copy()
+    starts[330] = True  # a new stretch ends what fades
+    onsets = np.array([200, 200, 203, 340])
+    orbits = np.random.default_rng(4).standard_normal((4, record.readings.shape[1])) * 1e-6
+    rows = np.arange(len(record))[:, None]
+    dense = np.array(
+        [
+            floor.whiten((rows >= onset) * orbit, starts).ravel()
+            for onset, orbit in zip(onsets, orbits, strict=True)
+        ]
+    )
+    steps = Steps(floor, starts, onsets, orbits)
+    white = np.random.default_rng(2).standard_normal(record.readings.shape)
+    left = white.ravel() - dense.T @ np.linalg.lstsq(dense.T, white.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(beyond(steps)(white).ravel(), left, atol=1e-9)
+    np.testing.assert_allclose(steps.information, np.sum(dense**2, axis=1))
+    twice = Steps(floor, starts, onsets[[0, 0]], orbits[[0, 0]])
+    assert len(steps) == 4 and len(twice) == 1
 
 
 def test_what_a_first_kick_is_free_to_do_tells_nothing(record):

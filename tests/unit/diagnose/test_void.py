@@ -1,5 +1,7 @@
 """A cause that another one has made void is no cause."""
 
+import pytest
+
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import Budget
 from orbitfb.diagnose.candidate import Candidate
@@ -16,41 +18,43 @@ from orbitfb.physics.places import Ring
 
 RING = Ring.load()
 LAYOUT = layout_of(RING, "x", 0.1)
+KIND = effect("corrector-gain")
 
 
-def test_what_stood_in_for_a_later_cause_is_dropped():
+@pytest.fixture(scope="module")
+def bench():
+    """Two wrong gains."""
     texts = [f"corrector-gain:gain=0.3,names={LAYOUT.correctors.names[i]}" for i in (40, 90)]
     effects = build([parse_effect(text) for text in texts], LAYOUT, 1)
-    bench = Bench(simulate_record(RING, "x", 500, 5, effects, dither=1e-3, period=0.1))
-    kind = effect("corrector-gain")
+    return Bench(simulate_record(RING, "x", 500, 5, effects, dither=1e-3, period=0.1))
+
+
+def rounds_of(bench, *places):
+    """A round for every place, whose winner is a wrong gain there."""
     entries = [
-        enter(bench, Candidate(Cause(kind, (place,), {"gain": 0.1}), 50.0, 180.0))
-        for place in (41, 40, 90)
+        enter(bench, Candidate(Cause(KIND, (place,), {"gain": 0.1}), 50.0, 180.0))
+        for place in places
     ]
-    rounds = [Round(bench, (entry,), 40, entry) for entry in entries]
+    return [Round(bench, (entry,), 40, entry) for entry in entries]
+
+
+def test_what_stood_in_for_a_later_cause_is_dropped(bench):
+    rounds = rounds_of(bench, 41, 40, 90)
     kept, joint, causes = without_void(bench, bench, rounds)
     assert [one.accepted is not None for one in kept] == [False, True, True]
     assert [cause.places for cause in causes] == [(40,), (90,)]
     assert joint is not None and joint.causes == causes
 
 
-def test_what_was_found_first_competes_again_beside_what_was_found_later():
-    texts = [f"corrector-gain:gain=0.3,names={LAYOUT.correctors.names[i]}" for i in (40, 90)]
-    effects = build([parse_effect(text) for text in texts], LAYOUT, 1)
-    bench = Bench(simulate_record(RING, "x", 500, 5, effects, dither=1e-3, period=0.1))
-    kind = effect("corrector-gain")
-    entries = [
-        enter(bench, Candidate(Cause(kind, (place,), {"gain": 0.1}), 50.0, 180.0))
-        for place in (41, 90)
-    ]
-    rounds = [Round(bench, (entry,), 40, entry) for entry in entries]
-    moving = tuple(entry.cause for entry in entries)
+def test_what_was_found_first_competes_again_beside_what_was_found_later(bench):
+    rounds = rounds_of(bench, 41, 90)
+    moving = tuple(one.accepted.cause for one in rounds)
     asked = []
 
     def beside(others, also):
         asked.append((others, also))
         own = Bench(bench.record, others)
-        return Round(own, tuple(tournament(own, [kind], also=also)), 1, None)
+        return Round(own, tuple(tournament(own, [KIND], also=also)), 1, None)
 
     found = looked_at_again(rounds, moving, beside, Budget())
     assert [one.accepted.cause.places for one in found] == [(40,), (90,)]
