@@ -26,8 +26,8 @@ from tests.blind.conditions import Conditions, Dither, second_ring
 from tests.blind.draft import MAKERS, Draft, Maker
 from tests.blind.drawing import draw
 from tests.blind.healthy import healthy_errors, healthy_gradients
-from tests.blind.machine import Log, Nature, run
-from tests.blind.oracle import Innovations, detectability
+from tests.blind.machine import Log, run
+from tests.blind.oracle import Innovations, Small, detectability
 
 NATURE = (
     nature_sensor,
@@ -108,10 +108,12 @@ def make(spec: Spec, folder: Path, suite_seed: int) -> Case:
     """Draw a case and bring its effects to their detectability."""
     case, chosen, log = choose(spec, folder, suite_seed)
     split = min(spec.ticks, len(log.readings) - 1)
+    truth = _truth(case, spec, chosen, split)
     later = None
     if len(log.readings) - 1 - split >= 100:
         later = arrays(case, log, split, len(log.readings) - 1)
-    return Case(arrays(case, log, 0, split), later, _truth(case, spec, chosen, split))
+        truth["later_oracle_nats"] = _held_out(case, chosen, log, spec, split)
+    return Case(arrays(case, log, 0, split), later, truth)
 
 
 def choose(spec: Spec, folder: Path, suite_seed: int) -> tuple[Conditions, list[Chosen], Log]:
@@ -189,13 +191,12 @@ def _sized(
     start, number = begins
     healthy = healthy_errors(case, maker, draft) if spec.background else []
     gradients = healthy_gradients(case, maker, draft, filter_)
-    leave = None if gradients is None else gradients.leave
+    small = Small(healthy, None if gradients is None else gradients.leave)
 
     def look(size: float) -> tuple[float, Log]:
-        effects: list[tuple[int, Nature]] = [(start, draft.build(size))]
-        seen, log = detectability(
-            case, effects, spec.seed, draft.law, filter_, spec.ticks + 1, healthy, leave, number
-        )
+        log = run(case, [(start, draft.build(size))], spec.seed, number=number)
+        rows = slice(0, spec.ticks + 1)
+        seen = detectability(case, log, spec.seed, draft.law, filter_, rows, small)
         if draft.closed is not None:
             rows = min(spec.ticks + 1, len(log.readings)) - max(start - case.warm, 0)
             seen = float(np.sqrt(2 * rows * draft.closed(size)))
@@ -224,6 +225,21 @@ def _sized(
         seen, log = look(size)
         best = min(best, (abs(np.log(max(seen, 1e-9) / spec.target)), size, seen, log), key=_first)
     return best[1], best[2], best[3]
+
+
+def _held_out(
+    case: Conditions, chosen: list[Chosen], log: Log, spec: Spec, split: int
+) -> float | None:
+    """What knowing the effects gains on the later record [nats]; None where it is not told.
+
+    The small errors are there with the effects and without: the whole change of the readings
+    counts. Noise has no such change.
+    """
+    if not chosen or any(draft.law != "mean" for _, _, draft, _, _ in chosen):
+        return None
+    rows = slice(split, len(log.readings))
+    seen = detectability(case, log, spec.seed, "mean", Innovations(case), rows, Small())
+    return seen**2 / 2
 
 
 def _first(item: tuple[float, float, float, Log]) -> float:

@@ -34,7 +34,9 @@ class Judged:
         size: Members of the first one's class.
         place: Whether the devices are right; None where the effect has none or is not right.
         covered: Whether the first comparable parameter lies in its interval; None: not comparable.
-        recovered: Share of the oracle's gain.
+        recovered: Share of the oracle's gain on the later record.
+        fitted: Share of the oracle's gain on the whole of the record itself; the answer's is
+            held out too, block by block, of the rows that it was fitted to.
         shrink_um: Share of the gap that is gone on the later record.
         stage: Stage that the answer gives, also of what is unknown.
         pair: Whether the set of effects is exactly the true one.
@@ -53,6 +55,7 @@ class Judged:
     place: bool | None = None
     covered: bool | None = None
     recovered: float = float("nan")
+    fitted: float = float("nan")
     shrink_um: float = float("nan")
     stage: str = ""
     pair: bool = False
@@ -143,8 +146,18 @@ def judge(truth: dict[str, Any], folder: Path, orders: dict[str, Order]) -> Judg
     gains = [_number(c.get("held_out_nats")) for c in causes]
     oracle = sum(e["oracle_nats"] for e in truth["effects"])
     if np.isfinite(gains).all() and oracle:
-        found.recovered = float(np.sum(gains) / oracle)
+        found.fitted = float(np.sum(gains) / oracle)
+    found.recovered = _recovered(shrink, truth.get("later_oracle_nats"))
     return found
+
+
+def _recovered(shrink: dict[str, Any], oracle: float | None) -> float:
+    """Share of what knowing the effect gains on the later record; NaN where either is not told."""
+    ticks = shrink.get("held_out_ticks")
+    if not oracle or not ticks or shrink.get("on") != "the later record":
+        return float("nan")
+    before, after = (_number(shrink.get(f"{key}_nats_per_tick")) for key in ("before", "after"))
+    return (before - after) * ticks / oracle
 
 
 def _compare(

@@ -6,6 +6,7 @@ knows the effect exactly, but of the small errors of its devices only how they s
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,55 +53,81 @@ class Innovations:
         return shares, totals
 
 
+@dataclass(frozen=True)
+class Small:
+    """Small errors that nobody knows, beside which an effect on the mean is seen.
+
+    Args:
+        errors: One standard deviation each.
+        leave: Tells what is seen of a whitened change beside more of them.
+    """
+
+    errors: Sequence[Nature] = ()
+    leave: Callable[[Array, Log], float] | None = None
+
+
 def detectability(
     case: Conditions,
-    effects: list[tuple[int, Nature]],
+    log: Log,
     seed: int,
     law: Law,
     filter_: Innovations,
-    rows: int,
-    healthy: Sequence[Nature] = (),
-    leave: Callable[[Array, Log], float] | None = None,
-    number: int = 0,
-) -> tuple[float, Log]:
-    """Tell d' of a single effect on the first rows of the record, and give the run itself.
+    rows: slice,
+    small: Small,
+) -> float:
+    """Tell d' of a single effect on some rows of its run.
 
     Args:
         case: Circumstances.
-        effects: The effect with its first row.
+        log: Of the run with the effect.
         seed: Of the run.
         law: How the effect shows.
-        filter_: Of the case.
+        filter_: Of the case; it knows nothing of the orbit before the first row.
         rows: Of the record that count.
-        healthy: Small errors, one standard deviation each, that nobody knows.
-        leave: Tells what is seen of a whitened change beside more of them.
-        number: Of the effect among those of the case.
+        small: Beside which it is seen.
     """
-    log = run(case, effects, seed, number=number)
-    without = run(case, [], seed, replay=_extend(case, log.sent))
-    rows = min(rows, len(log.readings))
-    white = filter_.whiten(log.readings[:rows] - without.readings[:rows])
-    if law == "mean" and leave is not None:
-        return leave(white, log), log
+    without = run(case, [], seed, replay=_extend(case, log.sent)).readings[rows]
+    log = _cut(log, rows)
+    rows = slice(rows.start, rows.start + len(log.readings))
+    change = log.readings - without[: len(log.readings)]
+    white = filter_.whiten(change)
+    if law == "mean" and small.leave is not None:
+        return small.leave(white, log)
     if law == "mean":
-        return _beside(white, [changed(case, log, one, seed, filter_) for one in healthy]), log
+        return _beside(white, [changed(case, log, e, seed, filter_, rows) for e in small.errors])
     if law == "rare":  # whole ticks
-        struck = np.any(log.readings[:rows] != without.readings[:rows], axis=1)
-        return _mixture(np.sum(white**2, axis=1), float(struck.mean())), log
+        struck = np.any(change != 0, axis=1)
+        return _mixture(np.sum(white**2, axis=1), float(struck.mean()))
     if law == "spikes":  # single readings: seen against the noise of each, next to nothing else
-        alone = ((log.readings[:rows] - without.readings[:rows]) / filter_.noise) ** 2
+        alone = (change / filter_.noise) ** 2
         columns = alone.any(axis=0)
-        return _mixture(alone[:, columns].ravel(), float((alone[:, columns] > 0).mean())), log
-    power = np.maximum(np.linalg.eigvalsh(white.T @ white / rows), 0)
-    return float(np.sqrt(rows * np.sum(power - np.log1p(power)))), log
+        return _mixture(alone[:, columns].ravel(), float((alone[:, columns] > 0).mean()))
+    power = np.maximum(np.linalg.eigvalsh(white.T @ white / len(white)), 0)
+    return float(np.sqrt(len(white) * np.sum(power - np.log1p(power))))
 
 
-def changed(case: Conditions, log: Log, error: Nature, seed: int, filter_: Innovations) -> Array:
-    """Whitened change of the readings of a run by a further error, (rows, n)."""
+def changed(
+    case: Conditions,
+    log: Log,
+    error: Nature,
+    seed: int,
+    filter_: Innovations,
+    rows: slice = slice(0, None),
+) -> Array:
+    """Whitened change of some readings of a run by a further error, (rows, n)."""
     sent = _extend(case, log.sent)
     there, plain = (run(case, its, seed, replay=sent).readings for its in ([(0, error)], []))
-    rows = min(len(there), len(plain))
-    return filter_.whiten(there[:rows] - plain[:rows])
+    return filter_.whiten((there - plain)[rows])
+
+
+def _cut(log: Log, rows: slice) -> Log:
+    """Some rows of the record of a run."""
+    return replace(
+        log,
+        readings=log.readings[rows],
+        setpoints=log.setpoints[rows],
+        actions=log.actions[rows],
+    )
 
 
 def _beside(white: Array, healthy: Sequence[Array]) -> float:

@@ -146,6 +146,7 @@ def _line(one: Judged) -> dict[str, Any]:
         "place": one.place,
         "covered": one.covered,
         "recovered": one.recovered,
+        "fitted": one.fitted,
         "shrink_um": one.shrink_um,
     }
     return {

@@ -12,7 +12,7 @@ import pytest
 
 from orbitfb.physics.optics import green_with_gradient_errors
 from orbitfb.physics.places import Ring
-from tests.blind.cases import MAKERS, Spec, make
+from tests.blind.cases import MAKERS, Spec, choose, make
 from tests.blind.conditions import Conditions, second_ring
 from tests.blind.draft import invented, known
 from tests.blind.drawing import draw, wander
@@ -299,6 +299,33 @@ def test_healthy_gradients_change_readings_as_the_ring_solved_anew_does(case: Co
 def test_sizes_are_set_by_detectability(name: str, tmp_path: Path) -> None:
     truth = make(small((name,), background=False), tmp_path, 1).truth
     assert truth["effects"][0]["d_prime"] == pytest.approx(12.0, rel=0.15)
+
+
+def test_what_knowing_a_wave_gains_later_is_its_orbit_in_the_filter_of_the_noise(
+    tmp_path: Path,
+) -> None:
+    spec = small(("periodic-disturbance",), later=150, background=False)
+    truth = make(spec, tmp_path, 1).truth
+    case, chosen, log = choose(spec, tmp_path, 1)
+    (start, _, draft, size, _), rows = chosen[0], slice(200, len(log.readings))
+    wave = draft.build(size)
+    wave.start = start
+    wave.bind(case, np.random.default_rng(np.random.SeedSequence(spec.seed).spawn(2)[1]))
+    motion = wave.motion()
+    assert motion is not None
+    orbit = motion[case.warm :][rows] / case.noise
+    filter_, doubt = Innovations(case), np.full((len(orbit), len(orbit)), 1e8)
+    # The density of all rows at once: a walk that nobody knows the beginning of, under noise.
+    walk = np.minimum.outer(np.arange(len(orbit)), np.arange(len(orbit)))
+    gain = sum(
+        0.5 * mode @ np.linalg.solve(power * walk + doubt + np.eye(len(orbit)), mode)
+        for mode, power in zip((orbit @ filter_.modes).T, filter_.power, strict=True)
+    )
+    assert truth["later_oracle_nats"] == pytest.approx(gain, rel=1e-3)
+    assert (
+        make(replace(spec, effects=("noise-level",)), tmp_path, 1).truth["later_oracle_nats"]
+        is None
+    )
 
 
 def test_a_record_is_a_record(tmp_path: Path) -> None:

@@ -28,7 +28,8 @@ def truth(effect: str | None, stage: str = "sensor", places: tuple[str, ...] = (
             "oracle_nats": 200.0,
         }
         effects.append(values | more)
-    return {"case": "c", "effects": effects, "ring": "first", "dither": "passive"}
+    case = {"case": "c", "effects": effects, "ring": "first", "dither": "passive"}
+    return case | {"later_oracle_nats": 400.0}
 
 
 def cause(effect: str, places: tuple[str, ...] = (), probability: float = 0.97, **more):
@@ -49,10 +50,12 @@ def value(name: str, *cases: Judged) -> float:
 def test_a_right_answer(tmp_path: Path, orders) -> None:
     interval = {"gain": {"value": 0.049, "low": 0.04, "high": 0.06, "unit": "1"}}
     told = cause("bpm-gain", ("PH1A_C30",), parameters=interval, held_out_nats=190.0)
-    answer = {"state": "named", "causes": [told], "shrink": {"um": 0.95}}
+    shrink = {"um": 0.95, "on": "the later record", "held_out_ticks": 1000}
+    shrink |= {"before_nats_per_tick": 0.45, "after_nats_per_tick": 0.05}
+    answer = {"state": "named", "causes": [told], "shrink": shrink}
     found = judged(truth("bpm-gain", places=("PH1A_C30",)), answer, tmp_path, orders)
     assert (found.exact, found.right, found.place, found.covered) == (True, True, True, True)
-    assert found.recovered == pytest.approx(0.95)
+    assert (found.recovered, found.fitted) == (pytest.approx(1.0), pytest.approx(0.95))
     assert value("top-1, detectable, passive", found) == 1.0
 
 
