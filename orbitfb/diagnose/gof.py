@@ -18,6 +18,8 @@ from orbitfb.diagnose.answer_values import numbers
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.gap_maps import lagged, projected
 from orbitfb.diagnose.gof_lines import line_tests
+from orbitfb.diagnose.gof_pairs import NAME as TOGETHER
+from orbitfb.diagnose.gof_pairs import pairs_test
 from orbitfb.diagnose.naming import column_names
 from orbitfb.effects.kinds import Stage
 from orbitfb.physics.optics import Matrix
@@ -37,7 +39,7 @@ _WINDOWS = 10
 _SHOWN = 8
 _QUANTILES = 301
 _FEWEST = 60
-_LINE_TESTS = 3
+_MORE_TESTS = 4
 
 
 def audit(bench: Bench) -> Audit:
@@ -59,7 +61,7 @@ def audit(bench: Bench) -> Audit:
         _level, _by_bpm, _by_mode, _mean, _colour, _own_colour, _steered, _tails, _own_tails,
         _tick, _reading, _stationary,
     )  # fmt: skip
-    rate = RATE / (len(tests) + _LINE_TESTS)
+    rate = RATE / (len(tests) + _MORE_TESTS)
     squares = np.mean(channels**2, axis=0)
     by_row = np.zeros(len(bench.record))
     by_row[counted] = np.mean(white**2, axis=1)
@@ -67,6 +69,7 @@ def audit(bench: Bench) -> Audit:
         tests=(
             *(test(bench, white, channels, rate) for test in tests),
             *line_tests(channels, names, rate),
+            pairs_test(channels, bench.record.layout.bpms, rate),
         ),
         quantiles=numbers(np.quantile(white, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)),
         autocorrelation=numbers([_correlation(white, lag).mean() for lag in range(1, 11)]),
@@ -83,6 +86,7 @@ _STAGES: dict[str, Stage] = {
     "variance by BPM": "noise",
     "steadiness by BPM": "noise",
     "kurtosis by BPM": "noise",
+    TOGETHER: "noise",
     "mean by BPM": "sensor",
     "autocorrelation by BPM": "sensor",
     "largest reading": "sensor",

@@ -103,9 +103,31 @@ def _later(channels):
     channels[300:, 11] *= 2.0
 
 
+def _two_alike(channels):
+    channels[:, 7] = 0.9 * channels[:, 7] + 0.44 * channels[:, 29]
+
+
+def _two_opposite(channels):
+    channels[:, 7] = 0.9 * channels[:, 7] - 0.44 * channels[:, 29]
+
+
+def _crate(channels):
+    own = of_a_cell()
+    common = np.random.default_rng(8).standard_normal((len(channels), 1))
+    channels[:, own] = np.sqrt(0.8) * channels[:, own] + np.sqrt(0.2) * common
+
+
+def of_a_cell():
+    """Columns of the BPMs of one cell."""
+    return next(iter(bench(False).record.layout.bpms.groups().values()))
+
+
 @pytest.mark.parametrize(
     ("change", "name"),
     [
+        (_two_alike, "correlation of BPMs"),
+        (_two_opposite, "correlation of BPMs"),
+        (_crate, "correlation of BPMs"),
         (_louder, "variance by BPM"),
         (_all_louder, "level of all innovations"),
         (_coloured, "autocorrelation by BPM"),
