@@ -61,6 +61,7 @@ bench: venv
 	$(BIN)/python -m benchmarks.loop --out benchmarks/loop.json
 
 blind: venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[blind]'
 	$(BIN)/orbitfb diagnose blind --suite $(or $(SUITE),fast) --out $(or $(OUT),orbitfb-data/blind)
 
 chaos: venv
