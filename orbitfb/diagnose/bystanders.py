@@ -7,7 +7,8 @@ import numpy as np
 
 from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.device_groups import groups_of
+from orbitfb.diagnose.explain import Cause, actuated, restored
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
 from orbitfb.effects.layout import Devices, Layout
 
@@ -17,6 +18,8 @@ _LEAST = 5.0
 """What leaving a member out, or taking one in, must gain beyond the choice of it [nats]."""
 GAP = 2.0
 """What speaks against a gap among neighbours that share a rack [nats]."""
+_IDLE = 1e-3
+"""What a law does to a member, over the most that it does to one, below which it does nothing."""
 _BUT = " without "
 
 
@@ -50,6 +53,51 @@ def without_bystander(bench: Bench, candidate: Candidate, cause: Cause) -> Candi
         choices=candidate.choices * len(members),
         group=_without(candidate.group, (devices.channels or devices.names)[members[best]]),
     )
+
+
+def without_idle(bench: Bench, candidate: Candidate, cause: Cause) -> Candidate | None:
+    """Find the likeliest group of a group's members that has all to which the law does anything.
+
+    A limit that most of a long run of cells never reach is not seen to be theirs.
+
+    Args:
+        bench: The record under the causes so far.
+        candidate: A group of devices that are struck alike.
+        cause: The same with its best values.
+
+    Returns:
+        The smaller group (cells come before racks across them), or those members alone where none
+        has them all; None where the law does something to every one, or to none.
+    """
+    kind, record = cause.kind, bench.record
+    if not candidate.group or not isinstance(kind, ActuatorKind | SensorKind):
+        return None
+    if kind.target == "ring" or len(cause.places) < 2:
+        return None
+    places = np.array(cause.places)
+    if isinstance(kind, ActuatorKind):
+        moved = actuated(record, (cause,)) - record.setpoints
+        made = np.linalg.norm(moved, axis=0) * np.linalg.norm(record.layout.response, axis=0)
+        devices = record.layout.correctors
+    else:
+        made = np.linalg.norm(restored(record, (cause,))[0] - record.readings, axis=0)
+        devices = record.layout.bpms
+    acting = set(places[made[places] > _IDLE * np.max(made[places])].tolist())
+    if not 0 < len(acting) < len(places):
+        return None
+    able = [
+        group
+        for group in groups_of(devices)
+        if acting <= set(group.members.tolist()) <= set(cause.places)
+    ]
+    if len(acting) == 1 or not able:
+        own, group = tuple(sorted(acting)), ""
+    else:
+        group, members, _ = min(able, key=lambda one: (one.choices, len(one.members)))
+        own = tuple(members.tolist())
+    if own == cause.places:
+        return None
+    return replace(candidate, cause=replace(cause, places=own), group=group)
 
 
 def with_neighbour(bench: Bench, candidate: Candidate, cause: Cause) -> Candidate | None:

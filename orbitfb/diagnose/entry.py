@@ -6,7 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench, log_likelihood
-from orbitfb.diagnose.bystanders import GAP, with_neighbour, without_bystander, without_gaps
+from orbitfb.diagnose.bystanders import (
+    GAP,
+    with_neighbour,
+    without_bystander,
+    without_gaps,
+    without_idle,
+)
 from orbitfb.diagnose.candidate import FIRST_ONSET, LAST_ONSET, Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
@@ -24,7 +30,7 @@ _THROWN_OFF = 50.0
 """Weight of a cause beyond which orbit and healthy errors are wrong without it [nats]."""
 _RIVAL = 0.7
 """Share of the best weight from which a fit is judged again with everything that it puts right."""
-_STRIDES = (16, 8, 4, 2, 1, 1)
+_STRIDES = (64, 32, 16, 8, 4, 2, 1, 1)
 """Rows by which a beginning is moved, one after the other."""
 _SAME = 0.02
 """Two fits leave the same when what they leave differs by less than this share of the gain."""
@@ -110,6 +116,8 @@ def enter(bench: Bench, candidate: Candidate) -> Entry:
         begun = begun_noise(bench, candidate)
         return Entry(begun, None, net(begun) - len(kind.parameters))
     entry = _begun(bench, _fitted(bench, candidate))
+    fewer = without_idle(bench, candidate, entry.cause)
+    entry = entry if fewer is None else _fitted(bench, fewer)
     joined = _joined(bench, _struck(bench, entry))
     entry = joined if joined.cause.places == entry.cause.places else _begun(bench, joined)
     entry = max((entry, *_later(bench, entry)), key=lambda one: one.weight)
@@ -133,16 +141,19 @@ def price(candidate: Candidate) -> float:
 
 
 def _begun(bench: Bench, entry: Entry) -> Entry:
-    """Look for the row of the beginning that explains the record best, near the one proposed."""
+    """Look for the row of the beginning that explains the record best, near the one proposed.
+
+    The healthy errors of the bench are of no use for it: they have taken the effect for themselves.
+    """
     cause = entry.cause
     if not cause.onset or entry.gain < price(entry.candidate):
         return entry  # what begins a few rows off scatters as a wrong law does
     row, rows = cause.onset, len(bench.record)
-    best = log_likelihood(*bench.roughly((cause,)))
+    best = log_likelihood(*bench.residual((cause,)))
     for step in _STRIDES:
         for way in (-step, step):
             while FIRST_ONSET <= row + way < rows - LAST_ONSET:
-                height = log_likelihood(*bench.roughly((replace(cause, onset=row + way),)))
+                height = log_likelihood(*bench.residual((replace(cause, onset=row + way),)))
                 if height <= best:
                     break
                 best, row = height, row + way

@@ -19,6 +19,7 @@ from orbitfb.diagnose.gof import audit, flagged_nats, flagged_stage
 from orbitfb.diagnose.naming import column_names, devices_and_planes
 from orbitfb.diagnose.rounds import CLOSE, SURE, Round
 from orbitfb.diagnose.search import Outcome
+from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 _EXPLAINED = 0.8
@@ -109,7 +110,8 @@ def beside_themselves(found: Sequence[tuple[Entry, Departure]]) -> tuple[Departu
     """Take two causes of the very same devices for a law that neither has.
 
     That two things are wrong with the same few devices is far rarer than one thing that is in no
-    library, of which the nearest law leaves a part, and another one takes it.
+    library, of which the nearest law leaves a part, and another one takes it. But waves of one
+    source are the harmonics of one that is no sine, and what grows there may do so again.
 
     Args:
         found: Winners and how they depart from their laws, in their order.
@@ -120,12 +122,19 @@ def beside_themselves(found: Sequence[tuple[Entry, Departure]]) -> tuple[Departu
     departures = [its for _, its in found]
     for index, (one, _) in enumerate(found):
         for later, (other, _) in enumerate(found[index + 1 :], start=index + 1):
-            alike = one.kind.target == other.kind.target
-            if alike and one.cause.places and one.cause.places == other.cause.places:
+            here = one.cause.places
+            alike = one.kind.target == other.kind.target and here == other.cause.places
+            if alike and here and not _again(one, other):
                 for its, entry in ((index, one), (later, other)):
                     more = Departure("as a second law of the same devices", other.gain, entry.gain)
                     departures[its] = max(departures[its], more, key=lambda own: own.nats)
     return tuple(departures)
+
+
+def _again(one: Entry, other: Entry) -> bool:
+    """Whether one source does by two causes what sources do: has harmonics, or moves again."""
+    kind = one.kind
+    return kind is other.kind and isinstance(kind, SourceKind) and (kind.periodic or kind.grows)
 
 
 def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) -> Judgement:

@@ -108,11 +108,10 @@ def _chosen(found: Sequence[Candidate]) -> list[Candidate]:
             group = len(cause.places) > 1
             twins.setdefault((cause.kind.id, cause.onset > 0, cause.free, group), candidate)
     kept = [*firsts.values()][:_KINDS]
-    kept += [
-        twin
-        for (_, late, free, _), twin in twins.items()
-        if (free or not late) and twin not in kept
-    ]
+    for (kind, late, free, group), twin in twins.items():
+        other = group != (len(firsts[kind].cause.places) > 1)
+        if (free or not late or other) and twin not in kept:
+            kept.append(twin)
     kept += [one for one in firsts.values() if not one.cause.kind.parameters and one not in kept]
     kept += [one for one in found if one not in kept][: max(FINALISTS - len(kept), 0)]
     return sorted(kept, key=net, reverse=True)

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from orbitfb.diagnose.around import around
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import SCAN_SHARE, Budget
 from orbitfb.diagnose.candidate import Candidate
@@ -110,6 +111,7 @@ def tournament(
                 entries.append(enter(bench, candidate))
     if not budget.over():
         entries += [enter(bench, candidate) for candidate in other_laws(bench, entries, kinds)]
+        entries += [enter(bench, candidate) for candidate in around(bench, entries)]
     entries.sort(key=lambda entry: entry.weight, reverse=True)
     again: list[tuple[Entry, float]] = []
     for entry in entries[:REFITTED]:

@@ -89,6 +89,7 @@ def figures(judged: Sequence[Judged]) -> list[Figure]:
         rate("top-1, detectable, passive", (j.right for j in passive), "≥ 0.90"),
         rate("top-1, detectable, dithered", (j.right for j in dithered), "≥ 0.95"),
         rate("top-1, detectable, the very effect", (j.exact for j in seen)),
+        rate("top-1, d' ≥ 12", (j.right for j in seen if j.d_prime >= CLEAR)),
         rate("top-3, detectable", (j.top3 for j in seen), "≥ 0.97"),
         rate("top-1, weak (d' < 6)", (j.right for j in weak)),
         rate(
