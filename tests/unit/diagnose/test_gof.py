@@ -111,6 +111,10 @@ def _two_opposite(channels):
     channels[:, 7] = 0.9 * channels[:, 7] - 0.44 * channels[:, 29]
 
 
+def _handed_on(channels):
+    channels[1:, 29] = 0.9 * channels[1:, 29] + 0.44 * channels[:-1, 7]
+
+
 def _crate(channels):
     own = of_a_cell()
     common = np.random.default_rng(8).standard_normal((len(channels), 1))
@@ -128,6 +132,7 @@ def of_a_cell():
         (_two_alike, "correlation of BPMs"),
         (_two_opposite, "correlation of BPMs"),
         (_crate, "correlation of BPMs"),
+        (_handed_on, "correlation of BPMs"),
         (_louder, "variance by BPM"),
         (_all_louder, "level of all innovations"),
         (_coloured, "autocorrelation by BPM"),
