@@ -1,8 +1,8 @@
 """Whether what strikes single ticks does so by as much, and as often, as its law says.
 
 A lost set of setpoints takes all of a step back, a late sample any part of it: the same orbit, so
-that each passes for the other where it is not known itself. What strikes may begin in mid-record,
-by any of the laws: that is no departure either.
+that each passes for the other where it is not known itself. Spikes are those of a BPM by itself.
+What strikes may begin in mid-record, by any of the laws: that is no departure either.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,6 +14,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.strike_scan import strikes
 from orbitfb.effects.random_kinds import LatentKind
+from orbitfb.physics.optics import Matrix
 
 _CHANCES = np.geomspace(0.0005, 0.5, 13)
 """Chances of a strike that are tried."""
@@ -21,6 +22,8 @@ _NOW_AND_THEN = 0.1
 """The most of them for another law: what comes every other tick is a delay."""
 _SIZES = np.geomspace(0.02, 50.0, 25)
 """Strengths that are tried, in units of one that is just seen."""
+_AROUND = np.geomspace(0.5, 2.0, 5)
+"""Strengths that are tried of what is known already, over the fitted one."""
 _LOUD = 10.0
 """Gain of a strike that is heard in the rows beside it too [nats]."""
 _OCCAM = 2.0
@@ -32,13 +35,16 @@ def latent_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
 
     Args:
         bench: The record under the causes before it.
-        cause: What strikes all its devices at once; of what strikes BPM by BPM nothing is tried.
+        cause: What strikes all its devices at once, or BPM by BPM.
 
     Yields:
         A course in words, and what it gains over the law, less the price of the choice [nats].
     """
     kind = cause.kind
-    if not isinstance(kind, LatentKind) or kind.per_bpm:
+    if not isinstance(kind, LatentKind):
+        return
+    if kind.per_bpm:
+        yield from _in_the_same_rows(bench, kind, cause)
         return
     score, info = (its[:, 0] for its in strikes(bench, kind, cause.places))
     height = 0.5 * score**2 / np.where(info > 0.0, info, np.inf)
@@ -52,8 +58,7 @@ def latent_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
         return size * score - 0.5 * size**2 * info
 
     def normal(size: float) -> Vector:
-        spread = 1.0 + size**2 * info
-        return 0.5 * size**2 * score**2 / spread - 0.5 * np.log(spread)
+        return _normal(score, info, size)
 
     few = _CHANCES[_CHANCES < _NOW_AND_THEN]
     sizes = _SIZES / np.sqrt(np.median(info))
@@ -74,6 +79,36 @@ def latent_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
     _, values, own = laws.pop(kind.strength)
     for words, its, height in laws.values():
         yield words, height - own - _OCCAM * max(its - values, 0) - float(np.log(len(laws)))
+
+
+def _in_the_same_rows(bench: Bench, kind: LatentKind, cause: Cause) -> Iterator[tuple[str, float]]:
+    """Ask whether several BPMs are struck in the same rows, which spikes of each are not."""
+    if len(cause.places) < 2 or kind.strength != "sometimes normal":
+        return
+    score, info = (its[cause.onset :, list(cause.places)] for its in strikes(bench, kind))
+    size = cause.values[kind.parameters[-1].name]
+
+    def apart(its: float) -> Matrix:
+        return _normal(score, info, its)
+
+    def at_once(its: float) -> Vector:
+        return np.sum(_normal(score, info, its), axis=1)
+
+    few, sizes = _CHANCES[_CHANCES < _NOW_AND_THEN], size * _AROUND
+    own = max(_mixed(apart(one), chance) for one in sizes for chance in _CHANCES)
+    other = max(_mixed(at_once(one), chance) for one in sizes for chance in few)
+    yield "in the same rows at all of them", other - own - _OCCAM
+
+
+def _normal(score: Matrix | Vector, info: Matrix | Vector, size: float) -> Matrix:
+    """Log-likelihood ratio of strikes of a normal strength [nats], of the shape of the score."""
+    spread = 1.0 + size**2 * info
+    return 0.5 * size**2 * score**2 / spread - 0.5 * np.log(spread)
+
+
+def _mixed(ratios: Matrix | Vector, chance: float) -> float:
+    """Gain of strikes that come with a chance, each for itself [nats]."""
+    return float(np.sum(np.logaddexp(np.log1p(-chance), np.log(chance) + ratios)))
 
 
 def _rarely(struck: Callable[[float], Vector], sizes: Vector, chances: Vector) -> float:

@@ -75,6 +75,23 @@ def test_a_lost_write_is_not_told_for_a_late_sample(true, name):
         assert its.chance < 0.1
 
 
+@pytest.mark.parametrize("together", [False, True])
+def test_what_strikes_a_crate_in_the_same_rows_is_no_spike_of_each(together):
+    record = record_with()
+    crate = [column for column, name in enumerate(BPMS) if name.endswith("C14")]
+    rng = np.random.default_rng(4)
+    struck = rng.random((len(record), 1 if together else len(crate))) < 0.02
+    readings = record.readings.copy()
+    readings[:, crate] += struck * 0.5e-6 * rng.standard_normal((len(record), len(crate)))
+    bench, kind = Bench(replace(record, readings=readings)), all_effects()["noise-tails"]
+    cause = Cause(kind, tuple(crate), {"probability": 0.02, "amplitude": 0.5e-6})
+    nats = dict(latent_laws(bench, cause))["in the same rows at all of them"]
+    assert (nats > 30.0) == together
+    assert (nats < 0.0) == (not together)
+    alone = replace(cause, places=cause.places[:1])
+    assert not dict(latent_laws(bench, alone))
+
+
 @pytest.mark.parametrize(
     "true", ["noise-level:factor=1.4,cells=C14", "noise-correlated:rms=80nm,cells=C14"]
 )
