@@ -20,6 +20,7 @@ from orbitfb.diagnose.gap_maps import lagged, projected
 from orbitfb.diagnose.gof_lines import line_tests
 from orbitfb.diagnose.gof_pairs import NAME as TOGETHER
 from orbitfb.diagnose.gof_pairs import pairs_test
+from orbitfb.diagnose.gof_places import JUMPS, SIZES, place_tests
 from orbitfb.diagnose.naming import column_names
 from orbitfb.effects.kinds import Stage
 from orbitfb.physics.optics import Matrix
@@ -39,7 +40,7 @@ _WINDOWS = 10
 _SHOWN = 8
 _QUANTILES = 301
 _FEWEST = 60
-_MORE_TESTS = 4
+_MORE_TESTS = 6
 
 
 def audit(bench: Bench) -> Audit:
@@ -70,6 +71,7 @@ def audit(bench: Bench) -> Audit:
             *(test(bench, white, channels, rate) for test in tests),
             *line_tests(channels, names, rate),
             pairs_test(channels, bench.record.layout.bpms, rate),
+            *place_tests(bench, white, rate),
         ),
         quantiles=numbers(np.quantile(white, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)),
         autocorrelation=numbers([_correlation(white, lag).mean() for lag in range(1, 11)]),
@@ -87,6 +89,8 @@ _STAGES: dict[str, Stage] = {
     "steadiness by BPM": "noise",
     "kurtosis by BPM": "noise",
     TOGETHER: "noise",
+    JUMPS: "disturbance",
+    SIZES: "actuator",
     "mean by BPM": "sensor",
     "autocorrelation by BPM": "sensor",
     "largest reading": "sensor",
