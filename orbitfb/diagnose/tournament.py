@@ -6,7 +6,7 @@ what the choice of values, place, onset and kind costs. Nothing here is calibrat
 cases: a candidate that is wrong leaves scores that scatter more than they should, and pays.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from orbitfb.diagnose.around import around
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.budget import SCAN_SHARE, Budget
-from orbitfb.diagnose.candidate import Candidate
+from orbitfb.diagnose.candidate import FIRST_ONSET, Candidate
 from orbitfb.diagnose.entry import (
     HOPELESS,
     Entry,
@@ -29,6 +29,7 @@ from orbitfb.diagnose.entry import (
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.proposals import propose
 from orbitfb.diagnose.same_group import other_laws
+from orbitfb.diagnose.scan import Scanner
 from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.layout import Layout
@@ -42,6 +43,10 @@ _TIE = 2.0
 """Within so much of each other [nats] the law with fewer parameters is the answer."""
 _SHOWN = 7.0
 """What it says for a cause that the readback of its corrector shows it [nats]: 1000 to 1."""
+_GAINS = ("bpm-gain", "corrector-gain")
+"""What every device has a little of."""
+_LATE = 2
+"""Candidates of every kind that are looked for without healthy errors."""
 _ABSURD = 1.2
 """Rms of the background's sizes, in units of their scatter, that no healthy ring has."""
 
@@ -84,13 +89,18 @@ def tournament(
         # What has no size is never small: healthy errors hide it even if they stay healthy.
         swallowed = [] if bench.causes else [kind for kind in kinds if not kind.parameters]
     proposals = propose(bench, seen, lambda what, share: tell(what, 0.4 * share), budget)
-    if swallowed and seen is kinds and budget.over(SCAN_SHARE):
+    late = [kind for kind in kinds if kind.stage == "optics" or kind.id in _GAINS]
+    if (swallowed or late) and seen is kinds and budget.over(SCAN_SHARE):
         budget.leave("causes that healthy errors may hide were not looked for")
-    elif swallowed:
+    elif swallowed or late:
         told = bench.floor if bench.told_floor else None
         bare = Bench(bench.record, bench.causes, told, bench.floor.modes, 0.0)
-        hidden = propose(bare, swallowed, lambda what, share: tell(what, 0.4 + 0.1 * share), budget)
-        proposals = _distinct([*hidden, *proposals])
+        hidden = (
+            []
+            if not swallowed
+            else propose(bare, swallowed, lambda what, share: tell(what, 0.4 + 0.1 * share), budget)
+        )
+        proposals = _distinct([*hidden, *_begun_late(bare, late), *proposals])
     if also:
         proposals = sorted(_distinct([*also, *proposals]), key=net, reverse=True)
     entries: list[Entry] = []
@@ -127,6 +137,21 @@ def tournament(
     layout = bench.record.layout
     judged = limits(alike_alike([entry.less(owed) for entry, _ in again], layout))
     return _ranked((*judged, *rest), layout, shown)
+
+
+def _begun_late(bare: Bench, kinds: Sequence[EffectKind]) -> Iterator[Candidate]:
+    """Propose what begins in the record and is like errors that every ring has always had.
+
+    These take half of it, at every steering of the orbit, and hide what a scan would see.
+
+    Args:
+        bare: The record under the causes so far, without healthy errors.
+        kinds: Of the optics, and gains.
+    """
+    scanner = Scanner(bare)
+    for kind in kinds:
+        found = scanner.candidates(kind) if kind.sudden else []
+        yield from [one for one in found if one.cause.onset >= 2 * FIRST_ONSET][:_LATE]
 
 
 def _ranked(every: Sequence[Entry], layout: Layout, shown: Shown) -> list[Entry]:

@@ -8,7 +8,9 @@ import pytest
 from gap_cases import GAIN, PLACE, bench
 
 from orbitfb.diagnose.gof import audit, flagged_nats
+from orbitfb.diagnose.gof_places import JUMPS, SIZES
 from orbitfb.diagnose.noise_modes import NoiseModes
+from orbitfb.effects.kicks import source_patterns
 
 RIGHT = ((PLACE, GAIN),)
 
@@ -163,6 +165,33 @@ def test_what_follows_a_corrector_is_flagged():
         channels += 3.0 * pushed / np.std(pushed)
 
     assert "correlation with changes of a corrector" in flags(audit(disturbed(late)))
+
+
+def test_what_goes_with_the_size_of_another_correctors_change_is_flagged():
+    its, other = bench(False), PLACE + 3
+
+    def sags(channels):
+        steps = np.diff(its.record.setpoints[:, other], prepend=its.record.setpoints[:1, other])
+        pushed = np.outer(np.abs(steps), its.record.layout.response[:, PLACE])
+        channels += 0.8 * pushed / np.std(pushed)
+
+    told = {test.name: test for test in audit(disturbed(sags)).tests if test.flagged}
+    names = its.record.layout.correctors.names
+    assert told[SIZES].note.endswith(f"{names[PLACE]} with {names[other]}")
+
+
+@pytest.mark.parametrize("rare", [True, False])
+def test_ground_that_jumps_is_flagged_and_ground_that_moves_more_is_no_jump(rare):
+    its, rng = bench(False), np.random.default_rng(6)
+    orbit = source_patterns(its.record.layout)[:, 100]
+
+    def kicks(channels):
+        strength = rng.standard_normal(len(channels))
+        if rare:
+            strength *= 5.0 * (rng.random(len(channels)) < 0.04)
+        channels += np.outer(strength, orbit / np.linalg.norm(orbit))
+
+    assert (JUMPS in flags(audit(disturbed(kicks)))) == rare
 
 
 def test_a_short_record_is_not_tested():
