@@ -30,8 +30,10 @@ _THROWN_OFF = 50.0
 """Weight of a cause beyond which orbit and healthy errors are wrong without it [nats]."""
 _RIVAL = 0.7
 """Share of the best weight from which a fit is judged again with everything that it puts right."""
-_STRIDES = (64, 32, 16, 8, 4, 2, 1, 1)
+_STRIDES = (64, 16, 4, 1)
 """Rows by which a beginning is moved, one after the other."""
+_FAR = (-3, -2, -1, 1, 2, 3)
+"""How often: between two steps of the orbit nothing tells rows apart, and the next may be far."""
 _SAME = 0.02
 """Two fits leave the same when what they leave differs by less than this share of the gain."""
 _ONE_LAW = 9.0
@@ -149,18 +151,23 @@ def _begun(bench: Bench, entry: Entry) -> Entry:
     if not cause.onset or entry.gain < price(entry.candidate):
         return entry  # what begins a few rows off scatters as a wrong law does
     row, rows = cause.onset, len(bench.record)
-    best = log_likelihood(*bench.residual((cause,)))
+    heights = {row: log_likelihood(*bench.residual((cause,)))}
     for step in _STRIDES:
-        for way in (-step, step):
-            while FIRST_ONSET <= row + way < rows - LAST_ONSET:
-                height = log_likelihood(*bench.residual((replace(cause, onset=row + way),)))
-                if height <= best:
-                    break
-                best, row = height, row + way
+        middle = -1
+        while row != middle:
+            middle = row
+            for far in _FAR:
+                begin = middle + far * step
+                if FIRST_ONSET <= begin < rows - LAST_ONSET and begin not in heights:
+                    moved = replace(cause, onset=begin)
+                    heights[begin] = log_likelihood(*bench.residual((moved,)))
+            row = max(heights, key=lambda begin: heights[begin])
+            if abs(row - middle) < max(_FAR) * step:
+                break
     if row == cause.onset:
         return entry
-    moved = replace(entry.candidate, cause=replace(cause, onset=row))
-    return max((entry, _fitted(bench, moved)), key=lambda one: one.weight)
+    elsewhere = replace(entry.candidate, cause=replace(cause, onset=row))
+    return max((entry, _fitted(bench, elsewhere)), key=lambda one: one.weight)
 
 
 def _struck(bench: Bench, entry: Entry) -> Entry:

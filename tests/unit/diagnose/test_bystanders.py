@@ -1,10 +1,12 @@
 """Groups of which not all members are struck."""
 
+from dataclasses import replace
+
 import pytest
 from test_scans import BPMS, CORRECTORS, record_with
 
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.bystanders import with_neighbour
+from orbitfb.diagnose.bystanders import with_neighbour, without_idle
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.tournament import tournament
@@ -35,6 +37,24 @@ def test_a_crate_may_reach_over_the_end_of_a_cell():
     bench = Bench(record_with(f"bpm-latency:ticks=1,names={'+'.join(struck)}", dither=1e-4))
     found, *_ = tournament(bench, [all_effects()["bpm-latency"]])
     assert [BPMS[place] for place in found.cause.places] == struck
+
+
+def test_a_limit_is_of_the_cell_that_reaches_it():
+    """Of a run of cells only one has correctors that go faster than the limit."""
+    record = record_with("corrector-slew:rate=1A/s", dither=1e-4)
+    moved = record.setpoints.copy()
+    reach = [column for column, name in enumerate(CORRECTORS) if name in CELL[1:4]]
+    moved[300:, reach] += 1e-2
+    bench = Bench(replace(record, setpoints=moved))
+    run = [c for c, name in enumerate(CORRECTORS) if name[-3:] in ("C07", "C08", "C09", "C10")]
+    slew = all_effects()["corrector-slew"]
+    candidate = Candidate(Cause(slew, tuple(run), {"rate": 5e-2}), 50.0, 500.0, "C07–C10")
+    fewer = without_idle(bench, candidate, candidate.cause)
+    assert fewer is not None and fewer.group == "C09"
+    assert [CORRECTORS[place] for place in fewer.cause.places] == CELL
+    assert without_idle(bench, fewer, fewer.cause) is None
+    all_of_them = replace(candidate, cause=replace(candidate.cause, values={"rate": 1e-9}))
+    assert without_idle(bench, all_of_them, all_of_them.cause) is None
 
 
 def test_one_device_stays_one():

@@ -148,3 +148,14 @@ def test_two_laws_of_the_very_same_devices_are_neither():
     assert told[0].gain == 200.0
     assert told[0].chance < 0.1
     assert told[2] is lawful
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [("periodic-disturbance", 0.0), ("insertion-device", 0.0), ("local-kick", 90.0)],
+)
+def test_harmonics_and_further_moves_of_one_source_are_no_second_law(name, told):
+    found = [_Entry(name, (7,), 200.0), _Entry(name, (7,), 90.0)]
+    lawful = Departure("", 0.0, 100.0)
+    departures = beside_themselves([(entry, lawful) for entry in found])  # type: ignore[misc]
+    assert [its.nats for its in departures] == [told, told]
