@@ -153,17 +153,15 @@ def _begun(bench: Bench, entry: Entry) -> Entry:
     row, rows = cause.onset, len(bench.record)
     heights = {row: log_likelihood(*bench.residual((cause,)))}
     for step in _STRIDES:
-        middle = -1
-        while row != middle:
+        edge = True
+        while edge:
             middle = row
-            for far in _FAR:
-                begin = middle + far * step
+            for begin in (middle + far * step for far in _FAR):
                 if FIRST_ONSET <= begin < rows - LAST_ONSET and begin not in heights:
                     moved = replace(cause, onset=begin)
                     heights[begin] = log_likelihood(*bench.residual((moved,)))
             row = max(heights, key=lambda begin: heights[begin])
-            if abs(row - middle) < max(_FAR) * step:
-                break
+            edge = abs(row - middle) >= _FAR[-1] * step
     if row == cause.onset:
         return entry
     elsewhere = replace(entry.candidate, cause=replace(cause, onset=row))
