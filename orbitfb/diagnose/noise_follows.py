@@ -2,8 +2,11 @@
 
 A reading that takes in a share of another one's, or that bends where the orbit is large, scatters
 as much as a noisy one. But it goes with the correctors, which noise does not: the orbit that they
-make at any BPM, and at its own also the square and the cube, are each tried as what drives it.
+make at any BPM, at its own also the square and the cube, and products of two of its cell, are each
+tried as what drives it.
 """
+
+from itertools import combinations
 
 import numpy as np
 
@@ -11,6 +14,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_spectra import places_struck
+from orbitfb.effects.layout import Devices
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix
 
@@ -47,11 +51,12 @@ def follows(bench: Bench, cause: Cause) -> tuple[str, float]:
     if kind.target != "bpm" or np.any(np.count_nonzero(patterns, axis=0) != 1):
         return "", 0.0
     made = bench.currents @ record.layout.response.T
-    price = float(np.log((made.shape[1] + 2) * len(places))) + _OCCAM
     found = [("", 0.0)]
     for own in np.argmax(patterns != 0.0, axis=0).tolist():
         reading, orbit = record.readings[:, own], bench.orbit[:, own]
         bent = [orbit**power for power in (2, 3)]
+        beside = list(combinations(_of_its_cell(record.layout.bpms, own), 2))
+        bent += [bench.orbit[:, one] * bench.orbit[:, other] for one, other in beside]
         steps = np.diff(np.column_stack([made, *bent]), axis=0, prepend=0.0)
         course = np.diff(reading - made[:, own], prepend=0.0)
         usual = _HEALTHY * float(np.std(steps[rows, own]))
@@ -61,10 +66,21 @@ def follows(bench: Bench, cause: Cause) -> tuple[str, float]:
         where = record.layout.bpms.label(own)
         if best < made.shape[1]:
             words = f"at {where} as what correctors do at {record.layout.bpms.label(best)}"
-        else:
+        elif best < made.shape[1] + 2:
             words = f"at {where} as what is not linear in the orbit there"
+        else:
+            pair = (record.layout.bpms.label(one) for one in beside[best - made.shape[1] - 2])
+            words = f"at {where} as the product of what is read at {' and '.join(pair)}"
+        price = float(np.log(steps.shape[1] * len(places))) + _OCCAM
         found.append((words, float(gains[best]) - price))
     return max(found, key=lambda law: law[1])
+
+
+def _of_its_cell(bpms: Devices, own: int) -> list[int]:
+    """BPMs of the cell and plane of one, itself among them; none where no name tells a cell."""
+    cell, plane = bpms.cells[own], bpms.planes[own]
+    alike = zip(bpms.cells, bpms.planes, strict=True)
+    return [index for index, its in enumerate(alike) if cell and its == (cell, plane)]
 
 
 def _gains(course: Vector, drivers: Matrix, past: list[Vector], usual: float) -> Vector:

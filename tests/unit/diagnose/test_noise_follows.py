@@ -48,6 +48,21 @@ def test_what_another_bpm_reads_or_a_curved_scale_is_no_noise(kind):
     assert law.course == course
 
 
+def test_what_goes_with_the_product_of_two_of_its_cell_is_no_noise():
+    quiet = record(dither=1e-3)
+    bpms = LAYOUT.bpms
+    one, other = [c for c, cell in enumerate(bpms.cells) if cell == bpms.cells[OWN] and c != OWN][
+        :2
+    ]
+    mixed = quiet.readings[:, one] * quiet.readings[:, other] / 20e-6
+    bench = Bench(with_own(quiet, quiet.readings[:, OWN] + mixed))
+    course, nats = follows(bench, Cause(all_effects()["bpm-walk"], (OWN,), {}))
+    assert course.endswith(
+        f"the product of what is read at {bpms.label(one)} and {bpms.label(other)}"
+    )
+    assert nats > 30.0
+
+
 @pytest.mark.parametrize("dither", [0.0, 1e-3])
 @pytest.mark.parametrize(
     "effect", ["noise-level:factor=6", "bpm-walk:step=1e-6", "noise-coloured:correlation=0.7"]
