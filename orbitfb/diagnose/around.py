@@ -9,13 +9,13 @@ from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.nearby import neighbours
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.layout import Layout
 from orbitfb.effects.orbit_kinds import SourceKind
 
 _FAR = 4
-"""Devices, or other places, on either side."""
+"""Correctors on either side."""
 _MOST = 3
 """Of those that promise as much as the best one, so many are fitted."""
 _AS_MUCH = 5.0
@@ -37,11 +37,8 @@ def around(bench: Bench, entries: Sequence[Entry]) -> list[Candidate]:
     if best is None or best.weight <= 0.0 or best.fit is None or len(best.cause.places) != 1:
         return []
     known = {entry.cause.places for entry in entries if entry.kind is best.kind}
-    near = (
-        (place,)
-        for place in _near(best.kind, best.cause.places[0], bench.record.layout)
-        if (place,) not in known
-    )
+    near = ((place,) for place in _near(bench, best.kind, best.cause.places[0]))
+    near = (places for places in near if places not in known)
     found = [_promise(bench, replace(best.cause, places=places)) for places in near]
     found = [one for one in found if one[0] > best.gain - _AS_MUCH]
     found.sort(key=lambda one: one[0], reverse=True)
@@ -50,17 +47,24 @@ def around(bench: Bench, entries: Sequence[Entry]) -> list[Candidate]:
     ]
 
 
-def _near(kind: EffectKind, place: int, layout: Layout) -> list[int]:
-    """Places next to one, or pairs that share a device with it; none of what acts at a BPM."""
+def _near(bench: Bench, kind: EffectKind, place: int) -> list[int]:
+    """Places with nearly the orbit of one; pairs that share one corrector, the other next to its.
+
+    None of what acts at a BPM: there each is itself.
+    """
+    layout = bench.record.layout
     if kind.linear is None:
         return []
     if isinstance(kind, SourceKind):
-        count = len(kind.places_of(layout))
-        return [(place + far) % count for far in range(-_FAR, _FAR + 1) if far]
+        return [
+            other for other in neighbours(bench, kind.patterns(layout), place) if other != place
+        ]
     if isinstance(kind, PairKind) and kind.target == "corrector":
         pairs, count = kind.pairs(layout), len(layout.correctors)
+        planes = np.unique(layout.correctors.planes, return_inverse=True)[1]
         apart = np.abs((pairs - pairs[place] + count // 2) % count - count // 2)
-        return np.flatnonzero((apart.min(axis=1) == 0) & (apart.max(axis=1) <= _FAR)).tolist()
+        near = (apart.min(axis=1) == 0) & (apart.max(axis=1) <= _FAR) & (apart.max(axis=1) > 0)
+        return np.flatnonzero(near & np.all(planes[pairs] == planes[pairs[place]], axis=1)).tolist()
     return []
 
 

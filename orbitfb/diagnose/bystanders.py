@@ -67,7 +67,7 @@ def without_idle(bench: Bench, candidate: Candidate, cause: Cause) -> Candidate 
 
     Returns:
         The smaller group (cells come before racks across them), or those members alone where none
-        has them all; None where the law does something to every one, or to none.
+        has them all, or there is one; None where the law does something to every one, or to none.
     """
     kind, record = cause.kind, bench.record
     if not candidate.group or not isinstance(kind, ActuatorKind | SensorKind):
@@ -76,12 +76,15 @@ def without_idle(bench: Bench, candidate: Candidate, cause: Cause) -> Candidate 
         return None
     places = np.array(cause.places)
     if isinstance(kind, ActuatorKind):
+        devices, weights = record.layout.correctors, np.linalg.norm(record.layout.response, axis=0)
         moved = actuated(record, (cause,)) - record.setpoints
-        made = np.linalg.norm(moved, axis=0) * np.linalg.norm(record.layout.response, axis=0)
-        devices = record.layout.correctors
     else:
-        made = np.linalg.norm(restored(record, (cause,))[0] - record.readings, axis=0)
-        devices = record.layout.bpms
+        devices, weights = record.layout.bpms, 1.0
+        moved = restored(record, (cause,))[0] - record.readings
+    told = ~record.starts[1:]  # what stays as it is tells nothing, nor does a step that is free
+    told &= ~(cause.free & (np.arange(1, len(record)) == cause.onset))
+    steps = np.diff(moved, axis=0)[told]
+    made = np.linalg.norm(steps, axis=0) * weights
     acting = set(places[made[places] > _IDLE * np.max(made[places])].tolist())
     if not 0 < len(acting) < len(places):
         return None

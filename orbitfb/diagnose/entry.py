@@ -119,7 +119,9 @@ def enter(bench: Bench, candidate: Candidate) -> Entry:
         return Entry(begun, None, net(begun) - len(kind.parameters))
     entry = _begun(bench, _fitted(bench, candidate))
     fewer = without_idle(bench, candidate, entry.cause)
-    entry = entry if fewer is None else _fitted(bench, fewer)
+    if fewer is not None:
+        least = _fitted(bench, fewer)
+        entry = least if least.weight > entry.weight - GAP else entry
     joined = _joined(bench, _struck(bench, entry))
     entry = joined if joined.cause.places == entry.cause.places else _begun(bench, joined)
     entry = max((entry, *_later(bench, entry)), key=lambda one: one.weight)

@@ -14,7 +14,7 @@ from orbitfb.physics.optics import Matrix
 JUMPS = "kurtosis by source of kicks"
 SIZES = "correlation with the size of a corrector's change"
 _TOLERATED = 0.05
-"""Relative error of the floor's level that is tolerated."""
+"""Share by which limits are wider, for a floor whose level is not quite right."""
 _LAGS = 2
 _SEEN = 1e-9
 """Information below which nothing is seen of a course."""

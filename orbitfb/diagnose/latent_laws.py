@@ -82,7 +82,10 @@ def latent_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
 
 
 def _in_the_same_rows(bench: Bench, kind: LatentKind, cause: Cause) -> Iterator[tuple[str, float]]:
-    """Ask whether several BPMs are struck in the same rows, which spikes of each are not."""
+    """Ask whether several BPMs are struck in the same rows, which spikes of each are not.
+
+    Both laws have the same two values.
+    """
     if len(cause.places) < 2 or kind.strength != "sometimes normal":
         return
     score, info = (its[cause.onset :, list(cause.places)] for its in strikes(bench, kind))

@@ -55,7 +55,7 @@ def nearby(bench: Bench, entry: Entry) -> Nearby | None:
         return None
     patterns = kind.patterns(bench.record.layout)
     fits: dict[int, Fit] = {}
-    for place in _neighbours(bench, patterns, own.places[0]):
+    for place in neighbours(bench, patterns, own.places[0]):
         there = type(own)(kind, (place,), own.values, own.onset)
         fits[place] = fit(bench, (there,))
     gains = np.array([one.gain for one in fits.values()]) / entry.fit.inflation
@@ -69,8 +69,14 @@ def nearby(bench: Bench, entry: Entry) -> Nearby | None:
     )
 
 
-def _neighbours(bench: Bench, patterns: Matrix, place: int) -> list[int]:
-    """The place itself and those whose patterns are like its own, the likest first."""
+def neighbours(bench: Bench, patterns: Matrix, place: int) -> list[int]:
+    """List a place itself and those whose patterns are like its own, the likest first.
+
+    Args:
+        bench: Its noise tells what is alike.
+        patterns: Orbit of every place, shape (n, P).
+        place: Of these.
+    """
     modal = bench.floor.modes.directions.T @ patterns
     modal /= np.sqrt(bench.floor.innovation_variance)[:, None]
     modal /= np.maximum(np.linalg.norm(modal, axis=0), 1e-300)

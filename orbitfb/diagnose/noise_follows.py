@@ -20,6 +20,8 @@ from orbitfb.physics.optics import Matrix
 
 _FEW_BPMS = 6
 """BPMs that are looked at, at most."""
+_OF_A_CELL = 8
+"""BPMs of a cell whose products are tried, at most."""
 _LAGS = (1, 2, 3)
 """Rows of a BPM's past, and of its orbit's, that are taken as known: the loop has acted on them."""
 _FEWEST = 50
@@ -77,10 +79,11 @@ def follows(bench: Bench, cause: Cause) -> tuple[str, float]:
 
 
 def _of_its_cell(bpms: Devices, own: int) -> list[int]:
-    """BPMs of the cell and plane of one, itself among them; none where no name tells a cell."""
+    """Nearest BPMs of the cell and plane of one, with itself; none where no name tells a cell."""
     cell, plane = bpms.cells[own], bpms.planes[own]
     alike = zip(bpms.cells, bpms.planes, strict=True)
-    return [index for index, its in enumerate(alike) if cell and its == (cell, plane)]
+    found = [index for index, its in enumerate(alike) if cell and its == (cell, plane)]
+    return sorted(sorted(found, key=lambda index: abs(index - own))[:_OF_A_CELL])
 
 
 def _gains(course: Vector, drivers: Matrix, past: list[Vector], usual: float) -> Vector:

@@ -90,6 +90,7 @@ def tournament(
         swallowed = [] if bench.causes else [kind for kind in kinds if not kind.parameters]
     proposals = propose(bench, seen, lambda what, share: tell(what, 0.4 * share), budget)
     late = [kind for kind in kinds if kind.stage == "optics" or kind.id in _GAINS]
+    late = late if seen is kinds else []  # the others are all looked for so anyway
     if (swallowed or late) and seen is kinds and budget.over(SCAN_SHARE):
         budget.leave("causes that healthy errors may hide were not looked for")
     elif swallowed or late:

@@ -57,6 +57,16 @@ def test_a_limit_is_of_the_cell_that_reaches_it():
     assert without_idle(bench, all_of_them, all_of_them.cause) is None
 
 
+def test_a_large_constant_current_makes_nobody_idle():
+    record = record_with("corrector-gain:gain=-0.2,cells=C09", dither=2e-3)
+    moved = record.setpoints.copy()
+    moved[:, CORRECTORS.index(CELL[2])] += 100.0
+    bench = Bench(replace(record, setpoints=moved))
+    own = tuple(CORRECTORS.index(name) for name in CELL)
+    cause = Cause(all_effects()["corrector-gain"], own, {"gain": -0.2})
+    assert without_idle(bench, Candidate(cause, 100.0, 500.0, "C09"), cause) is None
+
+
 def test_one_device_stays_one():
     bench = Bench(record_with(f"bpm-gain:gain=-0.2,names={BPMS[40]}", dither=2e-3))
     found, *_ = tournament(bench, [all_effects()["bpm-gain"]])

@@ -11,6 +11,7 @@ from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.build import build, layout_of
+from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.registry import all_effects
 from orbitfb.effects.settings import parse_effect
 from orbitfb.physics.places import Ring
@@ -80,3 +81,18 @@ def test_the_neighbour_that_explains_more_is_proposed():
     assert one.gain == pytest.approx(fit(bench, (one.cause,)).gain, rel=0.1)
     assert one.gain > entry.gain
     assert not around(bench, [])
+
+
+def test_pairs_next_to_the_best_share_a_corrector_with_it_in_its_plane():
+    made = build([parse_effect("corrector-crosstalk:share=0.2,names=CH2A_C04+CM1A_C04")], LAYOUT, 1)
+    record = simulate_record(RING, "x", 600, 5, made, dither=2e-3, period=0.1)
+    bench, kind = Bench(record), all_effects()["corrector-crosstalk"]
+    assert isinstance(kind, PairKind)
+    names, pairs = LAYOUT.correctors.names, kind.pairs(record.layout)
+    true = (names.index("CH2A_C04"), names.index("CM1A_C04"))
+    index = {tuple(pair): place for place, pair in enumerate(pairs.tolist())}
+    cause = Cause(kind, (index[true[0], true[1] + 1],), {"share": 0.1})
+    entry = enter(bench, Candidate(cause, 100.0, 1800.0))
+    found = [one.cause.places[0] for one in around(bench, [entry])]
+    assert found[0] == index[true]
+    assert all(set(pairs[place]) & {true[0], true[1] + 1} for place in found)
