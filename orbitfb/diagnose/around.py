@@ -1,4 +1,4 @@
-"""Other places of the best cause, next to it: the scan ranks them by what healthy errors hide."""
+"""Places next to that of the best cause: a scan knows roughly what healthy errors hide of each."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,6 +1,5 @@
 """What enters the tournament: a candidate, fitted exactly, with the evidence for it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,9 +16,7 @@ from orbitfb.diagnose.candidate import FIRST_ONSET, LAST_ONSET, Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.noise_onset import begun_noise
-from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.layout import Layout
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 HOPELESS = 0.25
@@ -32,21 +29,10 @@ _RIVAL = 0.7
 """Share of the best weight from which a fit is judged again with everything that it puts right."""
 _STRIDES = (64, 16, 4, 1)
 """Rows by which a beginning is moved, one after the other."""
-_FAR = (-3, -2, -1, 1, 2, 3)
-"""How often: between two steps of the orbit nothing tells rows apart, and the next may be far."""
-_SAME = 0.02
-"""Two fits leave the same when what they leave differs by less than this share of the gain."""
-_ONE_LAW = 9.0
-"""Two fits are one law when what they leave differs by less, summed over all squares of the white
-innovations, for every parameter that one has more: three standard deviations of what noise does."""
-_AT_MOST = 0.2
-"""The same as a share of the gain: the changes they make have a cosine of 0.95."""
+_TIMES = (-3, -2, -1, 1, 2, 3)
+"""How many strides: between two steps of the orbit nothing tells rows apart."""
 _WORTH_MORE = 2.0
 """What a fuller law must gain beyond the simpler one [nats]."""
-_UNKNOWN = 10.0
-"""Ends of a 90 % interval that are further apart by this factor do not tell a value."""
-_NEARLY = 0.8
-"""Share of the gain from which another law of the same devices bears witness."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,12 +144,12 @@ def _begun(bench: Bench, entry: Entry) -> Entry:
         edge = True
         while edge:
             middle = row
-            for begin in (middle + far * step for far in _FAR):
+            for begin in (middle + far * step for far in _TIMES):
                 if FIRST_ONSET <= begin < rows - LAST_ONSET and begin not in heights:
                     moved = replace(cause, onset=begin)
                     heights[begin] = log_likelihood(*bench.residual((moved,)))
             row = max(heights, key=lambda begin: heights[begin])
-            edge = abs(row - middle) >= _FAR[-1] * step
+            edge = abs(row - middle) >= _TIMES[-1] * step
     if row == cause.onset:
         return entry
     elsewhere = replace(entry.candidate, cause=replace(cause, onset=row))
@@ -210,13 +196,6 @@ def _later(bench: Bench, entry: Entry) -> list[Entry]:
     return [_fitted(bench, candidate)]
 
 
-def devices(cause: Cause, layout: Layout) -> tuple[int, ...]:
-    """Places of a cause; all correctors, of what acts on their currents in the whole ring."""
-    if isinstance(cause.kind, ActuatorKind) and cause.kind.target == "ring":
-        return tuple(range(len(layout.correctors)))
-    return cause.places
-
-
 def _fuller(bench: Bench, entry: Entry) -> Entry:
     """Try the law with its optional parameters, where it is worth something without."""
     record = bench.record
@@ -227,76 +206,6 @@ def _fuller(bench: Bench, entry: Entry) -> Entry:
     full = _fitted(bench, replace(entry.candidate, cause=cause))
     better = full.gain > entry.gain + _WORTH_MORE and full.weight > entry.weight
     return full if better else entry
-
-
-def alike_alike(entries: Sequence[Entry], layout: Layout) -> list[Entry]:
-    """Charge candidates that leave the same the same inflation, and those of the same devices.
-
-    The mean over the values of a fit falls with every value to which the record is blind, so
-    that one that is not needed would pay for itself. What the laws of the same devices leave is
-    the same surplus; the value of one may move just with it, as a delay does with its jitter.
-    """
-    judged: list[Entry] = []
-    for entry in entries:
-        own = entry.fit
-        if own is None:
-            judged.append(entry)
-            continue
-        least = own.inflation
-        here = devices(entry.cause, layout)
-        for other in entries:
-            if other.fit is not None and (
-                _apart(other.fit, own) < _SAME * own.gain
-                or (other.fit.gain > _NEARLY * own.gain and devices(other.cause, layout) == here)
-            ):
-                least = min(least, other.fit.inflation)
-        weight = entry.weight + own.gain * (1.0 / least - 1.0 / own.inflation)
-        judged.append(replace(entry, fit=replace(own, inflation=least), weight=weight))
-    return judged
-
-
-def says_little(entry: Entry) -> bool:
-    """Whether a value that is fitted by its logarithm is known to no factor.
-
-    A corrector with a time constant far beyond the record is stuck.
-    """
-    if entry.fit is None:
-        return False
-    ends = [
-        entry.fit.interval(index)
-        for index, (_, parameter) in enumerate(entry.fit.parameters)
-        if parameter.log
-    ]
-    return any(high > _UNKNOWN * low for low, high in ends)
-
-
-def limits(entries: Sequence[Entry]) -> list[Entry]:
-    """Mark what is the same law as an effect with fewer parameters, in a limit of its own.
-
-    Within a play that is wider than all it did, a corrector has a gain error. The simpler law is
-    the answer; the record does not have to decide between the two.
-    """
-    marked: list[Entry] = []
-    for entry in entries:
-        simpler = [
-            other
-            for other in entries
-            if _apart(entry.fit, other.fit)
-            < min(_ONE_LAW * max(entry.size - other.size, 0), _AT_MOST * other.gain)
-        ]
-        law = min(simpler, key=lambda other: other.size, default=None)
-        if law is not None:
-            worth = min(entry.weight, law.weight)
-            entry = replace(entry, limit_of=law.kind.id, weight=worth)
-        marked.append(entry)
-    return marked
-
-
-def _apart(one: Fit | None, other: Fit | None) -> float:
-    """Sum of the squared differences of what two fits leave; infinite where none can be said."""
-    if one is None or other is None or one.white.shape != other.white.shape:
-        return np.inf
-    return float(np.sum((one.white - other.white) ** 2))
 
 
 def profiled(bench: Bench, entry: Entry, best: float) -> tuple[Entry, float]:

@@ -12,7 +12,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.strike_scan import strikes
+from orbitfb.diagnose.strike_scan import normal_ratio, strikes
 from orbitfb.effects.random_kinds import LatentKind
 from orbitfb.physics.optics import Matrix
 
@@ -58,7 +58,7 @@ def latent_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
         return size * score - 0.5 * size**2 * info
 
     def normal(size: float) -> Vector:
-        return _normal(score, info, size)
+        return normal_ratio(score, info, size**2)
 
     few = _CHANCES[_CHANCES < _NOW_AND_THEN]
     sizes = _SIZES / np.sqrt(np.median(info))
@@ -92,21 +92,15 @@ def _in_the_same_rows(bench: Bench, kind: LatentKind, cause: Cause) -> Iterator[
     size = cause.values[kind.parameters[-1].name]
 
     def apart(its: float) -> Matrix:
-        return _normal(score, info, its)
+        return normal_ratio(score, info, its**2)
 
     def at_once(its: float) -> Vector:
-        return np.sum(_normal(score, info, its), axis=1)
+        return np.sum(normal_ratio(score, info, its**2), axis=1)
 
     few, sizes = _CHANCES[_CHANCES < _NOW_AND_THEN], size * _AROUND
     own = max(_mixed(apart(one), chance) for one in sizes for chance in _CHANCES)
     other = max(_mixed(at_once(one), chance) for one in sizes for chance in few)
     yield "in the same rows at all of them", other - own - _OCCAM
-
-
-def _normal(score: Matrix | Vector, info: Matrix | Vector, size: float) -> Matrix:
-    """Log-likelihood ratio of strikes of a normal strength [nats], of the shape of the score."""
-    spread = 1.0 + size**2 * info
-    return 0.5 * size**2 * score**2 / spread - 0.5 * np.log(spread)
 
 
 def _mixed(ratios: Matrix | Vector, chance: float) -> float:

@@ -8,7 +8,8 @@ import numpy as np
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.departure import departure
-from orbitfb.diagnose.entry import Entry, devices
+from orbitfb.diagnose.entry import Entry
+from orbitfb.diagnose.same_law import devices
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
 SURE = 0.99

@@ -60,7 +60,7 @@ def latent_odds(
         ratio = score - 0.5 * info
     else:
         size = last**2
-        ratio = _normal(score, info, size)
+        ratio = normal_ratio(score, info, size)
     return expit(ratio + logit(first))
 
 
@@ -185,7 +185,7 @@ def _latent_places(bench: Bench, kind: LatentKind, score: Matrix, info: Matrix) 
 def _noisier(score: Matrix, info: Matrix) -> Vector:
     """Gain of every BPM if its readings were noisier all the time, each by itself, shape (n,)."""
     sizes = _typical(info) * np.geomspace(0.02, 10.0, 24)
-    gains = [_normal(score, info, size**2).sum(axis=0) for size in sizes]
+    gains = [normal_ratio(score, info, size**2).sum(axis=0) for size in sizes]
     return np.maximum(np.max(gains, axis=0), 0.0)
 
 
@@ -247,12 +247,18 @@ def _each_ratio(kind: LatentKind, score: Matrix, info: Matrix, numbers: list[flo
         share = numbers[0]
         return np.logaddexp(np.log1p(-share), np.log(share) + score - 0.5 * info)
     size = numbers[-1] ** 2
-    struck = _normal(score, info, size)
+    struck = normal_ratio(score, info, size)
     if kind.strength == "normal":
         return struck
     return np.logaddexp(np.log1p(-numbers[0]), np.log(numbers[0]) + struck)
 
 
-def _normal(score: Matrix, info: Matrix, variance: float) -> Matrix:
-    """Log-likelihood ratio of strikes of normal strength, shape as `score`."""
+def normal_ratio(score: Matrix, info: Matrix, variance: float) -> Matrix:
+    """Give the log-likelihood ratio of strikes of a normal strength [nats].
+
+    Args:
+        score: Of a strike of strength one, of any shape.
+        info: Information on it, of that shape.
+        variance: Of the strength.
+    """
     return 0.5 * variance * score**2 / (1.0 + variance * info) - 0.5 * np.log1p(variance * info)

@@ -18,17 +18,14 @@ from orbitfb.diagnose.candidate import FIRST_ONSET, Candidate
 from orbitfb.diagnose.entry import (
     HOPELESS,
     Entry,
-    alike_alike,
-    devices,
     enter,
-    limits,
     net,
     profiled,
-    says_little,
 )
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.proposals import propose
 from orbitfb.diagnose.same_group import other_laws
+from orbitfb.diagnose.same_law import alike_alike, devices, limits, says_little
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.kinds import EffectKind
@@ -89,19 +86,22 @@ def tournament(
         # What has no size is never small: healthy errors hide it even if they stay healthy.
         swallowed = [] if bench.causes else [kind for kind in kinds if not kind.parameters]
     proposals = propose(bench, seen, lambda what, share: tell(what, 0.4 * share), budget)
-    late = [kind for kind in kinds if kind.stage == "optics" or kind.id in _GAINS]
-    late = late if seen is kinds else []  # the others are all looked for so anyway
+    late: list[EffectKind] = []
+    if seen is kinds:  # else all are looked for without healthy errors anyway
+        begins = [kind for kind in kinds if kind.sudden]
+        late = [kind for kind in begins if kind.stage == "optics" or kind.id in _GAINS]
     if (swallowed or late) and seen is kinds and budget.over(SCAN_SHARE):
         budget.leave("causes that healthy errors may hide were not looked for")
     elif swallowed or late:
         told = bench.floor if bench.told_floor else None
         bare = Bench(bench.record, bench.causes, told, bench.floor.modes, 0.0)
-        hidden = (
-            []
-            if not swallowed
-            else propose(bare, swallowed, lambda what, share: tell(what, 0.4 + 0.1 * share), budget)
-        )
-        proposals = _distinct([*hidden, *_begun_late(bare, late), *proposals])
+        hidden = list(_begun_late(bare, late))
+        if swallowed:
+            found = propose(
+                bare, swallowed, lambda what, share: tell(what, 0.4 + 0.1 * share), budget
+            )
+            hidden = [*found, *hidden]
+        proposals = _distinct([*hidden, *proposals])
     if also:
         proposals = sorted(_distinct([*also, *proposals]), key=net, reverse=True)
     entries: list[Entry] = []
@@ -147,11 +147,11 @@ def _begun_late(bare: Bench, kinds: Sequence[EffectKind]) -> Iterator[Candidate]
 
     Args:
         bare: The record under the causes so far, without healthy errors.
-        kinds: Of the optics, and gains.
+        kinds: Of the optics, and gains, that may begin suddenly.
     """
     scanner = Scanner(bare)
     for kind in kinds:
-        found = scanner.candidates(kind) if kind.sudden else []
+        found = scanner.candidates(kind)
         yield from [one for one in found if one.cause.onset >= 2 * FIRST_ONSET][:_LATE]
 
 
