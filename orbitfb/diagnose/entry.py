@@ -65,8 +65,8 @@ class Entry:
 
     @property
     def size(self) -> int:
-        """Number of values that its law has."""
-        return len(self.kind.parameters if self.fit is None else self.fit.parameters)
+        """Number of values that its law needs here."""
+        return len(self.kind.parameters) if self.fit is None else self.fit.told
 
     @property
     def gain(self) -> float:

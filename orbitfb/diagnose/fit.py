@@ -17,6 +17,7 @@ from orbitfb.diagnose import fit_scores as scores
 from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit_search import (
+    at_nominal,
     ends_of,
     line_search,
     posterior_interval,
@@ -90,6 +91,18 @@ class Fit:
         """Log of the Bayes factor for given places under this floor [nats]."""
         return self.gain / self.inflation - self.occam
 
+    @property
+    def told(self) -> int:
+        """Number of values that the record tells anything about.
+
+        What is left of a current that was constant from the first row on changes nothing.
+        """
+        within = [self.interval(index) for index in range(len(self.parameters))]
+        return sum(
+            p.log or low > p.low or high < p.high
+            for (low, high), (_, p) in zip(within, self.parameters, strict=True)
+        )
+
     def interval(self, index: int) -> tuple[float, float]:
         """State the 90 % interval of a fitted value, within its bounds."""
         owner, parameter = self.parameters[index]
@@ -138,6 +151,7 @@ def fit(
         for index in searched:
             best = rough_search(problem, best, index, near=True)
         best, now, slopes = _climb(problem, best, problem.residual(best))
+    best, now = at_nominal(problem, best, now, slopes)
     return _result(problem, best, now, slopes, searched=searched, precise=precise)
 
 

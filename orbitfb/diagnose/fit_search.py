@@ -1,5 +1,6 @@
 """Search parameters whose likelihood no derivative describes: jumps, whole numbers, waves."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -197,6 +198,37 @@ def tuned(problem: Problem, best: Vector, now: Left) -> tuple[Vector, Left]:
         left = problem.residual(there)
         if log_likelihood(*left) > log_likelihood(*now):
             best, now = there, left
+    return best, now
+
+
+def at_nominal(
+    problem: Problem, best: Vector, now: Left, slopes: Sequence[Left]
+) -> tuple[Vector, Left]:
+    """Leave values nominal of which the record says less than it costs that they are not.
+
+    What is left of a current that was constant from the first row on would go where the noise
+    drives it.
+
+    Args:
+        problem: All parameters.
+        best: Their best values, shape (k,).
+        now: What these leave.
+        slopes: Derivatives by those that have them.
+    """
+    for index, slope in zip(problem.smooth, slopes, strict=False):
+        owner, parameter = problem.parameters[index]
+        linear = parameter.name == problem.causes[owner].kind.linear
+        if parameter.log or linear or index in problem.lines:
+            continue
+        far = best[index] - parameter.nominal
+        saved = float(np.log1p((far / problem.scale[index]) ** 2))
+        if 0.5 * far**2 * (np.sum(slope[0] ** 2) + np.sum(slope[1] ** 2)) >= saved:
+            continue
+        there = best.copy()
+        there[index] = parameter.nominal
+        trial = problem.residual(there)
+        if log_likelihood(*trial) > log_likelihood(*now) - saved:
+            best, now = there, trial
     return best, now
 
 

@@ -85,6 +85,27 @@ def test_what_a_readback_shows_is_evidence():
     assert round_of(there, STILL).rivals() != []
 
 
+NO_CURRENT = (*STILL, "corrector-saturation", "corrector-deadband", "corrector-quantisation")
+
+
+@pytest.mark.parametrize("left", [1.0, 0.3])
+def test_a_corrector_that_never_moves_is_stuck_whatever_is_left_of_its_current(left):
+    effect = f"corrector-stuck:left={left},names={CORRECTORS[20]}"
+    found = round_of(Bench(record_with(effect, dither=3e-3)), NO_CURRENT)
+    assert found.accepted.kind.id == "corrector-stuck"
+    assert found.accepted.cause.values["left"] == 1.0  # nominal: a constant current tells nothing
+    assert found.accepted.size == 0
+    assert found.rivals() == []
+    assert "corrector-slew" in found.limits()  # at a rate that goes nowhere within the record
+
+
+def test_how_slowly_a_corrector_follows_is_a_value_that_is_told():
+    effect = f"corrector-lag:tau=2s,names={CORRECTORS[20]}"
+    found = round_of(Bench(record_with(effect, dither=3e-3)), NO_CURRENT)
+    assert found.accepted.kind.id == "corrector-lag"
+    assert "corrector-stuck" not in found.alike()
+
+
 def round_of(there, names, shown=frozenset()):
     kinds = [all_effects()[name] for name in names]
     entries = tuple(tournament(there, kinds, shown=shown))
