@@ -13,6 +13,7 @@ from orbitfb.diagnose.drift_memory import echoes
 from orbitfb.diagnose.explain import Cause, actuated, explain, heard, restored
 from orbitfb.diagnose.floor import estimate_floor
 from orbitfb.diagnose.free import Beyond, Few, beyond, orthonormal
+from orbitfb.diagnose.ground import settled
 from orbitfb.diagnose.healthy_levels import HealthyLevels
 from orbitfb.diagnose.healthy_search import HealthySearch
 from orbitfb.diagnose.innovation import NoiseFloor
@@ -96,8 +97,14 @@ class Bench:
             white = self.floor.whiten(leftover.left, record.starts)
             self.sizes = self._healthy.healed(white, beyond(self.free_steps.basis(causes)))[1]
             healthy = self.background.orbit(self.sizes)
+            left = leftover.left - healthy
+            if floor is None and background > 0.0:
+                modes = settled(left, starts, record.layout, self.floor)
             if alike:
-                modes = uneven(leftover.left - healthy, starts, record.layout, self.floor)
+                its = (
+                    self.floor if modes is self.floor.modes else estimate_floor(left, starts, modes)
+                )
+                modes = uneven(left, starts, record.layout, its)
         self.floor = floor or estimate_floor(leftover.left - healthy, starts, modes)
         self.background.prepare(self.floor)
         self._healthy = HealthySearch(self._quick, self.background)

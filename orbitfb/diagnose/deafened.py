@@ -41,5 +41,5 @@ def without_bpms(bench: Bench, cause: Cause) -> tuple[Record, NoiseModes] | None
     noise = np.random.default_rng(0).standard_normal(record.readings.shape)
     noise *= spread * np.sqrt(bench.floor.reading)
     readings = np.where(struck, noise, record.readings)
-    modes = NoiseModes.of(record.layout, spread, modes.scatter, deaf)
+    modes = NoiseModes.of(record.layout, spread, modes.scatter, deaf, modes.ground)
     return replace(record, readings=readings), modes

@@ -5,10 +5,11 @@ guess, in which the motion of one mode goes along with that of another; what is 
 modes then looks as if something were left to explain.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.noise_modes import NoiseModes
 
 _DRIFTING = 0.3
 """Kalman gain of a mode from which its innovations are drift rather than reading noise."""
@@ -42,5 +43,5 @@ def with_own_shape(bench: Bench) -> Bench:
     turned = np.linalg.eigh(together * np.outer(size, size))[1][:, ::-1]
     axes = floor.modes.axes.copy()
     axes[:, strong] = axes[:, strong] @ turned
-    modes = NoiseModes(axes, floor.modes.spread, floor.modes.scatter, floor.modes.deaf)
+    modes = replace(floor.modes, axes=axes)
     return Bench(bench.record, bench.causes, None, modes, bench.scale)

@@ -52,7 +52,9 @@ def uneven(left: Matrix, starts: Mask, layout: Layout, floor: NoiseFloor) -> Noi
         far = _FARTHEST * float(np.sqrt(healthy))
         own = np.clip(logs * healthy / (healthy + chance), -far, far)
         spread = np.exp(0.5 * (own - own.mean()))
-        floor = estimate_floor(left, starts, NoiseModes.of(layout, spread, float(np.sqrt(healthy))))
+        scatter, ground = float(np.sqrt(healthy)), floor.modes.ground
+        modes = NoiseModes.of(layout, spread, scatter, ground=ground)
+        floor = estimate_floor(left, starts, modes)
     return floor.modes
 
 
