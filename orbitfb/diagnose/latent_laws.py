@@ -8,6 +8,7 @@ What strikes may begin in mid-record, by any of the laws: that is no departure e
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
@@ -60,6 +61,13 @@ def latent_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
     def normal(size: float) -> Vector:
         return normal_ratio(score, info, size**2)
 
+    def one_sided(size: float) -> Vector:
+        """Normal where it is of one sign, else nothing: at late times the orbit may be still."""
+        known = size * score / np.sqrt(1.0 + size**2 * info)
+        both = normal(size) + np.log(2.0)
+        halves = [np.logaddexp(0.0, both + log_ndtr(side * known)) for side in (-1.0, 1.0)]
+        return max((half - np.log(2.0) for half in halves), key=_begun)
+
     few = _CHANCES[_CHANCES < _NOW_AND_THEN]
     sizes = _SIZES / np.sqrt(np.median(info))
     laws = {
@@ -77,6 +85,8 @@ def latent_laws(bench: Bench, cause: Cause) -> Iterator[tuple[str, float]]:
         ),
     }
     _, values, own = laws.pop(kind.strength)
+    if kind.strength == "normal":
+        own = max(own, *(_begun(one_sided(size)) for size in sizes))
     for words, its, height in laws.values():
         yield words, height - own - _OCCAM * max(its - values, 0) - float(np.log(len(laws)))
 

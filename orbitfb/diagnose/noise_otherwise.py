@@ -5,6 +5,7 @@ once as one that walks, a crate whose BPMs are noisy each by itself as one that 
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -71,14 +72,25 @@ def _in_one_row(white: Matrix, bench: Bench, cause: Cause) -> float:
 
 
 def _as_a_step(bench: Bench, patterns: Matrix) -> float:
-    """Gain of a single step of one of some patterns (n, P), from the best row on [nats]."""
-    floor = bench.floor
+    """Gain of a single step of one of some patterns (n, P), beside a floor of its own [nats].
+
+    The floor of a record with a step in it has taken a share of it.
+    """
+    floor, record = bench.floor, bench.record
     shapes = floor.modes.directions.T @ patterns
     kept = 1.0 - floor.gains
     known = (1.0 / (floor.innovation_variance * (1.0 - kept**2))) @ shapes**2
     pull = np.cumsum((bench.slope @ patterns)[::-1], axis=0)[::-1][1:]
+    heights = 0.5 * pull**2 / np.maximum(known, 1e-300)
+    row, which = np.unravel_index(int(np.argmax(heights)), heights.shape)
+    moved = np.zeros_like(record.readings)
+    moved[int(row) + 1 :] = pull[row, which] / known[which] * patterns[:, which]
+    told = floor if bench.told_floor else None
+    without = replace(record, readings=record.readings - moved)
+    still = Bench(without, bench.causes, told, floor.modes)
+    gain = still.full_log_likelihood - bench.full_log_likelihood
     choice = float(np.log(pull.size)) + _OCCAM
-    return 0.5 * float(np.max(pull**2 / np.maximum(known, 1e-300))) - choice
+    return max(float(heights[row, which]), gain) - choice
 
 
 def _shared(bench: Bench, cause: Cause, patterns: Matrix) -> Iterator[tuple[str, float]]:

@@ -31,6 +31,8 @@ def rhythm(bench: Bench, cause: Cause) -> float:
     """
     rows = len(bench.record)
     if isinstance(cause.kind, LatentKind):
+        if cause.kind.strength == "normal":
+            return 0.0  # it strikes at every tick, and shows at those at which the orbit moves
         struck = struck_rows(bench, cause.kind, cause)
         return regular(np.diff(np.flatnonzero(struck)), rows)
     states = states_of(bench, cause)

@@ -18,6 +18,7 @@ from orbitfb.diagnose.latent_laws import latent_laws
 from orbitfb.diagnose.noise_otherwise import otherwise
 from orbitfb.diagnose.other_orbit import other_orbit
 from orbitfb.diagnose.randomness import noise_candidates
+from orbitfb.diagnose.rhythm import rhythm
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.strike_scan import latent_candidates
 from orbitfb.effects.build import build, layout_of
@@ -75,6 +76,30 @@ def test_a_lost_write_is_not_told_for_a_late_sample(true, name):
         assert its.chance < 0.1
 
 
+@pytest.mark.parametrize(("dither", "spread"), [(2e-4, 0.03), (1e-3, 0.01), (2e-3, 0.05)])
+def test_samples_that_are_only_ever_early_are_a_jitter(dither, spread):
+    quiet = record_with(dither=dither)
+    early = np.maximum(spread * np.random.default_rng(5).standard_normal(len(quiet)), 0.0)
+    moved = np.diff(quiet.setpoints, axis=0, prepend=quiet.setpoints[:1])
+    before = -early[:, None] * (moved @ quiet.layout.response.T)
+    bench = Bench(replace(quiet, readings=quiet.readings + before))
+    found = latent_candidates(bench, all_effects()["clock-jitter"])[0]
+    assert found.gain > 50.0
+    assert departure(bench, found.cause, found.gain, before=bench).chance > 0.8
+
+
+def test_a_jitter_that_shows_when_the_orbit_is_moved_goes_by_no_clock():
+    quiet = record_with()
+    steps = 3e-2 * (np.arange(len(quiet)) // 40 % 2)[:, None] * np.eye(len(CORRECTORS))[30]
+    share = 0.05 * np.random.default_rng(5).standard_normal(len(quiet))
+    moved = np.diff(steps, axis=0, prepend=steps[:1]) @ quiet.layout.response.T
+    readings = quiet.readings + steps @ quiet.layout.response.T + share[:, None] * moved
+    bench = Bench(replace(quiet, readings=readings, setpoints=quiet.setpoints + steps))
+    found = latent_candidates(bench, all_effects()["clock-jitter"])[0]
+    assert rhythm(bench, found.cause) == 0.0
+    assert departure(bench, found.cause, found.gain, before=bench).chance > 0.8
+
+
 @pytest.mark.parametrize("together", [False, True])
 def test_what_strikes_a_crate_in_the_same_rows_is_no_spike_of_each(together):
     record = record_with()
@@ -109,7 +134,15 @@ def test_bpms_that_are_noisy_by_themselves_have_no_noise_in_common(true, name):
         assert shared > 20.0
 
 
-@pytest.mark.parametrize("true", ["bpm-walk:step=60nm", "bpm-offset:offset=1um,from=50s"])
+@pytest.mark.parametrize(
+    "true",
+    [
+        "bpm-walk:step=60nm",
+        "bpm-walk:step=30nm",
+        "bpm-offset:offset=1um,from=50s",
+        "bpm-offset:offset=0.6um,from=50s",
+    ],
+)
 def test_what_jumps_once_does_not_walk(true):
     bench = Bench(record_with(f"{true},names={BPMS[40]}"))
     kind = all_effects()["bpm-walk"]
