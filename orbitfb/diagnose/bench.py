@@ -17,7 +17,7 @@ from orbitfb.diagnose.ground import settled
 from orbitfb.diagnose.healthy_levels import HealthyLevels
 from orbitfb.diagnose.healthy_search import HealthySearch
 from orbitfb.diagnose.innovation import NoiseFloor
-from orbitfb.diagnose.noise_modes import NoiseModes
+from orbitfb.diagnose.noise_modes import Ground, NoiseModes
 from orbitfb.diagnose.quick import Quick, Single
 from orbitfb.diagnose.standing import FreeSteps, stretches_across
 from orbitfb.diagnose.uneven import uneven
@@ -53,6 +53,7 @@ class Bench:
         floor: The noise, if a reference record tells it; estimated with the record otherwise.
         modes: Of the noise; None: found with the record, BPMs that differ in noise included.
         background: Scale of the healthy scatter of gains and gradients; 0: the model is exact.
+        ground: How quadrupoles move, where modes are to be found; None: that is found too.
 
     Attributes:
         orbit: Predicted orbit at the BPMs, shape (N, n) [m].
@@ -68,13 +69,14 @@ class Bench:
         floor: NoiseFloor | None = None,
         modes: NoiseModes | None = None,
         background: float = 1.0,
+        ground: Ground | None = None,
     ) -> None:
         self.record = record
         self.causes = tuple(causes)
         self.scale = background
         self.told_floor = floor is not None
         alike = modes is None and floor is None
-        modes = NoiseModes.of(record.layout) if modes is None else modes
+        modes = NoiseModes.of(record.layout, ground=ground or "alone") if modes is None else modes
         self._base: _Base | None = None
         self._in_single: Quick | None = None
         self._steps: FreeSteps | None = None
@@ -98,7 +100,7 @@ class Bench:
             self.sizes = self._healthy.healed(white, beyond(self.free_steps.basis(causes)))[1]
             healthy = self.background.orbit(self.sizes)
             left = leftover.left - healthy
-            if floor is None and background > 0.0:
+            if alike and ground is None:
                 modes = settled(left, starts, record.layout, self.floor)
             if alike:
                 its = (

@@ -26,6 +26,10 @@ _RATIOS = np.exp(np.linspace(-13.0, 10.0, 70))
 """Ratios q / r² that a mode is tried with."""
 _SURE = 20.0
 """What it takes to leave the shape that a record had so far [nats]."""
+_LOUD = 1.5
+"""Mean square of a row over the usual one from which something else than the ground moved it."""
+_FEWEST = 200
+"""Quiet rows that tell a shape."""
 
 
 def settled(left: Matrix, starts: Mask, layout: Layout, floor: NoiseFloor) -> NoiseModes:
@@ -40,10 +44,15 @@ def settled(left: Matrix, starts: Mask, layout: Layout, floor: NoiseFloor) -> No
     modes = floor.modes
     if layout.ring is None:
         return modes
-    powers, counts, drawn = _spectrum(left / modes.spread, starts)
-    best, height = modes, _likelihood(modes.axes, powers, counts, drawn, floor.reading) + _SURE
+    squares = np.sum(floor.whiten(left, starts) ** 2, axis=1)
+    quiet = ~starts & (squares < _LOUD * np.median(squares[~starts]))
+    if quiet.sum() < _FEWEST:
+        return modes
+    steps = np.diff(left / modes.spread, axis=0)[quiet[1:]]
+    spectrum = _spectrum(steps)
+    best, height = modes, _likelihood(modes.axes, *spectrum, floor.reading) + _SURE
     for other in _others(layout, modes):
-        there = _likelihood(other.axes, powers, counts, drawn, floor.reading)
+        there = _likelihood(other.axes, *spectrum, floor.reading)
         if there > height:
             best, height = other, there
     return best
@@ -55,8 +64,8 @@ def _others(layout: Layout, modes: NoiseModes) -> Iterator[NoiseModes]:
             yield NoiseModes.of(layout, modes.spread, modes.scatter, modes.deaf, ground)
 
 
-def _spectrum(readings: Matrix, starts: Mask) -> tuple[list[Matrix], Vector, Vector]:
-    """Average the spectrum of the steps from row to row over bands.
+def _spectrum(steps: Matrix) -> tuple[list[Matrix], Vector, Vector]:
+    """Average the spectrum of the steps from row to row, (N, n) [m], over bands.
 
     The covariance of the steps of a walk with reading noise is tridiagonal: its eigenvectors are
     sines, whatever the two amount to, so that the lines are independent.
@@ -65,7 +74,6 @@ def _spectrum(readings: Matrix, starts: Mask) -> tuple[list[Matrix], Vector, Vec
         Of every band the products of the lines, (n, n) [m²]; the number of lines; and the mean of
         what a step makes of white noise, (B,).
     """
-    steps = np.diff(readings, axis=0)[~starts[1:]]
     lines = np.asarray(dst(steps, type=1, axis=0, norm="ortho"))
     count = len(lines)
     drawn = 4.0 * np.sin(0.5 * np.pi * np.arange(1, count + 1) / (count + 1)) ** 2

@@ -13,6 +13,8 @@ from orbitfb.diagnose.entry import HOPELESS, Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit
 from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.moved_alone import moved_alone
+from orbitfb.diagnose.noise_modes import Ground
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.restless import restless
 from orbitfb.diagnose.rounds import Round, least_weight, winner
@@ -107,6 +109,7 @@ def search(
     *,
     beside: bool = False,
     also: Sequence[Candidate] = (),
+    ground: Ground | None = None,
 ) -> Outcome:
     """Find the causes of a record's gap.
 
@@ -120,10 +123,11 @@ def search(
         shown: What the readbacks show.
         beside: Whether there are causes that are known and have been taken out of the record.
         also: Candidates that compete beside those of the scan, first of all.
+        ground: How the quadrupoles move; None: as the record says.
     """
     budget = budget or Budget(np.inf)
     tell = progress or (lambda what, share: None)
-    nominal = second_order(Bench(record, given, floor))
+    nominal = second_order(Bench(record, given, floor, ground=ground))
     worth = _worth(nominal, floor) if given else 0.0
     bench = heard = nominal
     rounds: list[Round] = []
@@ -150,10 +154,14 @@ def search(
         )
         one = Round(bench, tuple(entries), len(left), None, budget.taken())
         best = winner(one, rounds, worth, beside=beside) if number < MOST_CAUSES else None
-        if not rounds and not budget.over() and (other := restless(bench, best)) is not None:
-            return search(
-                other, kinds, floor, given, progress, budget, shown, beside=beside, also=also
-            )
+        if not rounds and not budget.over():
+            other = restless(bench, best)
+            if other is not None or moved_alone(bench, tuple(given), best):
+                calm = "alone" if other is None else ground
+                return search(
+                    record if other is None else other, kinds, floor, given, progress, budget,
+                    shown, beside=beside, also=also, ground=calm,
+                )  # fmt: skip
         rounds.append(replace(one, accepted=best))
         if best is None:
             break

@@ -15,13 +15,17 @@ from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
 _AT_ONCE = 1e-9  # [s]
+_ALL = 1.0
+"""Of the current."""
+_MOST = 0.9
 _FROZEN = 0.999
 
 
 class CorrectorStuck(ActuatorKind):
     """A current that stays what it was, or falls to a share of it, from the onset on.
 
-    A magnet's inductance lets it fall over a time of its own, which is an optional parameter.
+    How much is left is an optional parameter, as a frozen current is all of it; so is the time over
+    which a magnet's inductance lets it fall.
 
     `drive` holds the first row that it is given: for an onset it wants the record that begins
     there (`Record.rows`). Later stretches hold the same current: a gap in time frees nothing.
@@ -48,6 +52,7 @@ class CorrectorStuck(ActuatorKind):
             nominal=1.0,
             typical=1.0,
             description="Share s of the current at the onset that is left: 1 frozen, 0 tripped.",
+            optional=True,
         ),
         Parameter(
             name="decay",
@@ -69,7 +74,8 @@ class CorrectorStuck(ActuatorKind):
         """Hold the first row, or let it fall."""
         since = np.arange(1, len(setpoints) + 1) * record.layout.period
         fallen = np.exp(-since / values.get("decay", _AT_ONCE))
-        share = values["left"] + (1.0 - values["left"]) * fallen
+        left = values.get("left", _ALL)
+        share = left + (1.0 - left) * fallen
         return share[:, None] * setpoints[:1]
 
     def grid(self, record: Record) -> tuple[Values, ...]:
@@ -81,8 +87,10 @@ class CorrectorStuck(ActuatorKind):
         return {**values, "decay": _AT_ONCE}
 
     def fuller(self, values: Values, record: Record) -> Values | None:
-        """A fall over a tick."""
-        if values["left"] > _FROZEN or values.get("decay", _AT_ONCE) > _AT_ONCE:
+        """A small loss of what is frozen; of what fell, a fall over a tick."""
+        if values["left"] == _ALL:
+            return {**values, "left": _MOST}
+        if values["left"] > _FROZEN or values["decay"] > _AT_ONCE:
             return None
         return {**values, "decay": record.layout.period}
 
@@ -91,7 +99,7 @@ class CorrectorStuck(ActuatorKind):
     ) -> Effect:
         """Hold what is wanted at the first tick, or lose it by the tick."""
         kept = math.exp(-layout.period / values.get("decay", _AT_ONCE))
-        return _Stuck(places, values["left"], kept)
+        return _Stuck(places, values.get("left", _ALL), kept)
 
 
 class _Stuck(ColumnsEffect):

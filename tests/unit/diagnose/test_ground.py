@@ -8,8 +8,11 @@ import pytest
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.noise_modes import GROUNDS, NoiseModes
 from orbitfb.diagnose.noise_walk import walking_candidates
+from orbitfb.diagnose.search import search
 from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.effects.build import build, layout_of
 from orbitfb.effects.registry import all_effects
+from orbitfb.effects.settings import parse_effect
 from orbitfb.physics.places import Ring
 
 RING = Ring.load()
@@ -72,6 +75,23 @@ def test_bpms_keep_their_noise_when_the_ground_is_found():
     modes = Bench(replace(record, readings=record.readings + loud * noise)).floor.modes
     assert modes.ground == "diffusion"
     assert np.corrcoef(modes.spread, loud)[0, 1] > 0.9
+
+
+def test_what_a_corrector_does_is_not_left_to_the_ground():
+    layout = layout_of(RING, "x", 0.1)
+    slow = layout.correctors.names[40]
+    effects = build([parse_effect(f"corrector-lag:tau=0.05s,names={slow}")], layout, 1)
+    record = simulate_record(
+        RING, "x", 900, 5, effects, period=layout.period, steering=1, steering_rms=100e-6,
+        regularisation=10e-6,
+    )  # fmt: skip
+    assert Bench(record).floor.modes.ground != "alone"  # it passes for some of it at first sight
+    kinds = [all_effects()[name] for name in ("corrector-lag", "energy-drift", "bpm-walk")]
+    found = search(record, kinds)
+    assert found.bench.floor.modes.ground == "alone"
+    (one,) = found.winners
+    assert one.accepted.kind.id == "corrector-lag"
+    assert one.accepted.cause.places == (40,)
 
 
 def test_a_ring_without_a_table_has_the_modes_of_its_response():

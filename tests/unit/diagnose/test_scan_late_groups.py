@@ -30,7 +30,7 @@ def steered() -> Bench:
         RING, "x", 900, 5, effects, period=LAYOUT.period, steering=1, steering_rms=100e-6,
         regularisation=10e-6,
     )  # fmt: skip
-    return Bench(record)
+    return Bench(record, ground="alone")
 
 
 def gain_of(bench: Bench, cause: Cause) -> float:

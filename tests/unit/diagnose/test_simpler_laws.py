@@ -76,13 +76,33 @@ def test_a_lag_that_has_one_time_constant_is_told_with_one():
 STILL = ("corrector-lag", "corrector-slew", "corrector-stuck")
 
 
+@pytest.mark.parametrize("dither", [6e-4, 1e-3, 3e-3])
+@pytest.mark.parametrize("begin", [35, 60])
+def test_a_current_that_freezes_in_mid_record_is_stuck(dither, begin):
+    effect = f"corrector-stuck:left=1,names={CORRECTORS[20]},from={begin}s"
+    found = round_of(Bench(record_with(effect, dither=dither)), STILL)
+    assert found.accepted.kind.id == "corrector-stuck"
+    assert found.accepted.size == 0
+    assert found.rivals() == []
+
+
+def test_what_is_left_of_a_current_that_trips_is_told():
+    effect = f"corrector-stuck:left=0.4,names={CORRECTORS[20]},from=35s"
+    best = round_of(Bench(record_with(effect, dither=3e-3)), STILL).accepted
+    assert best.kind.id == "corrector-stuck"
+    low, high = best.fit.interval([p.name for _, p in best.fit.parameters].index("left"))
+    assert low < 0.4 < high
+    assert high - low < 0.25
+
+
 def test_what_a_readback_shows_is_evidence():
-    effect = f"corrector-stuck:left=1,names={CORRECTORS[20]},from=35s"
-    there = Bench(record_with(effect, dither=3e-3))
-    shown = round_of(there, STILL, frozenset({("corrector-stuck", 20)}))
-    assert shown.accepted.kind.id == "corrector-stuck"
+    kinds = ("corrector-lag", "corrector-resonance")
+    effect = f"corrector-resonance:frequency=13Hz,damping=0.4,names={CORRECTORS[20]}"
+    there = Bench(record_with(effect, dither=1e-2))
+    assert round_of(there, kinds).accepted.kind.id == "corrector-lag"
+    shown = round_of(there, kinds, frozenset({("corrector-resonance", 20)}))
+    assert shown.accepted.kind.id == "corrector-resonance"
     assert shown.rivals() == []
-    assert round_of(there, STILL).rivals() != []
 
 
 NO_CURRENT = (*STILL, "corrector-saturation", "corrector-deadband", "corrector-quantisation")
