@@ -29,8 +29,7 @@ _LEAST_TO_SPLIT = 500
 _FITTED = 0.8
 _PHASES = 24
 _SINCE = np.arange(0.0, 4.1, 0.25)
-"""How long a drift may have gone on when a record of another clock begins, in lengths of the
-first one."""
+"""How long a drift may have gone on when a later record begins, in lengths of the first one."""
 _NINETY = (0.05, 0.95)
 
 
@@ -59,9 +58,9 @@ def contrast(
 
     Args:
         bench: The record of the fit under the causes that were found.
-        later: Of the same devices; nothing of the causes is fitted to it but what its clock does
-            not tell: the phase of a periodic disturbance (always, unless it is the end of the
-            same record), and how long a drift has gone on, where it is another clock.
+        later: Of the same devices; nothing of the causes is fitted to it but the phase of a
+            periodic disturbance (unless it is the end of the same record), and for how long a
+            drift has gone on.
         seed: Of the bootstrap.
         rivals: The best few of the tournament that were not accepted, fitted to the same ticks.
         net: Fitted to the same ticks; None: left out.
@@ -186,18 +185,21 @@ def _since_onset(bench: Bench, causes: Sequence[Cause], later: Record) -> Record
     Args:
         bench: The record of the fit, with the causes' onsets.
         causes: As they act in the later record.
-        later: On the clock of that record, if it is later by it; otherwise the time since then
+        later: On the clock of that record, if it is later by it: what grew may have gone on. But
+            it may have stopped, or been put right and begun again, as well: the time since then
             is the one that explains it best.
     """
     begun = [one.onset for one in bench.causes if one.kind.grows]
     if not begun:
         return later
-    if later.time[0] > bench.record.time[-1]:
-        return replace(later, time=later.time - bench.record.time[min(begun)])
     replay = Replay.later(bench, tuple(causes), later)
     model = Model(tuple(causes))
-    length = float(bench.record.time[-1] - bench.record.time[min(begun)])
-    tried = [replace(later, time=later.time + length * step) for step in _SINCE]
+    start = float(bench.record.time[min(begun)])
+    length = float(bench.record.time[-1]) - start
+    here = replace(later, time=later.time - later.time[0])
+    tried = [replace(here, time=here.time + length * step) for step in _SINCE]
+    if later.time[0] > bench.record.time[-1]:
+        tried.append(replace(later, time=later.time - start))
     costs = [
         float(np.sum(Replay(one, replay.floor, replay.orbit, replay.healthy).white(model) ** 2))
         for one in tried

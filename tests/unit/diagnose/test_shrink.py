@@ -118,15 +118,15 @@ def test_nothing_is_put_aside_of_a_short_record():
     assert put_aside(short) == (short, None)
 
 
-@pytest.mark.parametrize("clock", [True, False])
-def test_a_drift_goes_on_in_a_record_whose_time_begins_anew(clock):
+@pytest.mark.parametrize("clock", ["one", "another", "one after it stopped"])
+def test_a_drift_goes_on_in_a_later_record_or_has_stopped(clock):
     ring = Ring.load()
     layout = layout_of(ring, "x", 0.1)
     drift = parse_effect("tune-drift:rate_x=0.0003")
     effects = build([drift], layout, 1)
     whole = simulate_record(ring, "x", 900, 5, effects, dither=2e-3, period=layout.period)
     first, later = whole.rows(0, 450), whole.rows(450, 900)
-    begun = float(later.time[0]) if clock else 0.0
+    begun = {"one": float(later.time[0]), "another": 0.0, "one after it stopped": 3600.0}[clock]
     later = replace(later, time=later.time - later.time[0], began=begun)
     cause = Cause(effect("tune-drift"), (), {"rate_x": 0.0003, "rate_y": 0.0})
     its = shrink(contrast(Bench(first, (cause,)), later))
