@@ -69,19 +69,22 @@ class HealthySearch:
         white, self._latest = self._descend(best, start, _SOLVED, beyond)
         return white, self._latest.sizes
 
-    def against(self, white: Matrix, enough: float, beyond: Beyond) -> tuple[Matrix, Vector]:
+    def against(
+        self, white: Matrix, enough: float, beyond: Beyond, most: int = _MOST_STEPS
+    ) -> tuple[Matrix, Vector]:
         """As `healed`, from none on, for a change that stands for itself.
 
         Args:
             white: What is left, shape (N, n).
             enough: Gain of a step below which the sizes are the best [nats].
             beyond: As for `healed`.
+            most: Steps at most.
         """
-        white, near = self._descend(white, self._nothing, enough, beyond)
+        white, near = self._descend(white, self._nothing, enough, beyond, most)
         return white, near.sizes
 
     def _descend(
-        self, white: Matrix, near: Near, enough: float, beyond: Beyond
+        self, white: Matrix, near: Near, enough: float, beyond: Beyond, most: int = _MOST_STEPS
     ) -> tuple[Matrix, Near]:
         """Find the best errors by preconditioned conjugate gradients.
 
@@ -93,6 +96,7 @@ class HealthySearch:
             near: Those errors.
             enough: Gain of a step below which they are the best [nats].
             beyond: As for `healed`.
+            most: Steps at most.
         """
         quick, background = self._quick, self._background
         sizes, moved = near.sizes, near.change
@@ -104,7 +108,7 @@ class HealthySearch:
 
         gradient = slope()
         direction, before = np.zeros_like(sizes), 0.0
-        for _ in range(_MOST_STEPS):
+        for _ in range(most):
             step = background.step(gradient)
             promise = float(gradient @ step)
             if 0.5 * promise <= enough:  # nothing to gain at all, of a change that is none

@@ -24,7 +24,8 @@ from orbitfb.diagnose.plan_candidates import (
     proposals,
 )
 from orbitfb.diagnose.plan_file import Plan
-from orbitfb.diagnose.plan_response import base_rows, loop_gains, outlook, separation
+from orbitfb.diagnose.plan_outlook import base_rows, loop_gains, outlook
+from orbitfb.diagnose.plan_response import separation
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.device_kinds import PairKind
@@ -40,6 +41,8 @@ _GAINED = 1.5
 """By this factor an excitation must be better than the record's own activity."""
 _LEAST = 3.0
 """Separation within the beam time below which no excitation is worth it [nats]."""
+_SEEN = 2.0
+"""That a cause is there takes half of what tells it from another one."""
 _FINALISTS = 4
 _FEWEST_ROWS = 100
 _SHARES = (1.0, 1 / 3, 0.1)
@@ -198,13 +201,19 @@ def _rates(
     rivals: Sequence[Cause],
     exact: bool,
 ) -> Vector:
-    """Expected separation per tick from every rival; the smaller of both directions where exact."""
-    view = outlook(bench, excursion, gains)
+    """Expected separation per tick from every rival; the least of both directions where exact.
+
+    It is no use to tell causes apart of which none is seen: from none at all counts too then.
+    """
+    view = outlook(bench, excursion, gains, exact=exact)
     if not rivals:
         return np.array([separation(view, first, None)]) / len(excursion)
     worth = [separation(view, first, rival) for rival in rivals]
     if exact:
-        worth = [min(w, separation(view, r, first)) for w, r in zip(worth, rivals, strict=True)]
+        seen = _SEEN * separation(view, first, None)
+        worth = [
+            min(w, seen, separation(view, r, first)) for w, r in zip(worth, rivals, strict=True)
+        ]
     return np.array(worth) / len(excursion)
 
 

@@ -9,6 +9,7 @@ import pytest
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Channels
 from orbitfb.diagnose import plan_response
+from orbitfb.diagnose.background import Background
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
@@ -16,7 +17,8 @@ from orbitfb.diagnose.plan import limits_of, plan, plan_for
 from orbitfb.diagnose.plan_answer import ENOUGH
 from orbitfb.diagnose.plan_candidates import proposals
 from orbitfb.diagnose.plan_file import Plan
-from orbitfb.diagnose.plan_response import answered, loop_gains
+from orbitfb.diagnose.plan_outlook import answered, loop_gains, outlook
+from orbitfb.diagnose.plan_response import separation
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.bpm_walk import BpmWalk
 from orbitfb.effects.build import layout_of
@@ -197,3 +199,26 @@ def test_every_value_of_every_effect_can_be_moved_a_little():
                 for value in (parameter.nominal, parameter.typical):
                     step = plan_response._step(parameter, value)
                     assert 0.0 < abs(step) < np.inf, (kind.id, parameter.name)
+
+
+@pytest.mark.parametrize("size", [2e-3, 6e-3])
+def test_what_healthy_errors_take_of_a_change_is_that_of_dense_algebra(size: float) -> None:
+    bench = Bench(recorded("corrector-gain", 50, {"gain": 0.0}, 250))
+    rng = np.random.default_rng(4)
+    moves = size * rng.standard_normal((100, len(LAYOUT.correctors)))
+    shift = Cause(effect("tune-shift"), (), {"dnu_x": 0.01, "dnu_y": 0.0})
+    view = outlook(bench, moves, exact=True)
+    change = np.ravel(view.white(shift))
+    own = Background(LAYOUT, view.record.setpoints, view.record.readings, view.record.starts, 1.0)
+    own.prepare(bench.floor)
+    healthy = np.stack(
+        [
+            np.ravel(bench.floor.whiten(own.orbit(unit), view.record.starts))
+            for unit in np.eye(len(bench.sizes))
+        ]
+    )
+    taken = np.linalg.solve(healthy @ healthy.T + np.eye(len(healthy)), healthy @ change)
+    left = 0.5 * float(change @ change - (healthy @ change) @ taken)
+    assert separation(view, shift, None) == pytest.approx(left, rel=0.02, abs=0.3)
+    alone = separation(outlook(bench, moves), shift, None)
+    assert left < 0.5 * alone  # a shift of the tune is what healthy gradients do
