@@ -99,13 +99,10 @@ class Bench:
             white = self.floor.whiten(leftover.left, record.starts)
             self.sizes = self._healthy.healed(white, beyond(self.free_steps.basis(causes)))[1]
             healthy = self.background.orbit(self.sizes)
-            left = leftover.left - healthy
-            if alike and ground is None:
-                modes = settled(left, starts, record.layout, self.floor)
             if alike:
-                its = (
-                    self.floor if modes is self.floor.modes else estimate_floor(left, starts, modes)
-                )
+                left, its = leftover.left - healthy, self.floor
+                if ground is None:
+                    its = settled(left, starts, record.layout, its)
                 modes = uneven(left, starts, record.layout, its)
         self.floor = floor or estimate_floor(leftover.left - healthy, starts, modes)
         self.background.prepare(self.floor)

@@ -135,13 +135,11 @@ def departure(
             *latent_laws(bench if before is None else before, cause),
         )
         course, nats = max(laws, key=lambda law: law[1], default=("", 0.0))
-        # a time of sampling is normal or of one sign: nature has no further laws of it
-        excused = 0.0 if getattr(cause.kind, "strength", "") == "normal" else IDEAL
-        return (
-            Departure(course, max(nats, 0.0), gain, excused)
-            if nats > 0.0
-            else Departure("", 0.0, gain)
-        )
+        if nats <= 0.0:
+            return Departure("", 0.0, gain)
+        # what is normal, or of one sign, has no further law of nature's
+        normal = isinstance(cause.kind, LatentKind) and cause.kind.strength == "normal"
+        return Departure(course, nats, gain, 0.0 if normal else IDEAL)
     beside = _Beside.of(bench, cause)
     best, top, tried = "", 0.0, 0
     highest = np.zeros_like(bench.white)

@@ -2,7 +2,7 @@
 
 Only the directions of the modes follow from it; how far each of them walks is estimated with the
 record. The wrong directions let one mode go along with another, which looks like an energy, a
-crate or a corrector that wanders: a record shows which are the right ones by hundreds of nats.
+crate or a corrector that wanders.
 
 The diffusion is the ATL law, in which two places move apart as the square root of time and
 distance (V. Shiltsev, Phys. Rev. ST Accel. Beams 13 (2010) 094801).
@@ -15,6 +15,7 @@ import numpy as np
 from scipy.fft import dst
 
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.floor import estimate_floor
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.noise_modes import GROUNDS, NoiseModes
 from orbitfb.effects.layout import Layout
@@ -32,8 +33,8 @@ _FEWEST = 200
 """Quiet rows that tell a shape."""
 
 
-def settled(left: Matrix, starts: Mask, layout: Layout, floor: NoiseFloor) -> NoiseModes:
-    """Find the modes of the ground that makes what is left likeliest; BPMs stay as noisy as told.
+def settled(left: Matrix, starts: Mask, layout: Layout, floor: NoiseFloor) -> NoiseFloor:
+    """Find the floor of the ground that makes what is left likeliest; BPMs stay as noisy as told.
 
     Args:
         left: What the model and healthy errors leave, shape (N, n) [m].
@@ -43,11 +44,11 @@ def settled(left: Matrix, starts: Mask, layout: Layout, floor: NoiseFloor) -> No
     """
     modes = floor.modes
     if layout.ring is None:
-        return modes
+        return floor
     squares = np.sum(floor.whiten(left, starts) ** 2, axis=1)
     quiet = ~starts & (squares < _LOUD * np.median(squares[~starts]))
     if quiet.sum() < _FEWEST:
-        return modes
+        return floor
     steps = np.diff(left / modes.spread, axis=0)[quiet[1:]]
     spectrum = _spectrum(steps)
     best, height = modes, _likelihood(modes.axes, *spectrum, floor.reading) + _SURE
@@ -55,7 +56,7 @@ def settled(left: Matrix, starts: Mask, layout: Layout, floor: NoiseFloor) -> No
         there = _likelihood(other.axes, *spectrum, floor.reading)
         if there > height:
             best, height = other, there
-    return best
+    return floor if best is modes else estimate_floor(left, starts, best)
 
 
 def _others(layout: Layout, modes: NoiseModes) -> Iterator[NoiseModes]:

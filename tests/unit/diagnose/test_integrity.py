@@ -460,7 +460,8 @@ def test_columns_in_another_order_or_with_the_other_sign():
     assert screen(replace(made, readings=-made.readings))[0].check == "wrong-sign"
 
 
-@pytest.mark.parametrize("dither", [0.0, 1e-4])
+# What a loop moves to hold noise and drift alone tells an order in some records and not in others.
+@pytest.mark.parametrize("dither", [3e-5, 1e-4])
 @pytest.mark.parametrize("shift", [0, 1])
 def test_correctors_in_another_order_are_not_blamed_on_the_bpms(dither, shift):
     made = record(ticks=400, dither=dither)
