@@ -8,7 +8,7 @@ of one record may be split like this although the filter runs through.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from orbitfb.diagnose.fit_search import (
     tuned,
 )
 from orbitfb.diagnose.problem import Left, Problem, from_fitted, is_line, to_fitted
-from orbitfb.diagnose.standing import is_standing
+from orbitfb.diagnose.standing import is_standing, stilled
 from orbitfb.effects.kinds import Parameter
 from orbitfb.physics.optics import Matrix
 
@@ -246,9 +246,9 @@ def _steps_alone(bench: Bench, causes: Sequence[Cause], gain: float) -> float:
 
     The orbit makes a step for many reasons: it does not speak for a law that shows in nothing else.
     """
-    if not any(map(is_standing, causes)):
+    still = [stilled(cause, bench.record.layout) for cause in causes if is_standing(cause)]
+    if not still:
         return 0.0
-    still = [replace(c, values={p.name: p.nominal for p in c.kind.parameters}) for c in causes]
     steps = log_likelihood(*bench.residual(still)) - bench.log_likelihood
     shown = gain - steps > _SHOWN
     return 0.0 if shown else max(steps - bench.free_steps.price(causes), 0.0)

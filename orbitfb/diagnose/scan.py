@@ -123,7 +123,7 @@ class Scanner:
                 own = Groups.of(self._scoring, layout, kind, changes)
             for candidate in onsets(self._scoring, kind, values, changes, own):
                 yield self._measured(candidate, grid)
-            if isinstance(kind, ActuatorKind) and kind.linear is not None:
+            if isinstance(kind, ActuatorKind) and kind.of_changes:
                 for candidate in onsets(self._scoring, kind, values, changes, own, free=True):
                     yield self._measured(candidate, grid)
 

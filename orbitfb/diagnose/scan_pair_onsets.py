@@ -52,22 +52,28 @@ def pair_onsets(
     for place in np.argsort(score)[::-1][:_PAIRS_TRIED]:
         pair = pairs[place]
         driven = drivers[:, pair] @ change[place].T
-        gain = to_the_end(np.sum((bench.slope @ patterns[:, pair]) * driven, axis=1))
+        pull = bench.slope @ patterns[:, pair]
+        height = to_the_end(np.sum(pull * driven, axis=1))
+        jumps = np.zeros_like(height)
         for shape, course, feedback in zip(
             scoring.ladder.shapes(patterns[:, pair]),
             scoring.courses(driven),
             scoring.ladder.feedback,
             strict=True,
         ):
-            jump = np.sum((driven @ shape.T) ** 2, axis=1) / (1.0 - feedback**2 + brief)
-            gain -= 0.5 * (to_the_end(np.sum((course @ shape.T) ** 2, axis=1)) + jump)
-        gain[:FIRST_ONSET] = 0.0
-        gain[len(gain) - LAST_ONSET :] = 0.0
-        row = int(np.argmax(gain))
-        if gain[row] > 0:
-            values = {p.name: p.typical for p in kind.parameters}
-            cause = Cause(kind, (int(place),), values, row)
-            yield Candidate(cause, float(gain[row]), float(choices[place] * len(gain)))
+            jumps += np.sum((driven @ shape.T) ** 2, axis=1) / (1.0 - feedback**2 + brief)
+            height -= 0.5 * to_the_end(np.sum((course @ shape.T) ** 2, axis=1))
+        gains = [height - 0.5 * jumps]
+        if kind.of_changes:
+            gains.append(height - np.sum(to_the_end(pull) * driven, axis=1))
+        for free, gain in enumerate(gains):
+            gain[:FIRST_ONSET] = 0.0
+            gain[len(gain) - LAST_ONSET :] = 0.0
+            row = int(np.argmax(gain))
+            if gain[row] > 0:
+                values = {p.name: p.typical for p in kind.parameters}
+                cause = Cause(kind, (int(place),), values, row, free=bool(free))
+                yield Candidate(cause, float(gain[row]), float(choices[place] * len(gain)))
 
 
 def mixing_onsets(
@@ -93,28 +99,32 @@ def mixing_onsets(
     shapes, pull = scoring.ladder.shapes(patterns), bench.slope @ patterns
     rows = len(drivers)
     brief = short(rows)
-    score, info = np.zeros((rows, len(pairs))), np.zeros((rows, len(pairs)))
+    score, info, jumps, begun = (np.zeros((rows, len(pairs))) for _ in range(4))
     for side in range(2):
         columns = pairs[:, side]
         driven = np.einsum("pb,kpb->kp", change[:, side], drivers[:, pairs])
         score += to_the_end(pull[:, columns] * driven)
+        if kind.of_changes:
+            begun += to_the_end(pull)[:, columns] * driven
         for shape, course, feedback in zip(
             shapes, scoring.courses(driven), scoring.ladder.feedback, strict=True
         ):
             size = np.sum(shape[:, columns] ** 2, axis=0)
             info += size * to_the_end(course**2)
-            info += size * driven**2 / (1.0 - feedback**2 + brief)[:, None]
-    strength, gain = best_strength(kind, score, info)
-    gain[:FIRST_ONSET] = 0.0
-    gain[rows - LAST_ONSET :] = 0.0
-    best = np.argmax(gain, axis=0)
-    height = gain[best, np.arange(len(pairs))]
-    for place in np.argsort(height)[::-1][:KEPT]:
-        begin = int(best[place])
-        if height[place] > 0:
-            scaled = sized(kind, values, float(strength[begin, place]))
-            cause = Cause(kind, (int(place),), scaled, begin)
-            yield Candidate(cause, float(height[place]), float(choices[place] * rows))
+            jumps += size * driven**2 / (1.0 - feedback**2 + brief)[:, None]
+    for free in (False, True) if kind.of_changes else (False,):
+        slope, known = (score - begun, info) if free else (score, info + jumps)
+        strength, gain = best_strength(kind, slope, known)
+        gain[:FIRST_ONSET] = 0.0
+        gain[rows - LAST_ONSET :] = 0.0
+        best = np.argmax(gain, axis=0)
+        height = gain[best, np.arange(len(pairs))]
+        for place in np.argsort(height)[::-1][:KEPT]:
+            begin = int(best[place])
+            if height[place] > 0:
+                scaled = sized(kind, values, float(strength[begin, place]))
+                cause = Cause(kind, (int(place),), scaled, begin, free=free)
+                yield Candidate(cause, float(height[place]), float(choices[place] * rows))
 
 
 def leaks(kind: PairKind, share: str) -> bool:
@@ -124,12 +134,11 @@ def leaks(kind: PairKind, share: str) -> bool:
 
 
 def leak_onsets(
-    bench: Bench, scoring: Scoring, kind: PairKind, share: str, choices: Vector
+    bench: Bench, scoring: Scoring, kind: PairKind, share: str, choices: Vector, *, free: bool
 ) -> Iterator[Candidate]:
     """Try every few rows as the beginning of what leaks from any corrector into any other.
 
-    A share of the whole current leaks, so that the kick of the second one jumps there: the rows
-    near the best ones are looked at closely.
+    The rows near the best ones are looked at closely.
 
     Args:
         bench: The record under the causes so far.
@@ -137,27 +146,32 @@ def leak_onsets(
         kind: The effect.
         share: Its parameter.
         choices: Among how many pairs each was chosen, shape (P,).
+        free: Whether the kick of the second one is free when it begins; else it jumps by a share
+            of the whole current.
     """
     record, currents = bench.record, bench.currents
     shapes, rows, count = scoring.correctors(), *currents.shape
     brief, tried = short(rows), np.arange(0, rows, _STRIDE)
+    jumps = currents**2 * (0.0 if free else 1.0)
     sizes = np.array([np.sum(shape**2, axis=0) for shape in shapes.fine])
     levels = zip(scoring.courses(currents), scoring.ladder.feedback, strict=True)
     energies = np.array(
         [
-            to_the_end(course**2) + currents**2 / (1.0 - feedback**2 + brief)[:, None]
+            to_the_end(course**2) + jumps / (1.0 - feedback**2 + brief)[:, None]
             for course, feedback in levels
         ]
     )
     # Single precision is enough to choose by.
     some = energies[:, tried].astype(np.float32)
     driven, pull = currents.astype(np.float32), shapes.pull.astype(np.float32)
+    from_here = to_the_end(shapes.pull) if free else np.zeros_like(shapes.pull)
     pairs = kind.pairs(record.layout)
     height, begun = np.zeros((count, count)), np.zeros((count, count), dtype=np.intp)
     for second in np.unique(pairs[:, 1]):
         pulled = np.add.reduceat(driven * pull[:, [second]], tried)
         info = cast("Matrix", np.tensordot(sizes[:, second].astype(np.float32), some, 1))
-        gain = _inner(best_strength(kind, to_the_end(pulled), info)[1], rows, _STRIDE)
+        score = to_the_end(pulled) - currents[tried] * from_here[tried][:, [second]]
+        gain = _inner(best_strength(kind, score, info)[1], rows, _STRIDE)
         best = np.argmax(gain, axis=0)
         height[:, second] = gain[best, np.arange(count)]
         begun[:, second] = tried[best]
@@ -165,11 +179,13 @@ def leak_onsets(
         first, second = pairs[place]
         near = begun[first, second] + np.arange(1 - _STRIDE, _STRIDE)
         score = to_the_end(currents[:, first] * shapes.pull[:, second])
+        score -= currents[:, first] * from_here[:, second]
         info = np.tensordot(sizes[:, second], energies[:, :, first], 1)
         strength, gain = best_strength(kind, score, info)
         row = int(near[np.argmax(_inner(gain, rows)[np.clip(near, 0, rows - 1)])])
         if 0 < row < rows and gain[row] > 0:
-            cause = Cause(kind, (int(place),), sized(kind, {share: 1.0}, float(strength[row])), row)
+            values = sized(kind, {share: 1.0}, float(strength[row]))
+            cause = Cause(kind, (int(place),), values, row, free=free)
             yield Candidate(cause, float(gain[row]), float(choices[place] * rows))
 
 

@@ -68,7 +68,8 @@ def of_pairs(bench: Bench, scoring: Scoring, kind: PairKind) -> Iterator[Candida
             yield from pair_onsets(bench, scoring, kind, parts, score, choices)
         if kind.sudden and kind.linear is not None:
             if kind.target == "corrector" and leaks(kind, kind.linear):
-                yield from leak_onsets(bench, scoring, kind, kind.linear, choices)
+                for free in (False, True) if kind.of_changes else (False,):
+                    yield from leak_onsets(bench, scoring, kind, kind.linear, choices, free=free)
             else:
                 yield from mixing_onsets(bench, scoring, kind, parts, values, choices)
         if kind.linear is not None and kind.target == "corrector" and gain.max() > _PROMISING:

@@ -90,9 +90,7 @@ class Outcome:
 
     def final(self, entry: Entry) -> tuple[Cause, Fit | None]:
         """Give an accepted cause with its values of the joint fit, if it has a course in time."""
-        if entry.fit is None or self.joint is None:
-            return entry.cause, None
-        for cause in self.joint.causes:
+        for cause in () if self.joint is None else self.joint.causes:
             if same(cause, entry.cause):
                 return cause, self.joint
         return entry.cause, entry.fit

@@ -5,11 +5,13 @@ its centre the beam stood when the error began they do not: they hold what they 
 the step at the onset says nothing of the size of the error: it is left free, one amplitude per
 place and plane, and the record is looked at across it.
 
-A corrector whose calibration is wrong from some row on may make a step, by what it holds, or none,
-if the calibration is that of the changes (a driver that sends increments). Both are tried.
+What goes wrong with the currents of correctors from some row on (their scale, their sign, which of
+them is which) may make a step, by what they hold, or none, or any: a driver may send increments, or
+somebody has made up for what stood still. A step of what they hold and a free one are both tried.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +20,9 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fading import Steps
 from orbitfb.diagnose.free import Directions, Few
 from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.effects.corrector_gain import CorrectorGain
+from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.layout import Layout
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -36,6 +41,13 @@ def is_standing(cause: Cause) -> bool:
     """Whether the first kick of a cause is free."""
     kind = cause.kind
     return cause.onset > 0 and (cause.free or (isinstance(kind, SourceKind) and kind.standing))
+
+
+def stilled(cause: Cause, layout: Layout) -> Cause:
+    """The free first kick of a cause without what its law does from then on."""
+    if isinstance(cause.kind, SourceKind):
+        return replace(cause, values={p.name: p.nominal for p in cause.kind.parameters})
+    return Cause(CorrectorGain(), _kicking(cause, layout), {"gain": 0.0}, cause.onset, free=True)
 
 
 def stretches_across(record: Record, causes: Sequence[Cause]) -> Mask:
@@ -104,10 +116,24 @@ class FreeSteps:
             if isinstance(kind, SourceKind)
             else layout.response * (_CURRENT / _KICK)
         )
-        for place in cause.places:
+        for place in _kicking(cause, layout):
             for plane in layout.planes:
                 rows = layout.bpms.in_plane(plane)
                 orbit = np.zeros(len(patterns))
                 orbit[rows] = patterns[rows, place]
                 found.append(orbit)
         return found
+
+
+def _kicking(cause: Cause, layout: Layout) -> tuple[int, ...]:
+    """Places whose kick may jump: those of pairs are the columns that get something else."""
+    kind = cause.kind
+    if not isinstance(kind, PairKind):
+        return cause.places
+    largest = {p.name: p.high for p in kind.parameters}
+    pairs, change = kind.pairs(layout), kind.matrices(layout, largest) - np.eye(2)
+    return tuple(
+        int(column)
+        for place in cause.places
+        for column in pairs[place][np.any(change[place] != 0.0, axis=1)]
+    )

@@ -97,6 +97,4 @@ def _together(
     if not causes:
         return None, ()
     found = fit(nominal.with_floor(last.floor), causes, precise=True)
-    if not found.parameters and any(cause.kind.parameters for cause in causes):
-        return None, causes  # jointly they cannot be told apart; they stay as they were found
     return found, found.causes

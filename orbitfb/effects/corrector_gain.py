@@ -36,6 +36,7 @@ class CorrectorGain(ActuatorKind):
         ),
     )
     linear = "gain"
+    of_changes = True
     confused_with = (
         "bpm-gain",
         "corrector-lag",

@@ -68,6 +68,7 @@ class CorrectorHysteresis(ActuatorKind):
         ),
     )
     linear = "share"
+    of_changes = True
     confused_with = ("corrector-deadband", "corrector-lag", "corrector-gain", "corrector-slew")
     splits = "A triangular ladder with reversals at three amplitudes: only play depends on them."
 

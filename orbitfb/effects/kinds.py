@@ -94,6 +94,9 @@ class EffectKind(ABC):
         vanishes: Whether nothing is left of it when every parameter has its nominal value. An
             effect without parameters is either there or not, whatever this says; a stuck device
             has a parameter and is there all the same.
+        of_changes: Whether one that begins in the middle of a record may act on what is added to
+            the currents from then on alone: what they held, somebody has made up for. Its step at
+            the onset is then tried as one that says nothing.
     """
 
     id: ClassVar[str]
@@ -112,6 +115,7 @@ class EffectKind(ABC):
     sudden: ClassVar[bool] = True
     grows: ClassVar[bool] = False
     vanishes: ClassVar[bool] = True
+    of_changes: ClassVar[bool] = False
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:

@@ -59,6 +59,14 @@ def test_a_wrong_corrector_is_named_with_its_size():
     json.loads(document(found), parse_constant=lambda text: pytest.fail(f"{text} in the JSON"))
 
 
+def test_a_cause_without_a_value_is_answered():
+    found = answer("corrector-stuck:names=CL1A_C05,from=50s")
+    assert found.state == "named"
+    (cause,) = found.causes
+    assert (cause.effect, cause.places, cause.parameters) == ("corrector-stuck", ("CL1A_C05",), {})
+    assert cause.onset_s == pytest.approx(30.0, abs=1.0)  # the record begins after 20 s
+
+
 def test_what_is_not_in_the_library_is_not_named_for_sure():
     """Without its kind, a lag of all correctors must not become something else for certain."""
     found = answer(

@@ -142,6 +142,35 @@ def test_a_calibration_may_change_with_a_step_or_without(increments):
     assert low < 0.3 < high
 
 
+@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize(
+    ("kind", "columns", "change"),
+    [
+        ("corrector-polarity", (50,), [[-2.0]]),
+        ("corrector-swap", (50, 57), [[-1.0, 1.0], [1.0, -1.0]]),
+        ("corrector-crosstalk", (50, 51), [[0.0, 0.0], [0.3, 0.0]]),
+    ],
+)
+def test_what_goes_wrong_with_currents_does_so_with_what_they_hold_or_with_changes(
+    kind, columns, change, held
+):
+    """Operators had made up for what the correctors held, or had not."""
+    record = simulate_record(RING, "x", 450, 5, dither=3e-3, period=LAYOUT.period)
+    rest = 0.02 * np.random.default_rng(3).standard_normal(len(LAYOUT.correctors))
+    moved = record.setpoints[ONSET:, columns] + (rest[list(columns)] if held else 0.0)
+    readings = record.readings.copy()
+    readings[ONSET:] += moved @ np.array(change).T @ LAYOUT.response[:, columns].T
+    record = replace(record, setpoints=record.setpoints + rest, readings=readings)
+    kinds = [KINDS[name] for name in (kind, "corrector-stuck", "local-kick", "telegraph")]
+    best = tournament(Bench(record), kinds)[0]
+    places = best.cause.places
+    if best.kind.id != "corrector-polarity":
+        places = tuple(best.kind.pairs(LAYOUT)[places[0]].tolist())
+    assert (best.kind.id, places) == (kind, columns)
+    assert best.cause.free is not held
+    assert abs(best.cause.onset - ONSET) < 4
+
+
 @pytest.mark.parametrize(("gain", "seen"), [(0.0, False), (0.3, True)])
 def test_a_step_of_the_orbit_speaks_for_no_law_that_shows_in_nothing_else(gain, seen):
     places = tuple(range(8, 14))
