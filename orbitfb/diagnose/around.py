@@ -1,18 +1,23 @@
-"""Places next to that of the best cause: a scan knows roughly what healthy errors hide of each."""
+"""Places next to that of the best cause: a scan knows roughly what each would do.
+
+It takes values from a grid, and does not know what healthy errors hide of every place.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench, log_likelihood
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.nearby import neighbours
-from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.device_kinds import ActuatorKind, PairKind
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.orbit_kinds import SourceKind
+from orbitfb.physics.optics import Matrix
 
 _FAR = 4
 """Correctors on either side."""
@@ -21,6 +26,8 @@ _MOST = 3
 _AS_MUCH = 5.0
 """What they may promise less [nats]: evidence 150 to 1."""
 _HALF = 0.5
+_ALIKE = 0.8
+"""Cosine of the orbits of two correctors from which one may be taken for the other."""
 
 
 def around(bench: Bench, entries: Sequence[Entry]) -> list[Candidate]:
@@ -38,8 +45,10 @@ def around(bench: Bench, entries: Sequence[Entry]) -> list[Candidate]:
         return []
     known = {entry.cause.places for entry in entries if entry.kind is best.kind}
     near = ((place,) for place in _near(bench, best.kind, best.cause.places[0]))
-    near = (places for places in near if places not in known)
-    found = [_promise(bench, replace(best.cause, places=places)) for places in near]
+    others = [replace(best.cause, places=places) for places in near if places not in known]
+    if best.kind.linear is None:  # what it would gain a fit alone tells
+        return [replace(best.candidate, cause=cause, alone=None) for cause in others[:_MOST]]
+    found = [_promise(bench, cause) for cause in others]
     found = [one for one in found if one[0] > best.gain - _AS_MUCH]
     found.sort(key=lambda one: one[0], reverse=True)
     return [
@@ -48,11 +57,16 @@ def around(bench: Bench, entries: Sequence[Entry]) -> list[Candidate]:
 
 
 def _near(bench: Bench, kind: EffectKind, place: int) -> list[int]:
-    """Places with nearly the orbit of one; pairs that share one corrector, the other next to its.
+    """Places with nearly the orbit of one, of correctors the likest first.
 
-    None of what acts at a BPM: there each is itself.
+    Of pairs those that share one corrector, the other next to its. None of what acts at a BPM:
+    there each is itself.
     """
     layout = bench.record.layout
+    if isinstance(kind, ActuatorKind) and kind.target == "corrector":
+        alike = _cosines(layout.response, place)
+        order = np.argsort(alike)[::-1].tolist()
+        return [other for other in order if other != place and alike[other] > _ALIKE]
     if kind.linear is None:
         return []
     if isinstance(kind, SourceKind):
@@ -66,6 +80,12 @@ def _near(bench: Bench, kind: EffectKind, place: int) -> list[int]:
         near = (apart.min(axis=1) == 0) & (apart.max(axis=1) <= _FAR) & (apart.max(axis=1) > 0)
         return np.flatnonzero(near & np.all(planes[pairs] == planes[pairs[place]], axis=1)).tolist()
     return []
+
+
+def _cosines(orbits: Matrix, place: int) -> Vector:
+    """How alike the orbit of one corrector and those of all are, whatever their signs, (m,)."""
+    sizes = np.linalg.norm(orbits, axis=0)
+    return np.abs(orbits.T @ orbits[:, place]) / np.maximum(sizes * sizes[place], 1e-300)
 
 
 def _promise(bench: Bench, cause: Cause) -> tuple[float, Cause]:

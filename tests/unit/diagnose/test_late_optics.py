@@ -83,6 +83,17 @@ def test_the_neighbour_that_explains_more_is_proposed():
     assert not around(bench, [])
 
 
+def test_correctors_with_nearly_the_orbit_of_the_best_are_proposed_whatever_the_law():
+    made = build([parse_effect("corrector-slew:rate=0.02,names=CH2A_C04")], LAYOUT, 1)
+    record = simulate_record(RING, "x", 600, 5, made, dither=2e-3, period=0.1)
+    bench, kind = Bench(record), all_effects()["corrector-slew"]
+    true = LAYOUT.correctors.names.index("CH2A_C04")
+    beside = Cause(kind, (true - 1,), {"rate": 0.03})
+    entry = enter(bench, Candidate(beside, 100.0, 1800.0))
+    found = {one.cause.places: enter(bench, one) for one in around(bench, [entry])}
+    assert found[(true,)].gain > entry.gain + 5.0
+
+
 def test_pairs_next_to_the_best_share_a_corrector_with_it_in_its_plane():
     made = build([parse_effect("corrector-crosstalk:share=0.2,names=CH2A_C04+CM1A_C04")], LAYOUT, 1)
     record = simulate_record(RING, "x", 600, 5, made, dither=2e-3, period=0.1)
