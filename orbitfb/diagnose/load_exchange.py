@@ -11,6 +11,7 @@ from orbitfb.diagnose.load_meta import Meta
 from orbitfb.diagnose.load_raw import CURRENTS, NUMBERS, VECTORS, Raw
 from orbitfb.diagnose.load_rows import FEWEST_ROWS, Transition
 from orbitfb.diagnose.load_time import time_of
+from orbitfb.effects.insertion_device import is_gap
 
 _NEEDED = ("orbit", "bpm_names", "corr_names")
 _EXACT = 1e-6
@@ -66,7 +67,7 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
         readback=scaled.get("readback"),
         dither=scaled.get("dither"),
         reference=_reference(scaled, rows) if "reference" in scaled else None,
-        auxiliary=_auxiliary(raw, scaled, rows),
+        auxiliary=_auxiliary(raw, meta, scaled, rows),
     )
     if made:  # the last row has no row after it
         transition = transition.take(np.arange(rows) < rows - 1)
@@ -265,12 +266,15 @@ def _reference(scaled: dict[str, Vector], rows: int) -> Vector:
     return np.tile(reference, (rows, 1)) if reference.ndim == 1 else reference
 
 
-def _auxiliary(raw: Raw, scaled: dict[str, Vector], rows: int) -> dict[str, Vector]:
-    """Slow channels: current, RF frequency, and every other column with one number per row."""
+def _auxiliary(raw: Raw, meta: Meta, scaled: dict[str, Vector], rows: int) -> dict[str, Vector]:
+    """Slow channels: current, RF frequency, and every other column with one number per row.
+
+    Gaps are lengths; of the others nobody asks the unit.
+    """
     channels = {"current": "current", "rf": "rf_frequency"}
     known = {channels[name]: scaled[name] for name in channels if name in scaled}
     others = {
-        name: values[:rows]
+        name: values[:rows] * (meta.factor(raw, name) if is_gap(name) else 1.0)
         for name, values in raw.numbers.items()
         if name not in NUMBERS and len(values) >= rows and np.isfinite(values).all()
     }

@@ -6,8 +6,11 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.load_raw import NUMBERS, Raw, canonical
+from orbitfb.effects.insertion_device import is_gap
 
 _SIZES = {
     "orbit": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
@@ -15,6 +18,7 @@ _SIZES = {
     "model_R": {"m/A": 1.0, "mm/A": 1e-3, "um/A": 1e-6, "mm/mA": 1.0, "um/mA": 1e-3},
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "current": {"A": 1.0, "mA": 1e-3},
+    "gap": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6},
     "rf": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
 }
 _USUAL = {"orbit": "mm", "action": "A", "model_R": "mm/A", "t": "s"}
@@ -49,7 +53,7 @@ class Meta:
         Raises:
             RecordError: The unit is not known.
         """
-        kind = _ALSO.get(name, name)
+        kind = "gap" if is_gap(name) else _ALSO.get(name, name)
         unit = self.units.get(name, self.units.get(kind, _USUAL.get(kind)))
         if unit is None:
             return _guessed(raw, name)
@@ -170,8 +174,11 @@ def _units(raw: Raw, units: Any) -> dict[str, str]:
 
 
 def _guessed(raw: Raw, name: str) -> float:
-    """Tell mA from A and MHz from Hz by size: no stored current is above 5 A."""
+    """Tell units by size: no stored current is above 5 A, no gap outside 0.5 mm to 500 mm."""
     values = raw.numbers[name]
+    if is_gap(name):
+        widest = float(np.max(np.abs(values), initial=0.0))
+        return 1.0 if widest < 0.5 else 1e-3 if widest < 500.0 else 1e-6
     typical = abs(float(values.flat[0])) if values.size else 0.0
     if name == "current":
         return 1e-3 if typical > 5.0 else 1.0

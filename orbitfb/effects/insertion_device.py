@@ -113,6 +113,11 @@ class InsertionDevice(SourceKind):
         return values["kick"] * closed[:, None]
 
 
+def is_gap(name: str) -> bool:
+    """Whether a channel is the gap of an insertion device [m], by its name."""
+    return "gap" in name.lower()
+
+
 def gap_of(record: Record) -> Vector | None:
     """The gap that moves most among the channels whose name speaks of a gap; None without one.
 
@@ -122,6 +127,6 @@ def gap_of(record: Record) -> Vector | None:
     gaps = [
         values
         for name, values in record.auxiliary.items()
-        if "gap" in name.lower() and np.all(np.isfinite(values))
+        if is_gap(name) and np.all(np.isfinite(values))
     ]
     return max(gaps, key=lambda values: float(np.ptp(values)), default=None)

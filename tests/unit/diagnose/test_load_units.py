@@ -55,6 +55,26 @@ def test_units_that_are_the_usual_ones_or_of_something_else(tmp_path, units):
 
 
 @pytest.mark.parametrize(
+    ("factor", "unit"), [(1e3, "mm"), (1e3, None), (1.0, "m"), (1.0, None), (1e6, None)]
+)
+def test_gaps_of_insertion_devices_are_lengths(tmp_path, factor, unit):
+    """Whatever they are called; where nobody says in what, their size does."""
+    gap = np.linspace(8e-3, 0.12, 200)
+    made = small() | {"id_gap_7": gap[: len(small()["t"])] * factor}
+    made["meta"] = meta(dt_s=0.1, units={"id_gap_7": unit})
+    loaded = load(save(tmp_path / "record.npz", made)).record
+    (its,) = loaded.auxiliary.values()
+    assert its[:-1] == pytest.approx(gap[: len(its) - 1])
+
+
+def test_a_gap_in_a_unit_that_is_no_length_is_refused(tmp_path):
+    made = small() | {"gap": np.linspace(8.0, 120.0, len(small()["t"]))}
+    made["meta"] = meta(dt_s=0.1, units={"gap": "A"})
+    with pytest.raises(RecordError, match="says that gap is in 'A'.*use one of m, cm, mm"):
+        load(save(tmp_path / "record.npz", made))
+
+
+@pytest.mark.parametrize(
     ("key", "near"), [("unit", "units"), ("dt", "dt_s"), ("Planes", "planes"), ("note", None)]
 )
 def test_a_key_that_is_nearly_one_that_is_read(tmp_path, key, near):
