@@ -21,7 +21,7 @@ _PASSES = 2
 _HEALTHY = 3.0
 """Most that an error may be, in units of the healthy scatter, to count as healthy."""
 _NUDGE = 1e-6
-"""Change of a reading that shows whether restoring looks ahead [m]."""
+"""Change of a reading that shows what restoring makes of it [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,10 +156,12 @@ class Replay:
             kind = cause.kind
             if isinstance(kind, SensorKind):
                 columns = columns_of(cause, errors.shape[1])
-                if self._looks_ahead(kind, cause, columns):
+                before, at = self._nudged(kind, cause, columns)
+                if before:
                     errors[:, columns] = self._delayed(model, cause, columns, errors)
                 else:
                     shrunk = np.exp(-self._own_jacobian(model, index) / len(columns))
+                    shrunk[cause.onset :] *= at
                     errors[:, columns] *= shrunk[:, None]
             elif isinstance(kind, PairKind) and kind.target == "bpm":
                 pairs = kind.pairs(self.record.layout)
@@ -171,15 +173,18 @@ class Replay:
                     )
         return errors
 
-    def _looks_ahead(self, kind: SensorKind, cause: Cause, columns: list[int]) -> bool:
-        """Whether restoring a row needs readings that come after it."""
+    def _nudged(self, kind: SensorKind, cause: Cause, columns: list[int]) -> tuple[bool, float]:
+        """Whether a reading changes what is restored before it, and the sign with which it does."""
         readings = self.record.readings[cause.onset :, columns]
         own = self.record.rows(cause.onset, len(self.record))
         row = len(readings) // 2
         nudged = readings.copy()
         nudged[row] += _NUDGE
-        before = kind.restore(readings, cause.values, own)[0][:row]
-        return bool(np.any(before != kind.restore(nudged, cause.values, own)[0][:row]))
+        moved = (
+            kind.restore(nudged, cause.values, own)[0]
+            - kind.restore(readings, cause.values, own)[0]
+        )
+        return bool(np.any(moved[:row] != 0.0)), float(-1.0 if np.sum(moved[row]) < 0.0 else 1.0)
 
     def _delayed(self, model: Model, cause: Cause, columns: list[int], errors: Matrix) -> Matrix:
         """Errors where readings are late: the predicted orbit is made late as they are."""

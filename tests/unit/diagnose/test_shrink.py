@@ -17,6 +17,7 @@ from orbitfb.effects.build import build, layout_of
 from orbitfb.effects.registry import effect
 from orbitfb.effects.settings import parse_effect
 from orbitfb.physics.places import Ring
+from orbitfb.physics.plant import PlantSettings
 
 TRUE = ((PLACE, GAIN),)
 
@@ -73,6 +74,23 @@ def test_without_a_gap_nothing_is_resolved():
 def test_a_cause_where_there_is_none_is_not_praised():
     its = shrink(contrast(bench(False, TRUE), record(False, seed=6)))
     assert its.nats is None or its.nats < 0.0
+
+
+def test_a_reversed_bpm_that_moves_little_is_right_all_the_same():
+    """Its noise is reversed too, and is most of what it reads: a prediction has nothing of it."""
+    centred = PlantSettings(initial_orbit_rms=0.0)
+
+    def quiet(seed):
+        made = simulate_record(
+            Ring.load(), "x", 700, seed, dither=1e-5, steering=0, plant=centred, period=0.1
+        )
+        made.readings[:, 30] *= -1.0
+        return made
+
+    reversed_bpm = Cause(effect("bpm-polarity"), (30,), {})
+    its = shrink(contrast(Bench(quiet(3), (reversed_bpm,)), quiet(4)))
+    assert its.resolved
+    assert its.um == pytest.approx(1.0, abs=0.15)
 
 
 def test_the_cause_beats_the_fit(right):
