@@ -54,7 +54,7 @@ class HealthyLevels:
         for cause in causes:
             rows = ~record.starts
             rows[: cause.onset] = False
-            noisy = isinstance(cause.kind, SensorKind) and (cause.kind.scales or cause.kind.colours)
+            noisy = isinstance(cause.kind, SensorKind) and cause.kind.changes_noise(cause.values)
             if noisy and rows.any():
                 scatter = WITHIN if cause.onset else max(BETWEEN, floor.modes.scatter)
                 axes = floor.modes.axes

@@ -24,7 +24,7 @@ _VALUES = 3
 
 def of_colour(bench: Bench, kind: SensorKind) -> Iterator[Candidate]:
     """Try the BPMs, and the cell, whose innovations are coloured most."""
-    values = _spread(kind.grid(bench.record))
+    values = _spread(kind.filters(bench.record))
     before = bench.log_likelihood
     for members, name, choices in _coloured(bench, collective=kind.collective):
         causes = [Cause(kind, tuple(int(i) for i in members), one) for one in values]

@@ -54,7 +54,8 @@ class SensorKind(EffectKind):
     """An effect on what BPMs tell of the orbit, each BPM for itself.
 
     Attributes:
-        colours: Whether it filters the noise of the readings, so that it shows by that alone.
+        colours: Whether it filters the noise of the readings, at some of its values at least, so
+            that it shows by that alone: see `filters`.
         scales: Whether it scales the noise with the readings (by 1 + its `linear` parameter if it
             has one), so that it shows by that alone.
         blurs: Whether it mixes orbits of several times, but not their noise: see `heard`.
@@ -64,6 +65,26 @@ class SensorKind(EffectKind):
     colours: ClassVar[bool] = False
     scales: ClassVar[bool] = False
     blurs: ClassVar[bool] = False
+
+    def filters(self, record: Record) -> Sequence[Values]:
+        """Values to try where the noise of a BPM is coloured, if it colours; those of `grid`.
+
+        An effect that filters the noise with some of its values only tells these.
+
+        Args:
+            record: That shows it.
+        """
+        return self.grid(record)
+
+    def changes_noise(self, values: Values) -> bool:
+        """Tell whether restored readings have another noise than readings, with these values.
+
+        Its level is then no longer what is known of the BPM.
+
+        Args:
+            values: All parameters.
+        """
+        return self.scales or self.colours
 
     @abstractmethod
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
