@@ -40,7 +40,7 @@ def around(bench: Bench, entries: Sequence[Entry]) -> list[Candidate]:
         bench: The record under the causes accepted so far.
         entries: That were fitted.
     """
-    best = max(entries, key=lambda entry: entry.weight, default=None)
+    best = max(entries, key=lambda entry: entry.worth, default=None)
     if best is None or best.weight <= 0.0 or best.fit is None or len(best.cause.places) != 1:
         return []
     known = {entry.cause.places for entry in entries if entry.kind is best.kind}

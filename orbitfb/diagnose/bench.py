@@ -150,13 +150,21 @@ class Bench:
         moved, sizes = self._unhealed(free(white - before), free, SEEN)
         jacobian = jacobian - jacobian_before
         for levels in self._levels(others):
-            moved, owed = levels.following(self.white, left, moved)
+            moved, owed = levels.following(left, moved)
             jacobian = jacobian + owed
         return moved, sizes, jacobian
 
     def _levels(self, causes: Sequence[Cause]) -> list[HealthyLevels]:
         """What is free in the noise of BPMs whose readings causes change."""
         return HealthyLevels.of(self.record, self.floor, causes, self.white) if causes else []
+
+    def granted(self, causes: Sequence[Cause]) -> float:
+        """What is counted for no cause, as the levels of their BPMs' noise are free anyway [nats].
+
+        A misfit of the orbit makes a BPM loud, so that this may be much: causes that leave the
+        noise as it is are not charged with it.
+        """
+        return sum(levels.granted(self.white) for levels in self._levels(causes))
 
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
         """As `residual`; memory, levels of noise and background as they are: a first look."""

@@ -46,12 +46,15 @@ class Entry:
         weight: Log of posterior over prior odds against "no effect", per kind [nats].
         limit_of: Id of the simpler effect that it amounts to in this record; empty if it is a
             law of its own.
+        granted: What free levels of noise gain without it, which is not in its weight [nats]:
+            among others it is worth so much more.
     """
 
     candidate: Candidate
     fit: Fit | None
     weight: float
     limit_of: str = ""
+    granted: float = 0.0
 
     @property
     def cause(self) -> Cause:
@@ -72,6 +75,14 @@ class Entry:
     def gain(self) -> float:
         """Gain of the log-likelihood with its best values [nats]."""
         return self.candidate.gain if self.fit is None else self.fit.gain
+
+    @property
+    def worth(self) -> float:
+        """Weight among others, which are not charged with what is free beside it [nats].
+
+        One that explains nothing beyond what is free is worth nothing for that.
+        """
+        return self.weight + (self.granted if self.weight > 0.0 else 0.0)
 
     def less(self, nats: float) -> "Entry":
         """The same beside a record that is likelier without it [nats]."""
@@ -107,17 +118,22 @@ def enter(bench: Bench, candidate: Candidate) -> Entry:
     fewer = without_idle(bench, candidate, entry.cause)
     if fewer is not None:
         least = _fitted(bench, fewer)
-        entry = least if least.weight > entry.weight - GAP else entry
+        entry = least if least.worth > entry.worth - GAP else entry
     joined = _joined(bench, _struck(bench, entry))
     entry = joined if joined.cause.places == entry.cause.places else _begun(bench, joined)
-    entry = max((entry, *_later(bench, entry)), key=lambda one: one.weight)
+    entry = max((entry, *_later(bench, entry)), key=lambda one: one.worth)
     return _fuller(bench, entry)
 
 
 def _fitted(bench: Bench, candidate: Candidate) -> Entry:
     least = price(candidate)
     found = fit(bench, (candidate.cause,), least=least)
-    return Entry(candidate, found, found.evidence - least)
+    return _weighed(bench, candidate, found)
+
+
+def _weighed(bench: Bench, candidate: Candidate, found: Fit) -> Entry:
+    granted = bench.granted(found.causes) / found.inflation
+    return Entry(candidate, found, found.evidence - price(candidate), granted=granted)
 
 
 def refitted(bench: Bench, entry: Entry) -> Entry:
@@ -153,7 +169,7 @@ def _begun(bench: Bench, entry: Entry) -> Entry:
     if row == cause.onset:
         return entry
     elsewhere = replace(entry.candidate, cause=replace(cause, onset=row))
-    return max((entry, _fitted(bench, elsewhere)), key=lambda one: one.weight)
+    return max((entry, _fitted(bench, elsewhere)), key=lambda one: one.worth)
 
 
 def _struck(bench: Bench, entry: Entry) -> Entry:
@@ -161,7 +177,7 @@ def _struck(bench: Bench, entry: Entry) -> Entry:
     while entry.weight > 0.0:
         rest = without_bystander(bench, entry.candidate, entry.cause)
         fewer = entry if rest is None else _fitted(bench, rest)
-        if fewer.weight <= entry.weight:
+        if fewer.worth <= entry.worth:
             break
         entry = fewer
     return entry
@@ -172,11 +188,11 @@ def _joined(bench: Bench, entry: Entry) -> Entry:
     best = now = entry
     while now.weight > 0.0 and (more := with_neighbour(bench, now.candidate, now.cause)):
         now = _fitted(bench, more)
-        best = max((best, now), key=lambda one: one.weight)
+        best = max((best, now), key=lambda one: one.worth)
     layout = bench.record.layout
     if best is not entry and (whole := without_gaps(best.candidate, best.cause, layout)):
         filled = _fitted(bench, whole)
-        best = filled if filled.weight > best.weight - GAP else best
+        best = filled if filled.worth > best.worth - GAP else best
     return best
 
 
@@ -204,7 +220,7 @@ def _fuller(bench: Bench, entry: Entry) -> Entry:
         return entry
     cause = replace(entry.cause, values=values)
     full = _fitted(bench, replace(entry.candidate, cause=cause))
-    better = full.gain > entry.gain + _WORTH_MORE and full.weight > entry.weight
+    better = full.gain > entry.gain + _WORTH_MORE and full.worth > entry.worth
     return full if better else entry
 
 
@@ -226,7 +242,7 @@ def profiled(bench: Bench, entry: Entry, best: float) -> tuple[Entry, float]:
         own = bench.with_floor(bench.floor_without(entry.fit.causes))
     found = fit(own, entry.fit.causes)
     alone = own.full_log_likelihood - bench.full_log_likelihood
-    judged = Entry(entry.candidate, found, found.evidence - price(entry.candidate)).less(-alone)
-    if judged.weight <= entry.weight:
+    judged = _weighed(own, entry.candidate, found).less(-alone)
+    if judged.worth <= entry.worth:
         return entry, 0.0
     return judged, float(np.clip(judged.gain - entry.gain, 0.0, max(alone, 0.0)))

@@ -52,10 +52,11 @@ class HealthyLevels:
         """
         found: list[HealthyLevels] = []
         for cause in causes:
-            rows = ~record.starts
-            rows[: cause.onset] = False
-            noisy = isinstance(cause.kind, SensorKind) and cause.kind.changes_noise(cause.values)
-            if noisy and rows.any():
+            kind = cause.kind
+            if not (isinstance(kind, SensorKind) and (kind.scales or kind.colours)):
+                continue
+            rows = _told(record, cause.onset, kind.unread(cause.values))
+            if rows.any():
                 scatter = WITHIN if cause.onset else max(BETWEEN, floor.modes.scatter)
                 axes = floor.modes.axes
                 squares = np.mean((white[~record.starts] @ axes.T) ** 2, axis=0)
@@ -71,25 +72,37 @@ class HealthyLevels:
             left: The same with it, shape (N, n).
 
         Returns:
-            `left` at these levels over those without the cause; and what belongs to the
-            log-Jacobian, beyond what levels would gain without the cause, shape (N,) [nats].
+            `left` over these levels; and what belongs to the log-Jacobian, beyond what levels
+            would gain without the cause, shape (N,) [nats].
         """
-        noise, usual = self._noise(left), np.sum(self._noise(before) ** 2, axis=0)
-        count, squares = len(noise), np.sum(noise**2, axis=0)
+        noise, without = self._noise(left), self._noise(before) ** 2
+        count, squares, usual = len(noise), np.sum(noise**2, axis=0), np.sum(without, axis=0)
         level, known = self._level(squares, count), self._level(usual, count)
         gained = self._gain(squares, level, count) - self._gain(usual, known, count)
-        scale = np.exp(known - level)
+        scale, quiet = np.exp(-level), np.exp(-2.0 * known)
         left, owed = left.copy(), np.zeros(len(left))
         left[self.rows] += (noise * (scale - 1.0)) @ self.axes
-        owed[self.rows] = float(np.sum(gained + 0.5 * (squares * scale**2 - usual))) / count
+        # Row by row both are compared at their own levels.
+        owed[self.rows] = float(np.sum(gained + 0.5 * (squares * scale**2 - usual * quiet))) / count
+        owed[self.rows] -= 0.5 * without @ (1.0 - quiet)
         return left, owed
 
-    def following(self, before: Matrix, left: Matrix, change: Matrix) -> tuple[Matrix, Vector]:
-        """Let the levels go along with a small change.
+    def granted(self, before: Matrix) -> float:
+        """What levels gain without the cause over those of the floor [nats].
 
         Args:
             before: White innovations without the cause, shape (N, n).
-            left: The same with it, the levels not in them yet, shape (N, n).
+        """
+        squares = np.sum(self._noise(before) ** 2, axis=0)
+        count = int(self.rows.sum())
+        level = self._level(squares, count)
+        return float(np.sum(self._gain(squares, level, count) + 0.5 * squares))
+
+    def following(self, left: Matrix, change: Matrix) -> tuple[Matrix, Vector]:
+        """Let the levels go along with a small change.
+
+        Args:
+            left: White innovations with the cause, the levels not in them yet, shape (N, n).
             change: Of these, shape (N, n).
 
         Returns:
@@ -97,14 +110,13 @@ class HealthyLevels:
         """
         noise, moved = self._noise(left), self._noise(change)
         count = len(noise)
-        known = self._level(np.sum(self._noise(before) ** 2, axis=0), count)
-        scale = np.exp(known - self._level(np.sum(noise**2, axis=0), count))
-        noise, seen, usual = noise * scale, moved * scale, np.exp(-2.0 * known)
+        scale = np.exp(-self._level(np.sum(noise**2, axis=0), count))
+        noise, seen = noise * scale, moved * scale
         squares, pull = np.sum(noise**2, axis=0), np.sum(noise * seen, axis=0)
-        more = 2.0 * usual * pull / (2.0 * usual * squares + self.scatter**-2)
+        more = 2.0 * pull / (2.0 * squares + self.scatter**-2)
         change, owed = change.copy(), np.zeros(len(left))
         change[self.rows] += (seen - moved - noise * more) @ self.axes
-        owed[self.rows] = float(np.sum((1.0 - usual) * pull - squares * more)) / count
+        owed[self.rows] = -float(np.sum(squares * more)) / count
         return change, owed
 
     def _noise(self, white: Matrix) -> Matrix:
@@ -130,3 +142,13 @@ class HealthyLevels:
             slope = 2.0 * now + self.scatter**-2
             level = level + (now - count - (level - self.usual) / self.scatter**2) / slope
         return level
+
+
+def _told(record: Record, onset: int, unread: int) -> Mask:
+    """Rows that tell the noise from an onset on: no first ones, nor those of no use, (N,)."""
+    rows = ~record.starts
+    rows[:onset] = False
+    for piece in record.stretches if unread else ():
+        rows[max(piece.start, onset) : max(piece.start, onset) + unread] = False
+        rows[max(piece.stop - unread, piece.start) : piece.stop] = False
+    return rows

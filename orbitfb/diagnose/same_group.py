@@ -25,7 +25,7 @@ def other_laws(
         entries: That were fitted.
         kinds: Those that the record can show.
     """
-    best = max(entries, key=lambda entry: entry.weight, default=None)
+    best = max(entries, key=lambda entry: entry.worth, default=None)
     if best is None or best.weight <= 0.0 or len(best.cause.places) < 2:
         return []
     if best.kind.target not in ("bpm", "corrector"):

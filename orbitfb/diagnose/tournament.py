@@ -123,17 +123,17 @@ def tournament(
     if not budget.over():
         entries += [enter(bench, candidate) for candidate in other_laws(bench, entries, kinds)]
         entries += [enter(bench, candidate) for candidate in around(bench, entries)]
-    entries.sort(key=lambda entry: entry.weight, reverse=True)
+    entries.sort(key=lambda entry: entry.worth, reverse=True)
     again: list[tuple[Entry, float]] = []
     for entry in entries[:REFITTED]:
         if budget.over():
             budget.leave("the floor of the noise was not estimated anew for every candidate")
             again.append((entry, 0.0))
         else:
-            again.append(profiled(bench, entry, entries[0].weight))
+            again.append(profiled(bench, entry, entries[0].worth))
     tell("fitting", 1.0)
     # What the floor of the best is worth without any cause is nobody's gain.
-    _, owed = max(again, key=lambda one: one[0].weight, default=(None, 0.0))
+    _, owed = max(again, key=lambda one: one[0].worth, default=(None, 0.0))
     rest = [entry.less(owed) for entry in entries[REFITTED:]]
     layout = bench.record.layout
     judged = limits(alike_alike([entry.less(owed) for entry, _ in again], layout))
@@ -180,7 +180,7 @@ def _ranked(every: Sequence[Entry], layout: Layout, shown: Shown) -> list[Entry]
             if index in ties and not entry.limit_of and _plainness(entry) > _plainness(first):
                 entry = replace(entry, limit_of=first.kind.id)
             weight = first.weight + min(ranks[index] - ranks[simplest], 0.0)
-            ranked.append(replace(entry, weight=min(entry.weight, weight)))
+            ranked.append(replace(entry, weight=min(entry.worth, weight)))
     return ranked
 
 
@@ -210,12 +210,12 @@ def _rank(entry: Entry, every: Sequence[Entry]) -> float:
     the readings of the same BPM (not of all of them) do in time is no noise.
     """
     if entry.candidate.alone is None or entry.weight <= _SURE_NOISE:
-        return entry.weight
+        return entry.worth
     if entry.candidate.group != "all" and any(
         isinstance(other.kind, SensorKind)
         and other.candidate.alone is None
         and other.cause.places == entry.cause.places
-        and other.weight > entry.weight
+        and other.worth > entry.weight
         for other in every
     ):
         return entry.weight

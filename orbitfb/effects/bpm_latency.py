@@ -95,10 +95,6 @@ class BpmLatency(SensorKind):
         sampled = _ticks(values)[1] > 0.0 and _mixed(values) == 0.0
         return {**values, "resampled": 1.0} if sampled else None
 
-    def changes_noise(self, values: Values) -> bool:
-        """Where samples are averaged."""
-        return _mixed(values) > 0.0
-
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
         """Bring readings forward and undo an average; the last of a stretch stands for later ones.
 

@@ -76,16 +76,6 @@ class SensorKind(EffectKind):
         """
         return self.grid(record)
 
-    def changes_noise(self, values: Values) -> bool:
-        """Tell whether restored readings have another noise than readings, with these values.
-
-        Its level is then no longer what is known of the BPM.
-
-        Args:
-            values: All parameters.
-        """
-        return self.scales or self.colours
-
     @abstractmethod
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
         """Undo the effect: what would have been read without it.

@@ -7,6 +7,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.entry import enter
 from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.rounds import Round
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.registry import all_effects
@@ -40,6 +41,9 @@ def test_an_average_of_two_samples_is_no_average_of_many(ticks):
     [
         ("bpm-lowpass:tau=0.1s", 0.0, {}),
         ("bpm-lowpass:tau=0.1s", 1e-4, {}),
+        ("bpm-lowpass:tau=0.05s", 3e-4, {}),
+        ("bpm-lowpass:tau=0.05s", 2e-3, {}),
+        ("bpm-latency:ticks=0.3,resampled=1", 3e-4, {"resampled": 1.0}),
         ("bpm-latency:ticks=0.3", 3e-4, {"resampled": 0.0}),
         ("bpm-latency:ticks=0.7", 0.0, {"resampled": 0.0}),
         ("bpm-latency:ticks=2", 3e-4, {"resampled": 0.0}),
@@ -66,3 +70,11 @@ def test_where_a_part_of_a_tick_explains_the_record_an_average_is_tried():
     sampled = Cause(KINDS[0], (20,), {"ticks": 0.3})
     entry = enter(bench, Candidate(sampled, 30.0, 1.0))
     assert entry.cause.values["resampled"] == 1.0
+
+
+def test_a_right_law_leaves_no_more_noise_than_it_expects_however_loud_the_bpm_was_without_it():
+    """What it leaves is told over the level that it leaves itself."""
+    there = Bench(record_with(f"bpm-lowpass:tau=0.05s,{NAME}", dither=2e-3))
+    found = fit(there, (Cause(all_effects()["bpm-lowpass"], (20,), {"tau": 0.04}),))
+    assert there.granted(found.causes) > 1000.0
+    assert found.inflation < 1.1

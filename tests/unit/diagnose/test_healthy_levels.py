@@ -68,7 +68,7 @@ def test_levels_go_along_with_a_small_change(scatter):
     usual = 1.1 * before
     start, owed_before = its.likeliest(usual, before)
     end, owed_after = its.likeliest(usual, before + change)
-    moved, owed = its.following(usual, before, change)
+    moved, owed = its.following(before, change)
     steady = ~its.rows
     np.testing.assert_allclose(moved[steady], change[steady])
     assert np.sum(owed) == pytest.approx(np.sum(owed_after - owed_before), rel=1e-3, abs=1e-8)

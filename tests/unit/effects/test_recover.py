@@ -11,10 +11,12 @@ import pytest
 
 from benchmarks.recover import Case, away, draw, propose, record_of, refine
 from orbitfb.diagnose.bench import Bench, log_likelihood
+from orbitfb.diagnose.fit_scores import by_row
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.problem import from_fitted, to_fitted
 from orbitfb.diagnose.random_values import likelihood_of, state
 from orbitfb.diagnose.strike_scan import latent_gain
+from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 from orbitfb.effects.registry import all_effects
 
@@ -101,8 +103,12 @@ def test_nominal_values_change_nothing(kind, benches):
         pytest.skip("it has no size without effect, or no course in time")
     nominal = {p.name: p.nominal for p in kind.parameters}
     white, _, jacobian = bench.residual((replace(case.truth, values=nominal),))
-    np.testing.assert_array_equal(white, bench.white)
-    np.testing.assert_array_equal(jacobian, bench.jacobian)
+    # What is left may be told over another level of a BPM's noise; every row is as likely.
+    rows = by_row(white, jacobian) - by_row(bench.white, bench.jacobian)
+    np.testing.assert_allclose(rows, 0.0, atol=1e-9)
+    if not (isinstance(kind, SensorKind) and (kind.scales or kind.colours)):
+        np.testing.assert_array_equal(white, bench.white)
+        np.testing.assert_array_equal(jacobian, bench.jacobian)
 
 
 def height(bench, cause):

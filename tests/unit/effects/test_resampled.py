@@ -78,16 +78,6 @@ def test_the_jacobian_is_the_determinant_of_samples_by_readings(layout, ticks):
     assert_allclose(three, 3.0 * told)
 
 
-def test_only_an_average_that_mixes_is_a_filter_of_the_noise(layout):
-    record = record_of(layout, walk(layout))
-    assert all(KIND.changes_noise(values) for values in KIND.filters(record))
-    assert not any(KIND.changes_noise(values) for values in KIND.grid(record))
-    assert not KIND.changes_noise(resampled(2.0))
-    assert effect("bpm-lowpass").changes_noise({"tau": 0.1})
-    assert effect("bpm-gain").changes_noise({"gain": 0.1})
-    assert not effect("bpm-offset").changes_noise({"offset": 1e-6})
-
-
 def test_a_fuller_law_is_that_of_a_part_of_a_tick(layout):
     record = record_of(layout, walk(layout))
     assert KIND.fuller({"ticks": 1.25, "resampled": 0.0}, record) == resampled(1.25)
