@@ -32,14 +32,7 @@ class Steps:
     ) -> None:
         rows, which = np.unique(onsets, return_inverse=True)
         self._since = int(rows[0])
-        unit = np.arange(len(starts))[:, None] >= rows
-        fading = np.stack(
-            [
-                floor.whiten_modes(np.repeat(own[:, None], orbits.shape[1], axis=1), starts)
-                for own in unit.T.astype(np.float64)
-            ],
-            axis=2,
-        )[self._since :]
+        fading = _fading(floor, starts, rows)[self._since :]
         # What fades since two rows is not orthogonal in the same mode.
         courses, sizes = np.linalg.qr(fading.swapaxes(0, 1))
         self._courses = np.ascontiguousarray(courses.transpose(2, 1, 0))  # onsets × rows × modes
@@ -57,3 +50,36 @@ class Steps:
         seen = np.einsum("okm,km->om", courses, own)
         taken = ((self._shares @ seen.reshape(-1)) @ self._shares).reshape(seen.shape)
         own -= np.einsum("okm,om->km", courses, taken)
+
+
+def likeliest_steps(
+    floor: NoiseFloor, starts: Mask, onsets: NDArray[np.intp], orbits: Matrix, left: Matrix
+) -> Matrix:
+    """The likeliest course of an orbit that consists of steps, shape (N, n) [m].
+
+    Args:
+        floor: The noise.
+        starts: Where stretches begin, shape (N,).
+        onsets: Row at which each step is made, shape (k,), k > 0.
+        orbits: The steps at the BPMs, of any size, shape (k, n) [m].
+        left: What the steps are a part of, shape (N, n) [m].
+    """
+    rows, which = np.unique(onsets, return_inverse=True)
+    fading, modes = _fading(floor, starts, rows), floor.to_modes(orbits)
+    pull = np.einsum("nmr,nm->rm", fading, floor.whiten(left, starts))
+    alike = np.einsum("nmr,nmq->rqm", fading, fading)[which[:, None], which[None, :]]
+    normal = np.einsum("im,jm,ijm->ij", modes, modes, alike)
+    sizes = np.linalg.pinv(normal, hermitian=True) @ np.sum(modes * pull[which], axis=1)
+    return (np.arange(len(starts))[:, None] >= onsets) @ (sizes[:, None] * orbits)
+
+
+def _fading(floor: NoiseFloor, starts: Mask, rows: NDArray[np.intp]) -> NDArray[np.float64]:
+    """How a step of 1 m in every mode fades in the innovations, (N, modes, rows it begins at)."""
+    unit = np.arange(len(starts))[:, None] >= rows
+    return np.stack(
+        [
+            floor.whiten_modes(np.repeat(own[:, None], len(floor.modes.axes), axis=1), starts)
+            for own in unit.T.astype(np.float64)
+        ],
+        axis=2,
+    )

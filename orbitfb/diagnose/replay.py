@@ -12,7 +12,9 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.bent import straightened
 from orbitfb.diagnose.explain import Cause, actuated, columns_of, explain, restored
+from orbitfb.diagnose.fading import likeliest_steps
 from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.standing import first_kicks
 from orbitfb.effects.device_kinds import PairKind, SensorKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -143,6 +145,9 @@ class Replay:
             left -= actuated(self.record, model.causes) @ model.change.T
         if model.orbit is not None:
             left -= model.orbit
+        onsets, kicks = first_kicks(model.causes, self.record.layout)
+        if len(onsets):
+            left -= likeliest_steps(self.floor, self.record.starts, onsets, kicks, left)
         return left
 
     def _own_jacobian(self, model: Model, index: int) -> Vector:

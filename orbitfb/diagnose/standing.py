@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.signals import Mask
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fading import Steps
 from orbitfb.diagnose.free import Directions, Few
@@ -26,6 +26,7 @@ from orbitfb.effects.layout import Layout
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
 
 _KICK = 0.5e-6
 """Scatter of such a first kick before the data: an error of 0.005 1/m times 100 µm [rad]."""
@@ -102,15 +103,19 @@ class FreeSteps:
         if key not in self._known:
             while len(self._known) >= _REMEMBERED:
                 del self._known[next(iter(self._known))]
-            each = [(cause.onset, orbit) for cause in free for orbit in self._orbits(cause)]
-            onsets = np.array([onset for onset, _ in each], dtype=np.intp)
-            orbits = np.array([orbit for _, orbit in each])
+            onsets, orbits = first_kicks(free, self._record.layout)
             self._known[key] = Steps(self.floor, self._record.starts, onsets, orbits)
         return self._known[key]
 
-    def _orbits(self, cause: Cause) -> list[Vector]:
-        """The orbit of a kick of 1 rad, for every place and plane, each of shape (n,) [m]."""
-        layout, kind, found = self._record.layout, cause.kind, list[Vector]()
+
+def first_kicks(causes: Sequence[Cause], layout: Layout) -> tuple[Indices, Matrix]:
+    """The first kicks of causes that are free: rows (k,), and orbits of a size each (k, n) [m].
+
+    They are those of 1 rad, at every place and in every plane.
+    """
+    onsets, orbits = list[int](), [np.zeros((0, len(layout.bpms)))]
+    for cause in filter(is_standing, causes):
+        kind = cause.kind
         patterns = (
             kind.patterns(layout)
             if isinstance(kind, SourceKind)
@@ -119,10 +124,11 @@ class FreeSteps:
         for place in _kicking(cause, layout):
             for plane in layout.planes:
                 rows = layout.bpms.in_plane(plane)
-                orbit = np.zeros(len(patterns))
-                orbit[rows] = patterns[rows, place]
-                found.append(orbit)
-        return found
+                orbit = np.zeros((1, len(patterns)))
+                orbit[0, rows] = patterns[rows, place]
+                onsets.append(cause.onset)
+                orbits.append(orbit)
+    return np.array(onsets, dtype=np.intp), np.vstack(orbits)
 
 
 def _kicking(cause: Cause, layout: Layout) -> tuple[int, ...]:
