@@ -170,8 +170,11 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
 
 
 def too_little(shrunk: Shrink) -> bool:
-    """Whether causes explain less than half of a gap, on data that they were not found in."""
-    return shrunk.resolved and shrunk.high is not None and shrunk.high < _HALF
+    """Whether causes explain less than half of a gap, on data that they were not found in.
+
+    So do those that make a gap there where none is resolved without them.
+    """
+    return shrunk.high is not None and shrunk.high < (_HALF if shrunk.resolved else 0.0)
 
 
 def beside_untold(

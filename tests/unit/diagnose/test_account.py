@@ -17,17 +17,26 @@ def outcome_of(name: str, weight: float = 50.0) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(
-    ("name", "weight", "nats", "high", "state"),
+    ("name", "weight", "nats", "high", "state", "resolved"),
     [
-        ("bpm-gain", 50.0, 0.95, 0.99, "named"),
-        ("bpm-gain", 50.0, 0.3, 0.4, "named_plus_remainder"),
-        ("bpm-gain", 50.0, 0.02, 0.1, "unknown"),
-        ("bpm-gain", 50.0, 3e-12, 2e-11, "named"),  # it began before and stays: nothing to explain
-        ("bpm-drift", 50.0, -7.0, -5.0, "named_plus_remainder"),  # it has settled since
-        ("bpm-drift", 9.0, -7.0, -5.0, "unknown"),  # hardly shown, and not gone on
+        ("bpm-gain", 50.0, 0.95, 0.99, "named", True),
+        ("bpm-gain", 50.0, 0.3, 0.4, "named_plus_remainder", True),
+        ("bpm-gain", 50.0, 0.02, 0.1, "unknown", True),
+        ("bpm-gain", 50.0, 0.02, 0.1, "named", False),  # nothing is there to be explained
+        ("bpm-gain", 50.0, -3.9, -0.8, "unknown", False),  # it makes a gap where there was none
+        (
+            "bpm-gain",
+            50.0,
+            3e-12,
+            2e-11,
+            "named",
+            True,
+        ),  # it began before and stays: nothing to explain
+        ("bpm-drift", 50.0, -7.0, -5.0, "named_plus_remainder", True),  # it has settled since
+        ("bpm-drift", 9.0, -7.0, -5.0, "unknown", True),  # hardly shown, and not gone on
     ],
 )
-def test_a_name_is_held_to_later_data(name, weight, nats, high, state, monkeypatch):
+def test_a_name_is_held_to_later_data(name, weight, nats, high, state, resolved, monkeypatch):
     monkeypatch.setattr("orbitfb.diagnose.judgement._unknown", lambda *parts: Unknown())
     judged = Judgement("named", Audit(), None, 1.0, (), None)  # type: ignore[arg-type]
     shrunk = Shrink(
@@ -37,6 +46,7 @@ def test_a_name_is_held_to_later_data(name, weight, nats, high, state, monkeypat
         um=nats,
         held_out_ticks=1000,
         on="the later record",
+        resolved=resolved,
     )
     found = held_to_account(judged, outcome_of(name, weight), shrunk)  # type: ignore[arg-type]
     assert found.state == state
