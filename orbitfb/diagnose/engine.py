@@ -65,12 +65,23 @@ def diagnose(
     budget = Budget(search_seconds)
     shown = shown_by(findings, whole)
 
-    def look(part: Record, begin: float, end: float, *also: Candidate) -> Outcome:
+    def look(
+        part: Record,
+        begin: float,
+        end: float,
+        *also: Candidate,
+        only: frozenset[str] = frozenset(all_effects()),
+    ) -> Outcome:
+        own = [kind for kind in kinds if kind.id in only]
+
         def tell(what: str, share: float) -> None:
             progress(what, begin + share * (end - begin))
 
         besides = bool(certain.causes)
-        return search(part, kinds, floor, given, tell, budget, shown, beside=besides, also=also)
+        return search(
+            part, own, floor, given, tell, budget, shown,
+            beside=besides, also=also, others=len(kinds) - len(own),
+        )  # fmt: skip
 
     outcome = look(first, 0.0, 0.7)
     if certain.given and not budget.over():
@@ -81,12 +92,16 @@ def diagnose(
             certain, outcome = certain.without_given(), free
     given = certain.given
     if not outcome.sure and first is not whole and not budget.over():
-        # Nothing sure yet: the end of the record may show what its beginning does not.
-        hopeful, late = bool(given) or outcome.hopeful, list[Candidate]()
-        if not hopeful:
+        # Nothing sure yet: the end of the record may show what its beginning does not. All of it is
+        # looked at in full only if what has a chance is there.
+        hopeful, late = outcome.hopeful, list[Candidate]()
+        if not (hopeful or given):
             end = look(_end(whole, first), 0.7, 0.75)
             hopeful, late = end.hopeful, end.late(_end_row(whole, first), len(whole))
-        again = look(whole, 0.75, 0.85, *late) if hopeful else outcome
+        there = bool(given) or (
+            bool(hopeful) and bool(look(whole, 0.75, 0.8, *late, only=hopeful).winners)
+        )
+        again = look(whole, 0.8, 0.85, *late) if there else outcome
         if again.sure or (not outcome.winners and (again.winners or not given)):
             outcome, later = again, None
     judged = judge(outcome, certain, seed)

@@ -62,11 +62,12 @@ class Outcome:
         return bool(self.winners) and self.winners[0].sure
 
     @property
-    def hopeful(self) -> bool:
-        """Whether anything may be there of which more rows could make sure."""
+    def hopeful(self) -> frozenset[str]:
+        """Ids of what more rows may make sure of, and of what is confused with it."""
         first = self.rounds[0]
         needed = least_weight(first.kinds, further=self.given > 0.0)
-        return any(entry.weight > HOPELESS * needed for entry in first.entries)
+        able = [entry.kind for entry in first.entries if entry.weight > HOPELESS * needed]
+        return frozenset(name for kind in able for name in (kind.id, *kind.confused_with))
 
     def late(self, row: int, rows: int) -> list[Candidate]:
         """Give what was found in the end of a record as what begins there.
@@ -108,6 +109,7 @@ def search(
     beside: bool = False,
     also: Sequence[Candidate] = (),
     ground: Ground | None = None,
+    others: int = 0,
 ) -> Outcome:
     """Find the causes of a record's gap.
 
@@ -122,6 +124,7 @@ def search(
         beside: Whether there are causes that are known and have been taken out of the record.
         also: Candidates that compete beside those of the scan, first of all.
         ground: How the quadrupoles move; None: as the record says.
+        others: Further kinds that the record can show, but of which a part of it showed nothing.
     """
     budget = budget or Budget(np.inf)
     tell = progress or (lambda what, share: None)
@@ -147,10 +150,10 @@ def search(
             lambda what, s, share=share: tell(what, share + s / (MOST_CAUSES + 1)),
             budget,
             shown,
-            least_weight(len(left), further=bool(beside or given or rounds)),
+            least_weight(len(left) + others, further=bool(beside or given or rounds)),
             () if rounds else also,
         )
-        one = Round(bench, tuple(entries), len(left), None, budget.taken())
+        one = Round(bench, tuple(entries), len(left) + others, None, budget.taken())
         best = winner(one, rounds, worth, beside=beside) if number < MOST_CAUSES else None
         if not rounds and not budget.over():
             other = restless(bench, best)
@@ -158,7 +161,7 @@ def search(
                 calm = "alone" if other is None else ground
                 return search(
                     record if other is None else other, kinds, floor, given, progress, budget,
-                    shown, beside=beside, also=also, ground=calm,
+                    shown, beside=beside, also=also, ground=calm, others=others,
                 )  # fmt: skip
         rounds.append(replace(one, accepted=best))
         if best is None:
@@ -178,10 +181,10 @@ def search(
         bench = under(_moving(causes))
     rounds, joint, moving = without_void(nominal, bench, rounds)
 
-    def beside_others(others: tuple[Cause, ...], also: Sequence[Candidate]) -> Round:
-        own, least = under(others), least_weight(len(left), further=True)
+    def beside_others(known: tuple[Cause, ...], also: Sequence[Candidate]) -> Round:
+        own, least = under(known), least_weight(len(left) + others, further=True)
         entries = tournament(own, left, None, budget, shown, least, also)
-        return Round(own, tuple(entries), len(left), None, budget.taken())
+        return Round(own, tuple(entries), len(left) + others, None, budget.taken())
 
     if (again := looked_at_again(rounds, moving, beside_others, budget)) != rounds:
         rounds, joint, moving = without_void(nominal, bench, again)

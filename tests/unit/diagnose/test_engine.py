@@ -82,14 +82,14 @@ def test_the_same_record_and_seed_give_the_same_answer(healthy):
     assert np.isfinite(first.gap.nats_per_tick if first.gap else np.nan)
 
 
-def searched(monkeypatch, record) -> list[Record]:
-    """The records that were searched, one after the other."""
-    parts: list[Record] = []
+def searched(monkeypatch, record) -> list[tuple[Record, int, int]]:
+    """The records that were searched, one after the other, for how many kinds and without whom."""
+    parts: list[tuple[Record, int, int]] = []
     search = engine.search
 
-    def noted(part, *rest, **named):
-        parts.append(part)
-        return search(part, *rest, **named)
+    def noted(part, kinds, *rest, **named):
+        parts.append((part, len(kinds), named["others"]))
+        return search(part, kinds, *rest, **named)
 
     monkeypatch.setattr(engine, "search", noted)
     diagnose(record, None, None, seed=1, progress=lambda what, share: None)
@@ -100,13 +100,16 @@ def searched(monkeypatch, record) -> list[Record]:
     ("effects", "looks"),
     [
         ((), [1, 0.5]),  # nothing in the first rows, nothing at the end
-        ((f"bpm-offset:offset=3um,names={LAYOUT.bpms.names[30]},from=95s",), [1, 0.5, 1.25]),
+        ((f"bpm-offset:offset=3um,names={LAYOUT.bpms.names[30]},from=95s",), [1, 0.5, 1.25, 1.25]),
     ],
 )
 def test_the_end_of_a_record_is_looked_at_before_all_of_it(monkeypatch, effects, looks):
     """The record has 800 rows and begins at 20 s: the first four fifths end at 84 s."""
     plant_effects = build([parse_effect(text) for text in effects], LAYOUT, 3)
     record = simulate_record(RING, "x", 800, 3, plant_effects, period=LAYOUT.period)
-    parts = searched(monkeypatch, record)
+    parts, counts, others = zip(*searched(monkeypatch, record), strict=True)
     assert [len(part) / len(parts[0]) for part in parts] == pytest.approx(looks, abs=0.01)
     assert all(part.time[0] == 0.0 for part in parts)  # what grows begins at 0
+    # Before all of it is looked at in full, what has a chance is; the others count as choice.
+    assert [few == 0 for few in others] == [True, True, False, True][: len(parts)]
+    assert len({count + few for count, few in zip(counts, others, strict=True)}) == 1
