@@ -1,4 +1,4 @@
-"""Other laws of a group of devices: the scan may have found each at a group of its own."""
+"""Other laws at the devices of the best: a scan may have found each elsewhere, or not at all."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,10 +15,11 @@ from orbitfb.effects.kinds import EffectKind
 def other_laws(
     bench: Bench, entries: Sequence[Entry], kinds: Sequence[EffectKind]
 ) -> list[Candidate]:
-    """Propose the laws that the best entry is confused with at its devices, if it has a group.
+    """Propose the laws that the best entry is confused with at its devices.
 
     Which of a group's devices are struck is found by what each law makes of them; a law that is
-    nearly right finds them too, and the right one must be judged by the same devices.
+    nearly right finds them too, and the right one must be judged by the same devices. And a scan
+    takes its score for a parabola, which a law without a size may be far from.
 
     Args:
         bench: The record under the causes accepted so far.
@@ -26,7 +27,7 @@ def other_laws(
         kinds: Those that the record can show.
     """
     best = max(entries, key=lambda entry: entry.worth, default=None)
-    if best is None or best.weight <= 0.0 or len(best.cause.places) < 2:
+    if best is None or best.weight <= 0.0:
         return []
     if best.kind.target not in ("bpm", "corrector"):
         return []

@@ -132,8 +132,9 @@ def round_of(there, names, shown=frozenset()):
     return Round(there, entries, len(kinds), entries[0])
 
 
-def test_the_laws_that_the_best_is_confused_with_are_tried_at_its_group():
-    cell = [name for name in CORRECTORS if name.endswith("C09")][1:5]
+@pytest.mark.parametrize("count", [1, 4])
+def test_the_laws_that_the_best_is_confused_with_are_tried_at_its_devices(count):
+    cell = [name for name in CORRECTORS if name.endswith("C09")][1 : 1 + count]
     effect = f"corrector-lag:tau=0.1s,names={'+'.join(cell)}"
     there = Bench(record_with(effect, dither=3e-3))
     lag, *others = (
