@@ -4,8 +4,12 @@ A reading that takes in a share of another one's, or that bends where the orbit 
 as much as a noisy one. But it goes with the correctors, which noise does not: the orbit that they
 make at any BPM, at its own also the square and the cube, and products of two of its cell, are each
 tried as what drives it.
+
+The correctors follow what moves the beam, and where that goes on as it did they tell what is to
+come. So do they at BPMs of which nobody says that they are noisy: only more than there counts.
 """
 
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -17,6 +21,7 @@ from orbitfb.diagnose.noise_spectra import places_struck
 from orbitfb.effects.layout import Devices
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
 
 _FEW_BPMS = 6
 """BPMs that are looked at, at most."""
@@ -28,6 +33,8 @@ _FEWEST = 50
 """Rows that tell a share."""
 _HEALTHY = 0.02
 """Share of what the correctors do at a BPM that it may get wrong: twice the usual gain error."""
+_OTHERS = 12
+"""BPMs all around the ring that tell how much the others follow."""
 _OCCAM = 2.0
 """What the size of a share costs [nats]."""
 
@@ -41,7 +48,8 @@ def follows(bench: Bench, cause: Cause) -> tuple[str, float]:
 
     Returns:
         The best course in words, and what it gains over noise of the same BPM, less the price of
-        the choice [nats]; nothing and 0 where none gains anything.
+        the choice and what it gains at most at others [nats]; nothing and 0 where none gains
+        anything.
     """
     kind, record = cause.kind, bench.record
     places = list(places_struck(bench, cause))
@@ -52,9 +60,18 @@ def follows(bench: Bench, cause: Cause) -> tuple[str, float]:
     patterns = kind.patterns(record.layout)[:, places]
     if kind.target != "bpm" or np.any(np.count_nonzero(patterns, axis=0) != 1):
         return "", 0.0
+    struck = np.argmax(patterns != 0.0, axis=0).tolist()
+    others = [column for column in range(len(record.layout.bpms)) if column not in struck]
+    usual = [gain for _, gain in _best(bench, rows, others[:: max(len(others) // _OTHERS, 1)])]
+    found = [(words, gain - max(0.0, *usual)) for words, gain in _best(bench, rows, struck)]
+    return max((("", 0.0), *found), key=lambda law: law[1])
+
+
+def _best(bench: Bench, rows: Indices, columns: Sequence[int]) -> Iterator[tuple[str, float]]:
+    """What drives each of some BPMs best, in words, and its gain less the price of the choice."""
+    record = bench.record
     made = bench.currents @ record.layout.response.T
-    found = [("", 0.0)]
-    for own in np.argmax(patterns != 0.0, axis=0).tolist():
+    for own in columns:
         reading, orbit = record.readings[:, own], bench.orbit[:, own]
         bent = [orbit**power for power in (2, 3)]
         beside = list(combinations(_of_its_cell(record.layout.bpms, own), 2))
@@ -73,9 +90,8 @@ def follows(bench: Bench, cause: Cause) -> tuple[str, float]:
         else:
             pair = (record.layout.bpms.label(one) for one in beside[best - made.shape[1] - 2])
             words = f"at {where} as the product of what is read at {' and '.join(pair)}"
-        price = float(np.log(steps.shape[1] * len(places))) + _OCCAM
-        found.append((words, float(gains[best]) - price))
-    return max(found, key=lambda law: law[1])
+        price = float(np.log(steps.shape[1] * len(columns))) + _OCCAM
+        yield words, float(gains[best]) - price
 
 
 def _of_its_cell(bpms: Devices, own: int) -> list[int]:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_drift_memory import GoingOn
 from test_scans import LAYOUT, RING
 
 from orbitfb.diagnose.bench import Bench
@@ -14,6 +15,7 @@ from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import build
 from orbitfb.effects.registry import all_effects
 from orbitfb.effects.settings import parse_effect
+from orbitfb.physics.plant import PlantSettings
 
 OWN, OTHER = 14, 30
 NAME = LAYOUT.bpms.names[OWN]
@@ -77,3 +79,14 @@ def test_noise_that_the_loop_acts_on_does_not_go_with_the_correctors(effect, dit
         for seed in (1, 2, 3)
     ]
     assert max(nats) <= 0.0
+
+
+def test_correctors_that_follow_a_drift_that_goes_on_tell_of_no_bpm():
+    drift = GoingOn(1001, 0.6, np.random.default_rng(2))
+    still = PlantSettings(ground_motion_rms=0.0)
+    bench = Bench(simulate_record(RING, "x", 800, 3, [drift], plant=still, steering=0))
+    found = [
+        follows(bench, Cause(all_effects()["noise-level"], (own,), {}))[1]
+        for own in range(OWN, len(LAYOUT.bpms), 30)
+    ]
+    assert max(found) < 5.0
