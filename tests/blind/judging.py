@@ -39,7 +39,7 @@ class Judged:
             held out too, block by block, of the rows that it was fitted to.
         shrink_um: Share of the gap that is gone on the later record.
         stage: Stage that the answer gives, also of what is unknown.
-        pair: Whether the set of effects is exactly the true one.
+        pair: Whether the set of effects is exactly the true one (both ends of a straight are one).
         seconds: That it took; NaN when not told.
     """
 
@@ -166,9 +166,8 @@ def _compare(
     first = causes[0]
     true = next((e for e in effects if _holds(first, e["effect"])), None)
     found.right = true is not None
-    found.pair = len(causes) == len(effects) and all(
-        any(_holds(c, e["effect"]) for c in causes) for e in effects
-    )
+    held = [[_holds(cause, effect["effect"]) for effect in effects] for cause in causes]
+    found.pair = all(map(any, held)) and all(map(any, zip(*held, strict=True)))
     if true is None:
         return
     found.exact = first["effect"] == true["effect"]
