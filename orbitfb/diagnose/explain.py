@@ -77,6 +77,8 @@ def columns_of(cause: Cause, count: int) -> list[int]:
 def actuated(record: Record, causes: Sequence[Cause], currents: Matrix | None = None) -> Matrix:
     """Currents that act on the beam under these causes, shape (N, m) [A].
 
+    Those of a cause that acts on changes alone go on from what they were at its onset.
+
     Args:
         record: What happened.
         causes: One after the other.
@@ -84,7 +86,7 @@ def actuated(record: Record, causes: Sequence[Cause], currents: Matrix | None = 
     """
     currents = record.setpoints if currents is None else currents
     for cause in causes:
-        kind, tail = cause.kind, slice(cause.onset, None)
+        kind, tail, before = cause.kind, slice(cause.onset, None), currents
         if isinstance(kind, ActuatorKind):
             currents = currents.copy()
             columns = columns_of(cause, currents.shape[1])
@@ -94,6 +96,8 @@ def actuated(record: Record, causes: Sequence[Cause], currents: Matrix | None = 
             currents[tail, columns] = driven
         elif isinstance(kind, PairKind) and kind.target == "corrector":
             currents = _tied(kind, cause, currents, record, inverse=False)
+        if cause.free and cause.onset and currents is not before:
+            currents[tail] -= currents[cause.onset] - before[cause.onset]
     return currents
 
 

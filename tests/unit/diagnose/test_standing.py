@@ -7,7 +7,7 @@ import pytest
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.explain import Cause, actuated
 from orbitfb.diagnose.fading import Steps
 from orbitfb.diagnose.fit import fit
 from orbitfb.diagnose.free import beyond
@@ -169,6 +169,27 @@ def test_what_goes_wrong_with_currents_does_so_with_what_they_hold_or_with_chang
     assert (best.kind.id, places) == (kind, columns)
     assert best.cause.free is not held
     assert abs(best.cause.onset - ONSET) < 4
+
+
+def test_a_crate_that_freezes_is_frozen_whatever_its_currents_held():
+    """What a law of changes does to a held current is no current of the ring."""
+    frozen = tuple(range(48, 54))
+    names = "+".join(LAYOUT.correctors.names[place] for place in frozen)
+    effects = build([parse_effect(f"corrector-stuck:names={names},from=40s")], LAYOUT, 1)
+    record = simulate_record(RING, "x", 450, 5, effects, dither=1e-4, steering=0, period=0.1)
+    rest = 0.02 * np.random.default_rng(3).standard_normal(len(LAYOUT.correctors))
+    record = replace(record, setpoints=record.setpoints + rest)
+    free = Cause(KINDS["corrector-gain"], frozen, {"gain": -0.9}, ONSET, free=True)
+    acting, bench = actuated(record, (free,)), Bench(record)
+    np.testing.assert_allclose(acting[ONSET], record.setpoints[ONSET])
+    steps = np.diff(record.setpoints[ONSET:, frozen], axis=0)
+    np.testing.assert_allclose(np.diff(acting[ONSET:, frozen], axis=0), 0.1 * steps)
+    # nor is it a healthy error of one: the record is no likelier for it without the law
+    other = bench.cleared_of((free,))
+    assert other.full_log_likelihood < bench.full_log_likelihood + 5.0
+    kinds = [KINDS[name] for name in ("corrector-stuck", "corrector-gain", "corrector-polarity")]
+    best = tournament(bench, kinds)[0]
+    assert (best.kind.id, best.cause.places) == ("corrector-stuck", frozen)
 
 
 @pytest.mark.parametrize(("gain", "seen"), [(0.0, False), (0.3, True)])
