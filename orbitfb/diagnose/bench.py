@@ -158,13 +158,17 @@ class Bench:
         """What is free in the noise of BPMs whose readings causes change."""
         return HealthyLevels.of(self.record, self.floor, causes, self.white) if causes else []
 
-    def granted(self, causes: Sequence[Cause]) -> float:
+    def granted(self, causes: Sequence[Cause], left: Matrix) -> float:
         """What is counted for no cause, as the levels of their BPMs' noise are free anyway [nats].
 
         A misfit of the orbit makes a BPM loud, so that this may be much: causes that leave the
         noise as it is are not charged with it.
+
+        Args:
+            causes: More causes.
+            left: White innovations that they leave, as `residual` gives them, shape (N, n).
         """
-        return sum(levels.granted(self.white) for levels in self._levels(causes))
+        return sum(levels.granted(self.white, left) for levels in self._levels(causes))
 
     def roughly(self, causes: Sequence[Cause]) -> tuple[Matrix, Vector, Vector]:
         """As `residual`; memory, levels of noise and background as they are: a first look."""

@@ -46,8 +46,8 @@ class Entry:
         weight: Log of posterior over prior odds against "no effect", per kind [nats].
         limit_of: Id of the simpler effect that it amounts to in this record; empty if it is a
             law of its own.
-        granted: What free levels of noise gain without it, which is not in its weight [nats]:
-            among others it is worth so much more.
+        granted: What free levels of noise gain without it beyond what they do with it, which is not
+            in its weight [nats]: among others it is worth so much more.
     """
 
     candidate: Candidate
@@ -78,11 +78,8 @@ class Entry:
 
     @property
     def worth(self) -> float:
-        """Weight among others, which are not charged with what is free beside it [nats].
-
-        One that explains nothing beyond what is free is worth nothing for that.
-        """
-        return self.weight + (self.granted if self.weight > 0.0 else 0.0)
+        """Weight among others, which are not charged with what is free beside it [nats]."""
+        return self.weight + self.granted
 
     def less(self, nats: float) -> "Entry":
         """The same beside a record that is likelier without it [nats]."""
@@ -132,7 +129,7 @@ def _fitted(bench: Bench, candidate: Candidate) -> Entry:
 
 
 def _weighed(bench: Bench, candidate: Candidate, found: Fit) -> Entry:
-    granted = bench.granted(found.causes) / found.inflation
+    granted = bench.granted(found.causes, found.white) / found.inflation
     return Entry(candidate, found, found.evidence - price(candidate), granted=granted)
 
 

@@ -87,16 +87,20 @@ class HealthyLevels:
         owed[self.rows] -= 0.5 * without @ (1.0 - quiet)
         return left, owed
 
-    def granted(self, before: Matrix) -> float:
-        """What levels gain without the cause over those of the floor [nats].
+    def granted(self, before: Matrix, left: Matrix) -> float:
+        """What levels gain without the cause over those of the floor, beyond what they do with it.
+
+        How loud a healthy BPM is they tell either way [nats].
 
         Args:
             before: White innovations without the cause, shape (N, n).
+            left: Over their levels with it, as `likeliest` gives them, shape (N, n).
         """
-        squares = np.sum(self._noise(before) ** 2, axis=0)
         count = int(self.rows.sum())
-        level = self._level(squares, count)
-        return float(np.sum(self._gain(squares, level, count) + 0.5 * squares))
+        over = np.sum(self._noise(left) ** 2, axis=0)
+        level = self.usual + self.scatter**2 * (over - count)  # at its most likely value
+        without = np.sum(self._noise(before) ** 2, axis=0)
+        return self._free(without, count) - self._free(over * np.exp(2.0 * level), count)
 
     def following(self, left: Matrix, change: Matrix) -> tuple[Matrix, Vector]:
         """Let the levels go along with a small change.
@@ -122,6 +126,10 @@ class HealthyLevels:
     def _noise(self, white: Matrix) -> Matrix:
         """What these BPMs have of innovations since the cause acts, shape (rows, k)."""
         return white[self.rows] @ self.axes.T
+
+    def _free(self, squares: Vector, count: int) -> float:
+        level = self._level(squares, count)
+        return float(np.sum(self._gain(squares, level, count) + 0.5 * squares))
 
     def _gain(self, squares: Vector, level: Vector, count: int) -> Vector:
         """Log-likelihood at a level, shape (k,)."""

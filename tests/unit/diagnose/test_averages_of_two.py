@@ -1,5 +1,8 @@
 """A BPM whose readings average two noisy samples, told from one that averages many."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from test_scans import BPMS, best, record_with
 
@@ -76,5 +79,18 @@ def test_a_right_law_leaves_no_more_noise_than_it_expects_however_loud_the_bpm_w
     """What it leaves is told over the level that it leaves itself."""
     there = Bench(record_with(f"bpm-lowpass:tau=0.05s,{NAME}", dither=2e-3))
     found = fit(there, (Cause(all_effects()["bpm-lowpass"], (20,), {"tau": 0.04}),))
-    assert there.granted(found.causes) > 1000.0
+    assert there.granted(found.causes, found.white) > 1000.0
     assert found.inflation < 1.1
+
+
+def test_bpms_that_differ_in_noise_speak_for_no_law_of_all_of_them():
+    """How loud each is a law with free levels tells; others are not charged with it."""
+    record = record_with("loop-delay:ticks=0.1", dither=1e-4)
+    rng = np.random.default_rng(2)
+    louder = 0.8 * rng.uniform(0.0, 1.0, record.readings.shape[1])
+    noise = 0.2e-6 * louder * rng.standard_normal(record.readings.shape)
+    there = Bench(replace(record, readings=record.readings + noise))
+    entries = tournament(there, [all_effects()[name] for name in ("loop-delay", "bpm-latency")])
+    assert entries[0].kind.id == "loop-delay"
+    every = next(one for one in entries if len(one.cause.places) == record.readings.shape[1])
+    assert every.worth < entries[0].worth
