@@ -239,7 +239,10 @@ def profiled(bench: Bench, entry: Entry, best: float) -> tuple[Entry, float]:
         own = bench.with_floor(bench.floor_without(entry.fit.causes))
     found = fit(own, entry.fit.causes)
     alone = own.full_log_likelihood - bench.full_log_likelihood
-    judged = _weighed(own, entry.candidate, found).less(-alone)
+    judged = _weighed(own, entry.candidate, found)
+    # What is free without it is that of the bench, whatever floor the fit has.
+    free = judged.granted * found.inflation - entry.granted * entry.fit.inflation
+    judged = replace(judged.less(-alone - free), granted=entry.granted)
     if judged.worth <= entry.worth:
         return entry, 0.0
     return judged, float(np.clip(judged.gain - entry.gain, 0.0, max(alone, 0.0)))

@@ -29,8 +29,8 @@ def other_laws(
     best = max(entries, key=lambda entry: entry.worth, default=None)
     if best is None or best.weight <= 0.0:
         return []
-    if best.kind.target not in ("bpm", "corrector"):
-        return []
+    if not isinstance(best.kind, ActuatorKind | SensorKind) or best.kind.target == "ring":
+        return []  # a pair has no devices of its own
     tried = {entry.kind.id for entry in entries if entry.cause.places == best.cause.places}
     found: list[Candidate] = []
     for kind in kinds:

@@ -1,11 +1,15 @@
 """Laws that amount to a simpler one in what a record holds."""
 
+from dataclasses import replace
+
 import pytest
 from gap_cases import bench
 from test_scans import CORRECTORS, record_with
 
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.entry import enter
+from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.rounds import Round
 from orbitfb.diagnose.same_group import other_laws
 from orbitfb.diagnose.tournament import tournament
@@ -130,6 +134,14 @@ def round_of(there, names, shown=frozenset()):
     kinds = [all_effects()[name] for name in names]
     entries = tuple(tournament(there, kinds, shown=shown))
     return Round(there, entries, len(kinds), entries[0])
+
+
+def test_a_pair_has_no_devices_at_which_other_laws_are_tried():
+    there = Bench(record_with("corrector-gain:gain=0.01", dither=3e-3))
+    swap, gain = all_effects()["corrector-swap"], all_effects()["corrector-gain"]
+    pair = len(swap.pairs(there.record.layout)) - 1  # far beyond the number of correctors
+    entry = enter(there, Candidate(Cause(swap, (pair,), {}), 100.0, 1.0))
+    assert other_laws(there, [replace(entry, weight=100.0)], [swap, gain]) == []
 
 
 @pytest.mark.parametrize("count", [1, 4])
