@@ -57,6 +57,7 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
     else:
         follows = _following(raw, scaled["orbit"], scaled["next_orbit"])
     _complete_currents(scaled, follows, found)
+    found += _gap_findings(raw, meta, rows)
     transition = Transition(
         time=time,
         orbit=scaled["orbit"],
@@ -279,6 +280,24 @@ def _auxiliary(raw: Raw, meta: Meta, scaled: dict[str, Vector], rows: int) -> di
         if name not in NUMBERS and len(values) >= rows and np.isfinite(values).all()
     }
     return others | known
+
+
+def _gap_findings(raw: Raw, meta: Meta, rows: int) -> list[Finding]:
+    """Say which gaps are left out, and in which unit those are taken of which nobody says it."""
+    found: list[Finding] = []
+    for name, values in raw.numbers.items():
+        if not is_gap(name) or name in NUMBERS:
+            continue
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(values) < rows or len(bad):
+            why = f"row {bad[0]} is not finite" if len(bad) else f"{len(values)} rows of {rows}"
+            text = f"array '{name}' is left out ({why}): kicks of its device are not told by it"
+            found.append(Finding("gap-dropped", "warning", (), None, text))
+        elif name not in meta.units:
+            unit = {1.0: "m", 1e-3: "mm", 1e-6: "um"}[meta.factor(raw, name)]
+            text = f"array '{name}' has no unit; by its size it is taken to be in {unit}"
+            found.append(Finding("gap-unit", "note", (), None, text))
+    return found
 
 
 def dropped_columns(keep: Mask, labels: Sequence[str], shares: Vector) -> Finding:

@@ -21,6 +21,7 @@ from orbitfb.diagnose.load_raw import (
     check_kind,
     sort_arrays,
 )
+from orbitfb.effects.insertion_device import is_gap
 
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 _LARGEST_CHUNK = 2**28
@@ -74,12 +75,13 @@ def read_hdf5(path: Path, largest: int) -> Raw:
         raise RecordError(
             f"{path}: its arrays do not fit into the memory; cut the record into pieces"
         ) from error
-    stated = {name: unit for name, unit in units.items() if unit and name in NUMBERS}
+    told = {name: unit for name, unit in units.items() if name in NUMBERS or is_gap(name)}
+    stated = {name: unit for name, unit in told.items() if unit}
     return replace(sort_arrays(path, arrays), units=stated)
 
 
 def _unit(dataset: h5py.Dataset) -> str:
-    unit = dataset.attrs.get("units", "")
+    unit = dataset.attrs.get("units", dataset.attrs.get("unit", ""))
     text = unit.decode(errors="replace") if isinstance(unit, bytes) else unit
     return text.strip() if isinstance(text, str) else ""
 

@@ -67,6 +67,36 @@ def test_gaps_of_insertion_devices_are_lengths(tmp_path, factor, unit):
     assert its[:-1] == pytest.approx(gap[: len(its) - 1])
 
 
+@pytest.mark.parametrize("attribute", ["units", "unit"])
+def test_the_unit_of_a_gap_in_hdf5_is_its_attribute(tmp_path, attribute):
+    made = small()
+    gap = np.linspace(1.2, 4.0, len(made["t"]))
+    path = tmp_path / "record.h5"
+    with h5py.File(path, "w") as file:
+        for name, array in made.items():
+            file[name] = array.astype("S") if array.dtype.kind == "U" else array
+        file["id_gap"] = gap
+        file["id_gap"].attrs[attribute] = "cm"
+    loaded = load(path)
+    (its,) = loaded.record.auxiliary.values()
+    assert its[:-1] == pytest.approx(1e-2 * gap[: len(its) - 1])
+    assert not [one for one in loaded.findings if one.check.startswith("gap")]
+
+
+def test_a_gap_that_is_left_out_or_whose_unit_is_guessed_is_told(tmp_path):
+    made = small() | {"gap_1": np.full(len(small()["t"]), 20.0)}
+    made |= {"gap_2": made["gap_1"].copy(), "gap_3": made["gap_1"][:-5], "meta": meta(dt_s=0.1)}
+    made["gap_2"][7] = np.nan
+    loaded = load(save(tmp_path / "record.npz", made))
+    assert list(loaded.record.auxiliary) == ["gap_1"]
+    told = {one.check: one.text for one in loaded.findings if one.check == "gap-unit"}
+    assert told == {"gap-unit": "array 'gap_1' has no unit; by its size it is taken to be in mm"}
+    texts = [one.text for one in loaded.findings if one.check == "gap-dropped"]
+    assert ["row 7 is not finite" in texts[0], f"rows of {len(made['t'])}" in texts[1]] == [
+        True
+    ] * 2
+
+
 def test_a_gap_in_a_unit_that_is_no_length_is_refused(tmp_path):
     made = small() | {"gap": np.linspace(8.0, 120.0, len(small()["t"]))}
     made["meta"] = meta(dt_s=0.1, units={"gap": "A"})
