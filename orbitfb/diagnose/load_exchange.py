@@ -10,8 +10,8 @@ from orbitfb.diagnose.finding import Finding, listed
 from orbitfb.diagnose.load_meta import Meta
 from orbitfb.diagnose.load_raw import CURRENTS, NUMBERS, VECTORS, Raw
 from orbitfb.diagnose.load_rows import FEWEST_ROWS, Transition
+from orbitfb.diagnose.load_slow import slow_channels
 from orbitfb.diagnose.load_time import time_of
-from orbitfb.effects.insertion_device import is_gap
 
 _NEEDED = ("orbit", "bpm_names", "corr_names")
 _EXACT = 1e-6
@@ -57,7 +57,8 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
     else:
         follows = _following(raw, scaled["orbit"], scaled["next_orbit"])
     _complete_currents(scaled, follows, found)
-    found += _gap_findings(raw, meta, rows)
+    auxiliary, told = slow_channels(raw, meta, scaled, rows)
+    found += told
     transition = Transition(
         time=time,
         orbit=scaled["orbit"],
@@ -68,7 +69,7 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
         readback=scaled.get("readback"),
         dither=scaled.get("dither"),
         reference=_reference(scaled, rows) if "reference" in scaled else None,
-        auxiliary=_auxiliary(raw, meta, scaled, rows),
+        auxiliary=auxiliary,
     )
     if made:  # the last row has no row after it
         transition = transition.take(np.arange(rows) < rows - 1)
@@ -265,39 +266,6 @@ def _made(array: str, text: str) -> Finding:
 def _reference(scaled: dict[str, Vector], rows: int) -> Vector:
     reference = scaled["reference"]
     return np.tile(reference, (rows, 1)) if reference.ndim == 1 else reference
-
-
-def _auxiliary(raw: Raw, meta: Meta, scaled: dict[str, Vector], rows: int) -> dict[str, Vector]:
-    """Slow channels: current, RF frequency, and every other column with one number per row.
-
-    Gaps are lengths; of the others nobody asks the unit.
-    """
-    channels = {"current": "current", "rf": "rf_frequency"}
-    known = {channels[name]: scaled[name] for name in channels if name in scaled}
-    others = {
-        name: values[:rows] * (meta.factor(raw, name) if is_gap(name) else 1.0)
-        for name, values in raw.numbers.items()
-        if name not in NUMBERS and len(values) >= rows and np.isfinite(values).all()
-    }
-    return others | known
-
-
-def _gap_findings(raw: Raw, meta: Meta, rows: int) -> list[Finding]:
-    """Say which gaps are left out, and in which unit those are taken of which nobody says it."""
-    found: list[Finding] = []
-    for name, values in raw.numbers.items():
-        if not is_gap(name) or name in NUMBERS:
-            continue
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(values) < rows or len(bad):
-            why = f"row {bad[0]} is not finite" if len(bad) else f"{len(values)} rows of {rows}"
-            text = f"array '{name}' is left out ({why}): kicks of its device are not told by it"
-            found.append(Finding("gap-dropped", "warning", (), None, text))
-        elif name not in meta.units:
-            unit = {1.0: "m", 1e-3: "mm", 1e-6: "um"}[meta.factor(raw, name)]
-            text = f"array '{name}' has no unit; by its size it is taken to be in {unit}"
-            found.append(Finding("gap-unit", "note", (), None, text))
-    return found
 
 
 def dropped_columns(keep: Mask, labels: Sequence[str], shares: Vector) -> Finding:
