@@ -12,11 +12,13 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.physics.optics import Matrix
-from orbitfb.physics.places import Indices
 
-LADDER = np.exp(np.linspace(-13.0, 10.0, 39))
+LADDER = np.exp(np.linspace(-13.0, 10.0, 115))
 """Ratios q / r² that a mode is tried with."""
-_PASSES = 30
+_DECADES = 4.0
+"""How far below the steps of the orbit its reading noise is looked for."""
+_STEP = 0.1
+"""Step of the logarithm of the reading noise."""
 _NEIGHBOURS = 4.0
 """Modes over which the evidence of neighbours fades to 1/e."""
 _SHARED = 0.3
@@ -37,19 +39,28 @@ def estimate_floor(left: Matrix, starts: Mask, modes: NoiseModes) -> NoiseFloor:
         modes: In which noise and drift are uncorrelated.
     """
     squares, logs, rows = evidence(left @ modes.directions, starts)
-    reading = float(np.quantile(squares[0], 0.25)) / max(rows, 1)  # modes that hardly walk
-    level = np.zeros(squares.shape[1], dtype=np.intp)
-    cost = squares
-    for _ in range(_PASSES):
-        cost = _with_neighbours(logs[:, None] + squares / reading)
-        level = np.argmin(cost, axis=0)
-        before, reading = (
-            reading,
-            float(np.mean(squares[level, np.arange(len(level))])) / max(rows, 1),
-        )
-        if abs(reading / before - 1.0) < 1e-5:
-            break
-    return NoiseFloor(modes, reading, reading * _between(cost, level))
+    reading = _reading(squares, logs, max(rows, 1))
+    cost = _with_neighbours(logs[:, None] + squares / reading)
+    return NoiseFloor(modes, reading, reading * _lowest(cost)[0])
+
+
+def _reading(squares: Matrix, logs: Vector, rows: int) -> float:
+    """Variance of reading noise at the top of the likelihood, every mode at its own best level.
+
+    A search along the profile: where every mode walks far beyond the noise, estimating the noise
+    and the levels in turn moves by less than a step of the ladder, and stops anywhere.
+    """
+    steps = np.quantile(squares[-1], 0.25) * LADDER[-1] / rows  # of variance 2 r² + q
+    tried = np.log(steps) + np.arange(-_DECADES * np.log(10.0), 1.0, _STEP)
+    profile = np.array(
+        [
+            rows * squares.shape[1] * place
+            + np.sum(_lowest(logs[:, None] + squares * np.exp(-place))[1])
+            for place in tried
+        ]
+    )
+    best = _lowest(profile[:, None], tried)[0]
+    return float(best[0])
 
 
 def evidence(z: Matrix, starts: Mask) -> tuple[Matrix, Vector, int]:
@@ -95,12 +106,23 @@ def _with_neighbours(cost: Matrix) -> Matrix:
     return cost + np.minimum(cost - cost.min(axis=0), _MOST_SHARED) @ weights
 
 
-def _between(cost: Matrix, level: Indices) -> Vector:
-    """Ratio q / r² at the minimum of the parabola through the best step and its neighbours."""
-    level = np.clip(level, 1, len(LADDER) - 2)
-    mode = np.arange(len(level))
-    place = np.log(LADDER)
-    below, here, above = (cost[level + step, mode] for step in (-1, 0, 1))
+def _lowest(cost: Matrix, places: Vector | None = None) -> tuple[Vector, Vector]:
+    """Where every column is lowest, and how low, by the parabola through the best and its two.
+
+    Args:
+        cost: A column per mode, shape (G, n).
+        places: Equidistant logarithms of what the rows were tried with; of the ladder if None.
+
+    Returns:
+        What the parabola is lowest at, shape (n,), and its cost there, shape (n,).
+    """
+    places = np.log(LADDER) if places is None else places
+    level = np.clip(np.argmin(cost, axis=0), 1, len(places) - 2)
+    column = np.arange(cost.shape[1])
+    below, here, above = (cost[level + step, column] for step in (-1, 0, 1))
     bend = below - 2.0 * here + above
-    shift = np.where(bend > 0, 0.5 * (below - above) / np.where(bend > 0, bend, 1.0), 0.0)
-    return np.exp(place[level] + np.clip(shift, -1.0, 1.0) * (place[1] - place[0]))
+    slope = 0.5 * (above - below)
+    shift = np.where(bend > 0, -slope / np.where(bend > 0, bend, 1.0), 0.0)
+    shift = np.clip(shift, -1.0, 1.0)
+    lowest = here + slope * shift + 0.5 * bend * shift**2
+    return np.exp(places[level] + shift * (places[1] - places[0])), lowest

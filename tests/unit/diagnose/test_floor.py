@@ -34,3 +34,18 @@ def test_a_walk_far_beyond_the_reading_noise_has_its_own_level():
 
     assert abs(floor.walk[0] / far - 1.0) < 0.15
     np.testing.assert_allclose(np.mean(floor.whiten(readings, starts) ** 2, axis=0), 1.0, atol=0.15)
+
+
+def test_the_reading_noise_below_walks_that_all_are_greater_has_its_level():
+    rows, modes = 1000, 24
+    walk = np.exp(np.linspace(np.log(2.0), np.log(10.0), modes))
+    rng = np.random.default_rng(2)
+    readings = np.cumsum(rng.normal(size=(rows, modes)) * np.sqrt(walk), axis=0)
+    readings += rng.normal(size=readings.shape)
+    starts = np.arange(rows) == 0
+
+    floor = estimate_floor(readings, starts, NoiseModes.even(np.eye(modes)))
+
+    assert abs(floor.reading - 1.0) < 0.15
+    # The mean square of 24,000 innovations scatters by 0.009.
+    assert abs(np.mean(floor.whiten(readings, starts) ** 2) - 1.0) < 0.02
