@@ -1,10 +1,12 @@
 """Let the loop of a record run anew: its model, its law, its floor, and the effects of causes."""
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, gmres
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.explain import Cause
@@ -20,7 +22,11 @@ from orbitfb.physics.places import Indices
 
 _BROKEN = 1e-2
 """Orbit at which a simulated loop counts as lost [m]."""
-_SETTLED = 3
+_SETTLED = 2
+"""Newton steps to the orbit that makes a reading."""
+_TRIALS = 20
+_PROBE = 1e-9
+"""Step that slopes are taken with, and what is left of a reading that is made [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,13 +114,36 @@ def run_loop(its: Runs) -> Matrix | None:
 
 
 def _ground(effects: Sequence[Effect], response: Matrix, record: Record, row: int) -> Vector:
-    """Orbit without the correctors that makes the reading of a row, whatever the effects do."""
+    """Orbit without the correctors that makes the reading of a row, whatever the effects do.
+
+    Newton's method; GMRES solves its linear step by trials alone, as effects only simulate. It
+    leaves alone what no orbit can make, as the reading of a BPM that is stuck.
+    """
     wanted, setpoints = record.readings[row], record.setpoints[row][None]
+
+    def missing(ground: Vector) -> Vector:
+        trial = copy.deepcopy(effects, {id(record.layout): record.layout})
+        return wanted - _read([trial], response, setpoints, ground[None], row)[0]
+
     ground = wanted - response @ record.setpoints[row]
     for _ in range(_SETTLED if effects else 0):
-        trial = copy.deepcopy(effects, {id(record.layout): record.layout})
-        ground = ground + wanted - _read([trial], response, setpoints, ground[None], row)[0]
+        rest = missing(ground)
+        slope = LinearOperator(
+            (len(rest), len(rest)),
+            matvec=partial(_slope, missing, ground, rest),
+            dtype=np.float64,
+        )
+        step, _ = gmres(slope, rest, rtol=1e-6, atol=_PROBE, restart=_TRIALS, maxiter=1)
+        ground = ground + step
     return ground
+
+
+def _slope(
+    missing: Callable[[Vector], Vector], ground: Vector, rest: Vector, way: Vector
+) -> Vector:
+    """What a small step of the ground along a direction makes of the readings, per step."""
+    step = _PROBE / float(np.max(np.abs(way)))
+    return (rest - missing(ground + step * way)) / step
 
 
 def _read(

@@ -1,5 +1,7 @@
 """The simulated loop has the orbit that was measured, with the right cause."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from gap_cases import GAIN, PLACE, bench, record
@@ -7,7 +9,8 @@ from gap_cases import GAIN, PLACE, bench, record
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.closed_loop import closed_loop, mended_response
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.loop_law import linear_law
+from orbitfb.diagnose.loop_law import linear_law, reference_of
+from orbitfb.diagnose.loop_run import Runs, effects_of, run_loop
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import effect
@@ -76,6 +79,19 @@ def test_a_short_later_record_is_predicted_by_the_law_of_the_first(slow):
     assert linear_law(later, slow.record)[0] is not None
     its = closed_loop(slow, later)
     assert its.with_um == pytest.approx(its.measured_um, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "places"), [("bpm-polarity", (20, 90)), ("bpm-swap", (31,)), ("bpm-stuck", (7,))]
+)
+def test_a_loop_begins_with_the_readings_of_the_record(name, places):
+    its = simulate_record(Ring.load(), ticks=120, seed=6)
+    standing = replace(its, readings=its.readings + 300e-6 * np.cos(np.arange(180.0)))
+    acting = effects_of((Cause(effect(name), places, {}),), its.layout, 0, onsets=False)
+    law = np.zeros((its.setpoints.shape[1], its.readings.shape[1]))
+    off = run_loop(Runs(standing, Bench(its).floor, law, [acting], seed=0))[0]
+    first = off[0] - (standing.readings[0] - reference_of(standing)[0])
+    np.testing.assert_allclose(first, 0.0, atol=5e-6)
 
 
 def test_noise_cannot_be_parted_from_the_floor():
