@@ -3,7 +3,6 @@
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
@@ -128,22 +127,22 @@ def _ground(effects: Sequence[Effect], response: Matrix, record: Record, row: in
     ground = wanted - response @ record.setpoints[row]
     for _ in range(_SETTLED if effects else 0):
         rest = missing(ground)
-        slope = LinearOperator(
-            (len(rest), len(rest)),
-            matvec=partial(_slope, missing, ground, rest),
-            dtype=np.float64,
-        )
+        slope = _Slope(missing, ground, rest)
         step, _ = gmres(slope, rest, rtol=1e-6, atol=_PROBE, restart=_TRIALS, maxiter=1)
         ground = ground + step
     return ground
 
 
-def _slope(
-    missing: Callable[[Vector], Vector], ground: Vector, rest: Vector, way: Vector
-) -> Vector:
-    """What a small step of the ground along a direction makes of the readings, per step."""
-    step = _PROBE / float(np.max(np.abs(way)))
-    return (rest - missing(ground + step * way)) / step
+class _Slope(LinearOperator):
+    """What a small step of the ground makes of the readings, per step."""
+
+    def __init__(self, missing: Callable[[Vector], Vector], ground: Vector, rest: Vector) -> None:
+        super().__init__(np.float64, (len(rest), len(rest)))
+        self._missing, self._ground, self._rest = missing, ground, rest
+
+    def _matvec(self, x: Vector) -> Vector:
+        step = _PROBE / float(np.max(np.abs(x)))
+        return (self._rest - self._missing(self._ground + step * x)) / step
 
 
 def _read(
