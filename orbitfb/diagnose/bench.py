@@ -30,9 +30,9 @@ _FEW_LEVELS = 4
 """Of the ladder, while orbit and floor are not yet what they will be."""
 _REMEMBERED = 3
 """Sets of causes whose free drift is kept: the same few are judged again and again."""
-SEEN = 1e-4
-"""Gain of a step of the healthy errors below which they are the best, as a share of what a change
-is seen with."""
+SEEN = 1e-2
+"""Gain of a step of the healthy errors below which they are the best, as a share of what they have
+left of a change."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,7 +232,7 @@ class Bench:
 
         Args:
             change: Shape (N, n) [m].
-            missed: Share of what is seen of it that they may still miss.
+            missed: Share of what they leave that they may still miss.
 
         Returns:
             White innovations (N, n), sizes of the background (P,).
@@ -241,8 +241,7 @@ class Bench:
         return self._unhealed(free(self.floor.whiten(change, self.record.starts)), free, missed)
 
     def _unhealed(self, moved: Matrix, free: Beyond, missed: float) -> tuple[Matrix, Vector]:
-        enough = missed * float(np.vdot(moved, moved))
-        return self._healthy.against(moved, enough, free)
+        return self._healthy.against(moved, 0.0, free, share=missed)
 
     def _beside(self) -> "_Base":
         """What more causes are put beside, computed once for causes, orbit and floor."""

@@ -50,8 +50,8 @@ _STRENGTHS = np.array([0.1, 0.3, 1.0])
 """Scatter of it, over the fitted one."""
 _COLOURS = (1, 2)
 """Ticks over which noise that is not quite as the floor says echoes at a BPM."""
-_ROUGHLY = 0.01
-"""Share of a course that healthy errors may miss to take while the best one is looked for."""
+_ROUGHLY = 0.1
+"""Share of what they leave of a course that healthy errors may miss while the best is looked for."""
 _DISTINCT = 1e-3
 """Part of the information on free changes below which they are alike."""
 _ITSELF = 1e-6
@@ -232,7 +232,7 @@ class _Beside:
 
         Args:
             change: Shape (N, n) [m].
-            missed: Share of what is seen of it that healthy errors may miss to take.
+            missed: Share of what healthy errors leave of it that they may miss to take.
         """
         seen = _seen(self.bench, change, missed=missed)
         shared = self.free @ seen
@@ -252,7 +252,7 @@ def _seen(
         bench: The record.
         change: Of the prediction or the readings, shape (N, n) [m].
         scale: What it does to the log-Jacobian of every row, shape (N,).
-        missed: Share of it that they may miss to take.
+        missed: Share of what they leave that they may miss to take.
     """
     rows = np.zeros(len(change)) if scale is None else scale
     return np.concatenate([*map(np.ravel, bench.unhealed(change, missed)), rows])

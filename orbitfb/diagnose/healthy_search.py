@@ -70,7 +70,12 @@ class HealthySearch:
         return white, self._latest.sizes
 
     def against(
-        self, white: Matrix, enough: float, beyond: Beyond, most: int = _MOST_STEPS
+        self,
+        white: Matrix,
+        enough: float,
+        beyond: Beyond,
+        most: int = _MOST_STEPS,
+        share: float = 0.0,
     ) -> tuple[Matrix, Vector]:
         """As `healed`, from none on, for a change that stands for itself.
 
@@ -79,12 +84,20 @@ class HealthySearch:
             enough: Gain of a step below which the sizes are the best [nats].
             beyond: As for `healed`.
             most: Steps at most.
+            share: Of what is still left of the change, a gain that is enough too: the errors may
+                take all but a thousandth of it.
         """
-        white, near = self._descend(white, self._nothing, enough, beyond, most)
+        white, near = self._descend(white, self._nothing, enough, beyond, most, share)
         return white, near.sizes
 
     def _descend(
-        self, white: Matrix, near: Near, enough: float, beyond: Beyond, most: int = _MOST_STEPS
+        self,
+        white: Matrix,
+        near: Near,
+        enough: float,
+        beyond: Beyond,
+        most: int = _MOST_STEPS,
+        share: float = 0.0,
     ) -> tuple[Matrix, Near]:
         """Find the best errors by preconditioned conjugate gradients.
 
@@ -97,6 +110,7 @@ class HealthySearch:
             enough: Gain of a step below which they are the best [nats].
             beyond: As for `healed`.
             most: Steps at most.
+            share: As for `against`.
         """
         quick, background = self._quick, self._background
         sizes, moved = near.sizes, near.change
@@ -111,7 +125,9 @@ class HealthySearch:
         for _ in range(most):
             step = background.step(gradient)
             promise = float(gradient @ step)
-            if 0.5 * promise <= enough:  # nothing to gain at all, of a change that is none
+            left = float(np.vdot(white, white) + sizes @ sizes) if share else 0.0
+            least = max(enough, 0.5 * share * left)
+            if 0.5 * promise <= least:  # nothing to gain at all, of a change that is none
                 break
             direction = step + (promise / before if before else 0.0) * direction
             before = promise
@@ -123,7 +139,7 @@ class HealthySearch:
             sizes = sizes + length * direction
             moved = moved + np.float32(length) * whole
             white = white - np.float32(length) * change
-            if 0.5 * _CONVERGENCE * promise <= enough:
+            if 0.5 * _CONVERGENCE * promise <= least:
                 break  # what is left to gain would not be enough: no need to look
             gradient = slope()
         return white, Near(sizes, moved)
