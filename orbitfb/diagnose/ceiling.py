@@ -17,7 +17,7 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import BLOCK, Draws, Interval, interval
 from orbitfb.diagnose.gap_maps import lagged
-from orbitfb.diagnose.innovation import Ladder
+from orbitfb.diagnose.ladder import Ladder
 from orbitfb.physics.optics import Matrix
 
 _LEVELS = 6

@@ -9,7 +9,7 @@ fitted (D. J. C. MacKay, Neural Comput. 4 (1992) 415), so a record without a gap
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.innovation import Ladder
+from orbitfb.diagnose.ladder import Ladder
 from orbitfb.diagnose.replay import NOMINAL, Replay
 from orbitfb.physics.optics import Matrix
 

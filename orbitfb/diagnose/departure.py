@@ -51,7 +51,7 @@ _STRENGTHS = np.array([0.1, 0.3, 1.0])
 _COLOURS = (1, 2)
 """Ticks over which noise that is not quite as the floor says echoes at a BPM."""
 _ROUGHLY = 0.1
-"""Share of what they leave of a course that healthy errors may miss while the best is looked for."""
+"""Share of what healthy errors leave that they may miss while the best course is looked for."""
 _DISTINCT = 1e-3
 """Part of the information on free changes below which they are alike."""
 _ITSELF = 1e-6

@@ -21,7 +21,7 @@ from orbitfb.diagnose.detectable_sizes import (
     tried,
     within,
 )
-from orbitfb.diagnose.innovation import Ladder
+from orbitfb.diagnose.ladder import Ladder
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind

@@ -7,7 +7,7 @@ from orbitfb.diagnose.answer_blocks import HeatMap, LagProfile
 from orbitfb.diagnose.answer_values import Number, numbers, rows
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.gap_parts import band_edges
-from orbitfb.diagnose.innovation import Ladder
+from orbitfb.diagnose.ladder import Ladder
 from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.surplus import Surplus
 from orbitfb.effects.record import Record

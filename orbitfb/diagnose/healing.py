@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.diagnose.innovation import Ladder, NoiseFloor
+from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.ladder import Ladder
 from orbitfb.diagnose.uncoupled import compact, components
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices

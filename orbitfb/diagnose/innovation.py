@@ -12,21 +12,17 @@ log-likelihood by every prediction (B. D. O. Anderson and J. B. Moore, Optimal F
 F. C. Schweppe, IEEE Trans. Inf. Theory 11 (1965) 61).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.noise_modes import NoiseModes
-from orbitfb.diagnose.recursion import Feedback
 from orbitfb.physics.optics import Matrix
 
-_OLDEST = 3000
+OLDEST = 3000
 """Rows after which the gain of every mode is taken as steady."""
-_LEAST_MEMORY = 1e-9
+LEAST_MEMORY = 1e-9
 """Share of the row before that a filter keeps at least, however still its readings are."""
 
 
@@ -48,10 +44,10 @@ class NoiseFloor:
 
     def __post_init__(self) -> None:
         ratio = self.walk / self.reading
-        feedback = np.zeros((_OLDEST, len(ratio)))
-        variance = np.ones((_OLDEST, len(ratio)))
+        feedback = np.zeros((OLDEST, len(ratio)))
+        variance = np.ones((OLDEST, len(ratio)))
         filtered = np.ones(len(ratio))  # of the orbit's estimate, after the first reading, over r²
-        for age in range(1, _OLDEST):
+        for age in range(1, OLDEST):
             predicted = filtered + ratio
             variance[age] = predicted + 1.0
             filtered = predicted / variance[age]
@@ -71,11 +67,11 @@ class NoiseFloor:
 
     def feedback_of(self, rows: int) -> Matrix:
         """1 − L by which the row before counts in every row of a stretch, shape (rows, n)."""
-        return self._feedback[np.minimum(np.maximum(np.arange(rows) - 1, 0), _OLDEST - 1)]
+        return self._feedback[np.minimum(np.maximum(np.arange(rows) - 1, 0), OLDEST - 1)]
 
     def deviation_of(self, rows: int) -> Matrix:
         """√S of every row of a stretch, shape (rows, n) [m]."""
-        return self._deviation[np.minimum(np.arange(rows), _OLDEST - 1)]
+        return self._deviation[np.minimum(np.arange(rows), OLDEST - 1)]
 
     def to_modes(self, columns: Matrix) -> Matrix:
         """Turn orbits [m] into modes [m], shape (…, n)."""
@@ -132,7 +128,7 @@ class NoiseFloor:
 
     def _run(self, innovation: Matrix, deviation: Matrix) -> None:
         """Filter one stretch in place; row 0 is zero."""
-        rows = min(len(innovation), _OLDEST)
+        rows = min(len(innovation), OLDEST)
         deviation[:rows] = self._deviation[:rows]
         deviation[rows:] = self._deviation[-1]
         for row in range(1, rows):
@@ -158,11 +154,11 @@ class NoiseFloor:
         total = np.zeros_like(white)
         for stretch in stretches(starts):
             rows = stretch.stop - stretch.start
-            ages = np.minimum(np.arange(rows), _OLDEST - 1)
+            ages = np.minimum(np.arange(rows), OLDEST - 1)
             piece = white[stretch] / self._deviation[ages]
             piece[0] = 0.0
             for row in range(rows - 2, 0, -1):
-                piece[row] += self._feedback[min(row, _OLDEST - 1)] * piece[row + 1]
+                piece[row] += self._feedback[min(row, OLDEST - 1)] * piece[row + 1]
             total[stretch] = piece
             total[stretch.start : stretch.stop - 1] -= piece[1:]
         return total @ self.modes.directions.T
@@ -174,105 +170,10 @@ class NoiseFloor:
         constant -= np.sum(np.log(self.modes.spread))
         terms = np.empty(len(starts))
         for stretch in stretches(starts):
-            ages = np.minimum(np.arange(stretch.stop - stretch.start), _OLDEST - 1)
+            ages = np.minimum(np.arange(stretch.stop - stretch.start), OLDEST - 1)
             terms[stretch] = constant[ages]
             terms[stretch.start] = 0.0
         return terms
-
-
-class Ladder:
-    """Few steady filters in the place of one per mode: what scans over many places use.
-
-    Modes of similar gain make a level; every level filters with the (geometric) mean gain. The
-    energy that is left of a slow course, one that grows all the time, goes with 1/L² and is then
-    wrong by factors (5 for what a slew rate leaves out). With `between` it is interpolated
-    between two levels instead: right for the size of single changes, but no longer one filter
-    that all changes share, so that what is alike in two changes comes out too small.
-
-    Every stretch begins with an orbit that is not known, as for the modes themselves: without
-    drift no gain is ever steady, and an orbit that is steered away at once shows in the first rows.
-
-    Args:
-        floor: The noise.
-        levels: How many at most.
-        between: Whether to interpolate.
-
-    Attributes:
-        feedback: 1 − L of every level.
-    """
-
-    def __init__(self, floor: NoiseFloor, levels: int = 6, *, between: bool = False) -> None:
-        size = np.log(floor.gains)
-        if between and np.ptp(size) > 1e-9:
-            steps = np.exp(np.linspace(size.min(), size.max(), levels))
-            corners = np.eye(levels)
-            slowness = 1.0 / floor.gains  # the energy of a walk is linear in it
-            self._share = [np.interp(-slowness, -1.0 / steps, corner) for corner in corners]
-        else:
-            edges = np.linspace(size.min(), size.max(), levels + 1)[1:-1]
-            level = np.searchsorted(edges, size)
-            self._share = [(level == k).astype(np.float64) for k in np.unique(level)]
-            steps = np.array([np.exp(np.mean(size[share > 0])) for share in self._share])
-        self.feedback = [1.0 - float(step) for step in steps]
-        self._floor = floor
-        # A random walk of q = r² L² / (1 − L) has the steady gain L.
-        walk = steps**2 / np.maximum(1.0 - steps, _LEAST_MEMORY)
-        self._filters = NoiseFloor(NoiseModes.even(np.eye(len(steps))), 1.0, walk)
-
-    def filtered(self, drivers: NDArray[np.floating], starts: Mask) -> list[Matrix]:
-        """Filter courses in time with every level, each of shape (N, P), in single precision.
-
-        They are over √S of their row, times the steady √S that `shapes` are over.
-        """
-        # Differences of large numbers need double precision, what is made of them does not.
-        steps = np.zeros(drivers.shape, dtype=np.float32)
-        np.subtract(drivers[1:], drivers[:-1], out=steps[1:], casting="same_kind")
-        steps[starts] = 0.0
-        pieces = stretches(starts)
-        longest = max((own.stop - own.start for own in pieces), default=0)
-        feedback = self._filters.feedback_of(longest)
-        deviation = self._filters.deviation_of(longest)
-        sizes = (self._filters.deviation_of(_OLDEST)[-1] / deviation).astype(np.float32)
-        done: list[Matrix] = []
-        for level in range(len(self.feedback)):
-            recursion = Feedback.of(feedback[:, [level]], np.float32)
-            course = steps.copy()
-            for own in pieces:
-                recursion.forward(course[own])
-                course[own] *= sizes[: own.stop - own.start, [level]]
-            done.append(cast("Matrix", course))  # what it is multiplied with is double
-        return done
-
-    def shapes(self, patterns: Matrix) -> list[Matrix]:
-        """Rotate patterns (n, P) into the modes of every level, over √S, each (k, P) [1/m]."""
-        modal = self._floor.modes.directions.T @ patterns
-        modal /= np.sqrt(self._floor.innovation_variance)[:, None]
-        return [modal[share > 0] * np.sqrt(share[share > 0])[:, None] for share in self._share]
-
-
-def information(
-    shapes: Sequence[Matrix],
-    courses: Sequence[Matrix],
-    other_shapes: Sequence[Matrix] | None = None,
-    other_courses: Sequence[Matrix] | None = None,
-) -> Matrix:
-    """Fisher information of amplitudes of changes pattern · driver, shape (P, P').
-
-    Args:
-        shapes: Of P patterns, from `Ladder.shapes`.
-        courses: Of their drivers, from `Ladder.filtered`; one column stands for all.
-        other_shapes: Of P' others; the same when None.
-        other_courses: Of theirs.
-    """
-    right_shapes = shapes if other_shapes is None else other_shapes
-    right_courses = courses if other_courses is None else other_courses
-    total: Matrix | None = None
-    for shape, course, right, moving in zip(
-        shapes, courses, right_shapes, right_courses, strict=True
-    ):
-        part = (shape.T @ right) * (course.T @ moving)
-        total = part if total is None else total + part
-    return np.zeros((0, 0)) if total is None else total
 
 
 def stretches(starts: Mask) -> list[slice]:

@@ -12,6 +12,7 @@ from orbitfb.diagnose.candidate import (
     FIRST_ONSET,
     KEPT,
     LAST_ONSET,
+    LEAST_INFORMATION,
     Candidate,
     best_strength,
     sized,
@@ -62,29 +63,25 @@ def onsets(
         free: Whether the first step is free.
     """
     rows = len(changes.parts[0][1])
-    later_score, info = (np.zeros((rows, len(changes.score))) for _ in range(2))
+    score, info, jumps = (np.zeros((rows, len(changes.score))) for _ in range(3))
     holds = free or holding(kind)
     for shapes, drivers in changes.parts:
-        later_score += shapes.pull * drivers
-        for shape, course in zip(shapes.fine, scoring.courses(drivers), strict=True):
-            info += np.sum(shape**2, axis=0, dtype=np.float32) * course**2
-    by_row, later_score, later = info, to_the_end(later_score), to_the_end(info)
-    steps = np.zeros_like(later)
-    for shapes, drivers in changes.parts:
+        score += to_the_end(shapes.pull * drivers)
         if holds:
-            later_score -= to_the_end(shapes.pull) * drivers
-        else:
-            steps += _steps(scoring, shapes, rows) * drivers**2
-    single = _highest(kind, later_score, later + steps)
-    yield from _beginnings(kind, values, single, each_alone(later.shape[1]), free=free)
+            score -= to_the_end(shapes.pull) * drivers
+        first = np.zeros_like(drivers) if holds else drivers
+        for level, shape in enumerate(shapes.fine):
+            energy, jump = scoring.begun(level, drivers, first)
+            size = np.sum(shape**2, axis=0)
+            info += size * energy
+            jumps += size * jump
+    single = _highest(kind, score, info)
+    yield from _beginnings(kind, values, single, each_alone(info.shape[1]), free=free)
     if groups is not None:
         member, some = groups.member, slice(None, None, _STRIDE)
-        # the rows of a stride lie in one part of the record
-        few = np.add.reduceat(by_row, np.arange(0, rows, _STRIDE), axis=0) @ member.T
-        part = np.arange(0, rows, _STRIDE) // PART
-        info = to_the_end(few * groups.visible[part])
-        info += (steps[some] @ member.T) * groups.visible[part]
-        found = _highest(kind, later_score[some] @ member.T, info, _STRIDE)
+        apart = info[some] @ member.T
+        shown = _shown(scoring, changes, groups, jumps[some])
+        found = _highest(kind, score[some] @ member.T, apart * shown, _STRIDE)
         if free:  # what one step gains or costs is the fit's affair, that of many a group's
             (shapes, _), *_ = changes.parts
             prices = price_of_steps(_steps(scoring, shapes, rows)[found.row])
@@ -94,15 +91,38 @@ def onsets(
         yield from _beginnings(kind, values, found, groups.each, free=free)
 
 
+def _shown(scoring: Scoring, changes: Changes, groups: Groups, jumps: Matrix) -> Matrix:
+    """Share of what devices tell apart that they tell together from a row on, (N / stride, G).
+
+    Args:
+        scoring: On a bench.
+        changes: Of all places.
+        groups: Of them.
+        jumps: Energy of the first steps at every so many rows, shape (N / stride, P).
+    """
+    rows = len(changes.parts[0][1])
+    begins = np.arange(0, rows, _STRIDE)
+    visible = groups.visible[begins // PART]  # the rows of a stride lie in one part of the record
+    usual = np.zeros((rows, jumps.shape[1]))
+    for shapes, drivers in changes.parts:
+        for shape, course in zip(shapes.fine, scoring.courses(drivers), strict=True):
+            usual += np.sum(shape**2, axis=0) * course**2
+    few = np.add.reduceat(usual, begins, axis=0) @ groups.member.T
+    stepped = jumps @ groups.member.T
+    together = to_the_end(few * visible) + stepped * visible
+    return together / np.maximum(to_the_end(few) + stepped, LEAST_INFORMATION)
+
+
 def _steps(scoring: Scoring, shapes: Shapes, rows: int) -> Matrix:
     """Information on a step at every row, place by place, shape (N, P).
 
     It is seen against the rows before it that the filter remembers, by the rows after it until
     the filter has followed.
     """
-    sizes = np.array([np.sum(shape**2, axis=0) for shape in shapes.fine])
-    lasting = 1.0 - np.array(scoring.ladder.feedback) ** 2
-    return (1.0 / (lasting + short(rows)[:, None])) @ sizes
+    still = np.zeros((rows, 1))
+    lasting = [scoring.begun(k, still, still + 1.0)[0] for k in range(len(shapes.fine))]
+    sizes = [np.sum(shape**2, axis=0) for shape in shapes.fine]
+    return np.sum([last * size for last, size in zip(lasting, sizes, strict=True)], axis=0)
 
 
 def growing(
@@ -175,9 +195,3 @@ def _beginnings(
 def to_the_end(values: Matrix) -> Matrix:
     """Sum from every row to the last one, over the first axis."""
     return np.cumsum(values[::-1], axis=0)[::-1]
-
-
-def short(rows: int) -> Vector:
-    """Tell what a jump near an end of a record costs beside its steady cost, shape (rows,)."""
-    row = np.arange(rows, dtype=np.float64)
-    return 1.0 / np.maximum(row, 1.0) + 1.0 / (rows - row)

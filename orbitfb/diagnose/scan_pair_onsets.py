@@ -16,7 +16,7 @@ from orbitfb.diagnose.candidate import (
     sized,
 )
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.scan_onsets import short, to_the_end
+from orbitfb.diagnose.scan_onsets import to_the_end
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import Values
@@ -48,24 +48,17 @@ def pair_onsets(
     """
     patterns, drivers, change = parts
     pairs = kind.pairs(bench.record.layout)
-    brief = short(len(drivers))
     for place in np.argsort(score)[::-1][:_PAIRS_TRIED]:
         pair = pairs[place]
         driven = drivers[:, pair] @ change[place].T
         pull = bench.slope @ patterns[:, pair]
-        height = to_the_end(np.sum(pull * driven, axis=1))
-        jumps = np.zeros_like(height)
-        for shape, course, feedback in zip(
-            scoring.ladder.shapes(patterns[:, pair]),
-            scoring.courses(driven),
-            scoring.ladder.feedback,
-            strict=True,
-        ):
-            jumps += np.sum((driven @ shape.T) ** 2, axis=1) / (1.0 - feedback**2 + brief)
-            height -= 0.5 * to_the_end(np.sum((course @ shape.T) ** 2, axis=1))
-        gains = [height - 0.5 * jumps]
+        gains = [to_the_end(np.sum(pull * driven, axis=1))]
         if kind.of_changes:
-            gains.append(height - np.sum(to_the_end(pull) * driven, axis=1))
+            gains.append(gains[0] - np.sum(to_the_end(pull) * driven, axis=1))
+        for level, shape in enumerate(scoring.ladder.shapes(patterns[:, pair])):
+            seen = driven @ _root(shape.T @ shape)
+            for first, gain in zip((seen, np.zeros_like(seen)), gains, strict=False):
+                gain -= 0.5 * np.sum(scoring.begun(level, seen, first)[0], axis=1)
         for free, gain in enumerate(gains):
             gain[:FIRST_ONSET] = 0.0
             gain[len(gain) - LAST_ONSET :] = 0.0
@@ -98,23 +91,20 @@ def mixing_onsets(
     pairs = kind.pairs(bench.record.layout)
     shapes, pull = scoring.ladder.shapes(patterns), bench.slope @ patterns
     rows = len(drivers)
-    brief = short(rows)
-    score, info, jumps, begun = (np.zeros((rows, len(pairs))) for _ in range(4))
+    frees = (False, True) if kind.of_changes else (False,)
+    scores, infos = ([np.zeros((rows, len(pairs))) for _ in frees] for _ in range(2))
     for side in range(2):
         columns = pairs[:, side]
         driven = np.einsum("pb,kpb->kp", change[:, side], drivers[:, pairs])
-        score += to_the_end(pull[:, columns] * driven)
-        if kind.of_changes:
-            begun += to_the_end(pull)[:, columns] * driven
-        for shape, course, feedback in zip(
-            shapes, scoring.courses(driven), scoring.ladder.feedback, strict=True
-        ):
-            size = np.sum(shape[:, columns] ** 2, axis=0)
-            info += size * to_the_end(course**2)
-            jumps += size * driven**2 / (1.0 - feedback**2 + brief)[:, None]
-    for free in (False, True) if kind.of_changes else (False,):
-        slope, known = (score - begun, info) if free else (score, info + jumps)
-        strength, gain = best_strength(kind, slope, known)
+        whole, later = to_the_end(pull[:, columns] * driven), to_the_end(pull[:, columns]) * driven
+        for free, score, info in zip(frees, scores, infos, strict=True):
+            score += whole - later if free else whole
+            first = np.zeros_like(driven) if free else driven
+            for level, shape in enumerate(shapes):
+                size = np.sum(shape[:, columns] ** 2, axis=0)
+                info += size * scoring.begun(level, driven, first)[0]
+    for free, score, info in zip(frees, scores, infos, strict=True):
+        strength, gain = best_strength(kind, score, info)
         gain[:FIRST_ONSET] = 0.0
         gain[rows - LAST_ONSET :] = 0.0
         best = np.argmax(gain, axis=0)
@@ -151,15 +141,10 @@ def leak_onsets(
     """
     record, currents = bench.record, bench.currents
     shapes, rows, count = scoring.correctors(), *currents.shape
-    brief, tried = short(rows), np.arange(0, rows, _STRIDE)
-    jumps = currents**2 * (0.0 if free else 1.0)
+    tried, first = np.arange(0, rows, _STRIDE), np.zeros_like(currents) if free else currents
     sizes = np.array([np.sum(shape**2, axis=0) for shape in shapes.fine])
-    levels = zip(scoring.courses(currents), scoring.ladder.feedback, strict=True)
     energies = np.array(
-        [
-            to_the_end(course**2) + jumps / (1.0 - feedback**2 + brief)[:, None]
-            for course, feedback in levels
-        ]
+        [scoring.begun(level, currents, first)[0] for level in range(len(shapes.fine))]
     )
     # Single precision is enough to choose by.
     some = energies[:, tried].astype(np.float32)
@@ -194,3 +179,9 @@ def _inner(gain: Matrix, rows: int, stride: int = 1) -> Matrix:
     gain[: -(-FIRST_ONSET // stride)] = 0.0
     gain[(rows - LAST_ONSET) // stride :] = 0.0
     return gain
+
+
+def _root(product: Matrix) -> Matrix:
+    """Root R of a matrix of products, R Rᵀ, shape (2, 2)."""
+    values, vectors = np.linalg.eigh(product)
+    return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -13,7 +13,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import Healthy
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import restored
-from orbitfb.diagnose.innovation import Ladder
+from orbitfb.diagnose.ladder import Ladder
 from orbitfb.diagnose.quick import Single
 from orbitfb.diagnose.scan_changes import Changes, Shapes
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
@@ -50,6 +50,10 @@ class Scoring:
     def courses(self, drivers: Matrix) -> list[Matrix]:
         """Filter drivers (N, P) as every level of the ladder does."""
         return self.ladder.filtered(drivers, self._starts)
+
+    def begun(self, level: int, drivers: Matrix, first: Matrix) -> tuple[Matrix, Matrix]:
+        """Energy of drivers (N, P) that begin in a row with a first step: see `Ladder.begun`."""
+        return self.ladder.begun(level, drivers, first, self._starts)
 
     def correctors(self) -> Shapes:
         """Give the orbit that every corrector makes."""

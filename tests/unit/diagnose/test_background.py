@@ -13,7 +13,8 @@ from orbitfb.diagnose.background import (
     _gradient_scatters,
 )
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.innovation import Ladder, NoiseFloor, information
+from orbitfb.diagnose.innovation import NoiseFloor
+from orbitfb.diagnose.ladder import Ladder, information
 from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import layout_of
