@@ -14,7 +14,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.integrity_order import check_order
-from orbitfb.diagnose.integrity_steps import SURE, Steps, likelier, one_way, steps_of
+from orbitfb.diagnose.integrity_steps import SURE, Steps, few_turned, likelier, one_way, steps_of
 from orbitfb.effects.layout import Devices
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -59,7 +59,7 @@ def check_channels(record: Record) -> list[Finding]:
     bpms, correctors = record.layout.bpms, record.layout.correctors
     response = record.layout.response
     evened = _evened(steps)
-    if whole := _turned(evened) or check_order(evened, response):
+    if whole := _turned(evened, response) or check_order(evened, response):
         return whole
     found: list[Finding] = []
     alternatives = [*_bpms(steps), *_correctors(steps, response)]
@@ -109,12 +109,12 @@ def _applied(orbit: Matrix, best: _Alternative) -> Matrix:
     return orbit
 
 
-def _turned(steps: Steps) -> list[Finding]:
+def _turned(steps: Steps, response: Matrix) -> list[Finding]:
     """Tell a model whose sign is wrong altogether."""
     count = len(steps.first)
-    right = np.sum((steps.orbit - steps.predicted) ** 2, axis=0)
     turned = np.sum((steps.orbit + steps.predicted) ** 2, axis=0)
     seen = np.sum(steps.orbit**2, axis=0)
+    right = few_turned(steps, response)
     against = (turned < _EXPLAINED * seen) & (likelier(count, right, turned) > SURE)
     if against.mean() > _MOST:
         text = (

@@ -12,6 +12,8 @@ from orbitfb.physics.optics import Matrix
 LARGEST_ORBIT = 0.05
 """No beam pipe lets an orbit of this rms pass [m]."""
 
+_SOME = 10
+"""Part of a record, from its beginning, that another unit would have made too large too."""
 _TOO_STILL = 0.02
 _TOO_WILD = 200.0
 _SURE = 5.0
@@ -28,6 +30,14 @@ _SCALE = 30.0
 def check_units(record: Record) -> list[Finding]:
     """Compare the size of the orbit with a beam pipe, and its steps with the model's."""
     rms = float(np.sqrt(np.mean(record.readings**2)))
+    wide = np.sqrt(np.mean(record.readings**2, axis=1)) > LARGEST_ORBIT
+    if rms > LARGEST_ORBIT and not wide[: len(wide) // _SOME].any():
+        row = int(np.argmax(wide))
+        text = (
+            f"array 'orbit' is wider than a beam pipe from row {row} on ({rms * 1e3:.3g} mm rms in "
+            "all) and was not before: the loop ran away; cut the record before that row"
+        )
+        return [Finding("lost-beam", "failure", (), (row, len(wide) - 1), text)]
     if rms > LARGEST_ORBIT:
         text = (
             f"the orbit is {rms * 1e3:.3g} mm rms, wider than a beam pipe: is it in µm or nm "

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.finding import Finding
-from orbitfb.diagnose.integrity_steps import SURE, Steps, likelier, one_way
+from orbitfb.diagnose.integrity_steps import SURE, Steps, few_turned, likelier, one_way
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
@@ -121,8 +121,9 @@ def best_order(steps: Steps, response: Matrix) -> tuple[Indices, Vector]:
     made = np.sum(steps.predicted**2, axis=0)
     along = np.sum(steps.orbit * steps.predicted, axis=0)
     slope = np.divide(along, made, out=np.zeros_like(made), where=made > 0)
-    rest = np.maximum(np.minimum(own, seen - slope * along), 0.0)
     weights = np.divide(1.0, seen, out=np.zeros_like(seen), where=seen > 0)
+    rest = np.minimum(own, seen - slope * along)
+    rest = np.maximum(np.minimum(rest, few_turned(steps, response)), 0.0)
     order = _approached(steps, response, weights, _EXPLAINED * float(rest @ weights))
     if order is None or (order != as_is).sum() < max(_LEAST_MOVED, _MANY * m):
         return as_is, own

@@ -12,6 +12,8 @@ from orbitfb.physics.places import Indices
 SURE = 50.0
 """Log likelihood by which another sign, name or order must win."""
 
+_FEW = 2
+"""Correctors that may kick the other way before the whole record is said to be wrong."""
 _ONE_WAY = 0.95
 """Share of the model's steps along one pattern above which a BPM has shown one number only."""
 
@@ -73,3 +75,29 @@ def likelier(count: int, left: Vector, left_otherwise: Vector) -> Vector:
     valid = (left > 0) & (left_otherwise > 0)
     ratio = np.divide(left, left_otherwise, out=np.ones_like(left), where=valid)
     return 0.5 * count * np.log(ratio)
+
+
+def few_turned(steps: Steps, response: Matrix) -> Vector:
+    """Squares left at every BPM when a few correctors kick the other way, shape (n,) [m²].
+
+    One that does leaves so much that another order of all of them, or another sign, would leave
+    less.
+
+    Args:
+        steps: Of the record.
+        response: Of the model, shape (n, m) [m/A].
+    """
+    seen = np.sum(steps.orbit**2, axis=0)
+    weights = np.divide(1.0, seen, out=np.zeros_like(seen), where=seen > 0)
+    error, kicks = steps.orbit - steps.predicted, 2.0 * steps.setpoints
+    size = np.sum(kicks**2, axis=0) * (weights @ response**2)
+    for _ in range(_FEW):
+        less = size + 2.0 * np.sum((kicks.T @ error) * (response.T * weights), axis=1)
+        best = int(np.argmin(less))
+        if less[best] >= 0.0:
+            break
+        error = error + np.outer(kicks[:, best], response[:, best])
+        kicks = kicks.copy()
+        kicks[:, best] = 0.0
+        size[best] = 0.0
+    return np.sum(error**2, axis=0)

@@ -142,8 +142,8 @@ def test_a_few_rows_of_running_away_do_not_turn_the_model():
     predicted[-8:] *= 1e4
     orbit[-8:] = -predicted[-8:]
     steps = Steps(np.arange(300), orbit, np.zeros((300, 3)), predicted)
-    assert [one.check for one in _turned(steps)] == ["wrong-sign"]
-    assert _turned(_evened(steps)) == []
+    assert [one.check for one in _turned(steps, np.zeros((40, 3)))] == ["wrong-sign"]
+    assert _turned(_evened(steps), np.zeros((40, 3))) == []
 
 
 def test_a_dead_corrector_is_no_swap_with_one_that_makes_up_for_it():
@@ -515,3 +515,37 @@ def test_bpms_that_follow_their_neighbours_a_little_better_are_in_order(turn, to
     orbit, predicted = (courses @ response(phases).T for phases in (phase + turn, phase))
     made = Steps(np.arange(400), orbit, courses, predicted)
     assert [finding.check for finding in check_order(made, response(phase))] == told
+
+
+def small_ring(turned=()):
+    """Steps of 24 correctors of a ring of 30 BPMs at their own random walks, some turned."""
+    rng = np.random.default_rng(6)
+    bpms, magnets = (2 * np.pi * (np.arange(k) + rng.uniform(size=k)) / k for k in (30, 24))
+    apart = np.abs(np.subtract.outer(bpms, magnets))
+    sizes = np.sqrt(np.outer(rng.uniform(8, 20, 30), rng.uniform(8, 20, 24)))
+    response = 1e-4 * sizes * np.cos(7.23 * (apart - np.pi)) / (2 * np.sin(7.23 * np.pi))
+    setpoints = 1e-3 * rng.normal(size=(400, 24)) * np.where(np.isin(np.arange(24), turned), 9, 1)
+    signs = np.where(np.isin(np.arange(24), turned), -1.0, 1.0)
+    orbit = (setpoints * signs) @ response.T + 5e-7 * rng.normal(size=(400, 30))
+    return Steps(np.arange(400), orbit, setpoints, setpoints @ response.T), response
+
+
+@pytest.mark.parametrize("turned", [(7,), (7, 15)])
+def test_few_correctors_that_kick_the_wrong_way_are_no_other_order_or_sign(turned):
+    steps, response = small_ring(turned)
+    assert check_order(steps, response) == []
+    assert _turned(steps, response) == []
+
+
+def test_all_of_them_are_a_wrong_sign():
+    (found,) = _turned(*small_ring(tuple(range(24))))
+    assert found.check == "wrong-sign"
+
+
+def test_a_loop_that_ran_away_is_no_other_unit():
+    made = record(ticks=400)
+    away = made.readings.copy()
+    away[300:] += 0.2
+    found = only(replace(made, readings=away), "lost-beam")
+    assert found.rows == (300, len(made) - 1)
+    assert is_hopeless([found])
