@@ -9,6 +9,8 @@ from orbitfb.diagnose.answer_parts import Cause, Finding, Gap, ParameterValue, S
 _LEAST_TOLD = 0.1
 """Probability of a further cause below which the sentence leaves it to the table."""
 
+_NO_CHANGE = 0.005
+"""Share of the gap below which a change is written as 0 %."""
 _LIKELIER = 0.5
 """Probability from which a law is more likely than not that of the cause."""
 
@@ -178,15 +180,15 @@ def _unknown(unknown: Unknown | None, effects: int) -> str:
 def _shrink(shrink: Shrink) -> str:
     if not shrink.resolved or shrink.nats is None:
         return "How far the gap shrinks is not resolved on the held-out data."
+    where = f"On {shrink.on or 'held-out data'} ({shrink.held_out_ticks} ticks) the gap"
+    if all(abs(share or 0.0) < _NO_CHANGE for share in (shrink.nats, shrink.low, shrink.high)):
+        return f"{where} stays as it is: what is named does not show there."
     verb = "shrinks by" if shrink.nats >= 0 else "grows by"
     ends = ""
     if shrink.low is not None and shrink.high is not None:
         low, high = sorted((_percent(shrink.low, shrink.nats), _percent(shrink.high, shrink.nats)))
         ends = f" [{low:.0f}, {high:.0f}]"
-    return (
-        f"On {shrink.on or 'held-out data'} ({shrink.held_out_ticks} ticks) the gap {verb} "
-        f"{abs(100 * shrink.nats):.0f} %{ends}."
-    )
+    return f"{where} {verb} {abs(100 * shrink.nats):.0f} %{ends}."
 
 
 def _percent(share: float, sign_of: float) -> float:

@@ -92,6 +92,13 @@ def test_the_sentence_says_cause_place_size_probability_and_shrink():
         assert words in said
 
 
+def test_a_gap_that_stays_as_it_is_is_not_said_to_shrink_by_nothing():
+    same = examples.named().shrink.model_copy(update={"nats": -1e-4, "low": -1e-3, "high": 0.0})
+    said = headline("named", causes=(examples.lag_cause(),), shrink=same)
+    assert "the gap stays as it is" in said
+    assert "0 %" not in said
+
+
 def test_a_gap_that_grows_is_said_to_grow():
     grown = Shrink(nats=-0.2, low=-0.3, high=-0.1, um=-0.1, held_out_ticks=100)
     said = headline("named", causes=(examples.lag_cause(),), shrink=grown)
