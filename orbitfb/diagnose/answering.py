@@ -105,8 +105,8 @@ def _parameters(cause: Cause, fitted: Fit | None, bench: Bench) -> dict[str, Par
             unstable=fitted.unstable[index],
         )
     for parameter in cause.kind.parameters:
-        if parameter.meanings and (value := cause.values[parameter.name]) != parameter.nominal:
-            meaning = parameter.meanings[value]
+        value = cause.values.get(parameter.name, parameter.nominal)
+        if meaning := cause.kind.meaning(parameter, value, bench.record):
             values[parameter.name] = ParameterValue(
                 value=value, unit=parameter.unit, meaning=meaning
             )

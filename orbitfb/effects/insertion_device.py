@@ -50,6 +50,17 @@ class InsertionDevice(SourceKind):
             log=True,
             rough=True,
         ),
+        Parameter(
+            "gap",
+            "1",
+            0,
+            1e3,
+            0,
+            0,
+            "Which of the recorded gaps, in the order of their names; where there are several.",
+            whole=True,
+            optional=True,
+        ),
     )
     title = "kick by the gap of an insertion device"
     sentence = (
@@ -66,23 +77,34 @@ class InsertionDevice(SourceKind):
     collective = False
 
     def unavailable(self, record: Record) -> str:
-        """Without a ring, or where the recorded gap stands still."""
-        gap = gap_of(record)
-        if gap is not None and np.ptp(gap) == 0.0:
-            return "the recorded gap does not move"
+        """Without a ring, or where every recorded gap stands still."""
+        gaps = gaps_of(record)
+        if gaps and not any(map(np.ptp, gaps.values())):
+            return "no recorded gap moves"
         return super().unavailable(record)
 
     def fitted(self, record: Record) -> tuple[Parameter, ...]:
         """The period where there is a gap, the duration where there is none."""
-        kick, period, duration = self.parameters
-        return (kick, duration if gap_of(record) is None else period)
+        kick, period, duration, _ = self.parameters
+        return (kick, period if gaps_of(record) else duration)
+
+    def meaning(self, parameter: Parameter, value: float, record: Record) -> str:
+        """Name the gap, where there are several."""
+        names = list(gaps_of(record))
+        if parameter.name != "gap" or len(names) < 2:
+            return super().meaning(parameter, value, record)
+        return names[int(value)]
 
     def grid(self, record: Record) -> Sequence[Values]:
-        """A kick; durations where there is no gap."""
-        if gap_of(record) is not None:
-            return tuple({"kick": 5e-7, "period": p, "duration": 10.0} for p in _PERIODS)
+        """A kick; every gap that moves, durations where there is none."""
+        if gaps := gaps_of(record):
+            moving = [number for number, gap in enumerate(gaps.values()) if np.ptp(gap) > 0.0]
+            told = {"kick": 5e-7, "duration": 10.0}
+            return tuple({**told, "period": p, "gap": k} for k in moving for p in _PERIODS)
         each = (n * record.layout.period for n in (3, 10, 30, 100, 300))
-        return tuple({"kick": 5e-7, "period": 0.03, "duration": duration} for duration in each)
+        return tuple(
+            {"kick": 5e-7, "period": 0.03, "duration": duration, "gap": 0} for duration in each
+        )
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
@@ -104,10 +126,14 @@ class InsertionDevice(SourceKind):
 
     def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
         """By the gap, or a ramp from the beginning on."""
-        gap = gap_of(record)
-        if gap is None:
+        gaps = gaps_of(record)
+        if not gaps:
             closed = np.minimum(record.time / values["duration"], 1.0)
         else:
+            number = int(values.get("gap", 0))
+            if number >= len(gaps):  # of a record that has fewer of them
+                return np.zeros((len(record.time), 1))
+            gap = list(gaps.values())[number]
             field = np.exp(-np.pi * (gap - _CLOSED) / values["period"])
             closed = field - field[0]
         return values["kick"] * closed[:, None]
@@ -118,15 +144,14 @@ def is_gap(name: str) -> bool:
     return "gap" in name.lower()
 
 
-def gap_of(record: Record) -> Vector | None:
-    """The gap that moves most among the channels whose name speaks of a gap; None without one.
+def gaps_of(record: Record) -> dict[str, Vector]:
+    """The channels whose name speaks of a gap, in the order of their names.
 
     Args:
         record: Whose auxiliary channels are looked at.
     """
-    gaps = [
-        values
-        for name, values in record.auxiliary.items()
+    return {
+        name: values
+        for name, values in sorted(record.auxiliary.items())
         if is_gap(name) and np.all(np.isfinite(values))
-    ]
-    return max(gaps, key=lambda values: float(np.ptp(values)), default=None)
+    }

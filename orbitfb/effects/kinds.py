@@ -147,6 +147,11 @@ class EffectKind(ABC):
         """Parameters on which the record bears; the others keep the values they have."""
         return self.parameters
 
+    def meaning(self, parameter: Parameter, value: float, record: Record) -> str:
+        """Say in words what the value of a choice stands for; empty where it is none, or usual."""
+        usual = not parameter.meanings or value == parameter.nominal
+        return "" if usual else parameter.meanings[value]
+
     def grid(self, record: Record) -> Sequence[Values]:
         """Values to scan, coarse but dense enough that a local search finds the best one.
 

@@ -364,6 +364,23 @@ def test_a_recorded_gap_drives_the_kick(layout):
     assert_allclose(change, np.outer(share * 1e-6, kind.patterns(layout)[:, 2]), atol=1e-15)
 
 
+def test_every_gap_that_moves_is_tried(layout):
+    kind = effect("insertion-device")
+    gaps = {f"ID0{k} gap": np.linspace(25e-3, 25e-3 - 5e-3 * k, 4) for k in (2, 0, 1)}
+    setpoints = currents_of(layout, 4)
+    its = record_of(layout, setpoints, np.zeros((4, 180)), gaps)
+    assert {values["gap"] for values in kind.grid(its)} == {1, 2}  # in the order of their names
+    values = {"kick": 1e-6, "period": 0.04, "duration": 1.0, "gap": 2}
+    changes = [
+        kind.drivers({**values, "gap": k}, its, setpoints, np.zeros((4, 180))) for k in (1, 2, 3)
+    ]
+    assert np.ptp(changes[1]) > np.ptp(changes[0]) > 0.0
+    assert_array_equal(changes[2], 0.0)
+    (choice,) = (p for p in kind.parameters if p.name == "gap")
+    assert kind.meaning(choice, 2, its) == "ID02 gap"
+    assert kind.meaning(choice, 0, replace(its, auxiliary={"gap": gaps["ID01 gap"]})) == ""
+
+
 def test_a_gap_that_stands_still_kicks_nobody(layout):
     kind = effect("insertion-device")
     channels = {"gap": np.full(4, 7e-3)}
