@@ -106,6 +106,7 @@ class GoodnessTest(Part):
     flagged: bool
     note: str = ""
     nats: Number = Field(default=0.0, description="what a model that has it would gain, roughly")
+    places: tuple[str, ...] = Field(default=(), description="devices that it speaks of")
 
 
 class AmbiguousSet(Part):

@@ -12,6 +12,7 @@ from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.surplus import Surplus
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
 
 _LAGS = 8
 _NINETY = 1.645
@@ -38,9 +39,14 @@ def projected(bench: Bench, white: Matrix, courses: Matrix) -> tuple[Vector, Vec
 
 def lagged(record: Record, ticks: int) -> Matrix:
     """Setpoints so many ticks ago, those of the first row before a stretch, shape (N, m) [A]."""
+    return record.setpoints[rows_ago(record, ticks)]
+
+
+def rows_ago(record: Record, ticks: int) -> Indices:
+    """Row so many ticks before every row, the first of its stretch before that, shape (N,)."""
     index = np.arange(len(record))
     first = np.maximum.accumulate(np.where(record.starts, index, 0))
-    return record.setpoints[np.maximum(index - ticks, first)]
+    return np.maximum(index - ticks, first)
 
 
 def lag_profile(bench: Bench, whole: Surplus) -> LagProfile:

@@ -17,6 +17,7 @@ from orbitfb.diagnose.answer_blocks import Audit, GoodnessTest
 from orbitfb.diagnose.answer_values import numbers
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.gap_maps import lagged, projected
+from orbitfb.diagnose.gof_follow import BPMS, CORRECTORS, follow_tests
 from orbitfb.diagnose.gof_lines import line_tests
 from orbitfb.diagnose.gof_pairs import NAME as TOGETHER
 from orbitfb.diagnose.gof_pairs import pairs_test
@@ -40,7 +41,7 @@ _WINDOWS = 10
 _SHOWN = 8
 _QUANTILES = 301
 _FEWEST = 60
-_MORE_TESTS = 6
+_MORE_TESTS = 8
 
 
 def audit(bench: Bench) -> Audit:
@@ -72,6 +73,7 @@ def audit(bench: Bench) -> Audit:
             *line_tests(channels, names, rate),
             pairs_test(channels, bench.record.layout.bpms, rate),
             *place_tests(bench, white, rate),
+            *follow_tests(bench, rate),
         ),
         quantiles=numbers(np.quantile(white, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)),
         autocorrelation=numbers([_correlation(white, lag).mean() for lag in range(1, 11)]),
@@ -91,6 +93,8 @@ _STAGES: dict[str, Stage] = {
     TOGETHER: "noise",
     JUMPS: "disturbance",
     SIZES: "actuator",
+    BPMS: "sensor",
+    CORRECTORS: "actuator",
     "mean by BPM": "sensor",
     "autocorrelation by BPM": "sensor",
     "largest reading": "sensor",
@@ -99,16 +103,15 @@ _STAGES: dict[str, Stage] = {
 """Where what a test finds most likely comes from; the others tell no stage."""
 
 
-def flagged_stage(its: Audit) -> Stage | None:
-    """Tell where what the flagged test that is worth most finds comes from; None: nobody knows."""
+def clearest(its: Audit) -> GoodnessTest | None:
+    """The flagged test that is worth most; None: no test has a flag."""
     flagged = [test for test in its.tests if test.flagged]
-    worst = max(flagged, key=lambda test: float(test.nats or 0.0), default=None)
-    return None if worst is None else _STAGES.get(worst.name)
+    return max(flagged, key=lambda test: float(test.nats or 0.0), default=None)
 
 
-def flagged_nats(its: Audit) -> float | None:
-    """Tell what the flagged test that is worth most is worth [nats]; None: no test has a flag."""
-    return max((float(test.nats or 0.0) for test in its.tests if test.flagged), default=None)
+def stage_of(test: GoodnessTest) -> Stage | None:
+    """Tell where what a test finds most likely comes from; None: nobody knows."""
+    return _STAGES.get(test.name)
 
 
 Test = Callable[[Bench, Matrix, Matrix, float], GoodnessTest]

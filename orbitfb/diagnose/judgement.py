@@ -15,7 +15,7 @@ from orbitfb.diagnose.certain import Certain, Untold
 from orbitfb.diagnose.departure import Departure, departure
 from orbitfb.diagnose.drift_shape import with_own_shape
 from orbitfb.diagnose.entry import Entry
-from orbitfb.diagnose.gof import audit, flagged_nats, flagged_stage
+from orbitfb.diagnose.gof import audit, clearest, stage_of
 from orbitfb.diagnose.naming import column_names, devices_and_planes
 from orbitfb.diagnose.rounds import CLOSE, SURE, Round
 from orbitfb.diagnose.search import Outcome
@@ -75,8 +75,8 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     left = max(rest.nats.value, 0.0) if rest.resolved else 0.0
     explained = named / (named + left) if named + left > 0 else 1.0
     random = any(isinstance(cause.kind, NoiseKind | LatentKind) for cause in outcome.causes)
-    worth = None if random else flagged_nats(tests)
-    flagged = worth is not None and worth >= _SMALL * named
+    test = None if random else clearest(tests)
+    flagged = test is not None and float(test.nats or 0.0) >= _SMALL * named
     departures = beside_themselves(
         [
             (
@@ -249,13 +249,19 @@ def _unknown(
 ) -> Unknown:
     first = outcome.rounds[0]
     courses = [its.course for its in departures if its.chance < _HALF]
-    stages, flagged = stage_shares(first), flagged_stage(tests)
-    if flagged is not None and all(entry.weight <= 0.0 for entry in first.entries):
-        stages = dict[str, float | None]({flagged: 1.0})  # no effect says anything, but a test does
+    stages, places = stage_shares(first), _places(outcome)
+    text = f"What is left goes {courses[0]}." if courses else ""
+    test = clearest(tests)
+    if test is not None and all(entry.weight <= 0.0 for entry in first.entries):
+        # no effect says anything, but a test does
+        if (stage := stage_of(test)) is not None:
+            stages = dict[str, float | None]({stage: 1.0})
+        places = tuple(dict.fromkeys((*test.places, *places)))
+        text = f"{text} What shows most: {test.name} ({test.note}).".strip()
     return Unknown(
         stages=stages,
-        places=_places(outcome),
-        text=f"What is left goes {courses[0]}." if courses else "",
+        places=places,
+        text=text,
         nearest=first.entries[0].kind.id if first.entries else "",
         nearest_nats=first.entries[0].held_out if first.entries else None,
         explained=explained,
