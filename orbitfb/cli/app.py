@@ -1,7 +1,6 @@
 """The program `orbitfb`: all commands together, and how a known error ends it."""
 
 import io
-import os
 import sys
 from typing import Annotated
 
@@ -53,7 +52,6 @@ app.add_typer(config, name="config")
 
 def main() -> None:
     """Run the command line; a known error is printed without a traceback and exits with 2."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its spinning threads disturb the tick
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that knows no µ gets a ?
