@@ -22,6 +22,7 @@ from orbitfb.diagnose.gof_lines import line_tests
 from orbitfb.diagnose.gof_pairs import NAME as TOGETHER
 from orbitfb.diagnose.gof_pairs import pairs_test
 from orbitfb.diagnose.gof_places import JUMPS, SIZES, place_tests
+from orbitfb.diagnose.gof_slow import CHANNELS, CURRENT, slow_tests
 from orbitfb.diagnose.naming import column_names
 from orbitfb.effects.kinds import Stage
 from orbitfb.physics.optics import Matrix
@@ -41,7 +42,7 @@ _WINDOWS = 10
 _SHOWN = 8
 _QUANTILES = 301
 _FEWEST = 60
-_MORE_TESTS = 8
+_MORE_TESTS = 10
 
 
 def audit(bench: Bench) -> Audit:
@@ -74,6 +75,7 @@ def audit(bench: Bench) -> Audit:
             pairs_test(channels, bench.record.layout.bpms, rate),
             *place_tests(bench, white, rate),
             *follow_tests(bench, rate),
+            *slow_tests(bench, rate),
         ),
         quantiles=numbers(np.quantile(white, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)),
         autocorrelation=numbers([_correlation(white, lag).mean() for lag in range(1, 11)]),
@@ -95,6 +97,8 @@ _STAGES: dict[str, Stage] = {
     SIZES: "actuator",
     BPMS: "sensor",
     CORRECTORS: "actuator",
+    CURRENT: "sensor",
+    CHANNELS: "disturbance",
     "mean by BPM": "sensor",
     "autocorrelation by BPM": "sensor",
     "largest reading": "sensor",

@@ -11,6 +11,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.gof import audit, clearest
 from orbitfb.diagnose.gof_follow import BPMS
 from orbitfb.diagnose.gof_places import JUMPS, SIZES
+from orbitfb.diagnose.gof_slow import CHANNELS, CURRENT
 from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.effects.kicks import source_patterns
 
@@ -228,3 +229,18 @@ def test_a_bpm_that_hears_what_another_one_read_before_is_told(share):
     if its.flagged:
         assert its.places[0] == made.layout.bpms.names[70]
         assert "1 ticks later" in its.note
+
+
+@pytest.mark.parametrize(("channel", "name"), [("current", CURRENT), ("temperature", CHANNELS)])
+@pytest.mark.parametrize("size", [0.0, 3e-7])
+def test_bpms_that_all_follow_a_slow_channel_by_a_little_are_told(channel, name, size):
+    made = bench(False, seed=9).record
+    rng = np.random.default_rng(1)
+    course = np.mod(np.arange(len(made)) / 100.0, 1.0)
+    own = size * rng.normal(size=180)  # of every BPM far below its noise
+    channels = {channel: course, "pressure": np.sin(np.arange(len(made)) / 20.0)}
+    its = Bench(replace(made, readings=made.readings + np.outer(course, own), auxiliary=channels))
+    tests = {test.name: test for test in audit(its).tests}
+    assert tests[name].flagged == (size > 0.0)
+    if size:
+        assert channel in tests[name].note
