@@ -8,7 +8,13 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.candidate import KEPT, Candidate, best_strength, sized
+from orbitfb.diagnose.candidate import (
+    KEPT,
+    LEAST_INFORMATION,
+    Candidate,
+    best_strength,
+    sized,
+)
 from orbitfb.diagnose.device_groups import Group, groups_of, membership
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan_changes import Changes
@@ -17,6 +23,7 @@ from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
 
 PART = 64
 """Rows within which devices of a group hide as much of each other, whatever moves them."""
@@ -80,16 +87,29 @@ class Groups:
         """On every device, shape (P,)."""
         return np.sum([np.diagonal(part) for part in self.parts], axis=0)
 
-    @cached_property
-    def visible(self) -> Matrix:
-        """Share that devices leave of each other, group by group in every part, shape (parts, G).
+    def shown(self, begins: Indices, steps: Matrix) -> Matrix:
+        """Share of what devices tell apart that they tell together from a row on, (B, G).
 
         Devices that steer the drift away hide each other nearly whole, those that make a new golden
         orbit do not: one share for all of a record would take a step for far less than it tells.
+
+        Args:
+            begins: The rows, shape (B,).
+            steps: Information on the step that each device makes there, shape (B, P).
         """
+        part = begins // PART
+        apart, together = self._by_part
+        later_apart, later = (np.cumsum(its[::-1], axis=0)[::-1] for its in (apart, together))
+        visible = together / np.maximum(apart, LEAST_INFORMATION)
+        stepped = steps @ self.member.T
+        told = later[part] + stepped * visible[part]
+        return told / np.maximum(later_apart[part] + stepped, LEAST_INFORMATION)
+
+    @cached_property
+    def _by_part(self) -> tuple[Matrix, Matrix]:
+        """What is known of the members of every group, apart and together, each (parts, G)."""
         apart = np.array([self.member @ np.diagonal(part) for part in self.parts])
-        together = np.array([self._together(part) for part in self.parts])
-        return together / np.maximum(apart, 1e-300)
+        return apart, np.array([self._together(part) for part in self.parts])
 
     def _together(self, known: Matrix) -> Vector:
         """Sum of what is known of the members of every group, shape (G,) of (P, P)."""

@@ -12,7 +12,6 @@ from orbitfb.diagnose.candidate import (
     FIRST_ONSET,
     KEPT,
     LAST_ONSET,
-    LEAST_INFORMATION,
     Candidate,
     best_strength,
     sized,
@@ -20,7 +19,7 @@ from orbitfb.diagnose.candidate import (
 from orbitfb.diagnose.device_groups import Group, each_alone
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.scan_changes import Changes, Shapes
-from orbitfb.diagnose.scan_groups import PART, Groups
+from orbitfb.diagnose.scan_groups import Groups
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.diagnose.standing import price_of_steps
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
@@ -80,7 +79,7 @@ def onsets(
     if groups is not None:
         member, some = groups.member, slice(None, None, _STRIDE)
         apart = info[some] @ member.T
-        shown = _shown(scoring, changes, groups, jumps[some])
+        shown = groups.shown(np.arange(0, rows, _STRIDE), jumps[some])
         found = _highest(kind, score[some] @ member.T, apart * shown, _STRIDE)
         if free:  # what one step gains or costs is the fit's affair, that of many a group's
             (shapes, _), *_ = changes.parts
@@ -89,28 +88,6 @@ def onsets(
         # a group that gains no more than one of its devices is that device
         found.gain[found.gain <= np.max(member * single.gain, axis=1)] = 0.0
         yield from _beginnings(kind, values, found, groups.each, free=free)
-
-
-def _shown(scoring: Scoring, changes: Changes, groups: Groups, jumps: Matrix) -> Matrix:
-    """Share of what devices tell apart that they tell together from a row on, (N / stride, G).
-
-    Args:
-        scoring: On a bench.
-        changes: Of all places.
-        groups: Of them.
-        jumps: Energy of the first steps at every so many rows, shape (N / stride, P).
-    """
-    rows = len(changes.parts[0][1])
-    begins = np.arange(0, rows, _STRIDE)
-    visible = groups.visible[begins // PART]  # the rows of a stride lie in one part of the record
-    usual = np.zeros((rows, jumps.shape[1]))
-    for shapes, drivers in changes.parts:
-        for shape, course in zip(shapes.fine, scoring.courses(drivers), strict=True):
-            usual += np.sum(shape**2, axis=0) * course**2
-    few = np.add.reduceat(usual, begins, axis=0) @ groups.member.T
-    stepped = jumps @ groups.member.T
-    together = to_the_end(few * visible) + stepped * visible
-    return together / np.maximum(to_the_end(few) + stepped, LEAST_INFORMATION)
 
 
 def _steps(scoring: Scoring, shapes: Shapes, rows: int) -> Matrix:
