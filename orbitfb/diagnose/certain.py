@@ -12,6 +12,7 @@ from orbitfb.diagnose.integrity_repeats import HELD, shared_repeats
 from orbitfb.diagnose.naming import devices_and_planes
 from orbitfb.diagnose.tournament import Shown
 from orbitfb.effects.device_kinds import PairKind
+from orbitfb.effects.insertion_device import gaps_of, is_gap
 from orbitfb.effects.kinds import Stage
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
@@ -169,7 +170,15 @@ def _without_repeats(record: Record) -> Record:
 
 
 def beside(other: Record, record: Record) -> Record:
-    """Cut another record of the same machine down to the BPMs that a record has left."""
+    """Cut another record of the same machine down to the BPMs that a record has left.
+
+    It has the gaps of the record too, as their number is their name: those that it lacks stand
+    still, those that the record lacks are left out.
+    """
+    if gaps_of(record).keys() != gaps_of(other).keys():
+        still = {name: np.zeros(len(other)) for name in gaps_of(record)}
+        known = {n: v for n, v in other.auxiliary.items() if n in still or not is_gap(n)}
+        other = replace(other, auxiliary=still | known)
     mine, its = record.layout.bpms, other.layout.bpms
     left = {mine.label(i) for i in range(len(mine))}
     keep = np.array([i for i in range(len(its)) if its.label(i) in left], dtype=np.intp)

@@ -104,6 +104,9 @@ def diagnose(
         again = look(whole, 0.8, 0.85, *late) if there else outcome
         if again.sure or (not outcome.winners and (again.winners or not given)):
             outcome, later = again, None
+    lacking = () if holdout is None else _lacking(outcome, holdout)
+    if lacking:
+        later = None
     judged = judge(outcome, certain, seed)
     progress("taking the gap apart", 0.85)
     parts = Parts(outcome, judged, later, holdout is not None, kinds, seed)
@@ -111,7 +114,7 @@ def diagnose(
     return answer.model_copy(
         update={
             "causes": as_in_record(answer.causes, record.layout),
-            "findings": (*answer.findings, *_cut(outcome)),
+            "findings": (*answer.findings, *_cut(outcome), *_untold(lacking)),
             "provenance": _provenance(
                 record, reference, holdout, outcome, seed, time.monotonic() - began
             ),
@@ -156,6 +159,23 @@ def _unseen(budget: Budget) -> Iterator[NotTested]:
     reason = f"the search was cut short after {budget.seconds:.0f} s of processor time"
     for name in budget.unseen:
         yield NotTested(effect=name, reason=reason)
+
+
+def _lacking(outcome: Outcome, later: Record) -> tuple[str, ...]:
+    """Channels that causes follow and a later record does not have."""
+    record = outcome.bench.record
+    needed = (name for its in outcome.causes for name in its.kind.follows(its.values, record))
+    return tuple(dict.fromkeys(name for name in needed if name not in later.auxiliary))
+
+
+def _untold(lacking: Sequence[str]) -> Iterator[Told]:
+    """Say that a later record cannot tell how far the gap shrinks."""
+    if lacking:
+        text = (
+            f"the later record has no channel {', '.join(lacking)}, which a cause follows: how far "
+            "the gap shrinks there is not told"
+        )
+        yield Told(check="later-channel", severity="warning", text=text)
 
 
 def _cut(outcome: Outcome) -> Iterator[Told]:

@@ -107,9 +107,18 @@ _STAGES: dict[str, Stage] = {
 """Where what a test finds most likely comes from; the others tell no stage."""
 
 
-def clearest(its: Audit) -> GoodnessTest | None:
-    """The flagged test that is worth most; None: no test has a flag."""
-    flagged = [test for test in its.tests if test.flagged]
+COURSES = frozenset({BPMS, CORRECTORS, CHANNELS, CURRENT})
+"""Tests that noise of any kind passes, however loud."""
+
+
+def clearest(its: Audit, among: frozenset[str] | None = None) -> GoodnessTest | None:
+    """The flagged test that is worth most; None: no test has a flag.
+
+    Args:
+        its: All tests.
+        among: Names of those that count; None: all.
+    """
+    flagged = [test for test in its.tests if test.flagged and (not among or test.name in among)]
     return max(flagged, key=lambda test: float(test.nats or 0.0), default=None)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import stats
 
+from orbitfb.core.signals import Vector
 from orbitfb.diagnose.answer_blocks import GoodnessTest
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.gap_maps import rows_ago
@@ -55,7 +56,7 @@ def follow_tests(bench: Bench, rate: float) -> tuple[GoodnessTest, ...]:
         (CORRECTORS, correctors, response / size),
     ):
         shapes = [np.sum(shape**2, axis=0) for shape in ladder.shapes(patterns)]
-        pull = slope @ patterns
+        pull = slope @ patterns / _loudness(bench, patterns)
         scores: list[Matrix] = []
         for own, energy in zip(courses, energies, strict=True):
             known = np.sum([np.outer(a, b) for a, b in zip(shapes, energy, strict=True)], axis=0)
@@ -67,6 +68,20 @@ def follow_tests(bench: Bench, rate: float) -> tuple[GoodnessTest, ...]:
             scores.append(np.sign(score) * beyond)
         found.append(_judged(name, scores, names, (*bpms, *correctors), rate))
     return tuple(found)
+
+
+def _loudness(bench: Bench, patterns: Matrix) -> Vector:
+    """Scatter of what is left along patterns (n, P), at least what the floor says, shape (P,).
+
+    What is loud anyway is no more likely to follow anything.
+    """
+    seen = bench.floor.modes.directions.T @ patterns
+    seen /= np.sqrt(bench.floor.innovation_variance)[:, None]
+    size = np.linalg.norm(seen, axis=0)
+    along = bench.white[~bench.record.starts] @ seen
+    scatter = np.sqrt(np.mean(along**2, axis=0))
+    share = np.divide(scatter, size, out=np.ones_like(size), where=size > 0.0)
+    return np.maximum(share, 1.0)
 
 
 def _courses(bench: Bench, size: float) -> Iterator[Matrix]:
@@ -89,7 +104,7 @@ def _judged(
     limit = float(stats.norm.isf(rate / (2 * values.size))) * (1.0 + _LEVEL)
     lag, worst, other = map(int, np.unravel_index(int(np.argmax(np.abs(values))), values.shape))
     value = float(values[lag, worst, other])
-    note = f"standard deviations, {names[worst]} follows {others[other]}, {lag} ticks later"
+    note = f"{names[worst]} follows {others[other]}, {_later(lag)}; in standard deviations"
     return GoodnessTest(
         name=name,
         value=value,
@@ -99,3 +114,7 @@ def _judged(
         nats=0.5 * value**2,
         places=tuple(dict.fromkeys((names[worst], others[other]))),
     )
+
+
+def _later(lag: int) -> str:
+    return ("at once", "a tick later", f"{lag} ticks later")[min(lag, 2)]

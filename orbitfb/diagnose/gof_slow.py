@@ -63,6 +63,7 @@ def _squares(bench: Bench, course: Vector) -> float:
     its = bench.floor.whiten_modes(
         np.tile(course[:, None], bench.white.shape[1]), bench.record.starts
     )
-    known = np.sum(its**2, axis=0)
+    loud = np.maximum(np.mean(bench.white[~bench.record.starts] ** 2, axis=0), 1.0)
+    known = np.sum(its**2, axis=0) * loud
     score = np.sum(bench.white * its, axis=0)
     return float(np.sum(np.divide(score**2, known, out=np.zeros_like(score), where=known > 0.0)))

@@ -38,7 +38,7 @@ def check_order(steps: Steps, response: Matrix) -> list[Finding]:
     if one_way(steps):
         return []
     n, m = response.shape
-    bpms = _bpms_elsewhere(steps)
+    bpms = _bpms_elsewhere(steps, response)
     order, left = best_order(steps, response)
     correctors = int((order != np.arange(m)).sum())
     if not bpms and not correctors:
@@ -65,11 +65,14 @@ def check_order(steps: Steps, response: Matrix) -> list[Finding]:
     return [Finding("permuted-channels", "failure", (), None, text)]
 
 
-def _bpms_elsewhere(steps: Steps) -> int:
+def _bpms_elsewhere(steps: Steps, response: Matrix) -> int:
     """Count the BPMs that follow the model of other BPMs; 0 when they are too few to tell."""
     likeness = _likeness(steps)
     own, best = np.diag(likeness), likeness.max(axis=1)
     left, otherwise = 1 - own * np.abs(own), 1 - np.minimum(best, 0.999999) ** 2
+    seen = np.sum(steps.orbit**2, axis=0)
+    turned = np.divide(few_turned(steps, response), seen, out=np.ones_like(seen), where=seen > 0)
+    left = np.minimum(left, turned)
     elsewhere = likelier(len(steps.first), left, otherwise) > SURE
     elsewhere &= own < _HARDLY * best  # one large error makes BPMs follow others a little better
     n = len(own)

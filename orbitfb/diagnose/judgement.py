@@ -15,7 +15,7 @@ from orbitfb.diagnose.certain import Certain, Untold
 from orbitfb.diagnose.departure import Departure, departure
 from orbitfb.diagnose.drift_shape import with_own_shape
 from orbitfb.diagnose.entry import Entry
-from orbitfb.diagnose.gof import audit, clearest, stage_of
+from orbitfb.diagnose.gof import COURSES, audit, clearest, stage_of
 from orbitfb.diagnose.naming import column_names, devices_and_planes
 from orbitfb.diagnose.rounds import CLOSE, SURE, Round
 from orbitfb.diagnose.search import Outcome
@@ -73,9 +73,11 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     rest = ceiling(bench, seed)
     named = outcome.given + sum(one.accepted.gain for one in outcome.winners if one.accepted)
     left = max(rest.nats.value, 0.0) if rest.resolved else 0.0
+    course = clearest(tests, COURSES)
+    left = max(left, 0.0 if course is None else float(course.nats or 0.0))
     explained = named / (named + left) if named + left > 0 else 1.0
     random = any(isinstance(cause.kind, NoiseKind | LatentKind) for cause in outcome.causes)
-    test = None if random else clearest(tests)
+    test = course if random else clearest(tests)
     flagged = test is not None and float(test.nats or 0.0) >= _SMALL * named
     departures = beside_themselves(
         [
@@ -251,9 +253,11 @@ def _unknown(
     courses = [its.course for its in departures if its.chance < _HALF]
     stages, places = stage_shares(first), _places(outcome)
     text = f"What is left goes {courses[0]}." if courses else ""
-    test = clearest(tests)
-    if test is not None and all(entry.weight <= 0.0 for entry in first.entries):
-        # no effect says anything, but a test does
+    said = max((entry.weight for entry in first.entries), default=0.0)
+    test = clearest(tests, COURSES)
+    if test is None or float(test.nats or 0.0) <= said:
+        test = clearest(tests) if said <= 0.0 else None
+    if test is not None:  # no effect says as much
         if (stage := stage_of(test)) is not None:
             stages = dict[str, float | None]({stage: 1.0})
         places = tuple(dict.fromkeys((*test.places, *places)))

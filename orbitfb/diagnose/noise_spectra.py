@@ -160,6 +160,8 @@ class Spectra:
                 score += np.sum(surplus, axis=0)
                 known += np.sum(inverse**2, axis=0)
                 level += np.sum(step * surplus), np.sum((step * inverse) ** 2)
+            if not (np.all(known > 0.0) and level[1] > 0.0):  # no noise of these values is one
+                return
             walk = np.clip(self._walk + score / known, 0.3 * self._walk, 3.0 * self._walk)
             self._walk = np.maximum(walk, _LEAST * self._floor.walk)
             self._reading *= float(np.clip(1.0 + level[0] / level[1] / self._reading, 0.7, 1.4))

@@ -14,9 +14,11 @@ from orbitfb.diagnose.answer_blocks import KStep
 from orbitfb.diagnose.answer_parts import Shrink
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.blocks import interval
+from orbitfb.diagnose.candidate import LAST_ONSET
 from orbitfb.diagnose.competitor import refitted_response
 from orbitfb.diagnose.contrast import Contrast
 from orbitfb.diagnose.explain import Cause, actuated
+from orbitfb.diagnose.integrity_steps import steps_of
 from orbitfb.diagnose.net_competitor import NetCompetitor
 from orbitfb.diagnose.open_errors import OpenErrors
 from orbitfb.diagnose.replay import Model, Replay
@@ -41,8 +43,24 @@ def put_aside(record: Record) -> tuple[Record, Record | None]:
     """
     if len(record) < _LEAST_TO_SPLIT:
         return record, None
-    cut = round(_FITTED * len(record))
+    cut = _beside_strikes(record, round(_FITTED * len(record)))
     return record.rows(0, cut), record.rows(cut, len(record))
+
+
+def _beside_strikes(record: Record, cut: int) -> int:
+    """Cut where something strikes in the rows before, in which no beginning is looked for."""
+    steps = steps_of(record)
+    left = (steps.orbit - steps.predicted) ** 2
+    usual = np.median(left, axis=0)
+    size = np.sum(np.divide(left, usual, out=np.zeros_like(left), where=usual > 0.0), axis=1)
+    size -= np.median(size)
+    rows = steps.first + 1
+    before = size[rows < cut - LAST_ONSET]
+    near = (rows >= cut - LAST_ONSET) & (rows < cut)
+    if not len(before) or not near.any():
+        return cut
+    struck = rows[near][size[near] > _STRIKING * before.max()]
+    return int(struck[0]) if len(struck) else cut
 
 
 def contrast(
@@ -226,3 +244,7 @@ def _turned(cause: Cause, angle: float) -> Cause:
         "sine": cosine * np.sin(angle) + sine * np.cos(angle),
     }
     return replace(cause, values=values)
+
+
+_STRIKING = 2.0
+"""How much larger than all steps before one is that moves the cut."""

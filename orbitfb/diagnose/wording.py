@@ -90,10 +90,8 @@ def _gap(gap: Gap | None, state: State) -> str:
         if gap.low is not None and gap.high is not None and gap.high > gap.low
         else ""
     )
-    return (
-        f"Gap {size}{interval} nats/tick ({_plain(gap.um)} µm over the {_plain(gap.floor_um)} µm "
-        "floor)."
-    )
+    more = f"{_plain(gap.um)} µm over" if gap.um else "over"  # noise alone makes no orbit
+    return f"Gap {size}{interval} nats/tick ({more} the {_plain(gap.floor_um)} µm floor)."
 
 
 def _named(causes: Sequence[Cause]) -> str:

@@ -73,6 +73,10 @@ class BpmCurrent(SensorKind):
             return "the stored current does not change in this record"
         return ""
 
+    def follows(self, values: Values, record: Record) -> tuple[str, ...]:
+        """The stored current."""
+        return (CHANNEL,)
+
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
         """Take off what the current makes."""
         return readings - _shift(values, record), np.zeros(len(readings))

@@ -88,6 +88,11 @@ class InsertionDevice(SourceKind):
         kick, period, duration, _ = self.parameters
         return (kick, period if gaps_of(record) else duration)
 
+    def follows(self, values: Values, record: Record) -> tuple[str, ...]:
+        """Its gap, where there is one."""
+        names = list(gaps_of(record))
+        return (names[int(values.get("gap", 0))],) if names else ()
+
     def meaning(self, parameter: Parameter, value: float, record: Record) -> str:
         """Name the gap, where there are several."""
         names = list(gaps_of(record))
@@ -130,10 +135,7 @@ class InsertionDevice(SourceKind):
         if not gaps:
             closed = np.minimum(record.time / values["duration"], 1.0)
         else:
-            number = int(values.get("gap", 0))
-            if number >= len(gaps):  # of a record that has fewer of them
-                return np.zeros((len(record.time), 1))
-            gap = list(gaps.values())[number]
+            gap = list(gaps.values())[int(values.get("gap", 0))]
             field = np.exp(-np.pi * (gap - _CLOSED) / values["period"])
             closed = field - field[0]
         return values["kick"] * closed[:, None]

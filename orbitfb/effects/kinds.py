@@ -152,6 +152,10 @@ class EffectKind(ABC):
         usual = not parameter.meanings or value == parameter.nominal
         return "" if usual else parameter.meanings[value]
 
+    def follows(self, values: Values, record: Record) -> tuple[str, ...]:
+        """Names of the auxiliary channels that it follows."""
+        return ()
+
     def grid(self, record: Record) -> Sequence[Values]:
         """Values to scan, coarse but dense enough that a local search finds the best one.
 

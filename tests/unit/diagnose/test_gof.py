@@ -228,7 +228,7 @@ def test_a_bpm_that_hears_what_another_one_read_before_is_told(share):
     assert its.flagged == (share > 0.0)
     if its.flagged:
         assert its.places[0] == made.layout.bpms.names[70]
-        assert "1 ticks later" in its.note
+        assert "a tick later" in its.note
 
 
 @pytest.mark.parametrize(("channel", "name"), [("current", CURRENT), ("temperature", CHANNELS)])

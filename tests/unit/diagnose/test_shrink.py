@@ -193,3 +193,14 @@ def test_errors_of_an_unknown_ring_are_the_same_in_a_later_record_of_another_exc
     its = shrink(contrast(fitted, later))
     assert its.resolved
     assert its.nats > 0.9
+
+
+@pytest.mark.parametrize(("row", "cut"), [(610, 610), (639, 639), (645, 640), (300, 640)])
+def test_what_begins_just_before_the_cut_is_put_aside_whole(row, cut):
+    its = record(False, ticks=799, seed=6)
+    readings = its.readings.copy()
+    readings[row:, 30] *= -1.0
+    readings[row:, 31] += 30e-6
+    first, later = put_aside(replace(its, readings=readings))
+    assert len(first) == cut
+    assert len(later) == len(its) - cut

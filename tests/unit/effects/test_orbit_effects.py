@@ -372,10 +372,9 @@ def test_every_gap_that_moves_is_tried(layout):
     assert {values["gap"] for values in kind.grid(its)} == {1, 2}  # in the order of their names
     values = {"kick": 1e-6, "period": 0.04, "duration": 1.0, "gap": 2}
     changes = [
-        kind.drivers({**values, "gap": k}, its, setpoints, np.zeros((4, 180))) for k in (1, 2, 3)
+        kind.drivers({**values, "gap": k}, its, setpoints, np.zeros((4, 180))) for k in (1, 2)
     ]
     assert np.ptp(changes[1]) > np.ptp(changes[0]) > 0.0
-    assert_array_equal(changes[2], 0.0)
     (choice,) = (p for p in kind.parameters if p.name == "gap")
     assert kind.meaning(choice, 2, its) == "ID02 gap"
     assert kind.meaning(choice, 0, replace(its, auxiliary={"gap": gaps["ID01 gap"]})) == ""
