@@ -95,9 +95,10 @@ def diagnose(
         # Nothing sure yet: the end of the record may show what its beginning does not. All of it is
         # looked at in full only if what has a chance is there.
         hopeful, late = outcome.hopeful, list[Candidate]()
-        if not (hopeful or given):
+        if not given:
             end = look(_end(whole, first), 0.7, 0.75)
-            hopeful, late = end.hopeful, end.late(_end_row(whole, first), len(whole))
+            hopeful |= end.hopeful
+            late = end.late(_end_row(whole, first), len(whole))
         there = bool(given) or (
             bool(hopeful) and bool(look(whole, 0.75, 0.8, *late, only=hopeful).winners)
         )

@@ -8,6 +8,7 @@ import pytest
 from orbitfb.diagnose import engine
 from orbitfb.diagnose.answer import Diagnosis, document
 from orbitfb.diagnose.engine import diagnose
+from orbitfb.diagnose.search import Outcome
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import build, layout_of
 from orbitfb.effects.record import Record
@@ -113,3 +114,11 @@ def test_the_end_of_a_record_is_looked_at_before_all_of_it(monkeypatch, effects,
     # Before all of it is looked at in full, what has a chance is; the others count as choice.
     assert [few == 0 for few in others] == [True, True, False, True][: len(parts)]
     assert len({count + few for count, few in zip(counts, others, strict=True)}) == 1
+
+
+def test_the_end_is_looked_at_whatever_may_have_a_chance_before(monkeypatch):
+    monkeypatch.setattr(Outcome, "hopeful", property(lambda its: frozenset({"bpm-offset"})))
+    record = simulate_record(RING, "x", 800, 3, (), period=LAYOUT.period)
+    parts, counts, _ = zip(*searched(monkeypatch, record), strict=True)
+    assert [len(part) / len(parts[0]) for part in parts] == pytest.approx([1, 0.5, 1.25], abs=0.01)
+    assert counts[2] == 1
