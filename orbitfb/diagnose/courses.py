@@ -82,8 +82,7 @@ def _drives(bench: Bench, cause: Cause) -> Iterator[tuple[Matrix, Matrix]]:
     if not isinstance(cause.kind, SourceKind) or cause.kind.target != "source":
         return
     response = bench.record.layout.response
-    modal = bench.floor.modes.directions.T @ np.column_stack([patterns[:, :1], response])
-    modal /= np.sqrt(bench.floor.innovation_variance)[:, None]
+    modal = bench.floor.seen(np.column_stack([patterns[:, :1], response]))
     modal /= np.maximum(np.linalg.norm(modal, axis=0), _TINY)
     alike = np.abs(modal[:, 1:].T @ modal[:, 0])
     nearest = int(np.argmax(alike))

@@ -75,8 +75,7 @@ def _loudness(bench: Bench, patterns: Matrix) -> Vector:
 
     What is loud anyway is no more likely to follow anything.
     """
-    seen = bench.floor.modes.directions.T @ patterns
-    seen /= np.sqrt(bench.floor.innovation_variance)[:, None]
+    seen = bench.floor.seen(patterns)
     size = np.linalg.norm(seen, axis=0)
     along = bench.white[~bench.record.starts] @ seen
     scatter = np.sqrt(np.mean(along**2, axis=0))

@@ -37,8 +37,7 @@ def _jumps(bench: Bench, white: Matrix, rate: float) -> GoodnessTest:
     Ground that moves is normal at every place; what kicks now and then is not.
     """
     layout = bench.record.layout
-    seen = bench.floor.modes.directions.T @ source_patterns(layout)
-    seen /= np.sqrt(bench.floor.innovation_variance)[:, None]
+    seen = bench.floor.seen(source_patterns(layout))
     size = np.linalg.norm(seen, axis=0)
     able = np.flatnonzero(size > 0.0)
     values = stats.kurtosistest(white @ (seen[:, able] / size[able]), axis=0).statistic

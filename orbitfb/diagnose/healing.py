@@ -4,17 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.ladder import Ladder
+from orbitfb.diagnose.quick import Single
 from orbitfb.diagnose.uncoupled import compact, components
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
-
-Single = NDArray[np.float32]
 
 
 class Errors:

@@ -77,6 +77,12 @@ class NoiseFloor:
         """Turn orbits [m] into modes [m], shape (…, n)."""
         return columns @ self.modes.directions
 
+    def seen(self, patterns: Matrix) -> Matrix:
+        """Patterns (n, P) in the modes, over the steady √S of each, shape (n, P)."""
+        modal = self.modes.directions.T @ patterns
+        modal /= np.sqrt(self.innovation_variance)[:, None]
+        return modal
+
     def to_bpms(self, columns: Matrix) -> Matrix:
         """Turn modes [m] into orbits [m], the inverse of `to_modes`, shape (…, n)."""
         return (columns @ self.modes.axes.T) * self.modes.spread

@@ -9,16 +9,16 @@ from orbitfb.diagnose.ambiguity import Group, classes
 from orbitfb.diagnose.answer import State
 from orbitfb.diagnose.answer_blocks import Audit, Unknown
 from orbitfb.diagnose.answer_parts import Shrink
-from orbitfb.diagnose.answering import place_names
 from orbitfb.diagnose.ceiling import Ceiling, ceiling
 from orbitfb.diagnose.certain import Certain, Untold
 from orbitfb.diagnose.departure import Departure, departure
 from orbitfb.diagnose.drift_shape import with_own_shape
 from orbitfb.diagnose.entry import Entry
-from orbitfb.diagnose.gof import COURSES, audit, clearest, stage_of
-from orbitfb.diagnose.naming import column_names, devices_and_planes
+from orbitfb.diagnose.gof import audit
+from orbitfb.diagnose.gof_verdict import COURSES, clearest
 from orbitfb.diagnose.rounds import CLOSE, SURE, Round
 from orbitfb.diagnose.search import Outcome
+from orbitfb.diagnose.unknown import unknown_of
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
 
@@ -102,7 +102,7 @@ def judge(outcome: Outcome, certain: Certain, seed: int) -> Judgement:
     state = _state(outcome, certain, departures, remains=remains, explained=explained)
     unknown = None
     if state in ("unknown", "named_plus_remainder"):
-        unknown = _unknown(outcome, tests, departures, explained)
+        unknown = unknown_of(outcome, tests, departures, explained)
     if certain.untold:
         state, unknown = beside_untold(state, unknown, certain.untold)
     return Judgement(state, tests, rest, explained, groups, unknown, departures)
@@ -161,7 +161,7 @@ def held_to_account(judged: Judgement, outcome: Outcome, shrunk: Shrink | None) 
         state = "named_plus_remainder"
     else:
         return judged
-    unknown = _unknown(outcome, judged.audit, judged.departures, judged.explained)
+    unknown = unknown_of(outcome, judged.audit, judged.departures, judged.explained)
     if first is not None and not unknown.text:
         text = (
             f"{first.kind.id} explains the record itself, but not {shrunk.on}: it is mended by "
@@ -244,58 +244,3 @@ def _of_no_kind(one: Round) -> bool:
         and entry.weight + entry.fit.gain - entry.fit.gain / entry.fit.inflation > sure
         for entry in one.entries
     )
-
-
-def _unknown(
-    outcome: Outcome, tests: Audit, departures: Sequence[Departure], explained: float
-) -> Unknown:
-    first = outcome.rounds[0]
-    courses = [its.course for its in departures if its.chance < _HALF]
-    stages, places = stage_shares(first), _places(outcome)
-    text = f"What is left goes {courses[0]}." if courses else ""
-    said = max((entry.weight for entry in first.entries), default=0.0)
-    test = clearest(tests, COURSES)
-    if test is None or float(test.nats or 0.0) <= said:
-        test = clearest(tests) if said <= 0.0 else None
-    if test is not None:  # no effect says as much
-        if (stage := stage_of(test)) is not None:
-            stages = dict[str, float | None]({stage: 1.0})
-        places = tuple(dict.fromkeys((*test.places, *places)))
-        text = f"{text} What shows most: {test.name} ({test.note}).".strip()
-    return Unknown(
-        stages=stages,
-        places=places,
-        text=text,
-        nearest=first.entries[0].kind.id if first.entries else "",
-        nearest_nats=first.entries[0].held_out if first.entries else None,
-        explained=explained,
-    )
-
-
-def stage_shares(one: Round) -> dict[str, float | None]:
-    """Share every stage has of the best gains of a tournament."""
-    best: dict[str, float] = {}
-    for entry in one.entries:
-        gain = max(entry.weight, 0.0)
-        best[entry.kind.stage] = max(best.get(entry.kind.stage, 0.0), gain)
-    if not best:
-        return {}
-    weights = np.array(list(best.values()))
-    shares = np.exp(np.clip(weights - weights.max(), -50.0, 0.0))
-    shares /= shares.sum()
-    return dict(zip(best, shares.tolist(), strict=True))
-
-
-def _places(outcome: Outcome, most: int = 5) -> tuple[str, ...]:
-    """Devices of the nearest effect, if it explains anything; then BPMs that scatter most."""
-    bench, layout = outcome.bench, outcome.bench.record.layout
-    nearest = tuple[str, ...]()
-    for entry in outcome.rounds[0].entries[:1]:
-        if entry.weight > 0.0 and len(entry.cause.places) <= most:
-            own = place_names(layout, entry.kind, entry.cause.places)
-            nearest = devices_and_planes(own)[0]
-    counted = ~bench.record.starts
-    scatter = np.mean(bench.floor.by_bpm(bench.white[counted]) ** 2, axis=0)
-    names = column_names(layout.bpms)
-    loudest = (names[int(index)] for index in np.argsort(scatter)[::-1][:most])
-    return tuple(dict.fromkeys((*nearest, *loudest)))[:most]

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from orbitfb.core.signals import Mask
 from orbitfb.diagnose.innovation import LEAST_MEMORY, OLDEST, NoiseFloor, stretches
 from orbitfb.diagnose.noise_modes import NoiseModes
+from orbitfb.diagnose.quick import Single
 from orbitfb.diagnose.recursion import Feedback
 from orbitfb.physics.optics import Matrix
-
-Single = NDArray[np.float32]
 
 
 class Ladder:
@@ -59,7 +58,7 @@ class Ladder:
 
         They are over √S of their row, times the steady √S that `shapes` are over.
         """
-        steps, pieces = _steps(drivers, starts), stretches(starts)
+        steps, pieces = row_steps(drivers, starts), stretches(starts)
         done: list[Matrix] = []
         for level in range(len(self.feedback)):
             recursion, sizes = self._recursion(level, starts)
@@ -89,7 +88,7 @@ class Ladder:
         """
         recursion, sizes = self._recursion(level, starts)
         squared = Feedback.of(recursion.each.astype(np.float64) ** 2, np.float32)
-        course = _steps(drivers, starts)
+        course = row_steps(drivers, starts)
         tail, lasting = np.empty_like(course), np.empty((len(course), 1), dtype=np.float32)
         energy = np.empty_like(course)
         for own in stretches(starts):
@@ -116,8 +115,7 @@ class Ladder:
 
     def shapes(self, patterns: Matrix) -> list[Matrix]:
         """Rotate patterns (n, P) into the modes of every level, over √S, each (k, P) [1/m]."""
-        modal = self._floor.modes.directions.T @ patterns
-        modal /= np.sqrt(self._floor.innovation_variance)[:, None]
+        modal = self._floor.seen(patterns)
         return [modal[share > 0] * np.sqrt(share[share > 0])[:, None] for share in self._share]
 
 
@@ -146,7 +144,7 @@ def information(
     return np.zeros((0, 0)) if total is None else total
 
 
-def _steps(drivers: NDArray[np.floating], starts: Mask) -> Single:
+def row_steps(drivers: NDArray[np.floating], starts: Mask) -> Single:
     """Change from row to row, none where a stretch begins.
 
     Differences of large numbers need double precision, what is made of them does not.

@@ -77,8 +77,7 @@ def neighbours(bench: Bench, patterns: Matrix, place: int) -> list[int]:
         patterns: Orbit of every place, shape (n, P).
         place: Of these.
     """
-    modal = bench.floor.modes.directions.T @ patterns
-    modal /= np.sqrt(bench.floor.innovation_variance)[:, None]
+    modal = bench.floor.seen(patterns)
     modal /= np.maximum(np.linalg.norm(modal, axis=0), 1e-300)
     alike = np.abs(modal.T @ modal[:, place])
     order = np.argsort(alike)[::-1][:_MOST]

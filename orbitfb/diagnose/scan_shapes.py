@@ -13,7 +13,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.background import Healthy
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import restored
-from orbitfb.diagnose.ladder import Ladder
+from orbitfb.diagnose.ladder import Ladder, row_steps
 from orbitfb.diagnose.quick import Single
 from orbitfb.diagnose.scan_changes import Changes, Shapes
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
@@ -122,10 +122,7 @@ class Scoring:
 
     def steps(self, courses: Matrix) -> Single:
         """Change of courses (N, P) from row to row; none where a stretch begins."""
-        steps = np.zeros(courses.shape, dtype=np.float32)
-        np.subtract(courses[1:], courses[:-1], out=steps[1:], casting="same_kind")
-        steps[self._starts] = 0.0
-        return steps
+        return row_steps(courses, self._starts)
 
     def copied(self, steps: Single, its: tuple[Healthy, Indices] | None) -> Vector:
         """Share of steps (N, P) that healthy errors may make as well, at most, shape (P,)."""

@@ -8,10 +8,11 @@ import pytest
 from gap_cases import GAIN, PLACE, bench
 
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.gof import audit, clearest
+from orbitfb.diagnose.gof import audit
 from orbitfb.diagnose.gof_follow import BPMS
 from orbitfb.diagnose.gof_places import JUMPS, SIZES
 from orbitfb.diagnose.gof_slow import CHANNELS, CURRENT
+from orbitfb.diagnose.gof_verdict import clearest
 from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.effects.kicks import source_patterns
 
