@@ -37,7 +37,7 @@ def outcome_of(name: str, weight: float = 50.0) -> SimpleNamespace:
     ],
 )
 def test_a_name_is_held_to_later_data(name, weight, nats, high, state, resolved, monkeypatch):
-    monkeypatch.setattr("orbitfb.diagnose.judgement._unknown", lambda *parts: Unknown())
+    monkeypatch.setattr("orbitfb.diagnose.judgement.unknown_of", lambda *parts: Unknown())
     judged = Judgement("named", Audit(), None, 1.0, (), None)  # type: ignore[arg-type]
     shrunk = Shrink(
         nats=nats,
