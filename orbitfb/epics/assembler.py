@@ -80,26 +80,27 @@ class Assembler:
         self._returning = False
         self._patience = PATIENCE
         self._awaited = 1
-        self._anew = False
+        self._anew: NDArray[np.int64] | None = None
 
     @property
     def went_back(self) -> float | None:
-        """Stamp of most channels [s since the epoch] if it is before that of the last vector.
+        """Newest stamp of those that went back [s since the epoch], if most channels did.
 
-        Then no vector comes until the clock has caught up, or `begin_anew` was called.
+        A channel went back if it says something older than what it gave to the last vector. Then
+        no vector comes until the clock has caught up, or `begin_anew` was called.
         """
-        here = self.connected & ~self._stuck
-        if not here.any() or self._published == NEVER:
+        stamps, here = stamps_of(self.records), self.connected & ~self._stuck
+        back = here & (stamps > NEVER) & (stamps < self._used)
+        if 2 * np.count_nonzero(back) <= np.count_nonzero(here):
             return None
-        usual = int(np.median(stamps_of(self.records)[here]))
-        return wall_time(usual) if NEVER < usual < self._published else None
+        return wall_time(int(stamps[back].max()))
 
     def begin_anew(self) -> None:
-        """Take older stamps than that of the last vector from the next event on.
+        """Take older stamps than that of the last vector, but none that is here already.
 
         Call it from any thread, if it is known that the clock of the IOC was set.
         """
-        self._anew = True
+        self._anew = stamps_of(self.records)
 
     def set_connected(self, index: int, up: bool) -> None:
         """Expect a channel from now on, or expect it no more.
@@ -134,7 +135,7 @@ class Assembler:
             True exactly when this event completed a new coherent vector: take `snapshot()` now.
         """
         self._awaited -= 1
-        return (self._awaited <= 0 or self._anew) and self._complete()
+        return (self._awaited <= 0 or self._anew is not None) and self._complete()
 
     def snapshot(self) -> Snapshot:
         """Copy the vector that `arrived` has announced, before the next event is written."""
@@ -185,10 +186,8 @@ class Assembler:
     def _complete(self) -> bool:
         self.checks += 1
         stamps = stamps_of(self.records)
-        if self._anew:
-            self._anew, self._published, self._used = False, NEVER, stamps.copy()
-            self._awaited = 1
-            return False
+        if self._anew is not None:
+            self._used, self._anew, self._published = self._anew, None, NEVER
         if self._stuck.any():
             self._stuck &= self.connected & (stamps == self._stuck_at)
         connected = self.connected & ~self._stuck
