@@ -14,14 +14,14 @@ from orbitfb.effects.kinds import EffectKind
 def all_effects() -> dict[str, EffectKind]:
     """Every kind of effect, in alphabetical order of the ids."""
     found: dict[str, EffectKind] = {}
-    for module in pkgutil.iter_modules(orbitfb.effects.__path__):
-        content = vars(importlib.import_module(f"orbitfb.effects.{module.name}"))
+    for module in pkgutil.walk_packages(orbitfb.effects.__path__, "orbitfb.effects."):
+        content = vars(importlib.import_module(module.name))
         for item in content.values():
             if (
                 inspect.isclass(item)
                 and issubclass(item, EffectKind)
                 and not inspect.isabstract(item)
-                and item.__module__ == f"orbitfb.effects.{module.name}"
+                and item.__module__ == module.name
             ):
                 found[item.id] = item()
     return dict(sorted(found.items()))

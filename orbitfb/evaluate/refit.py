@@ -162,7 +162,9 @@ def write(result: RefitResult, directory: Path) -> None:
         "reports": [asdict(report) for report in result.reports],
     }
     (directory / "refit.json").write_text(json.dumps(document, indent=1) + "\n")
-    draw(result, directory / "refit.png")
+    ran = result.settings
+    title = f"drift: {ran.drift}, {ran.ticks} ticks, seed {ran.seed}"
+    draw(directory / "refit.png", title, result.figures, result.true_rms, result.errors)
 
 
 def _run(

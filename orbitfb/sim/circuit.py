@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Coroutine
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import caproto as ca
 import numpy as np
@@ -10,6 +10,7 @@ from caproto.asyncio.server import VirtualCircuit
 from caproto.server.common import DisconnectedCircuit
 from numpy.typing import NDArray
 
+from orbitfb.core.signals import Vector
 from orbitfb.sim.board import Board
 from orbitfb.sim.channels import BoardChannel, BoardSetpoint
 from orbitfb.sim.context import ClaimedContext
@@ -19,11 +20,23 @@ from orbitfb.sim.listening import Sockets
 from orbitfb.sim.puts import PUT, PUT_COMMAND, WRITES, leading_puts, message_end
 from orbitfb.sim.reads import READ, READ_COMMAND, answers, leading_reads
 
-if TYPE_CHECKING:
-    from orbitfb.sim.fast import FastFront
-
 _CHUNK = 65536
 _VALUE_MASKS = ca.SubscriptionType.DBE_VALUE | ca.SubscriptionType.DBE_LOG
+
+
+class BoardFront(Protocol):
+    """What a client needs of the front that serves it; `orbitfb.sim.fast.FastFront` has it."""
+
+    board: Board
+    feeds: set[Feed]
+
+    def take(self, which: NDArray[np.intp], values: Vector) -> None:
+        """Put setpoints in force [A]: their places among the setpoints, their values."""
+        ...
+
+    def puts_taken(self) -> None:
+        """Tell every client what was taken, once for all puts that came together."""
+        ...
 
 
 class DroppingQueue(asyncio.Queue[Any]):
@@ -50,7 +63,7 @@ class FastCircuit(VirtualCircuit):
         super().__init__(circuit, client, context)
         self.subscription_queue = DroppingQueue(ca.MAX_TOTAL_SUBSCRIPTION_BACKLOG)
         self._front = context.front
-        self._board: Board = context.front.board
+        self._board = context.front.board
         self.feed = Feed(self._board, client.writer.transport, self.events_on.is_set)
         self._front.feeds.add(self.feed)
         self._rest = b""
@@ -221,6 +234,6 @@ class FastContext(ClaimedContext):
 
     CircuitClass = FastCircuit
 
-    def __init__(self, pvdb: dict[str, Any], sockets: Sockets, front: "FastFront") -> None:
+    def __init__(self, pvdb: dict[str, Any], sockets: Sockets, front: BoardFront) -> None:
         super().__init__(pvdb, sockets)
         self.front = front
