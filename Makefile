@@ -60,9 +60,12 @@ newcomer: venv
 bench: venv
 	$(BIN)/python -m benchmarks.loop --out benchmarks/loop.json
 
+# The diagnosis on fresh records: of the own generator, and of a further one if its
+# path is given (PLANT=…). Another SEED draws other records.
 blind: venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[blind]'
-	$(BIN)/orbitfb diagnose blind --suite $(or $(SUITE),fast) --out $(or $(OUT),orbitfb-data/blind)
+	$(BIN)/python -m benchmarks.blind --own $(or $(SEED),1) --suite $(or $(SUITE),fast) \
+	  $(if $(PLANT),--plant $(PLANT) --seed $(or $(SEED),1)) --leave-out --experiments \
+	  --jobs $(or $(JOBS),2) --out $(or $(OUT),orbitfb-data/blind)
 
 chaos: venv
 	$(BIN)/python -m tests.chaos --seed $(or $(SEED),1) --faults $(or $(FAULTS),500) $(if $(OUT),--out $(OUT))

@@ -10,7 +10,6 @@ from orbitfb import __version__
 from orbitfb.cli.agent import evaluate_agent_command
 from orbitfb.cli.config import config
 from orbitfb.cli.diagnose import diagnose
-from orbitfb.cli.diagnose_blind import diagnose_blind
 from orbitfb.cli.diagnose_plan import diagnose_plan
 from orbitfb.cli.doctor import doctor
 from orbitfb.cli.effects import effects
@@ -41,7 +40,6 @@ evaluate.command("kick")(evaluate_kick_command)
 evaluate.command("agent")(evaluate_agent_command)
 app.add_typer(policies, name="policies")
 app.add_typer(evaluate, name="evaluate")
-diagnose.command("blind")(diagnose_blind)
 diagnose.command("plan")(diagnose_plan)
 app.add_typer(diagnose, name="diagnose")
 app.add_typer(effects, name="effects")

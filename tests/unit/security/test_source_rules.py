@@ -13,8 +13,6 @@ ROOT = Path(__file__).parents[3]
 SOURCES = sorted((ROOT / "orbitfb").rglob("*.py"))
 
 WHOLE = {
-    "cli/blind_experiments.py": "what its own child has just written",
-    "cli/blind_processes.py": "what its own child has just written",
     "cli/paper.py": "the table that it has just written",
     "epics/late_lease.py": "a PV, no file: texts of 40 characters",
     "epics/lease.py": "a PV, no file: texts of 40 characters",
@@ -32,7 +30,6 @@ WHOLE = {
 """Modules that may read to the end, and why."""
 
 READERS = {
-    "cli/blind_processes.py",
     "diagnose/load_hdf5.py",
     "diagnose/load_npz.py",
     "evaluate/pool/task.py",

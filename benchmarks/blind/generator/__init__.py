@@ -1,0 +1,1 @@
+"""The project's own generator of sealed cases; see `benchmarks.blind`."""

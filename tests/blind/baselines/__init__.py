@@ -1,1 +1,0 @@
-"""Simpler methods, in the same table: what the diagnosis has to beat."""
