@@ -11,9 +11,9 @@ import numpy as np
 import structlog
 
 from orbitfb.config import AppConfig
-from orbitfb.control import Lock
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ControlError
+from orbitfb.core.ownership import Lock
 from orbitfb.core.ports import Machine
 from orbitfb.core.signals import LoopState
 from orbitfb.diagnose.broken import Screen
@@ -185,9 +185,6 @@ class Service:
             recorders[0].status if recorders else None,
             beside(config, self.machine, below, clocks),
         )
-        http = ObserveServer(config.observe, registry, self.statistics.snapshot)
-        http.start()
-        stack.callback(http.stop)
         remote = Remote(
             self.runner,
             self.statistics,
@@ -212,7 +209,12 @@ class Service:
             self.statistics,
             self.lease,
         )
-        panel = open_doors(config, doors, remote, stack)
+        opened = open_doors(config, doors, remote, stack)
+        http = ObserveServer(
+            config.observe, registry, self.statistics.snapshot, lambda: opened.troubles
+        )
+        http.start()
+        stack.callback(http.stop)
         terminal = Terminal(
             self.statistics.snapshot,
             config.observe.terminal,
@@ -231,10 +233,11 @@ class Service:
             "addresses": epics.address_list,
             "port": epics.server_port,
             "metrics": http.address,
+            "metrics_problem": http.problem,
             "policy": first.policy_id,
             "policy_reason": keeper.reason,
             "data": str(directory.resolve()),
-            **panel,
+            **opened.where,
         }
         _log.info("service_started", **self._where)
         place, same = f"{epics.address_list}:{epics.server_port}", config.measure.same_setpoint

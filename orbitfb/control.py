@@ -1,27 +1,26 @@
-"""How one command line speaks to a running service, and how two services keep out of each other.
+"""How one command line speaks to a running service.
 
-A service owns its data directory and its ring by advisory file locks, which the kernel drops
-when the process dies however it dies. It listens on a Unix socket that only its user can open:
-one JSON object per line in, one out. Sockets and locks live in the user's run-time directory,
-which is on a file system that knows both; a data directory may lie anywhere.
+It listens on a Unix socket that only its user can open: one JSON object per line in, one out.
+The socket lives in the user's run-time directory, as a data directory may lie where there are none.
 """
 
 import contextlib
-import fcntl
-import hashlib
+import errno
 import json
 import os
 import pwd
 import socket
-import stat
 import struct
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
+import structlog
+
+from orbitfb.core.connections import Connections
 from orbitfb.core.errors import ControlError, OrbitFeedbackError, OwnershipError
+from orbitfb.core.ownership import own_file
 
 MESSAGE_LIMIT = 1 << 20
 """Longest message that either side reads [bytes]."""
@@ -31,80 +30,23 @@ _LONGEST_SOCKET_PATH = 100
 BACKLOG = 128
 """Connections that may wait; beyond it the kernel turns a command line away at once."""
 
+MOST_CONVERSATIONS = 32
+"""Conversations at a time: the panel's eight threads, the page's one, and three times as many
+command lines. One more puts out the oldest that has not asked anything yet."""
+
+SHORT = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
+"""What the kernel says while the computer is short of something: it passes."""
+
+_BREATH = 0.1
+"""Wait before the next try to take a connection while the computer is short of something [s]."""
+
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
-
-def runtime_directory() -> Path:
-    """Return this user's own directory for sockets and locks, made if need be.
-
-    Raises:
-        OwnershipError: It cannot be made, belongs to somebody else, or is open to others.
-    """
-    base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
-    path = Path(base) / f"orbitfb-{os.getuid()}"
-    try:
-        path.mkdir(mode=0o700, parents=True, exist_ok=True)
-        status = path.lstat()
-    except OSError as error:
-        raise OwnershipError(
-            f"{path}, for locks and the control socket, cannot be made ({error.strerror}); set "
-            "XDG_RUNTIME_DIR to a directory of your own, or unset it"
-        ) from None
-    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
-        raise OwnershipError(
-            f"{path} must be a directory of user {os.getuid()} alone (mode 700); remove it"
-        )
-    return path
-
-
-def _digest(what: str) -> str:
-    return hashlib.sha256(what.encode()).hexdigest()[:16]
-
-
-class Lock:
-    """An exclusive hold on something, for as long as this process lives.
-
-    Args:
-        key: What is held; equal keys exclude each other among the processes of this user.
-        what: The same in words, for the message to whoever comes second.
-        advice: What the second can do.
-
-    Raises:
-        OwnershipError: Another process holds it; the message says which.
-    """
-
-    def __init__(self, key: str, what: str, advice: str) -> None:
-        path = runtime_directory() / f"{_digest(key)}.lock"
-        try:
-            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        except OSError as error:
-            raise OwnershipError(
-                f"{what} cannot be locked: {path}: {error.strerror}; mend that directory"
-            ) from None
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            holder = os.pread(self._descriptor, 32, 0).decode(errors="replace").strip()
-            os.close(self._descriptor)
-            raise OwnershipError(
-                f"{what} is held by another orbitfb (process {holder or 'unknown'}); {advice}"
-            ) from None
-        os.ftruncate(self._descriptor, 0)
-        os.pwrite(self._descriptor, str(os.getpid()).encode(), 0)
-
-    def release(self) -> None:
-        """Let go; the file stays, as removing it would let two hold it."""
-        os.close(self._descriptor)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
+_log = structlog.stdlib.get_logger("orbitfb.control")
 
 
 def _socket_path(data_directory: Path) -> Path:
-    return runtime_directory() / f"{_digest(str(data_directory.resolve()))}.sock"
+    return own_file(str(data_directory.resolve()), ".sock")
 
 
 @contextlib.contextmanager
@@ -123,6 +65,9 @@ def _address(path: Path) -> Iterator[str]:
 class ControlServer:
     """Answers commands of this user's command lines, in a thread of its own.
 
+    The conversations are bounded, so that those who only connect cannot use up the descriptors
+    of the loop. Where they are used up by others, the server waits until there are some again.
+
     Args:
         data_directory: The service's data directory: its name to the outside.
         handler: Gets each request, returns the answer, made of what JSON knows; what it raises
@@ -135,6 +80,9 @@ class ControlServer:
     def __init__(self, data_directory: Path, handler: Handler) -> None:
         self._path = _socket_path(data_directory)
         self._handler = handler
+        self._problem = ""
+        self._closed = threading.Event()
+        self._conversations: Connections[socket.socket] = Connections(MOST_CONVERSATIONS)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._path.unlink(missing_ok=True)
@@ -151,31 +99,76 @@ class ControlServer:
         self._thread = threading.Thread(target=self._serve, name="control", daemon=True)
         self._thread.start()
 
+    @property
+    def problem(self) -> str:
+        """Why it answers nobody now; empty while it answers."""
+        return self._problem
+
     def _serve(self) -> None:
-        while True:
+        while not self._closed.is_set():
             try:
                 connection, _ = self._listener.accept()
-            except OSError:
-                return
-            threading.Thread(
-                target=self._converse, args=(connection,), name="control-client", daemon=True
-            ).start()
+            except OSError as error:
+                if error.errno in SHORT:
+                    self._say(f"the control socket answers nobody: {error.strerror}")
+                self._closed.wait(_BREATH)  # or whoever wanted to speak has gone already
+                continue
+            self._say("")
+            self._take(connection)
+
+    def _say(self, problem: str) -> None:
+        """Tell when it stops answering and when it answers again, once each."""
+        if problem == self._problem:
+            return
+        before, self._problem = self._problem, problem
+        if not before:
+            _log.error("control_socket_starved", problem=problem)
+        elif not problem:
+            _log.warning("control_socket_answers_again", problem=before)
+
+    def _take(self, connection: socket.socket) -> None:
+        """Begin a conversation; one that has asked nothing gives way when there are too many."""
+        if (leaving := self._conversations.add(connection)) is connection:
+            self._turn_away(connection)
+            return
+        if leaving is not None:
+            with contextlib.suppress(OSError):  # it has gone by itself
+                leaving.shutdown(socket.SHUT_RDWR)
+        thread = threading.Thread(
+            target=self._converse, args=(connection,), name="control-client", daemon=True
+        )
+        try:
+            thread.start()
+        except RuntimeError:  # the computer has no thread for it
+            self._conversations.remove(connection)
+            self._turn_away(connection)
+
+    def _turn_away(self, connection: socket.socket) -> None:
+        problem = "the service is busy with other commands; ask again in some seconds"
+        with connection, contextlib.suppress(OSError):
+            connection.setblocking(False)
+            connection.sendall(_encode({"ok": False, "error": problem}))
 
     def _converse(self, connection: socket.socket) -> None:
         with connection, contextlib.suppress(OSError):
             connection.settimeout(30.0)
             try:
                 request = {**_receive(connection), "peer": _peer(connection)}
+                self._conversations.keep(connection)
                 answer = _encode({"ok": True, **self._handler(request)})
             except OrbitFeedbackError as error:
                 answer = _encode({"ok": False, "error": str(error)})
             except Exception as error:  # the outermost guard of this thread: the asker is told
                 problem = f"the service failed at this: {error!r}"
                 answer = _encode({"ok": False, "error": problem})
-            connection.sendall(answer)
+            try:
+                connection.sendall(answer)
+            finally:
+                self._conversations.remove(connection)
 
     def close(self) -> None:
         """Stop listening."""
+        self._closed.set()
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()

@@ -67,6 +67,25 @@ class Parts:
         return {"Lease-I": self.lease.owner if self.lease else ""}
 
 
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """The doors once they are open.
+
+    Args:
+        where: Where the panel is: `panel` and `prefix`; nothing if there is none. Where the
+            operator page is: `page`, empty if it is not served, then `page_problem` says why.
+        control: The control socket.
+    """
+
+    where: Mapping[str, Any]
+    control: ControlServer
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        """What does not work now, a sentence each."""
+        return (self.control.problem,) if self.control.problem else ()
+
+
 def check_panel(config: AppConfig, channels: Channels) -> None:
     """Read the access rules of the panel, before anything is started.
 
@@ -80,9 +99,7 @@ def check_panel(config: AppConfig, channels: Channels) -> None:
         read_access(settings.rules, settings.interface, names)
 
 
-def open_doors(
-    config: AppConfig, parts: Parts, remote: Handler, stack: ExitStack
-) -> Mapping[str, Any]:
+def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStack) -> Opened:
     """Restore what operators had set, then take their commands.
 
     Args:
@@ -90,10 +107,6 @@ def open_doors(
         parts: Of the service.
         remote: Answers the commands that are neither of adjustments nor of trials.
         stack: Closes what is opened here.
-
-    Returns:
-        Where the panel is: `panel` and `prefix`; nothing if there is none. Where the operator
-        page is: `page`, empty if it is not served, then `page_problem` says why.
 
     Raises:
         ConfigError: What was saved is damaged or of another ring; a rule is wrong.
@@ -143,10 +156,11 @@ def open_doors(
         Figures(config.observe.stale_after),
         lambda: {**adjuster.shown(), **trial.shown(), **parts.lease_shown},
     )
-    stack.callback(ControlServer(directory, commands).close)
+    control = ControlServer(directory, commands)
+    stack.callback(control.close)
     page = OwnPage(config, channels, statistics, stack)
     where = {"page": page.where, "page_problem": page.problem}
     if not config.panel.enabled:
-        return where
+        return Opened(where, control)
     panel = OwnPanel(config, channels, statistics, stack)
-    return {**where, "panel": panel.where, "prefix": panel.prefix}
+    return Opened({**where, "panel": panel.where, "prefix": panel.prefix}, control)

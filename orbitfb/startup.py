@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.config import AppConfig
-from orbitfb.control import Lock
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.ownership import Lock
 from orbitfb.core.signals import Channels, LoopState
 from orbitfb.epics.settings import LOWEST_PORT, EpicsSettings
 from orbitfb.loop.dither import DitherSettings
@@ -275,7 +275,8 @@ def announcement(where: Mapping[str, object], simulated: bool) -> Iterator[str]:
 
     Args:
         where: `addresses` and `port` of the ring, address of the `metrics` and of the
-            `page`, `policy` and `policy_reason`, `data` directory.
+            `page`, or `metrics_problem` and `page_problem`; `policy` and `policy_reason`, `data`
+            directory.
         simulated: Whether the ring is a simulated one of our own.
     """
     addresses, port = where["addresses"], where["port"]
@@ -287,6 +288,8 @@ def announcement(where: Mapping[str, object], simulated: bool) -> Iterator[str]:
         yield f"ring at {addresses or 'every network'}, port {port}"
     if where["metrics"]:
         yield f"metrics and health on {where['metrics']}"
+    elif where.get("metrics_problem"):
+        yield f"no metrics as yet: {where['metrics_problem']}"
     if "panel" in where:
         yield f"panel of the PVs {where['prefix']}… on {where['panel']}"
     if where.get("page"):

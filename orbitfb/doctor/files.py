@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from orbitfb.config import AppConfig
-from orbitfb.control import is_running, runtime_directory
+from orbitfb.control import is_running
 from orbitfb.core.errors import OrbitFeedbackError
+from orbitfb.core.ownership import runtime_directory
 from orbitfb.doctor.finding import Finding, Verdict
 from orbitfb.history.columns import layout, row_bytes
 from orbitfb.physics.places import Ring

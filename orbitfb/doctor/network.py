@@ -53,11 +53,11 @@ def look_at_ports(config: AppConfig, running: bool) -> Iterator[Finding]:
         config: Names them.
         running: Whether a service runs on the data directory: then it is the one that has them.
 
-    The loop starts without a page, and only `--ioc sim` needs the port of the simulated ring:
-    these two do not fail.
+    The loop starts without metrics and without a page, and only `--ioc sim` needs the port of the
+    simulated ring: these three do not fail.
     """
     if config.observe.enabled:
-        yield _port("metrics", config.observe.host, config.observe.port, ("tcp",), running, True)
+        yield _port("metrics", config.observe.host, config.observe.port, ("tcp",), running, False)
     if config.web.enabled:
         yield _port("page", config.web.host, config.web.port, ("tcp",), running, False)
     if config.panel.enabled:

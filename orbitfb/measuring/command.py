@@ -11,9 +11,10 @@ from typing import Any
 import structlog
 
 from orbitfb.config import AppConfig
-from orbitfb.control import Lock, ask, is_running
+from orbitfb.control import ask, is_running
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ConfigError, ControlError, OrbitFeedbackError, OwnershipError
+from orbitfb.core.ownership import Lock
 from orbitfb.core.ports import Machine
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.live import check_live

@@ -3,7 +3,7 @@
 import contextlib
 import socket
 import socketserver
-import threading
+import time
 from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -11,8 +11,14 @@ from typing import Any, cast
 
 import structlog
 
+from orbitfb.core.connections import Connections
+from orbitfb.core.host_names import HostNames
+
 MOST_CONNECTIONS = 16
 """Connections at a time; one more puts out the oldest, so that the slow never block the quick."""
+
+BREATH = 0.1
+"""Wait before the next try to take a connection while there are no file descriptors [s]."""
 
 PATIENCE = 5.0
 """How long a client may be silent [s]."""
@@ -21,6 +27,9 @@ LARGEST_BODY = 65_536
 """What is read of the body of a refused request before it is answered [bytes]."""
 
 TEXT = "text/plain; charset=utf-8"
+
+STRANGER = b"this name is not known here; ask by address, or put the name into observe.names\n"
+"""Answer to who asks for a name that is not ours: a page of another site, perhaps."""
 
 Answer = tuple[HTTPStatus, str, bytes]
 """Status, content type and body."""
@@ -32,19 +41,22 @@ class BoundedServer(ThreadingHTTPServer):
     Args:
         where: Address and port to listen on.
         answer: Returns the answer for a path and an `Accept` header.
+        names: By which it may be asked.
     """
 
     daemon_threads = True
+    timeout = 0.1
+    """Longest that `handle_request` waits for a request [s]."""
     request_queue_size = 64
 
     def __init__(
         self,
         where: tuple[str, int],
         answer: Callable[[str, str], Answer],
+        names: HostNames,
     ) -> None:
-        self.answer = answer
-        self._held: dict[Any, None] = {}  # in the order in which they came
-        self._guard = threading.Lock()
+        self.answer, self.names = answer, names
+        self._held: Connections[Any] = Connections(MOST_CONNECTIONS)
         if ":" in where[0]:
             self.address_family = socket.AF_INET6
         super().__init__(where, _Handler)
@@ -54,28 +66,31 @@ class BoundedServer(ThreadingHTTPServer):
         socketserver.TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
 
+    def get_request(self) -> tuple[Any, Any]:
+        """Take a connection; without descriptors for it, wait a little instead of spinning."""
+        try:
+            return super().get_request()
+        except OSError:
+            time.sleep(BREATH)
+            raise
+
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Take a connection and put out the oldest when there are too many."""
-        with self._guard:
-            self._held[request] = None
-            oldest = next(iter(self._held)) if len(self._held) > MOST_CONNECTIONS else None
-            if oldest is not None:
-                del self._held[oldest]
-                _hang_up(oldest)
+        """Serve a connection and put out an older one when there are too many."""
+        leaving = self._held.add(request, str(client_address[0]))
+        if leaving is not None:
+            _hang_up(leaving)
         super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
         """Forget a connection and close it."""
-        with self._guard:
-            self._held.pop(request, None)
+        self._held.remove(request)
         super().shutdown_request(request)
 
     def server_close(self) -> None:
         """Close the listening socket and put out who is still connected."""
         super().server_close()
-        with self._guard:
-            for request in self._held:
-                _hang_up(request)
+        for request in self._held.all():
+            _hang_up(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Tell the log, not the terminal."""
@@ -111,8 +126,12 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:  # name given by the base class
         """Answer GET and HEAD."""
         path = self.path.partition("?")[0].partition("#")[0]
+        server = cast(BoundedServer, self.server)
+        if not all(server.names.knows(host) for host in self.headers.get_all("Host", ())):
+            self._send(HTTPStatus.MISDIRECTED_REQUEST, TEXT, STRANGER)
+            return
         try:
-            answer = cast(BoundedServer, self.server).answer
+            answer = server.answer
             status, content_type, body = answer(path, self.headers.get("Accept", ""))
         except Exception:  # outermost guard of the connection's thread: the log gets it
             structlog.stdlib.get_logger("orbitfb.observe").exception("http_answer_failed")

@@ -1,6 +1,7 @@
 """Is the loop alive, is it ready: answers for probes, as functions of a snapshot."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from orbitfb.core.signals import LoopState
@@ -23,13 +24,20 @@ class Verdict:
     body: dict[str, Any]
 
 
-def health(snapshot: LoopSnapshot, stale_after: float) -> Verdict:
+def health(snapshot: LoopSnapshot, stale_after: float, troubles: Sequence[str] = ()) -> Verdict:
     """Say whether the process is alive: restart it if not.
 
     Args:
         snapshot: Figures of this moment.
         stale_after: Time without a tick after which the loop is not alive [s].
+        troubles: What does not work now though the loop does. They are told and are no reason
+            to restart it.
     """
+    verdict = _alive(snapshot, stale_after)
+    return replace(verdict, body={**verdict.body, "troubles": list(troubles)})
+
+
+def _alive(snapshot: LoopSnapshot, stale_after: float) -> Verdict:
     if snapshot.state is LoopState.FAULT:
         return _verdict(False, f"FAULT: {snapshot.reason or 'see the log'}", snapshot)
     if snapshot.ticks.age > stale_after:

@@ -2,13 +2,14 @@
 
 import errno
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from http import HTTPStatus
 
+import structlog
 from prometheus_client import CollectorRegistry
 from prometheus_client.exposition import choose_encoder
 
-from orbitfb.core.errors import OwnershipError
+from orbitfb.core.host_names import HostNames
 from orbitfb.observe.bounded_http import TEXT, Answer, BoundedServer
 from orbitfb.observe.health import Verdict, health, readiness
 from orbitfb.observe.plain import dumps
@@ -21,14 +22,25 @@ INDEX = (
 
 JSON = "application/json"
 
+AGAIN_AFTER = 5.0
+"""Time between two tries to listen where somebody else does [s]."""
+
+_log = structlog.stdlib.get_logger("orbitfb.observe")
+
 
 class ObserveServer:
     """Serve metrics and health from daemon threads.
+
+    A port in use does not keep the loop from running: the port is tried again and again.
 
     Args:
         settings: Address, port, when the loop counts as stale.
         registry: What `/metrics` exposes.
         snapshot: Returns the figures of this moment.
+        troubles: Returns what does not work now though the loop does, a sentence each.
+
+    Attributes:
+        problem: Why nothing is served; empty while it is, or should not be.
     """
 
     def __init__(
@@ -36,12 +48,16 @@ class ObserveServer:
         settings: ObserveSettings,
         registry: CollectorRegistry,
         snapshot: Callable[[], LoopSnapshot],
+        troubles: Callable[[], Sequence[str]] = tuple,
     ) -> None:
         self._settings = settings
         self._registry = registry
         self._snapshot = snapshot
+        self._troubles = troubles
         self._server: BoundedServer | None = None
         self._thread: threading.Thread | None = None
+        self._ended = threading.Event()
+        self.problem = ""
 
     @property
     def address(self) -> str:
@@ -52,43 +68,52 @@ class ObserveServer:
         return f"http://[{host!s}]:{port}" if ":" in str(host) else f"http://{host!s}:{port}"
 
     def start(self) -> None:
-        """Begin to serve; nothing happens when the settings say so.
-
-        Raises:
-            OwnershipError: The port is in use, or the address is not of this computer.
-        """
-        if not self._settings.enabled or self._server is not None:
+        """Begin to serve, as soon as the port is free; not at all when the settings say so."""
+        if not self._settings.enabled or self._thread is not None:
             return
-        where = (self._settings.host, self._settings.port)
+        self._ended.clear()
+        self._listen()
+        if self.problem:
+            _log.warning("metrics_not_served", problem=self.problem, again_after=AGAIN_AFTER)
+        self._thread = threading.Thread(target=self._serve, name="orbitfb-http", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop serving, put out who is connected and free the port. May be called twice."""
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return
+        self._ended.set()
+        thread.join()
+        server, self._server = self._server, None
+        if server is not None:
+            server.server_close()
+
+    def _listen(self) -> None:
+        """Try to have the port."""
+        settings = self._settings
+        names = HostNames(settings.host, settings.names)
         try:
-            self._server = BoundedServer(where, self._answer)
+            self._server = BoundedServer((settings.host, settings.port), self._answer, names)
+            self.problem = ""
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
                 cause = "is in use: is another orbitfb running?"
             else:
                 cause = f"cannot be listened on ({error.strerror})."
-            raise OwnershipError(
-                f"metrics and health: {where[0]} port {where[1]} {cause} "
-                "Set observe.host and observe.port (0 takes any free port), "
-                "or observe.enabled = false"
-            ) from error
-        self._thread = threading.Thread(
-            target=self._server.serve_forever,
-            kwargs={"poll_interval": 0.1},
-            name="orbitfb-http",
-            daemon=True,
-        )
-        self._thread.start()
+            self.problem = (
+                f"metrics and health: {settings.host} port {settings.port} {cause} Set "
+                "observe.host and observe.port (--metrics-port; 0 takes any free one), or "
+                "observe.enabled = false"
+            )
 
-    def stop(self) -> None:
-        """Stop serving, put out who is connected and free the port. May be called twice."""
-        server, thread = self._server, self._thread
-        self._server = self._thread = None
-        if server is None or thread is None:
-            return
-        server.shutdown()
-        thread.join()
-        server.server_close()
+    def _serve(self) -> None:
+        while self._server is None and not self._ended.wait(AGAIN_AFTER):
+            self._listen()
+            if self._server is not None:
+                _log.info("metrics_served", where=self.address)
+        while self._server is not None and not self._ended.is_set():
+            self._server.handle_request()
 
     def _answer(self, path: str, accept: str) -> Answer:
         """Return status, content type and body for a path."""
@@ -96,7 +121,7 @@ class ObserveServer:
             encode, content_type = choose_encoder(accept)
             return HTTPStatus.OK, content_type, encode(self._registry)
         if path == "/healthz":
-            return _probe(health(self._snapshot(), self._settings.stale_after))
+            return _probe(health(self._snapshot(), self._settings.stale_after, self._troubles()))
         if path == "/readyz":
             return _probe(readiness(self._snapshot(), self._settings.stale_after))
         if path == "/":

@@ -63,6 +63,11 @@ class ObserveSettings(Settings):
         description="Address to listen on; anything but loopback shows the figures to the network",
     )
     port: int = Field(default=9180, ge=0, le=65535, description="TCP port; 0 takes any free one")
+    names: tuple[str, ...] = Field(
+        default=(),
+        description="Host names by which it may be asked, besides localhost, this computer's own "
+        "name and plain addresses; a name that is not here is refused",
+    )
     stale_after: float = Field(
         default=5.0,
         gt=0.0,

@@ -1,17 +1,15 @@
 """Who may look: no page of another site may, and nothing here can be framed or made to run.
 
-A page that a browser got elsewhere can ask this computer too, under a name that its owner lets
-point here (DNS rebinding). It comes with that name in `Host`, or with its own in `Origin`.
+A page of another site comes with a name that is not ours in `Host`, or with its own in `Origin`.
 """
 
-import ipaddress
-import socket
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from orbitfb.core.host_names import HostNames
 from orbitfb.page.settings import WebSettings
 
 POLICY = (
@@ -44,8 +42,7 @@ class Guard:
 
     def __init__(self, app: ASGIApp, settings: WebSettings) -> None:
         self._app = app
-        own = ("localhost", socket.gethostname(), settings.host, *settings.names)
-        self._names = frozenset(name.lower().rstrip(".") for name in own)
+        self._names = HostNames(settings.host, settings.names)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or refuse it."""
@@ -54,7 +51,7 @@ class Guard:
             return
         headers = Headers(scope=scope)
         hosts, origins = headers.getlist("host"), headers.getlist("origin")
-        known = len(hosts) == 1 and self.knows(hosts[0])
+        known = len(hosts) == 1 and self._names.knows(hosts[0])
         if not known or not all(_same_site(origin, hosts[0]) for origin in origins):
             await self._refuse(scope, receive, send)
             return
@@ -68,24 +65,6 @@ class Guard:
             await send(message)
 
         await self._app(scope, receive, send_dressed)
-
-    def knows(self, host: str) -> bool:
-        """Say whether a `Host` is a name of ours; an address needs no name server to be ours.
-
-        Args:
-            host: Of the header, with or without a port.
-        """
-        try:
-            name = urlsplit(f"//{host}").hostname or ""
-        except ValueError:
-            return False
-        if name.rstrip(".") in self._names:
-            return True
-        try:
-            ipaddress.ip_address(name)
-        except ValueError:
-            return False
-        return True
 
     async def _refuse(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "websocket":

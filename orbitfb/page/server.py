@@ -6,12 +6,14 @@ import errno
 import socket
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from orbitfb.control import ask
+from orbitfb.core.connections import Connections
 from orbitfb.core.errors import ControlError, OrbitFeedbackError, OwnershipError
 from orbitfb.page.app import PATIENCE, page_app
 from orbitfb.page.feed import Feed
@@ -21,22 +23,71 @@ from orbitfb.page.settings import WebSettings
 SEND_BUFFER = 1 << 16
 """What the kernel keeps for a viewer that takes nothing [bytes]."""
 MORE_CONNECTIONS = 32
-"""Connections at a time besides those of viewers."""
+"""Connections at a time that are no viewers', and viewers' that are being turned away."""
 _BACKLOG = 64
 
 
 class PatientProtocol(H11Protocol):
-    """A connection that ends when no request comes."""
+    """A connection that ends when no request comes, or when it has to give way to another.
+
+    Args:
+        room: Counts those that are no viewers' yet.
+    """
+
+    def __init__(self, room: Connections[Any], **given: Any) -> None:
+        super().__init__(**given)
+        self._room = room
 
     def connection_made(self, transport: Any) -> None:
         """Take a connection."""
         super().connection_made(transport)
         self.loop.call_later(PATIENCE, self._give_up)
+        _make_room(self._room, transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Count it out."""
+        self._room.remove(self.transport)
+        super().connection_lost(exc)
+
+    def handle_websocket_upgrade(self, event: Any) -> None:
+        """Count it out: it goes on as a viewer's."""
+        self._room.remove(self.transport)
+        super().handle_websocket_upgrade(event)
 
     def _give_up(self) -> None:
         # one that has become a viewer's is in other hands
         if self.cycle is None and self in self.connections:
             self.transport.abort()
+
+
+class ViewerProtocol(WebSocketsSansIOProtocol):
+    """A viewer's connection, or one that the feed turns away and that does not go.
+
+    Args:
+        room: Counts them.
+    """
+
+    def __init__(self, room: Connections[Any], **given: Any) -> None:
+        super().__init__(**given)
+        self._room = room
+
+    def connection_made(self, transport: Any) -> None:
+        """Take a connection."""
+        super().connection_made(transport)
+        _make_room(self._room, transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Count it out."""
+        self._room.remove(self.transport)
+        super().connection_lost(exc)
+
+
+def _make_room(room: Connections[Any], transport: Any) -> None:
+    """Count a connection in; when there are too many, the oldest of who has most gives way."""
+    peer = transport.get_extra_info("peername")
+    leaving = room.add(transport, peer[0] if peer else "")
+    if leaving is not None:
+        leaving.abort()
 
 
 class QuietServer(uvicorn.Server):
@@ -118,15 +169,14 @@ def _configuration(job: PageJob, feed: Feed) -> uvicorn.Config:
     return uvicorn.Config(
         page_app(job, feed),
         loop="asyncio",
-        http=PatientProtocol,
-        ws="websockets-sansio",
+        http=cast(Any, partial(PatientProtocol, Connections(MORE_CONNECTIONS))),
+        ws=cast(Any, partial(ViewerProtocol, Connections(job.web.viewers + MORE_CONNECTIONS))),
         lifespan="off",
         log_config=None,
         log_level="critical",
         access_log=False,
         proxy_headers=False,
         server_header=False,
-        limit_concurrency=job.web.viewers + MORE_CONNECTIONS,
         timeout_keep_alive=5,
         timeout_graceful_shutdown=1,
         h11_max_incomplete_event_size=16_384,

@@ -3,6 +3,7 @@
 import contextlib
 import http.client
 import json
+import re
 import socket
 import threading
 import time
@@ -13,8 +14,8 @@ import numpy as np
 import pytest
 
 from orbitfb.core.clock import ManualClock
-from orbitfb.core.errors import OwnershipError
 from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, Reading, TickRecord
+from orbitfb.observe import http as observe_http
 from orbitfb.observe.bounded_http import MOST_CONNECTIONS
 from orbitfb.observe.http import ObserveServer
 from orbitfb.observe.metrics import metrics_registry
@@ -196,15 +197,54 @@ def test_figures_that_fail_give_500_and_no_details(statistics):
         server.stop()
 
 
-def test_a_port_in_use_is_an_ownership_error(server, statistics):
+def test_a_port_in_use_is_told_and_taken_when_it_is_free(server, statistics, monkeypatch):
+    monkeypatch.setattr(observe_http, "AGAIN_AFTER", 0.05)
     port = where(server)[1]
     second = ObserveServer(
         ObserveSettings(port=port), metrics_registry(statistics.snapshot), statistics.snapshot
     )
-    with pytest.raises(OwnershipError, match=rf"port {port} is in use.*observe.port"):
-        second.start()
+    second.start()
+    assert re.search(rf"port {port} is in use.*observe.port \(--metrics-port", second.problem)
     assert second.address == ""
+    server.stop()
+    end = time.monotonic() + 5.0
+    while second.problem and time.monotonic() < end:
+        time.sleep(0.01)
+    assert second.problem == "" and get(second, "/")[0] == 200
     second.stop()
+
+
+def test_who_waits_for_a_port_can_be_stopped(server, statistics):
+    second = ObserveServer(
+        ObserveSettings(port=where(server)[1]),
+        metrics_registry(statistics.snapshot),
+        statistics.snapshot,
+    )
+    second.start()
+    before = time.monotonic()
+    second.stop()
+    assert time.monotonic() - before < 1.0
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:1", "localhost", "[::1]:9180", "10.1.2.3"])
+def test_it_is_known_by_addresses_and_names_of_ours(server, host):
+    assert answer_to(server, f"GET /healthz HTTP/1.1\r\nHost: {host}\r\n\r\n").startswith(
+        b"HTTP/1.0 200"
+    )
+
+
+@pytest.mark.parametrize("path", ["/metrics", "/healthz", "/"])
+def test_a_page_of_another_site_reads_nothing(server, path):
+    told = answer_to(server, f"GET {path} HTTP/1.1\r\nHost: evil.example:9180\r\n\r\n")
+    assert told.startswith(b"HTTP/1.0 421") and b"orbitfb_" not in told
+    assert b"observe.names" in told
+
+
+def answer_to(server, request):
+    with socket.create_connection(where(server)) as client:
+        client.settimeout(5.0)
+        client.sendall(request.encode())
+        return b"".join(iter(lambda: client.recv(65536), b""))
 
 
 def test_stopping_is_quick_and_frees_the_port(server, statistics):

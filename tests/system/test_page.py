@@ -23,6 +23,7 @@ from orbitfb.control import ask
 from orbitfb.core.clock import SystemClock
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.own_page import OwnPage
+from orbitfb.page.server import MORE_CONNECTIONS
 
 pytestmark = pytest.mark.system
 
@@ -187,6 +188,25 @@ def test_nonsense_is_survived(service: Service):
     assert connection.getresponse().status == 421
     connection.close()
     assert "<title>" in fetch(service.where["page"])
+
+
+def test_those_who_only_connect_give_way(service: Service):
+    where = urlsplit(service.where["page"])
+    with ExitStack() as stack, look(service) as viewer:
+        for _ in range(4 * MORE_CONNECTIONS):
+            stack.enter_context(socket.create_connection((where.hostname, where.port), 5.0))
+        assert "<title>" in fetch(service.where["page"])
+        assert pictures(viewer, 0.5)
+    with ExitStack() as stack:  # viewers too many, who do not go when they are told to
+        key = b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+        host = where.netloc.encode()
+        shake = b"GET /live HTTP/1.1\r\nHost: " + host + b"\r\nUpgrade: websocket\r\n"
+        for _ in range(2 * MORE_CONNECTIONS):
+            deaf = stack.enter_context(socket.create_connection((where.hostname, where.port), 5.0))
+            deaf.sendall(shake + b"Connection: Upgrade\r\n" + key + b"\r\n")
+        assert "<title>" in fetch(service.where["page"])
+    with look(service) as viewer:
+        assert pictures(viewer, 0.5)
 
 
 def test_a_service_that_is_killed_takes_its_page_along_and_the_next_one_takes_over(

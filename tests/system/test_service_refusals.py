@@ -52,12 +52,18 @@ def test_port_of_an_ioc_alone_in_use(taken_port: int):
     assert said.startswith(f"port {taken_port} on 127.0.0.1 is in use, by another IOC perhaps;")
 
 
-def test_port_of_the_metrics_in_use(taken_port: int, tmp_path: Path):
-    said = refused(*SIM[:1], *SIM[3:], "--metrics-port", taken_port, "--data", tmp_path / "data")
-    assert said == (
+def test_port_of_the_metrics_in_use_does_not_stop_control(taken_port: int, tmp_path: Path):
+    data = tmp_path / "data"
+    done = orbitfb(*SIM[:1], *SIM[3:], "--metrics-port", taken_port, "--data", data)
+    problem = (
         f"metrics and health: 127.0.0.1 port {taken_port} is in use: is another orbitfb running? "
-        "Set observe.host and observe.port (0 takes any free port), or observe.enabled = false"
+        "Set observe.host and observe.port (--metrics-port; 0 takes any free one), or "
+        "observe.enabled = false"
     )
+    assert done.returncode == 0 and f"no metrics as yet: {problem}\n" in done.stdout
+    events = {line["event"]: line for line in read_log(data)}
+    assert events["metrics_not_served"]["problem"] == problem
+    assert events["service_stopped"]["state"] == "CLOSED"
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])

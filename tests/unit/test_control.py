@@ -1,5 +1,7 @@
 """The control socket and the locks: one holder, one answer for every message, good or bad."""
 
+import contextlib
+import errno
 import os
 import pwd
 import re
@@ -8,15 +10,19 @@ import stat
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from orbitfb import control
-from orbitfb.control import MESSAGE_LIMIT, ControlServer, Lock, ask, is_running, runtime_directory
+from orbitfb.control import MESSAGE_LIMIT, MOST_CONVERSATIONS, ControlServer, ask, is_running
+from orbitfb.core import ownership
 from orbitfb.core.errors import ControlError, OwnershipError
+from orbitfb.core.ownership import Lock, runtime_directory
 
 
 @pytest.fixture(autouse=True)
@@ -174,7 +180,7 @@ def test_without_a_run_time_directory_it_is_the_temporary_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.delenv("XDG_RUNTIME_DIR")
-    monkeypatch.setattr(control.tempfile, "tempdir", str(tmp_path / "t"))
+    monkeypatch.setattr(ownership.tempfile, "tempdir", str(tmp_path / "t"))
     assert runtime_directory() == tmp_path / "t" / f"orbitfb-{os.getuid()}"
 
 
@@ -223,7 +229,7 @@ def test_a_lock_has_one_holder():
 
 
 def test_a_lock_is_free_when_its_holder_is_killed():
-    code = "from orbitfb.control import Lock; lock = Lock('r', '', ''); print(1, flush=True)"
+    code = "from orbitfb.core.ownership import Lock; lock = Lock('r', '', ''); print(1, flush=True)"
     holder = subprocess.Popen(
         [sys.executable, "-c", f"{code}; input()"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
@@ -236,3 +242,76 @@ def test_a_lock_is_free_when_its_holder_is_killed():
         holder.wait()
         with Lock("r", "the ring", ""):
             pass
+
+
+def connect_to(data: Path) -> socket.socket:
+    connection = socket.socket(socket.AF_UNIX)
+    connection.settimeout(5.0)
+    connection.connect(str(control._socket_path(data)))
+    return connection
+
+
+def test_those_who_only_connect_give_way_to_those_who_ask(served: Path):
+    idle = [connect_to(served) for _ in range(2 * MOST_CONVERSATIONS)]
+    assert ask(served, {"command": "x"})
+    left = 0
+    for connection in idle:
+        connection.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            left += connection.recv(1) == b""
+        connection.close()
+    assert left >= MOST_CONVERSATIONS
+
+
+def test_while_all_are_being_answered_one_more_is_told_to_wait(tmp_path: Path):
+    go = threading.Event()
+
+    def slow(_: Mapping[str, Any]) -> Mapping[str, Any]:
+        go.wait(10.0)
+        return {}
+
+    server = ControlServer(tmp_path, slow)
+    asked = [connect_to(tmp_path) for _ in range(MOST_CONVERSATIONS)]
+    for connection in asked:
+        connection.sendall(b"{}\n")
+    end = time.monotonic() + 5.0
+    answer = b""
+    while b"busy" not in answer and time.monotonic() < end:  # until all have been heard
+        with connect_to(tmp_path) as more:
+            more.settimeout(0.2)
+            with contextlib.suppress(TimeoutError):
+                answer = more.recv(1000)
+    go.set()
+    for connection in asked:
+        assert connection.recv(100) == b'{"ok": true}\n'
+        connection.close()
+    server.close()
+    assert b"ask again in some seconds" in answer
+
+
+def test_without_descriptors_it_waits_and_answers_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    short = threading.Event()
+    accept = socket.socket.accept
+
+    def none_left(listener: socket.socket) -> Any:
+        if short.is_set():
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+        return accept(listener)
+
+    monkeypatch.setattr(control.socket.socket, "accept", none_left)
+    with capture_logs() as logs:
+        server = ControlServer(tmp_path, handle)
+        short.set()
+        ask(tmp_path, {"command": "x"})  # the accept that was waiting already
+        end = time.monotonic() + 5.0
+        while not server.problem and time.monotonic() < end:
+            time.sleep(0.01)
+        assert server.problem == "the control socket answers nobody: Too many open files"
+        short.clear()
+        assert ask(tmp_path, {"command": "x"})
+        assert server.problem == ""
+        server.close()
+    events = [line["event"] for line in logs]
+    assert events == ["control_socket_starved", "control_socket_answers_again"]

@@ -44,3 +44,11 @@ def test_a_loop_that_starts_is_alive_but_not_ready(statistics, clock):
     assert readiness(statistics.snapshot(), 5.0).body["reason"] == "no tick yet"
     clock.advance(5.0)
     assert not health(statistics.snapshot(), 5.0).good
+
+
+def test_what_does_not_work_beside_the_loop_is_told_and_is_no_reason_to_restart(statistics):
+    statistics(record(state=LoopState.CLOSED))
+    troubles = ("the control socket answers nobody: Too many open files",)
+    verdict = health(statistics.snapshot(), 5.0, troubles)
+    assert verdict.good and verdict.body["troubles"] == list(troubles)
+    assert health(statistics.snapshot(), 5.0).body["troubles"] == []
