@@ -3,7 +3,6 @@
 The state of the loop is not in it: a loop never closes because it was closed before.
 """
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -12,6 +11,7 @@ from pydantic import Field, ValidationError
 
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError
 from orbitfb.core.settings import Settings
+from orbitfb.core.state_files import make_directory, replace_file
 
 S = TypeVar("S", bound=Settings)
 
@@ -59,14 +59,9 @@ def write_whole(path: Path, content: Settings) -> None:
     Raises:
         OrbitFeedbackError: It cannot be written.
     """
-    part = path.with_name(f".{path.name}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("w", encoding="utf-8") as file:
-            file.write(content.model_dump_json(indent=1) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
+        make_directory(path.parent)
+        replace_file(path, f"{content.model_dump_json(indent=1)}\n".encode())
     except OSError as error:
         raise OrbitFeedbackError(f"{path} cannot be written: {error.strerror}") from error
 

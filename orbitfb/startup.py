@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.config import AppConfig
+from orbitfb.core import state_files
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.ownership import Lock
 from orbitfb.core.signals import Channels, LoopState
@@ -34,7 +35,7 @@ PRODUCTION_PORT = 5064
 
 
 class StopSignals:
-    """Let SIGINT and SIGTERM stop the service.
+    """Let SIGINT, SIGTERM and SIGHUP stop the service.
 
     Until `stop` is handed to a loop that heeds it, that is while the service starts, they end
     the start at once: what is open is closed, the exit code says which signal it was. A library
@@ -70,7 +71,9 @@ class StopSignals:
 
     def __enter__(self) -> Self:
         """Take the signals."""
-        numbers = (signal.SIGINT, signal.SIGTERM)
+        # a closed window sends SIGHUP, unless whoever started the service wants it to stay (nohup)
+        stays = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        numbers = (signal.SIGINT, signal.SIGTERM, *(() if stays else (signal.SIGHUP,)))
         self._before = {number: signal.signal(number, self._handle) for number in numbers}
         return self
 
@@ -111,7 +114,7 @@ def make_directory(directory: Path) -> None:
         ConfigError: It cannot be made, or cannot be written to.
     """
     try:
-        directory.mkdir(parents=True, exist_ok=True)
+        state_files.make_directory(directory)
     except FileExistsError:
         problem = "there is a file of that name"
     except OSError as error:

@@ -106,7 +106,7 @@ def _tell(line: str) -> None:
     """Print a line; a reader that has gone (`| head -1`, a closed window) must not end the loop."""
     try:
         print(line, flush=True)
-    except BrokenPipeError:
+    except OSError:  # a broken pipe, or no such terminal any more
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from orbitfb.core.errors import EstimationError, RecordError
+from orbitfb.core.state_files import AS_USUAL
 from orbitfb.diagnose.answer_parts import Experiment
 from orbitfb.diagnose.plan_candidates import channels_of
 from orbitfb.effects.layout import Layout
@@ -58,7 +59,7 @@ class Plan:
         else:
             content = _toml(self.experiment.text, self._runnable).encode()
         try:
-            replace_file(path, content)
+            replace_file(path, content, AS_USUAL)
         except OSError as error:
             raise RecordError(f"{path}: it cannot be written ({error.strerror})") from error
 

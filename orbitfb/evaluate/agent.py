@@ -17,6 +17,7 @@ import numpy as np
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Channels, Vector
+from orbitfb.core.state_files import AS_USUAL
 from orbitfb.evaluate.compare import CompareSettings, Comparison, as_rows, compare
 from orbitfb.gym.agent import AgentPolicy
 from orbitfb.gym.scaling import Scaling
@@ -87,7 +88,7 @@ def write(result: AgentResult, channels: Channels, out: Path) -> None:
         "settings": result.settings.model_dump(mode="json"),
         "policies": as_rows(result.rows),
     }
-    replace_file(out / REPORT, (json.dumps(report, indent=2) + "\n").encode())
+    replace_file(out / REPORT, (json.dumps(report, indent=2) + "\n").encode(), AS_USUAL)
 
 
 def write_agent(

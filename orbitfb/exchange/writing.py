@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from orbitfb.core.errors import ExchangeError
+from orbitfb.core.state_files import AS_USUAL
 from orbitfb.policies.files import replace_file
 
 
@@ -13,7 +14,7 @@ def write_whole(path: Path, content: bytes) -> None:
         ExchangeError: It cannot be written; what was there before stays.
     """
     try:
-        replace_file(path, content)
+        replace_file(path, content, AS_USUAL)
     except OSError as error:
         raise ExchangeError(
             f"{path} cannot be written ({error.strerror}); make room or name another place"

@@ -15,6 +15,7 @@ from orbitfb.core.errors import ArchiveError, OwnershipError
 from orbitfb.core.ports import Clock
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Channels, TickRecord
+from orbitfb.core.state_files import make_directory, open_to_append
 from orbitfb.history.columns import allocate, fill, layout, row_bytes
 from orbitfb.history.segment import UNFINISHED, RawSegment, compressing
 
@@ -79,7 +80,7 @@ class Recorder:
         self._named = datetime.min.replace(tzinfo=UTC)
         self._tidying: Generator[None] | None = None
         try:
-            directory.mkdir(parents=True, exist_ok=True)
+            make_directory(directory)
             self._lock = self._take_directory()
             left = sorted(directory.glob("*.h5"))
         except OSError as error:
@@ -173,7 +174,7 @@ class Recorder:
             plan = layout(self._channels, self._auxiliary)
             rows = max(1, int(1e6 * self._settings.segment_megabytes) // row_bytes(plan))
             if os.fstat(self._lock.fileno()).st_nlink == 0:  # somebody removed the directory
-                self._directory.mkdir(exist_ok=True)
+                make_directory(self._directory)
                 self._lock.close()
                 self._lock = self._take_directory()
             self._born = self._clock.monotonic()
@@ -183,7 +184,7 @@ class Recorder:
 
     def _take_directory(self) -> IO[str]:
         """Lock the directory and sweep away what a killed writer left unfinished."""
-        lock = (self._directory / ".writer").open("a")
+        lock = open_to_append(self._directory / ".writer")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:

@@ -12,6 +12,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from orbitfb.core.state_files import NEW, OWN
+
 _PAGE = 4096
 
 
@@ -32,7 +34,7 @@ class Sink(io.RawIOBase):
 
     def __init__(self, path: Path) -> None:
         super().__init__()
-        self.descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        self.descriptor = os.open(path, NEW, OWN)
         self._position = self._size = 0
         self._trouble: OSError | None = None
         self._kept: dict[int, bytearray] = {}

@@ -21,6 +21,7 @@ from pydantic import Field, ValidationError
 from orbitfb.core.errors import MeasurementError, StoreError
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Channels, Vector
+from orbitfb.core.state_files import make_directory
 from orbitfb.measure.column import Table, table_shapes
 from orbitfb.measure.packed import read_packed, write_packed
 from orbitfb.policies.files import read_bounded, replace_file
@@ -195,7 +196,7 @@ class Journal:
 
     def _make(self) -> None:
         try:
-            self.directory.mkdir(parents=True, exist_ok=True)
+            make_directory(self.directory)
         except OSError as error:
             raise MeasurementError(
                 f"{self.directory} cannot be made ({error.strerror}); name another data directory"

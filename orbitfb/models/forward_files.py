@@ -9,7 +9,6 @@ The tensors are written first; the card, which names them, takes its place at on
 import hashlib
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from safetensors.numpy import save as save_tensors
 from orbitfb.core.bounded import take
 from orbitfb.core.errors import StoreError
 from orbitfb.core.settings import Settings
+from orbitfb.core.state_files import make_directory, replace_file
 from orbitfb.models.forward_net import Coordinates, ForwardNet
 
 SCHEMA_VERSION = 1
@@ -69,9 +69,9 @@ def save_forward(net: ForwardNet, directory: Path) -> None:
         sha256=digest,
     )
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        _replace(directory / card.tensors, content)
-        _replace(directory / "card.json", card.model_dump_json(indent=1).encode())
+        make_directory(directory)
+        replace_file(directory / card.tensors, content)
+        replace_file(directory / "card.json", card.model_dump_json(indent=1).encode())
         for path in directory.glob("forward-*.safetensors"):
             if path.name != card.tensors:
                 path.unlink(missing_ok=True)
@@ -157,13 +157,3 @@ def _check(card: _Card, tensors: dict[str, NDArray[Any]], directory: Path, advic
                 fault = "layers that do not fit together"
     if fault is not None:
         raise StoreError(f"{directory} holds {fault}; {advice}")
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Let new content take a name at once, on disk before it has it."""
-    unfinished = path.with_name(path.name + ".unfinished")
-    with unfinished.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(path)

@@ -9,7 +9,6 @@ reader sees the old checkpoint or the new one, also after a kill or a power cut.
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from safetensors.torch import save as save_tensors
 
 from orbitfb.core.bounded import take
 from orbitfb.core.errors import StoreError
+from orbitfb.core.state_files import make_directory, replace_file
 
 Modules = Mapping[str, torch.nn.Module]
 """What is trained, by name; names without a dot."""
@@ -82,9 +82,9 @@ class Checkpoint:
             "sha256": digest,
         }
         try:
-            self.directory.mkdir(parents=True, exist_ok=True)
-            _replace(self.directory / card["tensors"], content)
-            _replace(self._card_path, json.dumps(card, indent=2).encode())
+            make_directory(self.directory)
+            replace_file(self.directory / card["tensors"], content)
+            replace_file(self._card_path, json.dumps(card, indent=2).encode())
             self._sweep(card["tensors"])
         except OSError as error:
             raise StoreError(
@@ -185,18 +185,3 @@ class Checkpoint:
             for path in self.directory.glob(pattern):
                 if path.name != kept:
                     path.unlink(missing_ok=True)
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Let new content take a name at once, on disk before it has it."""
-    unfinished = path.with_name(path.name + ".unfinished")
-    with unfinished.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(path)
-    descriptor = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

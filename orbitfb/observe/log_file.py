@@ -6,10 +6,14 @@ import os
 import sys
 from collections import deque
 from contextlib import suppress
+from io import TextIOWrapper
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
+from typing import cast
 
 import structlog
+
+from orbitfb.core.state_files import make_directory, open_to_append
 
 _WAITING = 2000
 
@@ -50,6 +54,10 @@ class LogFile(RotatingFileHandler):
         self._drain()
         super().close()
 
+    def _open(self) -> TextIOWrapper:
+        """Open it for this user alone; a link of that name is not followed."""
+        return cast(TextIOWrapper, open_to_append(Path(self.baseFilename)))
+
     def _drain(self) -> None:
         try:
             while self._waiting:
@@ -88,6 +96,6 @@ class LogFile(RotatingFileHandler):
                 if os.path.samestat(path.stat(), os.fstat(stream.fileno())):
                     return stream.fileno()
             stream.close()
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_directory(path.parent)
         stream = self.stream = self._open()
         return stream.fileno()

@@ -11,6 +11,7 @@ from typing import Any
 import structlog
 
 from orbitfb.core.errors import OwnershipError
+from orbitfb.core.state_files import make_directory
 from orbitfb.observe.log_file import LogFile
 from orbitfb.observe.plain import dumps
 from orbitfb.observe.settings import LogSettings
@@ -113,7 +114,7 @@ def configure_logs(settings: LogSettings, directory: Path) -> Logs:
 
 def _file(settings: LogSettings, path: Path) -> LogFile:
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_directory(path.parent)
         return LogFile(path, settings.largest, settings.kept)
     except OSError as error:
         raise OwnershipError(

@@ -8,6 +8,7 @@ from typing import Any
 
 from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.core.refit import Decision
+from orbitfb.core.state_files import AS_USUAL, replace_file
 from orbitfb.observe.plain import dumps, plain
 from orbitfb.observe.snapshot import LoopSnapshot
 from orbitfb.observe.statistics import LATENCY_WINDOW
@@ -120,13 +121,7 @@ def write_summary(path: Path, snapshot: LoopSnapshot) -> None:
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with part.open("w", encoding="utf-8") as file:
-                file.write(dumps(summary(snapshot), indent=2) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
+        text = dumps(summary(snapshot), indent=2) + "\n"
+        replace_file(path, text.encode(), AS_USUAL, part)
     except OSError as error:
         raise _unwritable(path, error) from error

@@ -2,7 +2,6 @@
 
 import fcntl
 import json
-import os
 import shutil
 import time
 import uuid
@@ -13,6 +12,14 @@ from typing import Any
 
 from orbitfb.core.bounded import take
 from orbitfb.core.errors import StoreError
+from orbitfb.core.state_files import (
+    OWN,
+    make_directory,
+    open_to_append,
+    sync_directory,
+    write_through,
+)
+from orbitfb.core.state_files import replace_file as put
 
 SCHEMA_VERSION = 2
 """Version of the files of the store that is written. 2: cards tell the training."""
@@ -81,15 +88,15 @@ def publish_directory(final: Path, files: Mapping[str, bytes]) -> None:
     """
     unfinished = final.parent / f"{_UNFINISHED}{uuid.uuid4().hex}"
     try:
-        unfinished.mkdir()
+        make_directory(unfinished)
         for name, content in files.items():
-            _write_through(unfinished / name, content)
-        _sync_directory(unfinished)
+            write_through(unfinished / name, content)
+        sync_directory(unfinished)
         unfinished.rename(final)
     except OSError:
         shutil.rmtree(unfinished, ignore_errors=True)
         raise
-    _sync_directory(final.parent)
+    sync_directory(final.parent)
 
 
 def remove_directory(path: Path) -> None:
@@ -103,20 +110,18 @@ def remove_directory(path: Path) -> None:
     shutil.rmtree(leaving)
 
 
-def replace_file(path: Path, content: bytes) -> None:
+def replace_file(path: Path, content: bytes, mode: int = OWN) -> None:
     """Put new content in the place of a file: readers see the old or the new.
+
+    Args:
+        path: The file.
+        content: Of the file.
+        mode: Who may do what with it.
 
     Raises:
         OSError: It cannot be written; the old content stays.
     """
-    unfinished = path.parent / f"{_UNFINISHED}{uuid.uuid4().hex}"
-    try:
-        _write_through(unfinished, content)
-        unfinished.replace(path)
-    except OSError:
-        unfinished.unlink(missing_ok=True)
-        raise
-    _sync_directory(path.parent)
+    put(path, content, mode, path.parent / f"{_UNFINISHED}{uuid.uuid4().hex}")
 
 
 @contextmanager
@@ -129,8 +134,8 @@ def sole_writer(directory: Path) -> Iterator[None]:
         StoreError: The directory cannot be used, or another writer does not finish.
     """
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        lock = (directory / ".lock").open("a")
+        make_directory(directory)
+        lock = open_to_append(directory / ".lock")
     except OSError as error:
         raise StoreError(
             f"the policy store {directory} cannot be used ({error.strerror}); name another "
@@ -161,18 +166,3 @@ def _take(descriptor: int, directory: Path) -> None:
             time.sleep(0.02)
         else:
             return
-
-
-def _write_through(path: Path, content: bytes) -> None:
-    with path.open("xb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync_directory(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

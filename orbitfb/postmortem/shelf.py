@@ -1,9 +1,10 @@
 """The directory of the post-mortems: a file is there as a whole or not at all."""
 
-import os
 import uuid
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+
+from orbitfb.core.state_files import make_directory, sync_directory, write_through
 
 PREFIX, SUFFIX = "postmortem-", ".h5"
 UNFINISHED = ".unfinished-"
@@ -31,22 +32,15 @@ class Shelf:
         Raises:
             OSError: The disk refuses; nothing is left behind.
         """
-        self.directory.mkdir(parents=True, exist_ok=True)
+        make_directory(self.directory)
         unfinished = self.directory / f"{UNFINISHED}{uuid.uuid4().hex}"
         try:
-            with unfinished.open("xb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
+            write_through(unfinished, content)
             path = self._next_path(wall)
             unfinished.rename(path)
         finally:
             unfinished.unlink(missing_ok=True)
-        descriptor = os.open(self.directory, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        sync_directory(self.directory)
         return path
 
     def sweep(self) -> None:

@@ -215,7 +215,9 @@ def test_trip_is_latched_until_reset(obedient: Service):
     assert event["level"] == "error" and event["reason"] == tripped["reason"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda n: n.name)
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda n: n.name
+)
 def test_a_signal_stops_it_within_2_s_and_nothing_is_left(number: signal.Signals, tmp_path: Path):
     summary = tmp_path / "summary.json"
     with Service(tmp_path / "data", "sim", "--summary", summary) as service:
@@ -226,6 +228,10 @@ def test_a_signal_stops_it_within_2_s_and_nothing_is_left(number: signal.Signals
     assert json.loads(summary.read_text())["state"] == "CLOSED"
     assert read_log(service.data)[-1]["event"] == "service_stopped"
     # Its ports are free, its locks too: the same again.
+    # Nobody else reads what it wrote.
+    left = [path for path in (service.data, *service.data.rglob("*")) if not path.is_symlink()]
+    assert {path.stat().st_mode & 0o777 for path in left if path.is_dir()} == {0o700}
+    assert {path.stat().st_mode & 0o777 for path in left if path.is_file()} == {0o600}
     again = orbitfb(
         *("run", "--ioc", "sim", "--data", service.data, "--duration", 0.5),
         *("--port", service.port, "--metrics-port", service.where["metrics"].rsplit(":")[-1]),

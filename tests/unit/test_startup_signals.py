@@ -42,3 +42,25 @@ def test_a_loop_that_runs_is_asked_to_stop():
         signals.hand_over()
         interrupt()
         assert signals.stop.is_set()
+
+
+def test_a_closed_window_stops_it_like_the_end_of_the_computer():
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    try:
+        with StopSignals() as signals:
+            signals.hand_over()
+            signal.raise_signal(signal.SIGHUP)
+            assert signals.stop.is_set()
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_who_started_it_with_nohup_can_close_the_window():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with StopSignals() as signals:
+            signals.hand_over()
+            signal.raise_signal(signal.SIGHUP)
+            assert not signals.stop.is_set()
+    finally:
+        signal.signal(signal.SIGHUP, before)
