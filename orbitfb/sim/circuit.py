@@ -25,7 +25,7 @@ _VALUE_MASKS = ca.SubscriptionType.DBE_VALUE | ca.SubscriptionType.DBE_LOG
 
 
 class BoardFront(Protocol):
-    """What a client needs of the front that serves it; `orbitfb.sim.fast.FastFront` has it."""
+    """What a client needs of the front that serves it; `FastFront` is one."""
 
     board: Board
     feeds: set[Feed]
