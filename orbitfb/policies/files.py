@@ -5,10 +5,10 @@ import json
 import shutil
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from orbitfb.core.bounded import take
 from orbitfb.core.errors import StoreError
@@ -65,19 +65,20 @@ def read_json(path: Path, largest: int, advice: str) -> dict[str, Any]:
     """
     text = read_bounded(path, largest, advice)
     try:
-        content = json.loads(text)
+        content: object = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise StoreError(f"{path} is not readable JSON ({error}); {advice}") from error
     if not isinstance(content, dict):
         raise StoreError(f"{path} holds no JSON object; {advice}")
-    version = content.get("schema_version")
+    card = cast("dict[str, Any]", content)
+    version = card.get("schema_version")
     if version not in READABLE:
         raise StoreError(
             f"{path} has schema_version {version!r}, this program reads "
             f"{' and '.join(map(str, READABLE))}; use the version of orbitfb that wrote it, or "
             "refit"
         )
-    return content
+    return card
 
 
 def publish_directory(final: Path, files: Mapping[str, bytes]) -> None:
@@ -125,7 +126,7 @@ def replace_file(path: Path, content: bytes, mode: int = OWN) -> None:
 
 
 @contextmanager
-def sole_writer(directory: Path) -> Iterator[None]:
+def sole_writer(directory: Path) -> Generator[None]:
     """Be the only writer among threads and processes; sweep away what a killed one left.
 
     The lock belongs to an open file, so the kernel frees it when its holder dies.
