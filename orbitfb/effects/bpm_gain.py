@@ -6,7 +6,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.device_kinds import SensorKind
-from orbitfb.effects.kinds import Parameter, Values
+from orbitfb.effects.kinds import CALIBRATION_ERROR, Parameter, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.readings import ChangedReadings
 from orbitfb.effects.record import Record
@@ -31,6 +31,7 @@ class BpmGain(SensorKind):
         "(J. Safranek, Nucl. Instrum. Meth. A 388 (1997) 27)"
     )
     linear = "gain"
+    delays = 1
     scales = True
     confused_with = (
         "noise-level",
@@ -43,6 +44,10 @@ class BpmGain(SensorKind):
         "orbits at three levels tell it from a nonlinearity; for the scale common to all BPMs and "
         "all correctors a change of RF frequency or one calibrated corrector is needed"
     )
+
+    def healthy_scatter(self, layout: Layout) -> Vector:
+        """One per cent each."""
+        return np.full(len(layout.bpms), CALIBRATION_ERROR)
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

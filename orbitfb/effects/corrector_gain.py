@@ -5,7 +5,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.effects.actuating import ColumnsEffect
 from orbitfb.effects.device_kinds import ActuatorKind
-from orbitfb.effects.kinds import Parameter, Values
+from orbitfb.effects.kinds import CALIBRATION_ERROR, Parameter, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
@@ -36,6 +36,7 @@ class CorrectorGain(ActuatorKind):
         ),
     )
     linear = "gain"
+    delays = 3
     of_changes = True
     confused_with = (
         "bpm-gain",
@@ -53,6 +54,10 @@ class CorrectorGain(ActuatorKind):
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Scale."""
         return setpoints * (1.0 + values["gain"])
+
+    def healthy_scatter(self, layout: Layout) -> Vector:
+        """One per cent each."""
+        return np.full(len(layout.correctors), CALIBRATION_ERROR)
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -8,6 +8,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.laws import DeviceLaw, Law, PairLaw, Signals
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -37,6 +38,17 @@ class ActuatorKind(EffectKind):
             Currents in force at every row, shape (N, k) [A].
         """
 
+    def laws(self, signals: Signals) -> Sequence[Law]:
+        """Currents beyond the setpoints, each along the response of its corrector."""
+        layout = signals.record.layout
+
+        def course(values: Values, given: Signals) -> tuple[Matrix, ...]:
+            return (self.drive(given.currents, values, given.record) - given.currents,)
+
+        names = tuple(layout.correctors.label(i) for i in range(len(layout.correctors)))
+        groups = layout.correctors.groups()
+        return (DeviceLaw((layout.response,), course, names, groups, whole=self.target == "ring"),)
+
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> Sequence[Values]:
         """Propose values to scan beside `grid`, from what pulls at the likelihood.
 
@@ -65,6 +77,16 @@ class SensorKind(EffectKind):
     colours: ClassVar[bool] = False
     scales: ClassVar[bool] = False
     blurs: ClassVar[bool] = False
+
+    def laws(self, signals: Signals) -> Sequence[Law]:
+        """What each BPM makes of the predicted orbit beyond it."""
+        layout = signals.record.layout
+
+        def course(values: Values, given: Signals) -> tuple[Matrix, ...]:
+            return (self.distort(given.orbit, values, given.record) - given.orbit,)
+
+        names = tuple(layout.bpms.label(i) for i in range(len(layout.bpms)))
+        return (DeviceLaw((np.eye(len(names)),), course, names, layout.bpms.groups()),)
 
     def filters(self, record: Record) -> Sequence[Values]:
         """Values to try where the noise of a BPM is coloured, if it colours; those of `grid`.
@@ -150,6 +172,25 @@ class PairKind(EffectKind):
         Wanted are true positions for `bpm` (and acted on the readings), setpoints for
         `corrector` (and acted on the currents).
         """
+
+    def laws(self, signals: Signals) -> Sequence[Law]:
+        """What two columns mix of each other."""
+        layout = signals.record.layout
+        of_bpms = self.target == "bpm"
+        devices = layout.bpms if of_bpms else layout.correctors
+        patterns = np.eye(len(devices)) if of_bpms else layout.response
+
+        def mixing(values: Values) -> Matrix:
+            return self.matrices(layout, values) - np.eye(2)
+
+        names = tuple(devices.label(i) for i in range(len(devices)))
+        courses = signals.orbit if of_bpms else signals.currents
+        return (
+            PairLaw(
+                patterns, courses, self.pairs(layout), mixing, names,
+                lambda pair: self.struck(layout, pair),
+            ),
+        )  # fmt: skip
 
     def struck(self, layout: Layout, place: int) -> tuple[int, ...]:
         """Columns of the devices at fault at a pair: those of both, by default."""

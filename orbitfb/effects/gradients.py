@@ -11,6 +11,8 @@ from orbitfb.physics.optics import Matrix, green, green_with_gradient_errors
 from orbitfb.physics.places import Indices, Ring, plane_row
 
 PLANES: tuple[ChannelPlane, ChannelPlane] = ("x", "y")
+HEALTHY_BEAT = 0.015
+"""Beta-beat of a ring whose optics were corrected, rms over both planes [1]."""
 SIGN = {"x": -1.0, "y": 1.0}
 """An orbit z in a gradient that is Δk too strong is kicked by SIGN · Δk · z."""
 
@@ -58,6 +60,23 @@ def gradient_kicks(
             there += besides @ interpolation(layout, "QUAD", plane)[places].T
         kicks[row] = there * (strength / (1.0 - strength * own))
     return kicks
+
+
+def gradient_scatters(layout: Layout) -> Vector:
+    """Scatter of the integrated gradient of every quadrupole of a healthy ring, (q,) [1/m].
+
+    Errors are a share of the strength, the same in both planes. Δβ/β of one error Δk is
+    −Δk β cos(…)/(2 sin 2πν): its mean square over places is (Δk β)²/(8 sin² 2πν), and independent
+    errors add up. The share is that which beats by `HEALTHY_BEAT` over both planes.
+    """
+    ring = layout.known_ring
+    strength = np.abs(ring.strength("QUAD"))
+    if not strength.any():
+        strength = np.ones_like(strength)  # magnets of no stated strength are all alike
+    beta = ring.table.beta[:, ring.places("QUAD")]
+    tunes = np.array([[ring.tune("x")], [ring.tune("y")]])
+    beats = (strength * beta / np.sin(2 * np.pi * tunes)) ** 2 / 8.0
+    return strength * (HEALTHY_BEAT / np.sqrt(np.sum(beats) / len(beats)))
 
 
 def response_with(layout: Layout, gradients: Vector) -> Matrix:

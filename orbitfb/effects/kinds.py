@@ -17,13 +17,19 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
+from orbitfb.effects.laws import Law, Signals
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 
 Stage = Literal["sensor", "actuator", "optics", "disturbance", "noise", "timing"]
 Target = Literal["bpm", "corrector", "quadrupole", "sextupole", "source", "ring"]
+CALIBRATION_ERROR = 0.01
+"""Scatter of the gains of healthy BPMs and correctors, as their makers state it."""
+
 Values = Mapping[str, float]
 """Values of the parameters by name, SI."""
 
@@ -97,6 +103,8 @@ class EffectKind(ABC):
         of_changes: Whether one that begins in the middle of a record may act on what is added to
             the currents from then on alone: what they held, somebody has made up for. Its step at
             the onset is then tried as one that says nothing.
+        delays: Rows by which a free answer of such devices may be delayed while the noise of the
+            record is estimated.
     """
 
     id: ClassVar[str]
@@ -116,6 +124,7 @@ class EffectKind(ABC):
     grows: ClassVar[bool] = False
     vanishes: ClassVar[bool] = True
     of_changes: ClassVar[bool] = False
+    delays: ClassVar[int] = 0
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:
@@ -136,6 +145,24 @@ class EffectKind(ABC):
             values: All parameters, SI.
             rng: Its random numbers.
         """
+
+    def healthy_scatter(self, layout: Layout) -> Vector | None:
+        """Standard deviation of `linear` up to which a healthy ring has it, of every device.
+
+        None where a healthy ring has none.
+        """
+        return None
+
+    def refinement(self, signals: Signals) -> Matrix | None:
+        """What a ring as the table of places has it adds to the linear model, shape (N, n) [m].
+
+        Such a refinement is not named while it is small. None: nothing.
+        """
+        return None
+
+    @abstractmethod
+    def laws(self, signals: Signals) -> Sequence[Law]:
+        """Tell what it adds to the readings of a record, in forms that the diagnosis knows."""
 
     def unavailable(self, record: Record) -> str:
         """Say why this record cannot show the effect; empty when it can."""

@@ -1,6 +1,7 @@
 """Effects that add an orbit of their own: fixed shapes with a course in time, or the whole ring."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.laws import DeviceLaw, FieldLaw, Law, Signals, blocks, of_planes
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -64,6 +66,20 @@ class SourceKind(EffectKind):
             planes differ: the first for the rows of the x BPMs, the second for those of y.
         """
 
+    def laws(self, signals: Signals) -> Sequence[Law]:
+        """An orbit of fixed shape for every place, with its course."""
+        layout = signals.record.layout
+        small = {p.name: p.typical for p in self.parameters}
+        first = self.drivers(small, signals.record, signals.currents, signals.orbit)
+        patterns = of_planes(self.patterns(layout), layout.bpms.planes, first.ndim == 3)
+
+        def course(values: Values, given: Signals) -> tuple[Matrix, ...]:
+            return blocks(self.drivers(values, given.record, given.currents, given.orbit))
+
+        names = self.places_of(layout)
+        families = self.families(layout)
+        return (DeviceLaw(patterns, course, names, families, periodic=self.periodic),)
+
     def drivers_at(
         self, places: Indices, values: Values, record: Record, currents: Matrix, orbit: Matrix
     ) -> Courses:
@@ -77,6 +93,14 @@ class RingKind(EffectKind):
 
     target = "ring"
     collective = False
+
+    def laws(self, signals: Signals) -> Sequence[Law]:
+        """The orbit that it adds."""
+
+        def course(values: Values, given: Signals) -> Matrix:
+            return self.deflect(values, given.record, given.currents, given.orbit)
+
+        return (FieldLaw(course),)
 
     @abstractmethod
     def deflect(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from orbitfb.effects.gradients import ChangedGradients, gradient_kicks
+from orbitfb.core.signals import Vector
+from orbitfb.effects.gradients import ChangedGradients, gradient_kicks, gradient_scatters
 from orbitfb.effects.kicks import two_planes
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.layout import Layout
@@ -48,6 +49,10 @@ class QuadrupoleGradient(SourceKind):
     )
     collective = False
     standing = True
+
+    def healthy_scatter(self, layout: Layout) -> Vector | None:
+        """Errors that beat by one or two per cent; none where the ring is not known."""
+        return None if layout.ring is None else gradient_scatters(layout)
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

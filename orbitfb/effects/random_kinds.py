@@ -1,6 +1,7 @@
 """Effects without a course in time that could be known: noise, and what strikes at random."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.laws import EventLaw, Law, RandomLaw, Signals
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
@@ -35,6 +37,24 @@ class NoiseKind(EffectKind):
 
     relative: ClassVar[bool] = False
     """Whether its parameters are ratios to what the same devices have without it."""
+
+    def laws(self, signals: Signals) -> Sequence[Law]:
+        """Patterns whose amplitude is random."""
+        layout = signals.record.layout
+        groups = layout.bpms.groups() if self.target == "bpm" and self.collective else {}
+        return (
+            RandomLaw(
+                patterns=self.patterns(layout),
+                names=self.places_of(layout),
+                groups=groups,
+                walk=self.colour == "walk",
+                together=self.target == "ring",
+                rare=self.rare,
+                relative=self.relative,
+                lag=self.lag,
+                size=self.size,
+            ),
+        )
 
     @abstractmethod
     def places_of(self, layout: Layout) -> tuple[str, ...]:
@@ -87,6 +107,22 @@ class LatentKind(EffectKind):
     deviation that is the second one, else 0."""
     per_bpm: ClassVar[bool] = False
     """Whether it strikes BPM by BPM (every column of `shapes` with its own z) or all at once."""
+
+    def laws(self, signals: Signals) -> Sequence[Law]:
+        """What a strike changes, row by row."""
+        record, layout = signals.record, signals.record.layout
+        devices = layout.bpms if self.target == "bpm" else layout.correctors
+        parts = {} if self.target == "ring" else devices.groups()
+        return (
+            EventLaw(
+                shapes=self.shapes(record, signals.currents, signals.orbit),
+                parts=parts,
+                moves=self.moves(record, signals.currents),
+                always=self.strength == "always one",
+                often=self.strength == "normal",
+                single=self.per_bpm,
+            ),
+        )
 
     @abstractmethod
     def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:

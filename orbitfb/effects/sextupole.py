@@ -6,6 +6,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.effects.gradients import PLANES
 from orbitfb.effects.kicks import interpolation, two_planes
 from orbitfb.effects.kinds import Parameter, Values
+from orbitfb.effects.laws import Signals
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.orbit_kinds import Courses, SourceKind
 from orbitfb.effects.record import Record
@@ -79,6 +80,21 @@ class Sextupole(SourceKind):
         strengths = layout.known_ring.strength("SEXT")[places]
         mean = float(np.mean(np.abs(strengths))) if len(places) > 1 else 0.0
         return strengths / mean if mean else np.ones(len(places))
+
+    def refinement(self, signals: Signals) -> Matrix | None:
+        """The kicks of all sextupoles at the strengths of the table."""
+        layout = signals.record.layout
+        if layout.ring is None:
+            return None
+        strengths = np.nan_to_num(layout.ring.strength("SEXT"))
+        mean = float(np.mean(np.abs(strengths)))
+        if not mean:
+            return None
+        kicks = self.drivers({"strength": mean}, signals.record, signals.currents, signals.orbit)
+        planes = np.array(layout.bpms.planes)
+        shares = self.shares(layout, np.arange(len(strengths)))
+        orbit = [(kick * shares) @ self.patterns(layout).T for kick in kicks]
+        return np.where(planes == "x", orbit[0], orbit[1])
 
     def patterns(self, layout: Layout) -> Matrix:
         """Orbit per kick, both planes."""

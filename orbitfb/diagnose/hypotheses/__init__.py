@@ -1,0 +1,1 @@
+"""Every hypothesis against every other, by evidence: accept the best, then look again."""

@@ -1,0 +1,77 @@
+"""A hypothesis with values: what it adds to the record, and what that is worth."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.transform import Matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One effect at some places with values.
+
+    Args:
+        kind: The effect.
+        places: Devices or places that are struck; empty: the ring, or all of them.
+        names: Of the places.
+        values: Of the parameters, SI; of a law with a size per device, that of the largest one.
+        evidence: Log evidence over the healthy record, less the cost of places, values, onsets.
+        sizes: Of every place, where each has its own, in units of the linear parameter.
+        onset: Row at which it begins; 0: with the record.
+        field: Spectrum of what it adds to the readings, shape (T, n) [m]; None: nothing known.
+        walk: Covariance that it adds to the walk, shape (n, n) [m²].
+        white: Variance that it adds to the readings of every BPM, shape (n,) [m²].
+        raised: Standard deviation of healthy errors that it raises: block number and share.
+        columns: Columns of the healthy errors whose own variance it sets, with that variance.
+        noisy: Whether it says something of the noise alone.
+    """
+
+    kind: EffectKind
+    places: tuple[int, ...]
+    names: tuple[str, ...]
+    values: Mapping[str, float]
+    evidence: float
+    sizes: tuple[float, ...] = ()
+    onset: int = 0
+    field: Matrix | None = None
+    walk: Matrix | None = None
+    white: Vector | None = None
+    raised: Mapping[int, float] = dataclasses.field(default_factory=dict)
+    columns: Mapping[int, float] = dataclasses.field(default_factory=dict)
+    noisy: bool = False
+
+    def accepted(self, space: Workspace) -> Workspace:
+        """Add it to what a workspace explains, and estimate the floor anew."""
+        if self.field is not None:
+            space = space.explaining(self.field)
+        if self.walk is not None:
+            noise = StepNoise(space.noise.walk + self.walk, space.noise.white)
+            space = replace(space, held=space.held + self.walk, noise=noise)
+        if self.raised:
+            shares = list(space.shares)
+            for block, share in self.raised.items():
+                shares[block] = share
+            space = replace(space, shares=tuple(shares))
+        if self.columns:
+            single = space.single.copy()
+            for column, variance in self.columns.items():
+                single[column] = variance
+            space = replace(space, single=single)
+        return space.with_floor()
+
+    def describe(self) -> str:
+        """Write it in a line, for logs and tests."""
+        where = "all" if not self.places else f"{len(self.places)}:{','.join(self.names[:4])}"
+        told = " ".join(f"{name}={value:.3g}" for name, value in self.values.items())
+        late = f" from row {self.onset}" if self.onset else ""
+        return f"{self.evidence:9.1f} {self.kind.id} {where} {told}{late}"
+
+
+def strongest(candidates: "list[Candidate]") -> "list[Candidate]":
+    """Sort by evidence, the best first."""
+    return sorted(candidates, key=lambda one: -one.evidence)

@@ -1,0 +1,156 @@
+"""Lines: what swings at one frequency, all frequencies at once by a Fourier transform."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.priors import VALUE_COST
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.laws import DeviceLaw
+from orbitfb.estimation.transform import Matrix
+
+Turned = NDArray[np.complex128]
+
+_FINER = 2
+"""Frequencies per that of the record's length, of the first look."""
+
+_FINEST = 16
+"""Of the second look: the phase then turns by a tenth of a radian over the record at most."""
+
+_LOWEST = 6
+"""Periods in the record from which a line is told from drift."""
+
+_VARIANCES = np.geomspace(1.0, 1e6, 13)
+"""Prior variances of an amplitude that are tried, over what the noise leaves uncertain of it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Line:
+    """The strongest line of some patterns.
+
+    Args:
+        evidence: Log evidence less what frequency and place cost.
+        place: Number of the pattern.
+        cycles: Per row.
+        field: Spectrum of what it adds, shape (T, n) [m].
+        cosine: Amplitude of the pattern's cosine, counted from the first row.
+        sine: Of its sine.
+    """
+
+    evidence: float
+    place: int
+    cycles: float
+    field: Matrix
+    cosine: float
+    sine: float
+
+
+def strongest_line(scorer: Scorer, patterns: Matrix, shaped: bool) -> Line:
+    """Find the strongest line.
+
+    Args:
+        scorer: Of what is left to explain.
+        patterns: Of the places, shape (n, P) [m].
+        shaped: Whether several places may swing together: the line then has any shape that the
+            ground's walk may have, and the place is the one that alone explains most of it.
+    """
+    count = len(scorer.late)
+    cycles = np.arange(_LOWEST * _FINER, count * _FINER // 2) / (count * _FINER)
+    turned = np.fft.rfft(scorer.late, n=_FINER * count, axis=0)[_LOWEST * _FINER :][: len(cycles)]
+    gain = _gains(scorer, turned, cycles, patterns, shaped)
+    top = float(cycles[np.unravel_index(int(np.argmax(gain)), gain.shape)[0]])
+    near = top + np.arange(-_FINEST, _FINEST + 1) / (_FINEST * _FINER * count)
+    wave = np.exp(-2j * np.pi * np.outer(near, np.arange(count)))
+    fine = _gains(
+        scorer, np.asarray(wave @ scorer.late, dtype=np.complex128), near, patterns, shaped
+    )
+    line, place = np.unravel_index(int(np.argmax(fine)), fine.shape)
+    if shaped:
+        alone = _gains(
+            scorer,
+            np.asarray(wave[line : line + 1] @ scorer.late, dtype=np.complex128),
+            near[line : line + 1],
+            patterns,
+            False,
+        )
+        place = int(np.argmax(alone))
+    field, cosine, sine = _field(scorer, patterns[:, place], float(near[line]), shaped)
+    choices = 1 if shaped else patterns.shape[1]
+    evidence = float(fine.max()) - np.log(count) - np.log(choices) - VALUE_COST
+    return Line(evidence, int(place), float(near[line]), field, cosine, sine)
+
+
+def scan_lines(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> list[Candidate]:
+    """Find the frequency and the place of the strongest line.
+
+    Args:
+        kind: Whose parameters are the amplitudes of cosine and sine, and the frequency [Hz].
+        law: Of it: patterns of the places, courses the same for all.
+        scorer: Of what is left to explain.
+    """
+    period = scorer.space.signals.record.layout.period
+    lines = [strongest_line(scorer, law.patterns[0], shaped) for shaped in (False, True)]
+    best = max(lines, key=lambda one: one.evidence)
+    amplitudes = (best.cosine, best.sine, best.cycles / period)
+    values = {p.name: v for p, v in zip(kind.parameters, amplitudes, strict=False)}
+    names = (law.names[best.place],)
+    return [Candidate(kind, (best.place,), names, values, best.evidence, field=best.field)]
+
+
+def _gains(
+    scorer: Scorer, turned: Turned, cycles: Vector, patterns: Matrix, shaped: bool
+) -> Matrix:
+    """Log evidence of a line of every frequency, shape (F, P), or (F, 1) of any shape.
+
+    Args:
+        scorer: Of what is left to explain.
+        turned: Σ_n (Ω z)_n exp(−iωn), shape (F, n).
+        cycles: Frequencies per row, shape (F,).
+        patterns: Shape (n, P).
+        shaped: Whether the line has the ground's shape.
+    """
+    noise = scorer.space.noise
+    eigenvalue = (2.0 - 2.0 * np.cos(2.0 * np.pi * cycles))[:, None]
+    weight = 0.5 * len(scorer.late) * eigenvalue / (noise.ratio + eigenvalue)
+    if shaped:
+        along = turned @ (noise.white @ noise.modes)
+        square = np.abs(along) ** 2 * eigenvalue / weight
+        ground = noise.ratio / np.mean(noise.ratio)
+        best = np.full((len(cycles), 1), -np.inf)
+        for variance in _VARIANCES:
+            prior = variance * ground * weight / np.mean(weight, axis=1, keepdims=True)
+            share = prior / (1.0 + prior)
+            found = np.sum(0.5 * square * share - np.log1p(prior), axis=1, keepdims=True)
+            best = np.maximum(best, found)
+        return best
+    information = weight @ ((patterns.T @ noise.modes) ** 2).T
+    square = np.abs(turned @ patterns) ** 2 * eigenvalue / np.maximum(information, 1e-300)
+    return np.max([0.5 * square * v / (1.0 + v) - np.log1p(v) for v in _VARIANCES], axis=0)
+
+
+def _field(
+    scorer: Scorer, pattern: Vector, cycles: float, shaped: bool
+) -> tuple[Matrix, float, float]:
+    """Spectrum of the most likely line, and the amplitudes of one pattern's cosine and sine."""
+    transform, noise = scorer.space.transform, scorer.space.noise
+    phase = 2.0 * np.pi * cycles * np.arange(transform.rows)
+    waves = transform.spectrum(np.stack([np.cos(phase), np.sin(phase)], axis=1))
+    weight = 1.0 / noise.variance(transform)
+    gram = np.einsum("fa,fb,fm->mab", waves, waves, weight)
+    pulls = np.einsum("fa,fm->ma", waves, scorer.pulled @ (noise.white @ noise.modes))
+    seen = pattern @ noise.modes
+    total = np.einsum("m,mab->ab", seen**2, gram)
+    own = np.linalg.solve(total + 1e-12 * np.trace(total) * np.eye(2), seen @ pulls)
+    if not shaped:
+        alone = np.asarray(np.outer(waves @ own, pattern), dtype=np.float64)
+        return alone, float(own[0]), float(own[1])
+    ground = np.trace(gram.sum(axis=0)) / (2.0 * len(gram)) * np.mean(noise.ratio)
+    prior = noise.ratio / max(ground, 1e-300)
+    inner = gram + np.eye(2) / np.maximum(1e4 * prior, 1e-12)[:, None, None]
+    size = np.asarray(np.linalg.solve(inner, pulls[:, :, None]), dtype=np.float64)[:, :, 0]
+    field = np.asarray((waves @ size.T) @ (noise.modes.T @ noise.white), dtype=np.float64)
+    return field, float(own[0]), float(own[1])

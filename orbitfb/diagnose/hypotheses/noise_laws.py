@@ -1,0 +1,119 @@
+"""Laws of the reading noise itself: its level in time, its memory."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.priors import MORE, VALUE_COST
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.laws import RandomLaw
+from orbitfb.estimation.transform import Matrix
+
+_WINDOWS = 24
+"""Parts of the record of which the level is told."""
+
+_FACTORS = (0.4, 0.6, 0.75, 1.3, 1.6, 2.0, 2.5, 3.0, 4.0)
+"""Ratios of the level at the end to that at the beginning."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadingNoise:
+    """The most likely noise of every reading, over its standard deviation.
+
+    Args:
+        values: Standardised, shape (T, n).
+    """
+
+    values: Matrix
+
+    @classmethod
+    def of(cls, scorer: Scorer) -> "ReadingNoise":
+        """E[v | record] = N Dᵀ Ω z, D the difference from row to row."""
+        space = scorer.space
+        transform, noise = space.transform, space.noise
+        white = np.diag(noise.white)
+        late = scorer.late
+        following = np.vstack([late[1:], np.zeros_like(late[:1])])
+        found = white * (late - following)
+        share = np.mean(transform.eigenvalue[:, None] / noise.variance(transform), axis=0)
+        spread = white**2 * ((noise.modes**2) @ share)
+        return cls(found / np.sqrt(spread))
+
+
+def scan_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate]:
+    """Find a level of the noise that changes within the record, of all BPMs or of some."""
+    noise = ReadingNoise.of(scorer).values
+    parts = np.array_split(noise**2, _WINDOWS)
+    square = np.stack([part.mean(axis=0) for part in parts])
+    count = np.array([len(part) for part in parts], dtype=float)[:, None]
+    middle = (np.arange(_WINDOWS) + 0.5) / _WINDOWS
+    best: tuple[float, tuple[int, ...], float, int] = (-np.inf, (), 1.0, 0)
+    shapes = [(factor, 0, 1.0 + (factor - 1.0) * middle) for factor in _FACTORS]
+    shapes += [
+        (factor, begin, np.where(np.arange(_WINDOWS) < begin, 1.0, factor))
+        for factor in _FACTORS
+        for begin in range(2, _WINDOWS - 1, 2)
+    ]
+    for factor, begin, shape in shapes:
+        gain = _level_gain(square, count, shape**2)
+        found, places = _all_or_some(gain)
+        if found > best[0]:
+            best = (found, places, factor, begin)
+    gain, places, factor, begin = best
+    rows = scorer.space.transform.step_rows()
+    onset = int(rows[sum(len(part) for part in parts[:begin])]) if begin else 0
+    names = tuple(law.names[place] for place in places)
+    values = {kind.parameters[0].name: float(factor)}
+    cost = VALUE_COST + np.log(len(shapes))
+    return [Candidate(kind, places, names, values, gain - cost, onset=onset, noisy=True)]
+
+
+def _level_gain(square: Matrix, count: Matrix, shape: Vector) -> Vector:
+    """Log likelihood of a course of the variance over a constant one, levels free, by BPM."""
+    level = np.sum(count * square / shape[:, None], axis=0) / count.sum()
+    flat = np.sum(count * square, axis=0) / count.sum()
+    variance = shape[:, None] * level
+    one = np.sum(-0.5 * count * (np.log(variance) + square / variance), axis=0)
+    other = np.sum(-0.5 * count * (np.log(flat) + square / flat), axis=0)
+    return one - other
+
+
+def _all_or_some(gain: Vector) -> tuple[float, tuple[int, ...]]:
+    """Evidence of all BPMs, or of those that have it beyond what choosing them costs."""
+    cost = float(np.log(len(gain)))
+    chosen = np.flatnonzero(gain > cost + MORE)
+    some = float(np.sum(gain[chosen] - cost)) if len(chosen) else -np.inf
+    every = float(np.sum(gain))
+    if every >= some:
+        return every, ()
+    return some, tuple(int(place) for place in chosen)
+
+
+def scan_colour(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate]:
+    """Find BPMs whose noise remembers: its spectrum against a flat one, by correlation."""
+    space = scorer.space
+    transform = space.transform
+    noise = transform.turn(ReadingNoise.of(scorer).values)
+    part = transform.eigenvalue > 0.3
+    power, eigenvalue = noise[part] ** 2, transform.eigenvalue[part]
+    flat = np.mean(power, axis=0)
+    best: tuple[float, tuple[int, ...], float] = (-np.inf, (), 0.0)
+    cosine = 1.0 - 0.5 * eigenvalue
+    for kept in (-0.8, -0.5, -0.25, 0.25, 0.5, 0.8):
+        shape = ((1.0 - kept**2) / (1.0 - 2.0 * kept * cosine + kept**2))[:, None]
+        level = np.mean(power / shape, axis=0)
+        gain = np.sum(
+            -0.5 * (np.log(shape * level) + power / (shape * level))
+            + 0.5 * (np.log(flat) + power / flat),
+            axis=0,
+        )
+        found, places = _all_or_some(gain)
+        if found > best[0]:
+            best = (found, places, kept)
+    gain, places, kept = best
+    values = {kind.parameters[0].name: float(kept)}
+    names = tuple(law.names[place] for place in places)
+    return [Candidate(kind, places, names, values, gain - VALUE_COST - np.log(6.0), noisy=True)]

@@ -1,0 +1,94 @@
+"""Which devices a law strikes: all of them, groups, or single ones, grown greedily."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.priors import MORE, MOST_DEVICES
+from orbitfb.estimation.transform import Indices, Matrix
+
+Worth = Callable[[Vector, Vector], Vector]
+"""Log evidence of a set from its summed pull and information."""
+
+
+def best_set(
+    pull: Vector,
+    information: Matrix,
+    groups: Mapping[str, Indices],
+    worth: Worth,
+    *,
+    whole: bool = False,
+    alone: bool = False,
+) -> tuple[float, tuple[int, ...]]:
+    """Find the set of devices with one common value that has the most evidence.
+
+    Args:
+        pull: Of every device, shape (D,).
+        information: Of them, shape (D, D).
+        groups: That are commonly struck together.
+        worth: Log evidence of a set.
+        whole: Whether only all devices together can be struck.
+        alone: Whether only groups that have a name, or single devices, can be struck.
+
+    Returns:
+        Log evidence less what choosing the set costs (the logarithm of how many there are to
+        choose from, for each that is chosen), and the devices; empty: all of them.
+    """
+    if alone:
+        return _one(pull, information, groups, worth)
+    every = float(worth(np.array([pull.sum()]), np.array([information.sum()]))[0])
+    best: tuple[float, tuple[int, ...]] = (every, ())
+    if whole:
+        return best
+    units = [list(map(int, members)) for members in groups.values()]
+    single = [[device] for device in range(len(pull))]
+    for choice in (units, single):
+        if len(choice) < 2:
+            continue
+        found = _grown(pull, information, choice, worth)
+        if found[0] > best[0]:
+            best = found
+    return best
+
+
+def _one(
+    pull: Vector, information: Matrix, groups: Mapping[str, Indices], worth: Worth
+) -> tuple[float, tuple[int, ...]]:
+    """The best single device, or the best named group of several."""
+    cost = float(np.log(len(pull) + len(groups)))
+    own = worth(pull, np.diag(information))
+    device = int(np.argmax(own))
+    best: tuple[float, tuple[int, ...]] = (float(own[device]) - cost, (device,))
+    for members in groups.values():
+        total, along = pull[members].sum(), information[np.ix_(members, members)].sum()
+        found = float(worth(np.array([total]), np.array([along]))[0]) - cost
+        if found > best[0]:
+            best = (found, tuple(int(one) for one in members))
+    return best
+
+
+def _grown(
+    pull: Vector, information: Matrix, units: Sequence[Sequence[int]], worth: Worth
+) -> tuple[float, tuple[int, ...]]:
+    member = np.zeros((len(units), len(pull)))
+    for number, devices in enumerate(units):
+        member[number, list(devices)] = 1.0
+    own, shared = member @ pull, member @ information @ member.T
+    diagonal, cost = np.diag(shared), np.log(len(units))
+    chosen: list[int] = []
+    total = along = 0.0
+    best = -np.inf
+    while len(chosen) < min(MOST_DEVICES, len(units)):
+        beside = shared[:, chosen].sum(axis=1) if chosen else np.zeros(len(units))
+        pulls, informations = total + own, along + 2.0 * beside + diagonal
+        gain = worth(pulls, informations) - cost * (len(chosen) + 1)
+        gain[chosen] = -np.inf
+        next_one = int(np.argmax(gain))
+        if gain[next_one] <= best + (MORE if chosen else 0.0):
+            break
+        best = float(gain[next_one])
+        chosen.append(next_one)
+        total, along = float(pulls[next_one]), float(informations[next_one])
+    devices = sorted({int(device) for number in chosen for device in units[number]})
+    return best, tuple(devices)

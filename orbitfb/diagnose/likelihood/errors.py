@@ -1,0 +1,145 @@
+"""Small errors that any ring has: variance components whose sizes the record tells."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.likelihood.terms import Terms
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.laws import DeviceLaw, Signals
+from orbitfb.estimation.evidence import NormalTerms
+from orbitfb.estimation.transform import Matrix, StepTransform
+
+SHARES = (0.0, 0.1, 0.3, 1.0)
+"""Shares of the healthy scatter that are tried: a record without errors must not pay for them."""
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorBlock:
+    """The columns of one healthy error.
+
+    Args:
+        kind: Its effect.
+        law: Of the effect.
+        columns: Among the terms: one per device.
+        delayed: Further columns, the same courses some rows late, less the course itself.
+        limit: Standard deviation up to which a healthy ring has it, by device, shape (D,).
+    """
+
+    kind: EffectKind
+    law: DeviceLaw
+    columns: slice
+    delayed: slice
+    limit: Vector
+
+
+def healthy_errors(
+    kinds: Sequence[EffectKind], signals: Signals, transform: StepTransform
+) -> tuple[Terms, tuple[ErrorBlock, ...]]:
+    """Lay out the columns of all errors that a healthy ring has.
+
+    Args:
+        kinds: Effects that are tested.
+        signals: What they act on.
+        transform: Of the record.
+
+    Returns:
+        Their terms, per unit of each effect's size, and the blocks that they form. A device that
+        acts in two planes has its two columns summed in one block per plane.
+    """
+    patterns: list[Matrix] = []
+    pattern: list[np.ndarray] = []
+    courses: list[Matrix] = []
+    blocks: list[ErrorBlock] = []
+    first = known = 0
+    for kind in kinds:
+        limit = kind.healthy_scatter(signals.record.layout)
+        if limit is None or kind.linear is None:
+            continue
+        size = next(p.typical for p in kind.parameters if p.name == kind.linear)
+        law = next(one for one in kind.laws(signals) if isinstance(one, DeviceLaw))
+        parts = law.course({p.name: p.typical for p in kind.parameters}, signals)
+        count = len(limit)
+        for block, part in zip(law.patterns, parts, strict=True):
+            if not np.any(block):
+                continue
+            unit = part / size
+            late = [_delayed(unit, rows, transform) - unit for rows in range(1, kind.delays + 1)]
+            patterns.append(block)
+            pattern += [known + np.arange(count)] * (1 + kind.delays)
+            courses += [unit, *late]
+            own = slice(first, first + count)
+            rest = slice(own.stop, own.stop + count * kind.delays)
+            blocks.append(ErrorBlock(kind, law, own, rest, limit))
+            first, known = rest.stop, known + count
+    if not blocks:
+        rows = signals.record.layout.response.shape[0]
+        return (
+            Terms.of(
+                np.zeros((rows, 0)), np.zeros(0, np.intp), np.zeros((transform.rows, 0)), transform
+            ),
+            (),
+        )
+    return (
+        Terms.of(np.hstack(patterns), np.concatenate(pattern), np.hstack(courses), transform),
+        tuple(blocks),
+    )
+
+
+def fitted_scales(
+    blocks: Sequence[ErrorBlock], terms: NormalTerms, least: Sequence[float]
+) -> tuple[list[float], float]:
+    """Find the share of each healthy scatter that the record shows, by evidence.
+
+    Args:
+        blocks: Of the errors.
+        terms: Pull and information of all columns.
+        least: Shares that are granted already, by block; one above 1 is kept.
+
+    Returns:
+        Shares by block, and the log evidence with them.
+    """
+    shares = list(least)
+    best = NormalTerms(
+        terms.pull, terms.information, variances(blocks, shares, len(terms.pull))
+    ).evidence()
+    for _ in range(2):
+        for place, given in enumerate(least):
+            if given > 1.0:
+                continue
+            for share in SHARES:
+                tried = [*shares[:place], share, *shares[place + 1 :]]
+                variance = variances(blocks, tried, len(terms.pull))
+                found = NormalTerms(terms.pull, terms.information, variance).evidence()
+                if found > best + 1e-9:
+                    best, shares = found, tried
+    return shares, best
+
+
+def variances(blocks: Sequence[ErrorBlock], shares: Sequence[float], count: int) -> Vector:
+    """Prior variance of every column for given shares of the healthy scatter, shape (count,)."""
+    variance = np.zeros(count)
+    for block, share in zip(blocks, shares, strict=True):
+        variance[block.columns] = (share * block.limit) ** 2
+    return variance
+
+
+def saturated(blocks: Sequence[ErrorBlock], count: int, times: float) -> Vector:
+    """Prior variance of every column, wide enough for any linear law of any device."""
+    variance = np.zeros(count)
+    for block in blocks:
+        variance[block.columns] = (times * block.limit) ** 2
+        copies = block.delayed.stop - block.delayed.start
+        if copies:
+            repeat = copies // len(block.limit)
+            variance[block.delayed] = np.tile((times * block.limit) ** 2, repeat)
+    return variance
+
+
+def _delayed(courses: Matrix, rows: int, transform: StepTransform) -> Matrix:
+    late = courses.copy()
+    for part in transform.stretches:
+        late[part] = courses[np.maximum(np.arange(part.start, part.stop) - rows, part.start)]
+    return late

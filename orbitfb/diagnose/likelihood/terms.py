@@ -1,0 +1,81 @@
+"""Terms that add to the readings: patterns over the BPMs times courses in time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.signals import Vector
+from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.transform import Indices, Matrix, StepTransform
+
+Single = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Terms:
+    """k columns, column c being patterns[:, pattern[c]] ⊗ course c, told by its spectrum.
+
+    Args:
+        patterns: Different patterns, shape (n, P) [m].
+        pattern: Which of them a column has, shape (k,).
+        spectrum: Transformed steps of the courses, shape (T, k).
+        grams: Σ_f∈b course_c(f) course_c'(f), shape (B, k, k).
+    """
+
+    patterns: Matrix
+    pattern: Indices
+    spectrum: Single
+    grams: Single
+
+    @classmethod
+    def of(
+        cls, patterns: Matrix, pattern: Indices, courses: Matrix, transform: StepTransform
+    ) -> "Terms":
+        """Transform courses, shape (N, k), and sum their products by band."""
+        spectrum = transform.spectrum(courses).astype(np.float32)
+        parts = [spectrum[transform.members(band)] for band in range(len(transform.count))]
+        return cls(patterns, pattern, spectrum, np.stack([part.T @ part for part in parts]))
+
+    def __len__(self) -> int:
+        return len(self.pattern)
+
+    def pull(self, pulled: Matrix) -> Vector:
+        """Σ_f (pattern · Ω z)_f course_f of every column, shape (k,).
+
+        Args:
+            pulled: Ω_f z_f, shape (T, n) [1/m].
+        """
+        along = (pulled @ self.patterns).astype(np.float32)
+        return np.einsum("fc,fc->c", along[:, self.pattern], self.spectrum).astype(np.float64)
+
+    def information(self, noise: StepNoise, transform: StepTransform) -> Matrix:
+        """Σ_b (Pᵀ Ω_b P) ∘ (courseᵀ course)_b, shape (k, k)."""
+        precision = noise.precision(transform, self.patterns)
+        total = np.zeros((len(self), len(self)))
+        for weight, gram in zip(precision, self.grams, strict=True):
+            total += weight[np.ix_(self.pattern, self.pattern)] * gram
+        return total
+
+    def cross(
+        self, noise: StepNoise, transform: StepTransform, patterns: Matrix, spectrum: Matrix
+    ) -> Matrix:
+        """Information between the columns and others, shape (k, k')."""
+        seen, others = self.patterns.T @ noise.modes, patterns.T @ noise.modes
+        inverse = noise.inverse_variance(transform)
+        total = np.zeros((len(self), patterns.shape[1]))
+        single = spectrum.astype(np.float32)
+        for band, weight in enumerate(inverse):
+            rows = transform.members(band)
+            product = self.spectrum[rows].T @ single[rows]
+            total += ((seen * weight) @ others.T)[self.pattern] * product
+        return total
+
+    def contribution(self, sizes: Vector) -> Matrix:
+        """Spectrum of what given sizes add to the readings, shape (T, n) [m]."""
+        by_pattern = np.zeros((len(self.spectrum), self.patterns.shape[1]))
+        used = np.flatnonzero(sizes)
+        scaled = self.spectrum[:, used] * sizes[used]
+        for column, values in zip(self.pattern[used], scaled.T, strict=True):
+            by_pattern[:, column] += values
+        return by_pattern @ self.patterns.T

@@ -1,0 +1,190 @@
+"""The likelihood of a record: its floor, its healthy errors, and the causes that were accepted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.likelihood.errors import (
+    ErrorBlock,
+    fitted_scales,
+    healthy_errors,
+    saturated,
+    variances,
+)
+from orbitfb.diagnose.likelihood.ground import ground_families
+from orbitfb.diagnose.likelihood.terms import Terms
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.laws import Signals
+from orbitfb.effects.record import Record
+from orbitfb.estimation.evidence import NormalTerms
+from orbitfb.estimation.floor import Moments, first_noise, fit_families, improve
+from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.prediction import predicted
+from orbitfb.estimation.transform import Matrix, StepTransform
+
+MATERIAL = 0.1
+"""Rms of what a refinement of the model adds to a step, over that of the reading noise, from which
+it is named: below it the one-step error changes by half a per cent, and nobody would act on it."""
+
+WIDE = 10.0
+"""How many times the healthy scatter the saturated model gives to every device: 10 % of gain, and
+gradients that beat by 15 %, so that no linear law of any device can raise the floor."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Workspace:
+    """A record with a floor, healthy errors and what has been explained so far.
+
+    Args:
+        signals: The record, the currents and the predicted orbit.
+        transform: Of its steps.
+        plain: Spectrum of the readings less the nominal model, shape (T, n) [m].
+        explained: Spectrum of what accepted causes add, shape (T, n) [m].
+        noise: The floor.
+        shape: Prior mean of the walk's covariance, shape (n, n) [m²].
+        held: Covariance of the walk that accepted random causes own, shape (n, n) [m²].
+        terms: Columns of the healthy errors.
+        blocks: Which columns are whose.
+        information: Of the columns under the floor, shape (k, k).
+        shares: Of each healthy scatter, by block; above 1 where a cause raised it.
+        single: Prior variances of single columns that a cause raised, shape (k,).
+    """
+
+    signals: Signals
+    transform: StepTransform
+    plain: Matrix
+    explained: Matrix
+    noise: StepNoise
+    shape: Matrix
+    held: Matrix
+    terms: Terms
+    blocks: tuple[ErrorBlock, ...]
+    information: Matrix
+    shares: tuple[float, ...]
+    single: Vector
+
+    @classmethod
+    def of(
+        cls,
+        record: Record,
+        kinds: Sequence[EffectKind],
+        *,
+        bands: int | None = 16,
+        exact: bool = False,
+    ) -> "Workspace":
+        """Estimate the floor of a record.
+
+        Args:
+            record: In question.
+            kinds: Effects that are tested: those that healthy rings have become errors.
+            bands: Of λ; None: as many as there are values of λ.
+            exact: Transform whole stretches.
+
+        Raises:
+            EstimationError: The record is too short, or does not move.
+        """
+        transform = StepTransform.of(record.starts, bands, exact)
+        modelled = record.setpoints @ record.layout.response.T
+        residual = record.readings - modelled
+        families = ground_families(record.layout)
+        noise = first_noise(transform.steps(residual), families[0])
+        orbit = predicted(residual, noise, transform) + modelled
+        signals = Signals(record, record.setpoints, orbit)
+        terms, blocks = healthy_errors(kinds, signals, transform)
+        plain = transform.spectrum(residual)
+        space = cls(
+            signals,
+            transform,
+            plain,
+            np.zeros_like(plain),
+            fit_families(noise, Moments.of(plain, transform), families, np.zeros_like(noise.walk)),
+            noise.walk,
+            np.zeros_like(noise.walk),
+            terms,
+            blocks,
+            np.zeros((len(terms), len(terms))),
+            (0.0,) * len(blocks),
+            np.zeros(len(terms)),
+        )
+        return space.with_floor().refined(kinds).with_floor()
+
+    def refined(self, kinds: Sequence[EffectKind]) -> "Workspace":
+        """Take what the table of places says beyond the linear model for a part of the model.
+
+        As much of it as the record shows, between nothing and all; one that is large enough to be
+        named is left to be found.
+        """
+        space = self
+        scale = float(np.sqrt(np.mean(np.diag(self.noise.white))))
+        for kind in kinds:
+            course = kind.refinement(self.signals)
+            if course is None:
+                continue
+            field = self.transform.spectrum(course)
+            weighed = self.noise.pull(field, self.transform)
+            information = float(np.sum(weighed * field))
+            size = float(np.clip(np.sum(weighed * space.residual) / max(information, 1e-300), 0, 1))
+            if size * float(np.sqrt(np.mean(field**2))) < MATERIAL * scale:
+                space = space.explaining(size * field)
+        return space
+
+    @property
+    def residual(self) -> Matrix:
+        """What the nominal model and the accepted causes leave, shape (T, n) [m]."""
+        return self.plain - self.explained
+
+    @property
+    def variance(self) -> Vector:
+        """Prior variance of every column now."""
+        usual = variances(self.blocks, self.shares, len(self.terms))
+        return np.maximum(usual, self.single)
+
+    @property
+    def errors(self) -> NormalTerms:
+        """The healthy errors under the floor, as the residual pulls at them."""
+        pull = self.terms.pull(self.noise.pull(self.residual, self.transform))
+        return NormalTerms(pull, self.information, self.variance)
+
+    def with_floor(self, rounds: int = 1) -> "Workspace":
+        """Estimate the floor anew, on what a saturated linear model leaves; then the errors."""
+        noise, shape = self.noise, self.shape
+        families = ground_families(self.signals.record.layout)
+        wide = np.maximum(saturated(self.blocks, len(self.terms), WIDE), self.single)
+        residual = self.residual
+        information = self.terms.information(noise, self.transform)
+        for _ in range(rounds):
+            pull = self.terms.pull(noise.pull(residual, self.transform))
+            mean = NormalTerms(pull, information, wide).mean()
+            left = residual - self.terms.contribution(mean)
+            moments = Moments.of(left, self.transform)
+            mixed = fit_families(noise, moments, families, self.held)
+            shape = mixed.walk - self.held
+            noise = improve(mixed, moments, mixed.walk, 4)
+            information = self.terms.information(noise, self.transform)
+        fresh = replace(self, noise=noise, shape=shape, information=information)
+        return fresh.with_errors()
+
+    def with_errors(self) -> "Workspace":
+        """Fit the sizes of the healthy errors, within their limits."""
+        given = [share if share > 1.0 else 0.0 for share in self.shares]
+        pulled = self.noise.pull(self.residual, self.transform)
+        terms = NormalTerms(self.terms.pull(pulled), self.information, self.single)
+        shares, _ = fitted_scales(self.blocks, terms, given)
+        return replace(self, shares=tuple(shares))
+
+    def explaining(self, spectrum: Matrix) -> "Workspace":
+        """Accept what a cause adds to the readings."""
+        return replace(self, explained=self.explained + spectrum)
+
+    def pulled(self) -> Matrix:
+        """Ω z with the healthy errors marginalised, shape (T, n) [1/m]."""
+        mean = self.errors.mean()
+        left = self.residual - self.terms.contribution(mean)
+        return self.noise.pull(left, self.transform)
+
+    def log_likelihood(self) -> float:
+        """Log density of the readings, healthy errors marginalised."""
+        plain = self.noise.log_likelihood(self.residual, self.transform)
+        return plain + self.errors.evidence()

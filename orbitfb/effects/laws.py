@@ -1,0 +1,152 @@
+"""Laws: what an effect adds to the readings, as patterns over the BPMs times courses in time.
+
+The diagnosis knows effects only by these forms. A law is one of
+
+* `DeviceLaw`: Σ over devices of pattern ⊗ course, the course known for given values;
+* `PairLaw`: the same with courses that two devices exchange;
+* `FieldLaw`: one orbit course of the whole ring;
+* `RandomLaw`: a pattern whose amplitude is random, with a known spectrum;
+* `EventLaw`: a known change that strikes single rows, nobody knows which.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.effects.record import Record
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signals:
+    """What a law acts on.
+
+    Args:
+        record: In question.
+        currents: That act on the beam as far as is known, shape (N, m) [A].
+        orbit: Predicted from the rows before, without the noise of the reading, shape (N, n) [m].
+    """
+
+    record: Record
+    currents: Matrix
+    orbit: Matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceLaw:
+    """Σ_d Σ_blocks pattern_d ⊗ course_d.
+
+    Args:
+        patterns: Orbit per unit of the course, a block per plane, each of shape (n, D) [m].
+        course: Courses of all D devices for given values, a block per block of patterns, each of
+            shape (N, D), or (N, 1) when it is the same for all.
+        names: Of the devices, D of them.
+        groups: Devices that are commonly struck together, by name.
+        whole: Whether only all devices together can be struck.
+        periodic: Whether the course is a wave whose frequency is to be found.
+    """
+
+    patterns: tuple[Matrix, ...]
+    course: Callable[[Values, Signals], tuple[Matrix, ...]]
+    names: tuple[str, ...]
+    groups: Mapping[str, Indices] = field(default_factory=dict)
+    whole: bool = False
+    periodic: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairLaw:
+    """For a pair (i, j): Σ (matrix − 1)_kl pattern_k ⊗ course_l over its columns k, l.
+
+    Args:
+        patterns: Of every column, shape (n, D) [m].
+        courses: Of every column as wanted, shape (N, D).
+        pairs: Columns that may be tied, shape (P, 2).
+        mixing: (matrix − 1) of every pair for given values, shape (P, 2, 2).
+        names: Of the columns.
+        struck: Columns at fault of pair number p.
+    """
+
+    patterns: Matrix
+    courses: Matrix
+    pairs: Indices
+    mixing: Callable[[Values], Matrix]
+    names: tuple[str, ...]
+    struck: Callable[[int], tuple[int, ...]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldLaw:
+    """One orbit course, shape (N, n) [m], of given values."""
+
+    course: Callable[[Values, Signals], Matrix]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RandomLaw:
+    """Amplitudes that are random from row to row: patterns b with covariance κ(λ) b bᵀ of steps.
+
+    Args:
+        patterns: Shape (n, D) [m or 1].
+        names: Of the D places.
+        groups: Places that commonly share the same κ but not the same amplitude.
+        walk: Whether every stroke stays (κ is flat in λ) or is gone at the next row (κ λ).
+        together: Whether all places of it have it at once only.
+        rare: Whether the strokes are few and large.
+        relative: Whether its size is told as a ratio to the reading noise of the same BPM.
+        lag: Rows between the readings whose covariance it changes.
+        size: First parameter that belongs to a κ, for BPMs of a given noise rms [m].
+    """
+
+    patterns: Matrix
+    names: tuple[str, ...]
+    groups: Mapping[str, Indices]
+    walk: bool
+    together: bool
+    rare: bool
+    relative: bool
+    lag: int
+    size: Callable[[float, float], float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EventLaw:
+    """Rows that are struck: the reading changes by strength · shape at that row alone.
+
+    Args:
+        shapes: Change by a strike of strength 1, shape (N, n) [m].
+        parts: What may be struck for itself: columns of the readings by name (BPMs), or changes
+            of currents by name (correctors); empty: all at once only.
+        moves: Change of every corrector's current by a strike, shape (N, m) [A]; zero of a sensor.
+        always: Whether the strength is one; else it is normal.
+        often: Whether every row is struck; else some are.
+        single: Whether every BPM is struck for itself.
+    """
+
+    shapes: Matrix
+    parts: Mapping[str, Indices]
+    moves: Matrix
+    always: bool
+    often: bool
+    single: bool
+
+
+Law = DeviceLaw | PairLaw | FieldLaw | RandomLaw | EventLaw
+
+
+def blocks(courses: NDArray[np.float64]) -> tuple[Matrix, ...]:
+    """Courses by plane (2, N, D) as two blocks, others as one."""
+    return (courses[0], courses[1]) if courses.ndim == 3 else (courses,)
+
+
+def of_planes(patterns: Matrix, planes: tuple[str, ...], parted: bool) -> tuple[Matrix, ...]:
+    """Patterns as one block, or parted by the plane of the BPM."""
+    if not parted:
+        return (patterns,)
+    rows = np.array(planes)[:, None]
+    return (np.where(rows == "x", patterns, 0.0), np.where(rows == "y", patterns, 0.0))

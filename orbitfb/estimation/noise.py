@@ -1,0 +1,76 @@
+"""Covariance of the steps of readings: a walk, and noise that comes and goes."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import eigh
+
+from orbitfb.core.errors import EstimationError
+from orbitfb.core.signals import Vector
+from orbitfb.estimation.transform import Matrix, StepTransform
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepNoise:
+    """Walk covariance Q and noise covariance N of n readings, and the modes that part them.
+
+    W solves Wᵀ N W = 1, Wᵀ Q W = diag(q): in the modes z W the covariance of a step of frequency f
+    is diag(q + λ_f).
+
+    Args:
+        walk: Q, shape (n, n) [m²].
+        white: N, shape (n, n) [m²], positive definite.
+    """
+
+    walk: Matrix
+    white: Matrix
+    modes: Matrix = field(init=False)
+    """W, shape (n, n) [1/m]."""
+    ratio: Vector = field(init=False)
+    """q, shape (n,)."""
+    log_white: float = field(init=False)
+    """ln |N|."""
+
+    def __post_init__(self) -> None:
+        try:
+            ratio, modes = eigh(self.walk, self.white)
+        except np.linalg.LinAlgError as error:
+            raise EstimationError(
+                "the noise of the readings cannot be estimated: its covariance is singular; "
+                "leave out BPMs that read the same at every row, or give a longer record"
+            ) from error
+        object.__setattr__(self, "ratio", np.maximum(ratio, 0.0))
+        object.__setattr__(self, "modes", modes)
+        object.__setattr__(self, "log_white", float(np.linalg.slogdet(self.white)[1]))
+
+    def variance(self, transform: StepTransform) -> Matrix:
+        """Variance q + λ of every mode at every frequency, shape (T, n)."""
+        return self.ratio + transform.eigenvalue[:, None]
+
+    def pull(self, spectrum: Matrix, transform: StepTransform) -> Matrix:
+        """Ω_f z_f of a spectrum z, Ω = (Q + λN)⁻¹, shape (T, n) [1/m]."""
+        return ((spectrum @ self.modes) / self.variance(transform)) @ self.modes.T
+
+    def log_likelihood(self, spectrum: Matrix, transform: StepTransform) -> float:
+        """Log density of transformed steps, shape (T, n)."""
+        variance = self.variance(transform)
+        square = float(np.sum((spectrum @ self.modes) ** 2 / variance))
+        log_det = float(np.sum(np.log(variance))) + len(transform) * self.log_white
+        return -0.5 * (square + log_det + spectrum.size * np.log(2.0 * np.pi))
+
+    def precision(self, transform: StepTransform, patterns: Matrix) -> Matrix:
+        """Pᵀ Ω_b P of every band, Ω_b the mean over its frequencies, shape (B, k, k)."""
+        seen = patterns.T @ self.modes
+        mean = self.inverse_variance(transform)
+        return np.stack([(seen * weight) @ seen.T for weight in mean])
+
+    def inverse_variance(self, transform: StepTransform) -> Matrix:
+        """Mean of 1/(q + λ) over the frequencies of every band, shape (B, n).
+
+        Weighted by λ, as the steps of a course are that is as strong at every frequency.
+        """
+        eigenvalue = transform.eigenvalue
+        weighed = eigenvalue[:, None] / self.variance(transform)
+        total = np.zeros((len(transform.count), weighed.shape[1]))
+        np.add.at(total, transform.band, weighed)
+        return total / np.bincount(transform.band, eigenvalue)[:, None]

@@ -1,0 +1,147 @@
+"""The likelihood of steps in sine transform against dense covariances, and the floor's estimate."""
+
+import numpy as np
+import pytest
+
+from orbitfb.core.errors import EstimationError
+from orbitfb.estimation.evidence import NormalTerms, normal_size
+from orbitfb.estimation.floor import Moments, first_noise, fit_families, improve
+from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.prediction import predicted
+from orbitfb.estimation.transform import StepTransform
+
+STARTS = np.zeros(23, dtype=np.bool_)
+STARTS[[0, 9]] = True
+
+
+def a_noise(rng: np.random.Generator, count: int = 4) -> StepNoise:
+    root = rng.standard_normal((count, count))
+    return StepNoise(0.3 * root @ root.T, np.diag(rng.uniform(0.5, 2.0, count)))
+
+
+def dense_covariance(noise: StepNoise, starts: np.ndarray) -> np.ndarray:
+    """Covariance of all steps, row by row, from the definition Δz_n = w_n + v_n − v_{n−1}."""
+    rows = len(starts)
+    steps = [row for row in range(rows) if not starts[row]]
+    difference = np.zeros((len(steps), rows))
+    for number, row in enumerate(steps):
+        difference[number, row], difference[number, row - 1] = 1.0, -1.0
+    shaken = np.kron(difference @ difference.T, noise.white)
+    return shaken + np.kron(np.eye(len(steps)), noise.walk)
+
+
+def dense_log_density(values: np.ndarray, covariance: np.ndarray) -> float:
+    log_det = np.linalg.slogdet(2.0 * np.pi * covariance)[1]
+    return float(-0.5 * (values @ np.linalg.solve(covariance, values) + log_det))
+
+
+def test_the_likelihood_is_that_of_the_dense_covariance() -> None:
+    rng = np.random.default_rng(1)
+    noise, transform = a_noise(rng), StepTransform.of(STARTS, None, exact=True)
+    readings = rng.standard_normal((len(STARTS), 4)).cumsum(axis=0)
+    covariance = dense_covariance(noise, STARTS)
+    expected = dense_log_density(transform.steps(readings).ravel(), covariance)
+    found = noise.log_likelihood(transform.spectrum(readings), transform)
+    assert found == pytest.approx(expected, abs=1e-8)
+
+
+def test_the_evidence_of_terms_is_that_of_the_dense_covariance() -> None:
+    """Terms with normal priors are a covariance too: the marginal density is one Gaussian."""
+    rng = np.random.default_rng(2)
+    noise, transform = a_noise(rng), StepTransform.of(STARTS, None, exact=True)
+    readings = rng.standard_normal((len(STARTS), 4)).cumsum(axis=0)
+    patterns = rng.standard_normal((4, 3))
+    courses = rng.standard_normal((len(STARTS), 3)).cumsum(axis=0)
+    variance = np.array([0.5, 0.0, 2.0])
+    steps = transform.steps(courses)
+    columns = np.stack([np.outer(steps[:, k], patterns[:, k]).ravel() for k in range(3)], axis=1)
+    covariance = dense_covariance(noise, STARTS)
+    values = transform.steps(readings).ravel()
+    wide = covariance + (columns * variance) @ columns.T
+    expected = dense_log_density(values, wide) - dense_log_density(values, covariance)
+    spectrum = transform.spectrum(courses)
+    pulled = noise.pull(transform.spectrum(readings), transform)
+    pull = np.einsum("fk,fk->k", pulled @ patterns, spectrum)
+    weights = noise.precision(transform, patterns)
+    information = sum(
+        weight * (spectrum[transform.members(band)].T @ spectrum[transform.members(band)])
+        for band, weight in enumerate(weights)
+    )
+    terms = NormalTerms(pull, information, variance)
+    assert terms.evidence() == pytest.approx(expected, abs=1e-8)
+    one = NormalTerms(pull, information, np.array([0.5, 0.0, 0.0])).evidence()
+    assert one == pytest.approx(normal_size(pull[:1], np.diag(information)[:1], 0.5)[0], abs=1e-9)
+
+
+def test_terms_that_are_marginalised_weaken_others_as_in_the_dense_covariance() -> None:
+    rng = np.random.default_rng(3)
+    both = rng.standard_normal((3, 12))
+    information = both @ both.T
+    pull = rng.standard_normal(3)
+    variance = np.array([0.7, 0.2, 0.0])
+    terms = NormalTerms(pull[:2], information[:2, :2], variance[:2])
+    a, h = terms.beyond(pull[2:], information[2:, 2:], information[:2, 2:])
+    with_third = NormalTerms(pull, information, np.array([0.7, 0.2, 1.3])).evidence()
+    without = NormalTerms(pull, information, variance).evidence()
+    assert with_third - without == pytest.approx(normal_size(a, h[0], 1.3)[0], abs=1e-9)
+
+
+def test_a_cut_for_speed_keeps_every_step() -> None:
+    starts = np.zeros(3001, dtype=np.bool_)  # 3000 steps, and 3001 is prime
+    starts[0] = True
+    transform = StepTransform.of(starts)
+    assert len(transform) == 3000
+    assert [part.stop - part.start for part in transform.pieces] == [2999, 1]
+    values = np.random.default_rng(4).standard_normal((3000, 2))
+    assert np.allclose(transform.turn(transform.turn(values)), values)
+
+
+def test_the_prediction_is_the_conditional_mean_of_the_dense_covariance() -> None:
+    rng = np.random.default_rng(5)
+    noise = a_noise(rng, 2)
+    starts = np.zeros(6, dtype=np.bool_)
+    starts[0] = True
+    transform = StepTransform.of(starts, exact=True)
+    readings = rng.standard_normal((6, 2)).cumsum(axis=0)
+    found = predicted(readings, noise, transform)
+    wide = 1e9 * np.eye(2)  # nothing is known of the orbit before the first row
+    orbit = np.kron(np.ones((6, 6)), wide)
+    orbit += np.kron(np.minimum.outer(np.arange(6), np.arange(6)), noise.walk)
+    seen = orbit[:10, :10] + np.kron(np.eye(5), noise.white)
+    expected = orbit[10:, :10] @ np.linalg.solve(seen, readings[:5].ravel())
+    assert found[5] == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_floor_is_found_where_the_walk_is_small() -> None:
+    """A walk a fifth of the noise: expectation maximisation alone stays thousands of nats off."""
+    rng = np.random.default_rng(6)
+    count, rows = 24, 2001
+    root = rng.standard_normal((count, 8))
+    walk = 0.04**2 * (root @ root.T + np.eye(count)) / 9.0
+    sigma = 0.2 * rng.uniform(0.3, 3.0, count)
+    orbit = rng.multivariate_normal(np.zeros(count), walk, rows).cumsum(axis=0)
+    readings = orbit + sigma * rng.standard_normal((rows, count))
+    starts = np.zeros(rows, dtype=np.bool_)
+    starts[0] = True
+    transform = StepTransform.of(starts)
+    families = [root @ root.T, np.eye(count)]
+    begin = first_noise(transform.steps(readings), families[0])
+    moments = Moments.of(transform.spectrum(readings), transform)
+    found = fit_families(begin, moments, families, np.zeros_like(walk))
+    assert np.sqrt(np.diag(found.white)) == pytest.approx(sigma, rel=0.08)
+    assert np.sqrt(np.trace(found.walk)) == pytest.approx(np.sqrt(np.trace(walk)), rel=0.15)
+    freer = improve(found, moments, found.walk, 4)
+    spectrum = transform.spectrum(readings)
+    assert freer.log_likelihood(spectrum, transform) > found.log_likelihood(spectrum, transform)
+
+
+@pytest.mark.parametrize(
+    ("steps", "said"),
+    [
+        (np.ones((30, 3)), "30 steps from row to row are too few"),
+        (np.zeros((60, 3)), "read the same"),
+    ],
+)
+def test_a_floor_that_cannot_be_told_says_why(steps: np.ndarray, said: str) -> None:
+    with pytest.raises(EstimationError, match=said):
+        first_noise(steps, np.eye(3))

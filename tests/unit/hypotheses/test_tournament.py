@@ -1,0 +1,190 @@
+"""The tournament on small records made here: no ring, a response of random numbers."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose import hypotheses, likelihood
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.priors import SURE
+from orbitfb.diagnose.hypotheses.run import candidates_of, tournament
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.effects.device_kinds import ActuatorKind
+from orbitfb.effects.kinds import EffectKind, Parameter, Values
+from orbitfb.effects.layout import Devices, Layout
+from orbitfb.effects.record import Record
+from orbitfb.effects.registry import all_effects
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+BPMS, CORRECTORS, ROWS = 16, 12, 900
+NOISE = 0.2e-6
+Bent = Callable[[Matrix], Matrix]
+
+
+def as_it_is(currents: Matrix) -> Matrix:
+    return currents
+
+
+def make_record(seed: int, currents: Bent = as_it_is, sensed: Bent = as_it_is) -> Record:
+    """Closed loop of gain 0.4 with dither, a walk of random kicks, and white noise."""
+    rng = np.random.default_rng(seed)
+    response = rng.standard_normal((BPMS, CORRECTORS)) * 1e-5
+    inverse = np.linalg.pinv(response)
+    kicks = (rng.standard_normal((ROWS, CORRECTORS)) * 1e-3).cumsum(axis=0)
+    setpoints = np.zeros((ROWS, CORRECTORS))
+    readings = np.zeros((ROWS, BPMS))
+    noise = NOISE * rng.standard_normal((ROWS, BPMS))
+    for row in range(ROWS):
+        acting = currents(setpoints[: row + 1])[-1]
+        orbit = response @ (acting + kicks[row])
+        readings[row] = sensed(orbit[None])[0] + noise[row]
+        if row + 1 < ROWS:
+            dither = 0.02 * rng.standard_normal(CORRECTORS)
+            setpoints[row + 1] = setpoints[row] - 0.4 * inverse @ readings[row] + dither
+    requested = np.vstack([np.diff(setpoints, axis=0), np.full((1, CORRECTORS), np.nan)])
+    layout = Layout(
+        Devices(tuple(f"B{i}" for i in range(BPMS)), ("x",) * BPMS, ("",) * BPMS),
+        Devices(tuple(f"C{i}" for i in range(CORRECTORS)), ("x",) * CORRECTORS, ("",) * CORRECTORS),
+        response,
+        0.1,
+        None,
+    )
+    starts = np.zeros(ROWS, dtype=np.bool_)
+    starts[0] = True
+    return Record(
+        layout, 0.1 * np.arange(ROWS), starts, readings, setpoints, requested, None, None, None,
+        np.zeros_like(readings, dtype=np.bool_), {}, "made by a test", "",
+    )  # fmt: skip
+
+
+def kinds_for(record: Record) -> list[EffectKind]:
+    return [kind for kind in all_effects().values() if not kind.unavailable(record)]
+
+
+def winner(record: Record, kinds: list[EffectKind]) -> Candidate:
+    return candidates_of(Workspace.of(record, kinds), kinds, lambda text: None)[0]
+
+
+def lagging(currents: Matrix) -> Matrix:
+    """Every corrector behind a time constant of one period, from the definition."""
+    kept, state = np.exp(-1.0), currents[0].copy()
+    for row in currents:
+        state = state + (1.0 - kept) * (row - state)
+    return state[None]
+
+
+def strong_third(currents: Matrix) -> Matrix:
+    kicked = currents[-1:].copy()
+    kicked[:, 3] *= 1.4
+    return kicked
+
+
+def later_strong_fifth(currents: Matrix) -> Matrix:
+    """Corrector 5 kicks 60 % more from row 500 on."""
+    kicked = currents[-1:].copy()
+    if len(currents) > 500:
+        kicked[:, 5] *= 1.6
+    return kicked
+
+
+def gains_of_two(orbit: Matrix) -> Matrix:
+    read = orbit.copy()
+    read[:, [2, 9]] *= [1.3, 0.75]
+    return read
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_a_record_without_a_gap_has_no_sure_candidate(seed: int) -> None:
+    record = make_record(seed)
+    assert winner(record, kinds_for(record)).evidence < SURE
+
+
+def test_a_lag_of_all_correctors_is_named_with_its_time_constant() -> None:
+    record = make_record(13, currents=lagging)
+    found = winner(record, kinds_for(record))
+    assert (found.kind.id, found.places) == ("corrector-lag", ())
+    assert found.values["tau"] == pytest.approx(0.1, rel=0.05)
+
+
+def test_a_gain_of_one_corrector_is_found_with_its_place_and_size() -> None:
+    """Play that is wider than the setpoints move is a gain, so the two stay rivals."""
+    record = make_record(14, currents=strong_third)
+    kinds = kinds_for(record)
+    best = candidates_of(Workspace.of(record, kinds), kinds, lambda text: None)
+    assert best[0].places == (3,)
+    found = next(one for one in best if one.kind.id == "corrector-gain")
+    assert found.places == (3,)
+    assert found.evidence > best[0].evidence - 15.0
+    assert found.values["gain"] == pytest.approx(0.4, abs=0.04)
+
+
+def test_a_gain_that_begins_late_is_found_with_its_onset() -> None:
+    record = make_record(15, currents=later_strong_fifth)
+    found = winner(record, kinds_for(record))
+    assert (found.kind.id, found.places) == ("corrector-gain", (5,))
+    assert found.onset == pytest.approx(500, abs=8)
+
+
+def test_gains_of_two_bpms_are_named_with_their_sizes_and_nothing_is_left() -> None:
+    record = make_record(16, sensed=gains_of_two)
+    kinds = kinds_for(record)
+    accepted, rounds = tournament(Workspace.of(record, kinds), kinds)
+    assert [one.kind.id for one in accepted] == ["bpm-gain"]
+    assert accepted[0].places == (2, 9)
+    assert accepted[0].sizes == pytest.approx((0.3, -0.25), abs=0.04)
+    assert rounds[-1].candidates[0].evidence < SURE
+
+
+class Sticky(ActuatorKind):
+    """An effect that the package does not know: a current that moves in steps of 0.1 A, down."""
+
+    id = "test-sticky"
+    stage = "actuator"
+    title = "sticky current"
+    sentence = "The current moves in steps."
+    equation = "θ = s floor(u / s)"
+    parameters = (Parameter("step", "A", 0.0, 1.0, 0.0, 0.1, "Step s."),)
+
+    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+        return np.floor(setpoints / values["step"]) * values["step"]
+
+    def grid(self, record: Record) -> tuple[Values, ...]:
+        return tuple({"step": step} for step in (0.05, 0.1, 0.2))
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        raise AssertionError("this test makes its own record")
+
+
+def test_an_effect_of_a_file_of_its_own_is_found_with_nothing_else_touched() -> None:
+    def floored(currents: Matrix) -> Matrix:
+        return np.floor(currents[-1:] / 0.1) * 0.1
+
+    record = make_record(17, currents=floored)
+    found = winner(record, [*kinds_for(record), Sticky()])
+    assert (found.kind.id, found.places) == ("test-sticky", ())
+    assert found.values["step"] == pytest.approx(0.1)
+
+
+def test_the_engine_knows_no_effect_by_its_name() -> None:
+    """Ids of effects stand in effects only."""
+    for package in (hypotheses, likelihood):
+        for path in Path(package.__path__[0]).glob("*.py"):
+            text = path.read_text(encoding="utf-8")
+            named = [name for name in all_effects() if f'"{name}"' in text]
+            assert not named, f"{path.name}: {named}"
+
+
+def test_the_floor_of_a_record_is_that_which_it_was_made_with() -> None:
+    record = make_record(18)
+    space = Workspace.of(record, kinds_for(record))
+    sigma: Vector = np.sqrt(np.diag(space.noise.white))
+    assert sigma == pytest.approx(np.full(BPMS, NOISE), rel=0.15)
+    walk = np.mean(np.sum(record.layout.response**2, axis=1)) * 1e-6
+    assert np.trace(space.noise.walk) / BPMS == pytest.approx(walk, rel=0.3)
