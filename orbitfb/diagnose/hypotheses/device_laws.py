@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import fminbound
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
@@ -162,8 +162,8 @@ def _refined(
         return -exact({**top.values, name: float(back(bent))}).evidence
 
     span = (float(bend(low)), float(bend(high)))
-    found = minimize_scalar(loss, bounds=span, method="bounded", options={"maxiter": _TRIALS})
-    trial = exact({**top.values, name: float(back(found.x))})
+    bent = float(np.asarray(fminbound(loss, *span, maxfun=_TRIALS, full_output=False)))
+    trial = exact({**top.values, name: float(back(bent))})
     return max(best, trial, key=lambda one: one.evidence)
 
 

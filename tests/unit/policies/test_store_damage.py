@@ -150,7 +150,7 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(store, monkeypatch):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(files.os, "fsync", full)
+        patch.setattr("os.fsync", full)
         with pytest.raises(StoreError, match="No space left on device"):
             store.save(make_policy(1), ring())
     assert sorted(p.name for p in store.path.iterdir()) == sorted([".lock", first, "active.json"])

@@ -142,7 +142,7 @@ def test_a_full_disk_is_counted_and_told_and_the_loop_goes_on(loop, monkeypatch)
     def full(descriptor):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("orbitfb.postmortem.shelf.os.fsync", full)
+    monkeypatch.setattr("os.fsync", full)
     loop.ticks(40)
     loop.ticks(30, "beam_lost")
     asked = loop.recorder.request("me")
