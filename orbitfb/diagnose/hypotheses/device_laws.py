@@ -22,8 +22,8 @@ from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import given_size, normal_size
 from orbitfb.estimation.transform import Matrix
 
-_TRIALS = 12
-"""Values that are tried between two of the grid: a golden section then is down to a 300th."""
+_FINENESS = 1.0 / 300.0
+"""Share of the interval between two values of the grid to which the best one is found."""
 
 _FINALISTS = 3
 """Values of a grid that are scored for all sets of devices, by each of two marks."""
@@ -162,7 +162,8 @@ def _refined(
         return -exact({**top.values, name: float(back(bent))}).evidence
 
     span = (float(bend(low)), float(bend(high)))
-    bent = float(np.asarray(fminbound(loss, *span, maxfun=_TRIALS, full_output=False)))
+    fine = _FINENESS * (span[1] - span[0])
+    bent = float(np.asarray(fminbound(loss, *span, xtol=fine, full_output=False)))
     trial = exact({**top.values, name: float(back(bent))})
     return max(best, trial, key=lambda one: one.evidence)
 
