@@ -12,6 +12,7 @@ from orbitfb.diagnose.entry import enter
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.rounds import Round
 from orbitfb.diagnose.same_group import other_laws
+from orbitfb.diagnose.simulate import DEFAULT_PERIOD
 from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.registry import all_effects
 
@@ -85,9 +86,18 @@ STILL = ("corrector-lag", "corrector-slew", "corrector-stuck")
 def test_a_current_that_freezes_in_mid_record_is_stuck(dither, begin):
     effect = f"corrector-stuck:left=1,names={CORRECTORS[20]},from={begin}s"
     found = round_of(Bench(record_with(effect, dither=dither)), STILL)
-    assert found.accepted.kind.id == "corrector-stuck"
-    assert found.accepted.size == 0
-    assert found.rivals() == []
+    told = [found.accepted, *found.rivals()]
+    assert all(one.cause.places == (20,) for one in told)
+    stuck = [one for one in told if one.kind.id == "corrector-stuck"]
+    assert len(stuck) == 1
+    if dither == 3e-3:
+        assert (told, stuck[0].size) == (stuck, 0)
+    # In quieter records a slew limit of nearly nothing is the same within 3 nats of thousands:
+    # which of the two leads depends on the rounding of the linear algebra.
+    for one in told:
+        if one is not stuck[0]:
+            assert one.kind.id == "corrector-slew"
+            assert one.cause.values["rate"] * DEFAULT_PERIOD < dither / 100.0
 
 
 def test_what_is_left_of_a_current_that_trips_is_told():
