@@ -60,10 +60,10 @@ newcomer: venv
 bench: venv
 	$(BIN)/python -m benchmarks.loop --out benchmarks/loop.json
 
-# The diagnosis on fresh records: of the own generator, and of a further one if its
+# The diagnosis on fresh records: of the own generator, of a small ring, and of a further generator if its
 # path is given (PLANT=…). Another SEED draws other records.
 blind: venv
-	$(BIN)/python -m benchmarks.blind --own $(or $(SEED),1) --suite $(or $(SUITE),fast) \
+	$(BIN)/python -m benchmarks.blind --own $(or $(SEED),1) --suite $(or $(SUITE),fast) --fodo $(or $(SEED),1) \
 	  $(if $(PLANT),--plant $(PLANT) --seed $(or $(SEED),1)) --leave-out --experiments \
 	  --jobs $(or $(JOBS),2) --out $(or $(OUT),orbitfb-data/blind)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from benchmarks.blind import engines, sources
+from benchmarks.blind import engines, fodo, sources
 from benchmarks.blind.compare import compare, rows
 from benchmarks.blind.experiments import Tried, asked, do_experiments, resolving, tried
 from benchmarks.blind.generator.suites import Suite
@@ -19,6 +19,9 @@ from benchmarks.blind.workers import LONGEST, Answer, Task, diagnose_all
 from benchmarks.circumstances import circumstances
 from orbitfb.physics.places import Ring
 
+FODO = 50
+"""Records of the small ring, five of each kind, unless --first says otherwise."""
+
 
 def gather(options: argparse.Namespace) -> list[Case]:
     """Make and read the records of every generator that was asked for."""
@@ -26,6 +29,10 @@ def gather(options: argparse.Namespace) -> list[Case]:
     out: Path = options.out / "records"
     for seed in options.own or ():
         cases += sources.own(out, options.suite, seed, options.first, options.jobs)
+    for seed in options.fodo or ():
+        folder = out / f"fodo-{seed}"
+        chosen = fodo.generate(seed, folder, options.first or FODO)
+        cases += read_folder(folder, source=f"fodo {seed}", chosen=chosen)
     if options.plant is not None:
         try:
             cases += sources.external(
@@ -177,6 +184,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     make = parser.add_argument_group("records")
     make.add_argument("--own", type=int, nargs="*", metavar="SEED", help="own generator, by seeds")
+    make.add_argument(
+        "--fodo", type=int, nargs="*", metavar="SEED", help=f"small ring, by seeds [{FODO} records]"
+    )
     make.add_argument("--suite", choices=get_args(Suite), default="fast", help="of the own [fast]")
     make.add_argument("--plant", type=Path, metavar="PATH", help="an external generator: a package")
     make.add_argument("--seed", type=int, default=1, help="of --plant [1]")
@@ -202,7 +212,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--experiments", action="store_true", help="do what ambiguous answers recommend (own only)"
     )
     ask.add_argument("--jobs", type=int, default=2, help="records at the same time [2]")
-    ask.add_argument("--longest", type=float, default=LONGEST, help="for a record [s] [600]")
+    ask.add_argument(
+        "--longest", type=float, default=LONGEST, help="processor time for a record [s] [600]"
+    )
     told = parser.add_argument_group("results")
     told.add_argument("--out", type=Path, default=Path("orbitfb-data/blind"), help="kept work")
     told.add_argument("--json", type=Path, help="result; a table .md beside it [OUT/result.json]")

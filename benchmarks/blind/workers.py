@@ -11,18 +11,21 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 from benchmarks.blind.engines import ask, load
+from benchmarks.measure import cpu_time
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 """Environment of processes that compute on one core each."""
 LONGEST = 600.0
-"""Time after which a record counts as without an answer [s]."""
+"""Processor time after which a record counts as without an answer [s]."""
+PATIENCE = 30.0
+"""Wall clock that a process may take, over its processor time: on a busy computer it waits."""
 _TICK = 0.5
 """How often to look whether a record takes too long [s]."""
 
@@ -76,7 +79,8 @@ class _Worker:
     process: BaseProcess
     pipe: Connection
     task: Task | None = None
-    since: float = field(default=0.0)
+    since: float = 0.0
+    used: float = 0.0
 
 
 def diagnose_all(tasks: Sequence[Task], jobs: int, longest: float = LONGEST) -> list[Answer]:
@@ -85,7 +89,7 @@ def diagnose_all(tasks: Sequence[Task], jobs: int, longest: float = LONGEST) -> 
     Args:
         tasks: What is to be done.
         jobs: Processes.
-        longest: Time that a record may take [s].
+        longest: Processor time that a record may take [s].
     """
     kept = {task.keep: found for task in tasks if (found := _kept(task)) is not None}
     todo = [task for task in tasks if task.keep not in kept]
@@ -118,7 +122,8 @@ def _work(
                 workers.append(_start())
             for one in workers:
                 if one.task is None and left:
-                    one.task, one.since = left.pop(), time.monotonic()
+                    one.task = left.pop()
+                    _begin(one)
                     one.pipe.send(one.task)
             wait([one.pipe for one in workers if one.task], _TICK)
             for one in tuple(workers):
@@ -146,12 +151,26 @@ def _heard(one: _Worker, longest: float) -> Answer | None:
             one.process.join()
             return Answer(None, seconds, problem=f"its process ended: {one.process.exitcode}")
         if said is None:  # it has the engine now, and begins
-            one.since = time.monotonic()
+            _begin(one)
         return said
-    if seconds > longest:
+    used = _cpu(one) - one.used
+    if used > longest or seconds > PATIENCE * longest:
         _end(one)
-        return Answer(None, seconds, problem=f"no answer within {longest:g} s")
+        problem = f"no answer within {longest:g} s of processor time"
+        return Answer(None, seconds, used, problem=problem)
     return None
+
+
+def _begin(one: _Worker) -> None:
+    one.since, one.used = time.monotonic(), _cpu(one)
+
+
+def _cpu(one: _Worker) -> float:
+    """Give the processor time that a process has used [s]; 0: it has ended."""
+    try:
+        return cpu_time(one.process.pid or 0)
+    except OSError:
+        return 0.0
 
 
 def _start() -> _Worker:
