@@ -1,14 +1,14 @@
 """One answer against its truth, by one rule for the records of every generator."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from benchmarks.blind.truth import Truth
-from orbitfb.physics.places import Ring
+from orbitfb.physics.places import Kind, Ring
 
 NAMES = ("named", "ambiguous", "named_plus_remainder")
 """States that give a name."""
@@ -31,6 +31,14 @@ class Order:
         self.kind = dict(zip(table.name, table.kind, strict=True))
         self.quads = table.s[ring.places("QUAD")]
         self.sextupoles = table.s[ring.places("SEXT")]
+        kinds: tuple[Kind, ...] = ("BPM", "COR")
+        self.called = {
+            pv: name for kind in kinds for pv, (name, _) in ring.devices_of_pvs(kind).items()
+        }
+
+    def device(self, name: str) -> str:
+        """Give a device its name in the table, whichever of its PVs it is called by."""
+        return self.called.get(name, name)
 
     def near(self, first: str, second: str) -> bool:
         """Tell whether at most one element of the same sort lies from one place to the other."""
@@ -63,7 +71,8 @@ class Judged:
         one: Pair: whether at least one effect is named.
         misnamed: Named without reserve, with 0.9 or more, and wrong.
         on_right: Probability that the answer puts on a right class; single effects only.
-        devices: Intersection over union of named and true devices; NaN where not compared.
+        devices: Intersection over union of named and true devices, by their names in the table
+            of places and whichever their plane; NaN where not compared.
         covered: Whether the first comparable parameter lies in its interval; None: not comparable.
         shrink: Told share of the one-step gap that is gone [1].
         recovered: Share of the gain in nats that knowing the truth has on the later record.
@@ -124,7 +133,8 @@ def judge(
         answer: In the form of `diagnosis.json`; None: there is none.
         source: Which generator made the record.
         case: Name of the record.
-        order: Of the ring; without it a neighbour of a true place counts as another place.
+        order: Of the ring; without it a neighbour of a true place counts as another place, and a
+            PV as another device.
         seconds: Wall clock that it took [s].
         cpu: Processor time that it took [s].
         peak_mb: Largest memory of its process [MB].
@@ -222,21 +232,28 @@ def _covered(cause: Mapping[str, Any], truth: Truth) -> bool | None:
     return None
 
 
-def _overlap(named: Sequence[str], truth: Truth, order: Order | None) -> float:
+def _devices(names: Iterable[str], order: Order | None) -> frozenset[str]:
+    """Give the devices behind names with a plane, as in `CH1A_C30 (x)`, and behind PVs."""
+    bare = {name.removesuffix(" (x)").removesuffix(" (y)") for name in names}
+    return frozenset(bare if order is None else map(order.device, bare))
+
+
+def _overlap(names: Sequence[str], truth: Truth, order: Order | None) -> float:
     """Give named and true devices over named or true ones; a neighbour counts where it may."""
     effect = truth.effects[0]
     if not effect.places:
         return math.nan
+    named, true = _devices(names, order), _devices(effect.places, order)
     near = order is not None and effect.stage in CLUSTERED
 
-    def met(name: str, among: Sequence[str] | frozenset[str]) -> bool:
+    def met(name: str, among: frozenset[str]) -> bool:
         if name in among:
             return True
         return near and order is not None and any(order.near(name, other) for other in among)
 
-    hits = sum(met(name, effect.places) for name in set(named))
-    missed = sum(not met(name, list(named)) for name in effect.places)
-    return hits / max(len(set(named)) + missed, 1)
+    hits = sum(met(name, true) for name in named)
+    missed = sum(not met(name, named) for name in true)
+    return hits / max(len(named) + missed, 1)
 
 
 def _recovered(shrink: Mapping[str, Any], oracle: float | None) -> float:

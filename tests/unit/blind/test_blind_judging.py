@@ -73,6 +73,37 @@ def test_devices_are_intersection_over_union() -> None:
     assert found.devices == 0.0
 
 
+PVS_OF_CH1A = (
+    "SR:C30-MG{PS:CH1A}I:Sp1-SP",
+    "SR:C30-MG{PS:CH1A}I:Sp2-SP",
+    "SR:C30-MG{PS:CH1A}I:Ps1DCCT1-I",
+    "SR:C30-MG{PS:CH1A}I:Ps2DCCT1-I",
+)
+
+
+@pytest.mark.parametrize("true", [*PVS_OF_CH1A, "CH1A_C30", "CH1A_C30 (y)"])
+@pytest.mark.parametrize("named", [*PVS_OF_CH1A[:2], "CH1A_C30", "CH1A_C30 (x)", "CH1A_C30 (y)"])
+def test_a_device_is_the_same_under_each_of_its_names(true: str, named: str, order: Order) -> None:
+    asked = truth("corrector-gain", places=(true,))
+    for others, good in (([], 1.0), (["CH2A_C30"], 1 / 2)):
+        answer = said("named", cause("corrector-gain", places=[named, *others]))
+        assert judge(asked, answer, order=order).devices == good
+
+
+def test_a_device_with_both_its_planes_counts_once(order: Order) -> None:
+    pvs = [f"SR:C30-BI{{BPM:{bpm}}}Pos:{plane}-I" for bpm in (1, 2) for plane in "XY"]
+    asked = truth("bpm-gain", places=tuple(pvs))
+    for named in (["PH1A_C30"], ["PH1A_C30 (x)", "PH1A_C30 (y)"]):
+        answer = said("named", cause("bpm-gain", places=named))
+        assert judge(asked, answer, order=order).devices == 1 / 2
+
+
+def test_planes_are_told_apart_from_names_without_a_ring_too() -> None:
+    asked = truth("bpm-gain", places=("M1", "M2"))
+    answer = said("named", cause("bpm-gain", places=["M1 (x)", "M2 (x)"]))
+    assert judge(asked, answer).devices == 1.0
+
+
 @pytest.mark.parametrize(
     ("named", "good"), [("QH2A_C30", 1.0), ("QH3A_C30", 0.0), ("CH1A_C30", 1.0)]
 )
