@@ -122,6 +122,12 @@ def import_history_command(
     setpoint_unit: Annotated[
         str | None, typer.Option(help="A or mA [as the file or EGU says].")
     ] = None,
+    time_zone: Annotated[
+        str | None,
+        typer.Option(
+            help="Of times that are text and do not say theirs: UTC, +02:00, Europe/Berlin."
+        ),
+    ] = None,
     tolerance: Annotated[
         float,
         typer.Option(help="How far apart the stamps of one tick may lie, of an archiver [s]."),
@@ -158,7 +164,7 @@ def import_history_command(
     channels = loaded.channels(settings.ring.planes)
     request = HistoryRequest(
         tuple(files), time, orbit, setpoints, bpm_names, corrector_names, order, time_unit,
-        orbit_unit, setpoint_unit, tolerance, hold,
+        orbit_unit, setpoint_unit, time_zone, tolerance, hold,
     )  # fmt: skip
     slow = {name: (each.pv, each.scale) for name, each in settings.epics.auxiliary.items()}
     history, noticed = read_history(request, channels, slow)

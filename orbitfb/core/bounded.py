@@ -59,7 +59,7 @@ def read_bytes(path: Path, largest: int, refuse: type[OrbitFeedbackError], advic
 
 
 def read_text(path: Path, largest: int, refuse: type[OrbitFeedbackError], advice: str) -> str:
-    """Read a text in UTF-8, but never more than is expected.
+    """Read a text in UTF-8, with a byte order mark or without, but never more than is expected.
 
     Args:
         path: The file.
@@ -69,7 +69,7 @@ def read_text(path: Path, largest: int, refuse: type[OrbitFeedbackError], advice
     """
     content = read_bytes(path, largest, refuse, advice)
     try:
-        return content.decode()
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise refuse(f"{path}: not UTF-8 text at byte {error.start}; save it as UTF-8") from error
 

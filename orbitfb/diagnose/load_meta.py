@@ -8,18 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from orbitfb.core.units import CURRENT, ORBIT, PER_CURRENT, TIME, plain, sizes
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.load_raw import NUMBERS, Raw, canonical
 from orbitfb.effects.insertion_device import is_gap
 
 _SIZES = {
-    "orbit": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
-    "action": {"A": 1.0, "mA": 1e-3},
-    "model_R": {"m/A": 1.0, "mm/A": 1e-3, "um/A": 1e-6, "mm/mA": 1.0, "um/mA": 1e-3},
-    "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "current": {"A": 1.0, "mA": 1e-3},
-    "gap": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6},
-    "rf": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
+    "orbit": ORBIT,
+    "action": CURRENT,
+    "model_R": PER_CURRENT,
+    "t": TIME,
+    "current": CURRENT,
+    "gap": sizes(("m", "cm", "mm", "um"), "m"),
+    "rf": sizes(("Hz", "kHz", "MHz"), "Hz"),
 }
 _USUAL = {"orbit": "mm", "action": "A", "model_R": "mm/A", "t": "s"}
 _ALSO = {"next_orbit": "orbit", "reference": "orbit", "setpoint": "action", "dither": "action"}
@@ -57,13 +58,14 @@ class Meta:
         unit = self.units.get(name, self.units.get(kind, _USUAL.get(kind)))
         if unit is None:
             return _guessed(raw, name)
-        if unit not in _SIZES[kind]:
+        size = _SIZES[kind].get(unit)
+        if size is None:
             raise raw.wrong(
-                name if raw.units.get(name) == unit else "meta",
+                name if plain(raw.units.get(name, "")) == unit else "meta",
                 f"says that {name} is in {unit!r}",
                 f"use one of {', '.join(_SIZES[kind])}, or leave units.{name} out",
             )
-        return _SIZES[kind][unit]
+        return size
 
 
 def unread_keys(raw: Raw) -> list[Finding]:
@@ -141,7 +143,7 @@ def _each_plane(raw: Raw, content: dict[str, Any], key: str) -> tuple[str, ...]:
 def _units(raw: Raw, units: Any) -> dict[str, str]:
     """Take units by array, from `meta` and from beside the arrays."""
     advice = 'write "units": {"orbit": "um"}, one text for every array in another unit than usual'
-    if isinstance(units, str) and not _UNUSUAL & set(re.findall(r"[\w/]+", units)):
+    if isinstance(units, str) and not _UNUSUAL & set(map(plain, re.findall(r"[\w/]+", units))):
         units = None  # for people
     if not isinstance(units, dict | None):
         raise raw.wrong("meta", f"has units = {units!r:.40}, which says not of what", advice)
@@ -156,14 +158,15 @@ def _units(raw: Raw, units: Any) -> dict[str, str]:
         if not isinstance(unit, str | None):
             raise raw.wrong("meta", f"has units.{key} = {unit!r:.40}", advice)
         if unit:
-            stated[name] = unit.strip()
-    for name, unit in raw.units.items():
+            stated[name] = plain(unit)
+    beside = {name: plain(unit) for name, unit in raw.units.items()}
+    for name, unit in beside.items():
         said = stated.get(name, stated.get(_ALSO.get(name, name), unit))
         if said != unit:
             raise raw.wrong(
                 name, f"is in {unit!r} by its attribute, in {said!r} by meta", "correct one of them"
             )
-    stated = dict(raw.units) | stated
+    stated = beside | stated
     if "orbit" not in stated and stated.get("next_orbit", _USUAL["orbit"]) != _USUAL["orbit"]:
         raise raw.wrong(
             "orbit",

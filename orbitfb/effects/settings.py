@@ -7,9 +7,9 @@ from pydantic import ConfigDict, Field, ValidationError, ValidationInfo, field_v
 
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.settings import Settings
+from orbitfb.core.units import parse_quantity
 from orbitfb.effects.kinds import EffectKind, Parameter
 from orbitfb.effects.registry import effect
-from orbitfb.effects.units import parse_quantity
 from orbitfb.physics.places import Planes
 
 ALL = "all"

@@ -92,7 +92,7 @@ def _samples(path: Path, number: int, entry: Any) -> Samples:
     data = entry.get("data") if isinstance(entry, dict) else None
     if not isinstance(meta, dict) or not isinstance(data, list):
         raise ExchangeError(f"{path}: entry {number} has no meta and data; see the answer's format")
-    name, unit = meta.get("name"), meta.get("EGU", "")
+    name, unit = meta.get("name"), meta.get("EGU") or ""
     if not isinstance(name, str) or not name or not isinstance(unit, str):
         raise ExchangeError(f"{path}: entry {number} does not name its PV in meta.name")
     if len(data) > _MOST_SAMPLES:
@@ -119,10 +119,10 @@ def _stamp(sample: Mapping[str, Any]) -> int:
 
 
 def _value(sample: Mapping[str, Any]) -> float:
-    """Give the value; NaN when it must not be used."""
-    if int(sample.get("severity", 0)) >= INVALID:
-        return math.nan
+    """Give the value; NaN when it must not be used, or is null, as archivers write NaN."""
     value = sample["val"]
+    if value is None or int(sample.get("severity") or 0) >= INVALID:
+        return math.nan
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise TypeError(f"val is a {type(value).__name__}")
     number = float(value)  # the archiver writes "NaN" and "Infinity" as text

@@ -1,25 +1,27 @@
 """Read a table of numbers from CSV: names above the columns, names before the rows, or neither."""
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from orbitfb.core.bounded import read_text
+from orbitfb.core.delimited import MISSING, Line, read_cells
 from orbitfb.core.errors import ExchangeError
 from orbitfb.core.signals import Vector
-from orbitfb.exchange.found import LARGEST_ARRAY, Found, absent, check_size, check_text
+from orbitfb.exchange.found import LARGEST_FILE, Found, absent, check_size, check_text
+from orbitfb.exchange.times import is_time
 
 COLUMNS, ROWS, VALUES = "columns", "rows", "values"
 """The paths within a CSV file: names above, names before, the numbers."""
 
-_DELIMITERS = ("\t", ";", ",")
-_LONGEST_LINE = 2**22
-
 
 class CsvSource:
-    """A CSV file, delimited by tabs, semicolons or commas; lines that begin with # are skipped.
+    """A CSV file, delimited by tabs, semicolons, commas or blanks.
+
+    Lines that begin with # or % are comments; the last one above the table names its columns where
+    the table itself does not, and it has as many cells.
 
     Args:
         path: The file.
@@ -30,34 +32,30 @@ class CsvSource:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        try:
-            with path.open(encoding="utf-8-sig", newline="") as file:
-                lines = [line for line in file if line.strip() and not line.startswith("#")]
-        except (OSError, UnicodeError) as error:
-            raise ExchangeError(f"{path}: no text in UTF-8 ({error}); save it as such") from error
-        if not lines:
+        text = read_text(path, LARGEST_FILE, ExchangeError, "name a table of text")
+        table = read_cells(text, path, ExchangeError)
+        if not table.lines:
             raise ExchangeError(f"{path}: an empty table; give one line per row")
-        if max(map(len, lines)) > _LONGEST_LINE:
-            raise ExchangeError(f"{path}: a line is longer than {_LONGEST_LINE} characters")
-        delimiter = next((each for each in _DELIMITERS if each in lines[0]), ",")
-        try:
-            cells = list(csv.reader(lines, delimiter=delimiter, strict=True))
-        except csv.Error as error:
-            raise ExchangeError(f'{path}: no table ({error}); quote texts by "') from error
+        lines = table.lines
+        head = lines[0].cells
         self.corner = ""
         self.columns: tuple[str, ...] = ()
         self.rows: tuple[str, ...] = ()
-        if any(_number(cell) is None for cell in cells[0][1:]):
-            self.corner, self.columns = cells[0][0].strip(), tuple(c.strip() for c in cells[0][1:])
-            cells = cells[1:]
-        if cells and all(_number(row[0]) is None for row in cells if row):
-            self.rows = tuple(row[0].strip() for row in cells)
-            cells = [row[1:] for row in cells]
+        if any(_is_name(cell) for cell in head[1:]):
+            lines = lines[1:]
+        else:  # a comment that names every column is the head
+            head = table.comment if len(table.comment) == len(head) > 1 else ()
+        if head:
+            self.corner, self.columns = head[0], head[1:]
+        self._first = int(bool(lines) and all(_is_name(row.cells[0]) for row in lines))
+        if self._first:
+            self.rows = tuple(row.cells[0] for row in lines)
         elif self.columns:  # a name above every column, none before the rows
             self.columns, self.corner = (self.corner, *self.columns), ""
         for names in (self.columns, self.rows):
             check_text(path, "the table", len(names), max(map(len, names), default=0))
-        self.values = self._numbers(cells)
+        self.times: dict[int, tuple[str, ...]] = {}
+        self.values = self._numbers(lines)
 
     @property
     def path(self) -> Path:
@@ -82,39 +80,50 @@ class CsvSource:
         if where in (COLUMNS, ROWS) and (names := getattr(self, where)):
             return Found(where, np.empty(0), names)
         if where in self.columns:
-            return Found(where, self.values[:, self.columns.index(where)])
+            column = self.columns.index(where)
+            return Found(where, self.values[:, column], self.times.get(column, ()))
         raise absent(self, where)
 
-    def _numbers(self, cells: Sequence[Sequence[str]]) -> Vector:
-        width = len(cells[0]) if cells else 0
-        check_size(self._path, "the table", (len(cells), width), 8)
-        if len(cells) * width * 8 > LARGEST_ARRAY or not width:
+    def _numbers(self, lines: Sequence[Line]) -> Vector:
+        width = len(lines[0].cells) - self._first if lines else 0
+        check_size(self._path, "the table", (len(lines), width), 8)
+        if not width:
             raise ExchangeError(f"{self._path}: a table without numbers")
-        values = np.empty((len(cells), width))
-        for row, line in enumerate(cells):
-            if len(line) != width or (self.columns and width != len(self.columns)):
+        values = np.empty((len(lines), width))
+        for row, line in enumerate(lines):
+            cells = line.cells[self._first :]
+            if len(cells) != width or (self.columns and width != len(self.columns)):
                 raise ExchangeError(
-                    f"{self._path}: row {row + 1} of the numbers has {len(line)} cells, "
+                    f"{self._path}, line {line.number}: {len(cells)} cells, "
                     f"{len(self.columns) or width} are expected; fill in the missing ones, empty "
                     "where nothing was measured"
                 )
-            for column, cell in enumerate(line):
+            for column, cell in enumerate(cells):
                 number = _number(cell)
-                if number is None:
+                if number is not None:
+                    values[row, column] = number
+                elif is_time(cell):
+                    values[row, column] = math.nan
+                    self.times[column] = ()
+                else:
                     raise ExchangeError(
-                        f"{self._path}: row {row + 1}, column {column + 1} of the numbers is "
-                        f"{cell[:40]!r}, no number; write 1.5e-3, with a point"
+                        f"{self._path}, line {line.number}, column {column + 1 + self._first}: "
+                        f"{cell[:40]!r} is no number; write 1.5e-3, with a point"
                     )
-                values[row, column] = number
+        for column in self.times:
+            self.times[column] = tuple(line.cells[column + self._first] for line in lines)
         return values
 
 
+def _is_name(cell: str) -> bool:
+    return _number(cell) is None and not is_time(cell)
+
+
 def _number(cell: str) -> float | None:
-    """Read a cell; empty is NaN, and None is no number."""
-    text = cell.strip()
-    if not text:
+    """Read a cell; one where nothing was measured is NaN, and None is no number."""
+    if cell.lower() in MISSING:
         return math.nan
     try:
-        return float(text) if "_" not in text else None
+        return float(cell) if "_" not in cell else None
     except ValueError:
         return None

@@ -1,6 +1,6 @@
 """Read orbit histories: arrays of one file, a table of named columns, or an archiver's answer."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,16 +12,19 @@ from orbitfb.core.signals import Channels, Vector
 from orbitfb.exchange.align import at_ticks, find_ticks, in_force
 from orbitfb.exchange.archiver import Samples, read_archiver
 from orbitfb.exchange.csv_file import CsvSource
-from orbitfb.exchange.found import Source, column_of, matrix_of
+from orbitfb.exchange.found import Found, Source, column_of, matrix_of
 from orbitfb.exchange.history import History, empty_history
 from orbitfb.exchange.naming import bpm_labels, corrector_labels, places_of
 from orbitfb.exchange.source import names_from, open_source
+from orbitfb.exchange.times import seconds_of
 from orbitfb.exchange.units import CURRENT, ORBIT, TIME, factor
 
 _EPOCH_OF_DATENUM = 719_529.0
 """1970-01-01 in days of MATLAB's datenum."""
 
 _NANO = 1e9
+_TIME_NAMES = ("time", "timestamp", "t", "date", "datetime")
+"""What programs call the column of the time, in lower case."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +38,7 @@ class HistoryRequest:
         bpm_names, corrector_names: Paths of names, or @FILE.
         order: `names`, or `table`.
         time_unit, orbit_unit, setpoint_unit: None: as the file says.
+        time_zone: Of times that are text and do not say theirs; None: none is known.
         tolerance: How far apart the stamps of one tick may lie [s].
         hold: Longest time for which an archived setpoint stands [s]; None: any.
     """
@@ -49,6 +53,7 @@ class HistoryRequest:
     time_unit: str | None = None
     orbit_unit: str | None = None
     setpoint_unit: str | None = None
+    time_zone: str | None = None
     tolerance: float = 0.01
     hold: float | None = None
 
@@ -79,45 +84,72 @@ def read_history(
     return _from_arrays(request, source, channels), {}
 
 
-def _time(numbers: Vector, written: str, stated: str | None, what: str) -> Vector:
-    unit, size = factor(stated, written, TIME, what, "--time-unit")
+def _time(found: Found, request: HistoryRequest, path: Path) -> Vector:
+    """Read times, numbers or texts, shape (T,) [s]."""
+    what = f"{path}: {found.where}"
+    if found.texts:
+        if request.time_unit:
+            raise ExchangeError(f"{what} holds times as text; leave --time-unit out")
+        return seconds_of(found.texts, request.time_zone, what)
+    numbers = column_of(found, path)
+    unit, size = factor(request.time_unit, found.units, TIME, what, "--time-unit")
     return (numbers - _EPOCH_OF_DATENUM) * size if unit == "datenum" else numbers * size
+
+
+def _time_column(request: HistoryRequest, source: CsvSource) -> int:
+    """Find the column of the time: the one that is named, is called time, or holds times."""
+    names = [_split(name)[0] for name in source.columns]
+    if request.time:
+        found = [i for i, whole in enumerate(source.columns) if request.time in (whole, names[i])]
+    else:
+        found = [i for i, name in enumerate(names) if name.lower() in _TIME_NAMES]
+        found = found or sorted(source.times)
+    if len(found) != 1:
+        raise ExchangeError(
+            f"{source.path}: no column {request.time or 'time'!r} for the time (there are: "
+            f"{', '.join(source.columns[:10])} …); say which with --time"
+        )
+    return found[0]
 
 
 def _from_table(request: HistoryRequest, source: CsvSource, channels: Channels) -> History:
     """Take the columns that are named as devices of the ring; the others must be few and known."""
-    name = request.time or "time"
-    if name not in source.columns:
-        raise ExchangeError(
-            f"{source.path}: no column {name!r} for the time (there are: "
-            f"{', '.join(source.columns[:10])} …); say which with --time"
-        )
     if len(source.rows):
-        raise ExchangeError(f"{source.path}: its rows have names; give numbers in every column")
-    time = source.values[:, source.columns.index(name)]
-    history = empty_history(_time(time, "", request.time_unit, f"{source.path}: {name}"), channels)
-    devices = [each for each in source.columns if each != name]
+        raise ExchangeError(
+            f"{source.path}: its rows begin with names ({source.rows[0]!r}), which are no times; "
+            "begin them with numbers, or times such as 2024-10-27T02:59:54.100+01:00"
+        )
+    place = _time_column(request, source)
+    name, unit = _split(source.columns[place])
+    stamps = Found(name, source.values[:, place], source.times.get(place, ()), unit)
+    history = empty_history(_time(stamps, request, source.path), channels)
+    columns = [i for i in range(len(source.columns)) if i != place]
     readings, currents = bpm_labels(channels), corrector_labels(channels)
-    unknown = [each for each in devices if each not in readings and each not in currents]
+    devices = {i: _split(source.columns[i]) for i in columns}
+    unknown = [each for each, _ in devices.values() if each not in readings | currents]
     if unknown:
         places_of(unknown, readings | currents, "columns", source.path)
-    _, size = factor(request.orbit_unit, "", ORBIT, f"{source.path}: orbit", "--orbit-unit")
-    _put(history.orbit, source, [d for d in devices if d in readings], readings, "BPMs", size)
-    _, size = factor(
-        request.setpoint_unit, "", CURRENT, f"{source.path}: setpoints", "--setpoint-unit"
-    )
-    chosen = [d for d in devices if d in currents]
-    _put(history.setpoints, source, chosen, currents, "correctors", size)
+    for into, labels, what, units, stated, option in (
+        (history.orbit, readings, "BPMs", ORBIT, request.orbit_unit, "--orbit-unit"),
+        (history.setpoints, currents, "correctors", CURRENT, request.setpoint_unit,
+         "--setpoint-unit"),
+    ):  # fmt: skip
+        its = {i: each for i, each in devices.items() if each[0] in labels}
+        kind = "orbit" if what == "BPMs" else "setpoints"
+        factors = [
+            factor(stated, written, units, f"{source.path}: {kind}", option)[1]
+            for _, written in its.values()
+        ]
+        into[:, places_of([each for each, _ in its.values()], labels, what, source.path)] = (
+            source.values[:, list(its)] * factors
+        )
     return history
 
 
-def _put(
-    into: Vector, source: CsvSource, names: Sequence[str], labels: dict[str, int], what: str,
-    size: float,
-) -> None:  # fmt: skip
-    places = places_of(names, labels, what, source.path)
-    columns = [source.columns.index(name) for name in names]
-    into[:, places] = source.values[:, columns] * size
+def _split(head: str) -> tuple[str, str]:
+    """Take the unit in brackets off the head of a column: `PH1A_C02 [mm]`."""
+    name, bracket, unit = head.rpartition("[")
+    return (name.strip(), unit.rstrip("] ")) if bracket and head.endswith("]") else (head, "")
 
 
 def _from_arrays(request: HistoryRequest, source: Source, channels: Channels) -> History:
@@ -130,8 +162,7 @@ def _from_arrays(request: HistoryRequest, source: Source, channels: Channels) ->
                 f"{', '.join(source.listing()[:30])})"
             )
     found = source.get(str(request.time))
-    time = _time(column_of(found, source.path), found.units, request.time_unit,
-                 f"{source.path}: {found.where}")  # fmt: skip
+    time = _time(found, request, source.path)
     history = empty_history(time, channels)
     for into, where, names, labels, what, units, stated, option in (
         (history.orbit, request.orbit, request.bpm_names, bpm_labels(channels), "BPMs", ORBIT,

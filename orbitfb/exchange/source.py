@@ -5,6 +5,8 @@ from pathlib import Path
 
 import h5py
 
+from orbitfb.core.bounded import read_text
+from orbitfb.core.delimited import MARKS
 from orbitfb.core.errors import ExchangeError
 from orbitfb.exchange.csv_file import CsvSource
 from orbitfb.exchange.found import LARGEST_FILE, Source, check_text, names_of
@@ -66,11 +68,9 @@ def names_from(source: Source, where: str) -> tuple[str, ...]:
         return names_of(source.get(where), source.path)
     path = Path(where[1:])
     check_file(path, _LARGEST_LIST)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeError) as error:
-        raise ExchangeError(f"{path}: no text in UTF-8 ({error}); save it as such") from error
-    names = tuple(line.strip() for line in text.splitlines() if line.strip())
+    text = read_text(path, _LARGEST_LIST, ExchangeError, "name a list of names")
+    lines = (line.strip() for line in text.splitlines())
+    names = tuple(line.rstrip(",;") for line in lines if line and not line.startswith(MARKS))
     check_text(path, "the list", len(names), max(map(len, names), default=0))
     if not names:
         raise ExchangeError(f"{path}: an empty list; write one name per line")

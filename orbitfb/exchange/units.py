@@ -2,40 +2,20 @@
 
 from collections.abc import Mapping
 
+from orbitfb.core import units
 from orbitfb.core.errors import ExchangeError
+from orbitfb.core.units import plain
 
-_ORBIT = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
-_CURRENT = {"A": 1.0, "mA": 1e-3}
-_KICK = {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6}
+ORBIT, CURRENT = units.ORBIT, units.CURRENT
+"""Of orbits, in m; of setpoints and readbacks, in A."""
 
-ORBIT: Mapping[str, float] = _ORBIT
-"""Of orbits, in m."""
-
-CURRENT: Mapping[str, float] = _CURRENT
-"""Of setpoints and readbacks, in A."""
-
-TIME: Mapping[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "datenum": 86_400.0}
+TIME: Mapping[str, float] = {**units.TIME, "datenum": 86_400.0}
 """Of time, in s; `datenum` is MATLAB's count of days since the year 0."""
 
-PER_CURRENT: Mapping[str, float] = {
-    f"{orbit}/{current}": size / unit
-    for orbit, size in _ORBIT.items()
-    for current, unit in _CURRENT.items()
-}
-"""Of responses, in m/A."""
-
-PER_KICK: Mapping[str, float] = {
-    f"{orbit}/{kick}": size / unit for orbit, size in _ORBIT.items() for kick, unit in _KICK.items()
-}
-"""Of responses to kicks, in m/rad; the calibration of the correctors makes m/A of them."""
+PER_CURRENT, PER_KICK = units.PER_CURRENT, units.PER_KICK
+"""Of responses, in m/A and in m/rad; the calibration of the correctors makes m/A of the latter."""
 
 RESPONSE: Mapping[str, float] = {**PER_CURRENT, **PER_KICK}
-
-
-def plain(unit: str) -> str:
-    """Write a unit as the tables here do: `µ` as u, no blanks, A and not amp."""
-    text = unit.strip().replace("µ", "u").replace("μ", "u").replace(" ", "")
-    return {"micron": "um", "ampere": "A", "amp": "A", "Amp": "A", "a": "A"}.get(text, text)
 
 
 def factor(

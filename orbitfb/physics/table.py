@@ -1,7 +1,5 @@
 """The table of places: a CSV file, parsed column by column and refused where it is wrong."""
 
-import csv
-import io
 import itertools
 import math
 from collections.abc import Sequence
@@ -10,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from orbitfb.core.delimited import read_cells
 from orbitfb.core.errors import RingError
 from orbitfb.core.signals import Vector
 
@@ -99,10 +98,7 @@ def parse_places(text: str, source: str, circumference: float) -> PlacesTable:
     Raises:
         RingError: Naming file, line, column and value of the first fault.
     """
-    try:
-        rows = _rows(text, source)
-    except csv.Error as error:  # a cell longer than csv reads
-        raise RingError(f"{source}: {error}; give a table of places") from error
+    rows = _rows(text, source)
     for row in rows:
         _check_cells(row, circumference)
     _check_order(rows)
@@ -117,26 +113,23 @@ def parse_places(text: str, source: str, circumference: float) -> PlacesTable:
 
 
 def _rows(text: str, source: str) -> list[_Row]:
-    reader = csv.reader(io.StringIO(text, newline=""))
-    header = [cell.strip() for cell in next(reader, list[str]())]
+    table = read_cells(text, source, RingError).lines
+    header, first = (table[0].cells, table[0].number) if table else ((), 1)
     missing = [column for column in COLUMNS if column not in header]
     if missing:
         raise RingError(
-            f"{source}, line 1: column {', '.join(missing)} is missing from the header "
-            f"{','.join(header)!r}; add it"
+            f"{source}, line {first}: column {', '.join(missing)} is missing from the "
+            f"header {','.join(header)!r}; add it"
         )
-    rows: list[_Row] = []
-    for cells in reader:
-        if not cells:
-            continue
-        if len(cells) != len(header):
+    for line in table:
+        if len(line.cells) != len(header):
             raise RingError(
-                f"{source}, line {reader.line_num}: {len(cells)} cells under {len(header)} "
-                f"columns, beginning with {cells[0]!r}; give every column a cell, empty or not"
+                f"{source}, line {line.number}: {len(line.cells)} cells under {len(header)} "
+                f"columns, beginning with {line.cells[0]!r}; give every column a cell, empty or not"
             )
-        stripped = (cell.strip() for cell in cells)
-        rows.append(_Row(source, reader.line_num, dict(zip(header, stripped, strict=True))))
-    return rows
+    return [
+        _Row(source, line.number, dict(zip(header, line.cells, strict=True))) for line in table[1:]
+    ]
 
 
 def _check_cells(row: _Row, circumference: float) -> None:

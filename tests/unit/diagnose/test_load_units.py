@@ -135,3 +135,14 @@ def test_units_beside_the_arrays_of_hdf5(tmp_path):
     made["meta"] = np.array(b'{"units": {"orbit": "mm"}}')
     with pytest.raises(RecordError, match="'orbit' is in 'um' by its attribute, in 'mm' by meta"):
         load(hdf5(tmp_path / "other.h5", made, {"orbit": "um"}))
+
+
+@pytest.mark.parametrize(("written", "factor"), [("microns", 1e6), ("µm", 1e6), ("MM", 1e3)])
+def test_units_of_a_record_are_taken_as_people_write_them(tmp_path, written, factor):
+    made = small()
+    usual = load_record(save(tmp_path / "usual.npz", made))
+    for name in ("orbit", "next_orbit", "reference"):
+        made[name] = made[name] * factor / 1e3
+    made["meta"] = meta(units={"orbit": written, "action": "Amps", "model_R": "mm/Ampere"})
+    told = load_record(save(tmp_path / "told.npz", made))
+    np.testing.assert_allclose(told.readings, usual.readings, rtol=1e-12)

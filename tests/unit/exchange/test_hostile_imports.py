@@ -91,7 +91,7 @@ def test_objects_are_not_opened(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("1,2\n3\n", "row 2"),
+        ("1,2\n3\n", "line 2"),
         ("1,2\n3,x\n", "column 2"),
         ("1;2\n3,5;4\n", "column 1"),
         ("a,b\n", "without numbers"),

@@ -1,6 +1,7 @@
 """Orbit histories from elsewhere, become records that `diagnose` reads."""
 
 import json
+from datetime import UTC, datetime
 
 import h5py
 import numpy as np
@@ -82,6 +83,16 @@ def test_an_archiver_that_missed_nothing(tmp_path, shift):
     )
     assert record.layout.period == pytest.approx(PERIOD)
     assert record.starts.sum() == 1
+
+
+@pytest.mark.parametrize("missing", [None, "NaN"])
+def test_a_sample_without_a_number_is_missing(tmp_path, shift, missing):
+    answer = archived(shift)
+    answer[5]["data"][20]["val"] = missing
+    answer[3]["meta"]["EGU"] = "Millimeters"
+    answer[200]["meta"]["EGU"] = "Amps"
+    record = taken(written(tmp_path / "a.json", answer))
+    assert len(record.time) > TICKS / 2
 
 
 def test_missing_and_invalid_samples_are_never_filled_in(tmp_path, shift):
@@ -204,6 +215,65 @@ def test_a_table_of_named_columns(tmp_path, shift):
     np.testing.assert_allclose(record.readings[: TICKS - 1], orbits[:-1], atol=1e-9)
     np.testing.assert_allclose(record.setpoints[: TICKS - 1], setpoints[:-1], atol=1e-9)
     assert "correct --orbit-unit" in refused("s.csv", *units[:5], "A", "-o", "other.h5")
+
+
+def table(shift, times, comment="", ends="", names=None, hole=None):
+    """A history as a program of text writes it: BPMs in mm, setpoints in A."""
+    setpoints, orbits = shift
+    numbers = np.column_stack([1e3 * orbits, setpoints])
+    names = names or [*CHANNELS.bpms, *CHANNELS.correctors]
+    lines = [",".join(["Time", *names]) + ends]
+    for k, time in enumerate(times):
+        cells = [time, *(f"{value:.12g}" for value in numbers[k])]
+        if k == hole:
+            cells[6] = "#N/A"
+        lines.append(",".join(cells) + ends)
+    return comment + "\n".join(lines) + "\n"
+
+
+def text_times(form, first=BEGIN):
+    moments = [datetime.fromtimestamp(first + PERIOD * k, UTC) for k in range(TICKS)]
+    return [moment.strftime(form)[:-3] for moment in moments]
+
+
+IN_MM = ("--orbit-unit", "mm", "--setpoint-unit", "A")
+
+
+@pytest.mark.parametrize(
+    ("how", "options"),
+    [
+        ({"times": [f"{t}+00:00" for t in text_times("%Y-%m-%dT%H:%M:%S.%f")]}, ()),
+        ({"times": text_times("%Y-%m-%d %H:%M:%S.%f")}, ("--time-zone", "UTC")),
+        ({"times": text_times("%Y/%m/%d %H:%M:%S.%f"), "comment": "# Data Browser\n# "},
+         ("--time-zone", "+00:00")),
+        ({"times": [f"{t}Z" for t in text_times("%d-%b-%Y %H:%M:%S.%f")], "ends": ",",
+          "comment": "\ufeff% from MATLAB\n"}, ()),
+    ],
+)  # fmt: skip
+def test_times_as_text(tmp_path, shift, how, options):
+    (tmp_path / "s.csv").write_text(table(shift, **how))
+    record = taken("s.csv", *IN_MM, *options)
+    np.testing.assert_allclose(record.readings[: TICKS - 1], shift[1][:-1], atol=1e-9)
+    assert record.layout.period == pytest.approx(PERIOD, abs=1e-6)
+    with h5py.File("history.h5") as file:
+        assert file["t"][0] == pytest.approx(BEGIN, abs=1e-3)
+
+
+def test_times_without_a_zone_want_one(tmp_path, shift):
+    (tmp_path / "s.csv").write_text(table(shift, text_times("%Y-%m-%d %H:%M:%S.%f")))
+    assert "give --time-zone UTC" in refused("s.csv", *IN_MM)
+    assert "leave --time-unit out" in refused("s.csv", *IN_MM, "--time-unit", "s")
+
+
+def test_units_in_the_heads_of_columns(tmp_path, shift):
+    names = [f"{name} [mm]" for name in CHANNELS.bpms] + [
+        f"{name} [Amps]" for name in CHANNELS.correctors
+    ]
+    times = [f"{t}Z" for t in text_times("%Y-%m-%dT%H:%M:%S.%f")]
+    (tmp_path / "s.csv").write_text(table(shift, times, names=names))
+    record = taken("s.csv")
+    np.testing.assert_allclose(record.readings[: TICKS - 1], shift[1][:-1], atol=1e-9)
+    assert "the file says 'mm', --orbit-unit says 'um'" in refused("s.csv", "--orbit-unit", "um")
 
 
 def test_the_whole_way_to_a_diagnosis_needs_rows(tmp_path, shift):

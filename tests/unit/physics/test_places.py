@@ -182,3 +182,21 @@ def test_whatever_stands_in_a_cell_is_read_or_refused_by_a_ring_error(kind, colu
         assert "ring.csv, line" in str(error)
     else:
         assert len(table.name) == 39
+
+
+@pytest.mark.parametrize(
+    "saved",
+    [
+        lambda text: "\ufeff" + text,
+        lambda text: "# of the lattice of May\n% and later\n" + text,
+        lambda text: "".join(f"{line},\n" for line in text.splitlines()) + ",,,,\n",
+        lambda text: text.replace(",", ";"),
+    ],
+    ids=["byte order mark", "comments", "trailing commas", "semicolons"],
+)
+def test_a_table_as_spreadsheets_save_it(tmp_path, saved):
+    path = tmp_path / "places.csv"
+    path.write_text(saved(TEXT), encoding="utf-8")
+    parameters = json.loads((resources.files("orbitfb") / "data" / "ring.json").read_text())
+    (tmp_path / "ring.json").write_text("\ufeff" + json.dumps(parameters), encoding="utf-8")
+    assert Ring.load(path, tmp_path / "ring.json").channels("x") == Ring.load().channels("x")
