@@ -1,25 +1,43 @@
 # make run: set up and run the loop against the simulated ring.  make test: set up and test.
+# make nightly: all other tests.
 PYTHON ?= python3.11
 BIN := .venv/bin
 STAMP := .venv/.installed
+BESIDE := -n logical --maxprocesses 8 --dist loadscope --no-loadscope-reorder
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
-# Tests that start services, on a computer busy with others: what failed is tried again, alone, and
-# once more after a while. All results are printed; what failed once is a bug of test or program.
-again = { test $$? -eq 1 && echo "again, alone:" && sleep $(2) && $(PYTEST) --last-failed $(1)$(3); }
-tried = $(PYTEST) $(1) || $(call again,$(1),1, || $(call again,$(1),60))
-
 # make docs: the pages as a site in site/.
-.PHONY: run test test-system test-docs docs newcomer venv lint types layers audit format bench clean blind chaos soak
+.PHONY: run test test-beside test-alone nightly nightly-beside nightly-alone mutants test-docs docs newcomer venv lint types layers audit format bench clean blind chaos soak
 
 run: venv
 	$(BIN)/orbitfb run --ioc sim
 
-# Unit tests compute: on all cores, each on one. Those that start services come one after the other:
-# on two cores several at once take as long, and what they say about time is no longer true.
+# What says something about time runs alone, after all others: those run beside each other on all
+# cores, each with ports and a runtime directory of its own. What each took is kept in build/times.
+# Of a failed test nothing is tried again: it is a bug of test or program.
 test: venv
-	$(PYTEST) tests/unit -n logical --maxprocesses 8 --dist loadscope --no-loadscope-reorder
-	$(call tried,--ignore tests/unit)
+	$(MAKE) --no-print-directory --keep-going --jobs=1 test-beside test-alone
+
+test-beside: venv
+	$(PYTEST) -m "not nightly and not timing" $(BESIDE) --times build/times/beside.txt
+
+test-alone: venv
+	$(PYTEST) -m "timing and not nightly" --times build/times/alone.txt
+
+# Statistical and long tests, every page, faults at random, the bench, and what needs programs of
+# Debian, which are installed where that can be done; then safety rules, broken one at a time.
+nightly: venv
+	$(MAKE) --no-print-directory --keep-going --jobs=1 nightly-beside nightly-alone mutants
+
+nightly-beside: venv
+	@tests/debian/install
+	$(PYTEST) -m "nightly and not timing" $(BESIDE) --times build/times/nightly-beside.txt tests tests/debian
+
+nightly-alone: venv
+	$(PYTEST) -m "nightly and timing" --times build/times/nightly-alone.txt
+
+mutants: venv
+	$(BIN)/python -m tests.mutants
 
 venv: $(STAMP)
 
@@ -50,9 +68,9 @@ docs: venv
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "site/index.html; with search: $(BIN)/python -m http.server --bind 127.0.0.1 --directory site"
 
-# Do what every page says: some minutes.
+# Do what every page says: some minutes; a part of make nightly.
 test-docs: venv
-	$(PYTEST) -m slow tests/system/test_docs_snippets.py
+	$(PYTEST) -m "nightly or not nightly" tests/system/test_docs_snippets.py
 
 newcomer: venv
 	$(BIN)/python -m benchmarks.newcomer --out benchmarks/newcomer.json
@@ -72,11 +90,6 @@ chaos: venv
 
 soak: venv
 	$(BIN)/python -m tests.soak --hours $(or $(HOURS),12) --minutes $(or $(MINUTES),30) $(if $(OUT),--out $(OUT)/soak.json)
-
-# What needs programs of Debian, and every page: some minutes.
-test-system: venv
-	@tests/debian/install
-	$(call tried,-m "slow or debian" tests/debian tests/system/test_docs_snippets.py)
 
 clean:
 	rm -rf .venv build dist

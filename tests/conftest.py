@@ -11,6 +11,10 @@ from pathlib import Path
 
 import psutil
 import pytest
+from hypothesis import settings
+from times import pytest_addoption, pytest_configure
+
+__all__ = ["pytest_addoption", "pytest_configure"]
 
 PATIENCE = 2.0
 """How long what a test has stopped may take to be gone [s]."""
@@ -40,6 +44,10 @@ def _force_environment() -> None:
 
 
 _force_environment()
+
+# A busy computer is no bug: how long an example takes is never an assertion.
+settings.register_profile("orbitfb", deadline=None)
+settings.load_profile("orbitfb")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -9,17 +9,17 @@ HERE = Path(__file__).parent
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what is here, so that `make test-system` can ask for it and for other tests."""
+    """Mark what is here: `make nightly` does it."""
     for item in items:
         if item.path.parent == HERE:
-            item.add_marker(pytest.mark.debian)
+            item.add_marker(pytest.mark.nightly)
 
 
 def program(name: str, package: str) -> str:
     """Return the path of a program, or skip the test."""
     found = shutil.which(name)
     if found is None:
-        pytest.skip(f"no {name}: apt-get install {package} (make test-system does it as root)")
+        pytest.skip(f"no {name}: apt-get install {package} (make nightly does it as root)")
     return found
 
 

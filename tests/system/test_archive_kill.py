@@ -86,7 +86,10 @@ def check(archive, handed_over):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.timing
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(2, 12))]
+)
 def test_a_killed_writer_leaves_an_archive_that_opens(tmp_path: Path, seed: int):
     """Small segments, so that the kill also meets the change of segment and the compression."""
     draw = random.Random(seed)

@@ -23,6 +23,8 @@ HEADLINES = {
 
 
 @pytest.mark.system
+@pytest.mark.timing
+@pytest.mark.nightly
 @pytest.mark.timeout(400)
 def test_a_rehearsal_measures_every_kind_of_run(tmp_path):
     out = tmp_path / "loop.json"

@@ -71,6 +71,7 @@ def test_failures_prints_and_arrays_come_through_the_pipes():
         assert (here["drawn"] == there["drawn"]).all()
 
 
+@pytest.mark.nightly
 def test_a_campaign_killed_midway_goes_on_where_it_was(tmp_path):
     """The workers of a campaign that was killed end in the middle of their tasks."""
     wanted = tasks("slow", range(6), marks=str(tmp_path), seconds=0.5)
@@ -160,6 +161,7 @@ def worker(stack, address, directory):
     )  # fmt: skip
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(180)
 def test_on_dask_a_worker_killed_midway_costs_nothing(tmp_path):
     """The asker is a process of its own: Dask leaves threads in it, by design."""

@@ -10,7 +10,7 @@ import pytest
 from tests.chaos.judge import broken_rules
 from tests.chaos.once import run_once
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.timing, pytest.mark.nightly]
 
 SEED, FAULTS, RATE = 16, 6, 40.0
 

@@ -18,7 +18,7 @@ from orbitfb.core.errors import ConnectError, MachineError
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.timing]
 
 SIZE, RATE_HZ = 12, 20.0
 RING = small_ring(SIZE)

@@ -13,7 +13,7 @@ from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import EpicsSettings
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.timing]
 
 SIZE, RATE_HZ = 12, 20.0
 RING = small_ring(SIZE)
@@ -137,7 +137,7 @@ def read_when_back(machine: EpicsMachine) -> float:
     raise AssertionError("the machine did not come back")
 
 
-@pytest.mark.parametrize("away", [1.0, pytest.param(30.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("away", [1.0, pytest.param(30.0, marks=pytest.mark.nightly)])
 def test_back_soon_however_long_it_was_away(away: float, record_property):
     with (
         BaseIoc(RING, RATE_HZ) as ioc,

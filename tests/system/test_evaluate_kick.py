@@ -58,6 +58,8 @@ def test_pvs_that_nobody_serves_are_named(dead_port):
     assert set(caught.value.missing) == {TICK_PV, KICK_PV}
 
 
+@pytest.mark.timing
+@pytest.mark.nightly
 def test_the_command_measures_recoveries(tmp_path):
     done = subprocess.run(
         [

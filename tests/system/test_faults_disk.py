@@ -10,7 +10,7 @@ from service_process import Service, transitions, wait_for
 
 from orbitfb.control import ask
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.timing]
 
 
 @pytest.fixture(scope="module")

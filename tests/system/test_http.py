@@ -158,6 +158,7 @@ def test_malformed_requests_get_an_error_without_an_echo(server, request_bytes, 
     assert get(server, "/")[0] == 200
 
 
+@pytest.mark.timing
 def test_slow_clients_do_not_block_the_others(server):
     slow = [socket.create_connection(where(server)) for _ in range(3 * MOST_CONNECTIONS)]
     try:
@@ -247,6 +248,7 @@ def answer_to(server, request):
         return b"".join(iter(lambda: client.recv(65536), b""))
 
 
+@pytest.mark.timing
 def test_stopping_is_quick_and_frees_the_port(server, statistics):
     port = where(server)[1]
     with socket.create_connection(where(server)) as idle:

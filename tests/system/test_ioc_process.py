@@ -63,6 +63,7 @@ def test_a_wrong_ring_or_interface_is_told():
         SimChild(job(0, interface="203.0.113.1")).start()
 
 
+@pytest.mark.timing
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("plain", [False, True])
 def test_signals_end_it_cleanly_with_clients_on(number, plain):

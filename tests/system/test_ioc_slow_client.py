@@ -9,7 +9,7 @@ import pytest
 from ioc_clients import CHANNELS, CONTROL_DOUBLE, KICK, READINGS, TICK, RawClient, same, serving
 from service_process import wait_for
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.timing]
 
 RATE = 200.0
 EPICS_EPOCH = 631152000

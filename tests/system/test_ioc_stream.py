@@ -33,6 +33,7 @@ def stepped():
         yield client
 
 
+@pytest.mark.timing
 def test_a_tick_is_one_frame_in_table_order_under_one_stamp():
     with serving(rate_hz=50) as child, RawClient(child.port) as client:
         client.create(*READINGS)
@@ -67,6 +68,7 @@ def test_setpoints_advance_the_ring_and_come_back_as_readbacks(stepped):
         assert readbacks == list(values.values())
 
 
+@pytest.mark.timing
 def test_an_orbit_does_not_wait_for_the_acknowledgement_of_setpoints(stepped):
     """Nagle's delay would hold it back for 40 ms."""
     stepped.subscribe(*READINGS, *SETPOINTS)

@@ -15,7 +15,7 @@ from orbitfb.live import check_live
 from orbitfb.own_lease import take_lease
 from orbitfb.startup import find_ring
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.timing]
 
 LEASE = "SR:FB{Lease:X}Owner-SP"
 

@@ -66,6 +66,7 @@ def test_setpoints_stay_when_the_controller_is_killed(killed: Killed):
     np.testing.assert_array_equal(setpoints(killed.ioc.port), killed.left)
 
 
+@pytest.mark.timing
 def test_its_archive_opens_and_misses_at_most_the_last_second(killed: Killed):
     archived = transitions(killed.data)
     assert killed.time - 1.0 - PERIOD < archived.next_time[-1] < killed.time
@@ -134,7 +135,8 @@ def away(tmp_path: Path, seconds: float) -> tuple[float, float, Service]:
                 return killed, back.ready, service
 
 
-@pytest.mark.parametrize("seconds", [5.0, pytest.param(30.0, marks=pytest.mark.slow)])
+@pytest.mark.timing
+@pytest.mark.parametrize("seconds", [2.0, pytest.param(30.0, marks=pytest.mark.nightly)])
 def test_killed_ioc_holds_the_loop_until_it_is_back(seconds: float, tmp_path: Path):
     killed, ready, service = away(tmp_path, seconds)
     entered = states(service)
@@ -155,6 +157,7 @@ def test_killed_ioc_holds_the_loop_until_it_is_back(seconds: float, tmp_path: Pa
     assert steps[0] < 0.5 * steps.max()
 
 
+@pytest.mark.timing
 def test_a_frozen_ioc_is_noticed_too(tmp_path: Path):
     """SIGSTOP: connected, but silent; nothing is written to it, and nothing old arrives later."""
     with Ioc(tmp_path) as ioc:

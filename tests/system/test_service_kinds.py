@@ -33,7 +33,12 @@ def ask(running: Service, *arguments: object) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize(("kind", "stored"), [("modal", "modal"), ("trajectory", "network")])
+@pytest.mark.nightly
+@pytest.mark.timing
+@pytest.mark.parametrize(
+    ("kind", "stored"),
+    [("modal", "modal"), ("trajectory", "network")],
+)
 def test_a_kind_runs_is_refitted_and_shown(kind: str, stored: str, tmp_path: Path):
     with service(tmp_path, kind) as running:
         running.wait_status("ticks", lambda status: status["ticks"] > 400, 30.0)

@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,8 @@ from orbitfb.commands import ARGUMENTS
 
 pytestmark = pytest.mark.system
 
-DURATION = 40.0
+DURATION = 8.0
+"""Of the runs that end by themselves [s]."""
 SUMMARY = {
     "orbit_rms_um": {"first", "last_10s", "true_last_10s"},
     "latency_ms": {"p50", "p99"},
@@ -38,16 +40,16 @@ SUMMARY = {
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A closed loop on its own ring; tests that only look share it, the last ones await its end.
+    """A closed loop on its own ring; tests that only look share it, the last ones end it.
 
     In between it must bear that others start and stop on the same computer.
     """
     data = tmp_path_factory.mktemp("run") / "data"
-    options = ("--duration", DURATION, "--summary", data.parent / "summary.json")
-    with Service(data, "sim", *options, watch=True) as service:
+    with Service(data, "sim", "--summary", data.parent / "summary.json", watch=True) as service:
         yield service
 
 
+@pytest.mark.timing
 def test_it_says_what_was_started_where(run: Service):
     first, second, third = run.out.splitlines()[:3]
     assert first == (
@@ -58,6 +60,7 @@ def test_it_says_what_was_started_where(run: Service):
     assert third == f"archive, policies and log in {run.data}"
 
 
+@pytest.mark.timing
 def test_below_a_micrometre_within_5_s_of_closing(run: Service):
     closed = run.wait_state("CLOSED")
     assert closed["orbit_rms_um"]["first"] == pytest.approx(250.0, rel=0.01)
@@ -68,6 +71,7 @@ def test_below_a_micrometre_within_5_s_of_closing(run: Service):
     assert archived.time[np.argmax(below)] - begin < 5.0
 
 
+@pytest.mark.timing
 def test_status_is_told_to_people_and_programs(run: Service):
     text = orbitfb("command", "status", "--data", run.data)
     assert text.returncode == 0
@@ -77,6 +81,7 @@ def test_status_is_told_to_people_and_programs(run: Service):
     assert json.loads(program.stdout)["state"] == "CLOSED"
 
 
+@pytest.mark.timing
 def test_metrics_are_scraped(run: Service):
     text = run.metrics()
     assert 'orbitfb_loop_state{state="CLOSED"} 1.0' in text
@@ -86,12 +91,14 @@ def test_metrics_are_scraped(run: Service):
     assert 0 < run.metric("orbitfb_true_orbit_rms_meters") < 1e-6
 
 
+@pytest.mark.timing
 @pytest.mark.parametrize("probe", ["healthz", "readyz"])
 def test_it_is_well(run: Service, probe: str):
     answer = json.loads(fetch(f"{run.where['metrics']}/{probe}"))
     assert answer["good"] is True and answer["state"] == "CLOSED"
 
 
+@pytest.mark.timing
 def test_it_tells_its_status_in_plain_lines(run: Service):
     lines = run.out.splitlines()
     assert any(re.fullmatch(r"\d\d:\d\d:\d\d state: CLOSED", line) for line in lines)
@@ -103,10 +110,12 @@ def test_it_tells_its_status_in_plain_lines(run: Service):
     assert run.err == ""
 
 
+@pytest.mark.timing
 def test_setpoints_of_a_ring_of_its_own_are_seen_by_any_client(run: Service):
     assert 0.01 < np.abs(setpoints(run.port)).max() < 2.0
 
 
+@pytest.mark.timing
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -125,7 +134,7 @@ def test_what_it_does_not_do_is_refused_with_the_reason(run: Service, name: str,
 def test_planes_y_and_xy(tmp_path: Path):
     def start(planes: str) -> Process:
         arguments = (
-            *("run", "--ioc", "sim", "--port", 0, "--metrics-port", 0, "--duration", 8),
+            *("run", "--ioc", "sim", "--port", 0, "--metrics-port", 0, "--duration", DURATION),
             *("--planes", planes, "--data", tmp_path / planes),
             *("--summary", tmp_path / f"{planes}.json"),
         )
@@ -141,6 +150,8 @@ def test_planes_y_and_xy(tmp_path: Path):
                 assert rms(part).max() < 1e-6
             summary = json.loads((tmp_path / f"{planes}.json").read_text())
             assert (summary["state"], summary["bpms"]) == ("CLOSED", 180 * len(planes))
+            lived = summary["ticks"] + summary["missed_ticks"]
+            assert 10 * DURATION - 5 < lived <= 10 * DURATION + 5
 
 
 @pytest.fixture(scope="module")
@@ -215,6 +226,7 @@ def test_trip_is_latched_until_reset(obedient: Service):
     assert event["level"] == "error" and event["reason"] == tripped["reason"]
 
 
+@pytest.mark.timing
 @pytest.mark.parametrize(
     "number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda n: n.name
 )
@@ -239,6 +251,7 @@ def test_a_signal_stops_it_within_2_s_and_nothing_is_left(number: signal.Signals
     assert (again.returncode, again.stderr) == (0, "")
 
 
+@pytest.mark.timing
 def test_a_signal_during_the_start_ends_it_at_once(dead_port: int, tmp_path: Path):
     options = ("run", "--ioc", f"127.0.0.1:{dead_port}", "--data", tmp_path / "data")
     with Process((*options, "--metrics-port", 0), tmp_path, "run") as process:
@@ -270,9 +283,15 @@ def test_a_ring_of_its_own_that_dies_is_waited_for(tmp_path: Path):
         assert (service.popen.returncode, service.err) == (2, f"orbitfb: {died}\n")
 
 
+def settled_and_refitted(status: dict[str, Any]) -> bool:
+    return status["refits"] >= 1 and 0 < (status["orbit_rms_um"]["last_10s"] or 0) <= 0.27
+
+
+@pytest.mark.timing
 def test_at_the_end_it_tells_what_it_came_to(run: Service):
-    assert run.popen.wait(2 * DURATION) == 0
-    assert time.monotonic() - run.began > DURATION - 1.0
+    seen = run.wait_status("a refit and ten good seconds", settled_and_refitted, START)
+    run.stop()
+    assert run.popen.returncode == 0
     summary = json.loads((run.data.parent / "summary.json").read_text())
     for key, inner in SUMMARY.items():
         assert key in summary
@@ -282,7 +301,7 @@ def test_at_the_end_it_tells_what_it_came_to(run: Service):
     assert orbit["first"] == pytest.approx(250.0, rel=0.01)
     assert 0.2 < orbit["last_10s"] <= 0.27
     assert orbit["true_last_10s"] <= 0.15
-    assert 10 * DURATION - 5 < summary["ticks"] <= 10 * DURATION + 5
+    assert seen["ticks"] <= summary["ticks"] <= seen["ticks"] + 20
     # None is missed on a quiet computer; other tests may take both cores for 100 ms.
     assert summary["missed_ticks"] <= 2
     assert 0 < summary["latency_ms"]["p50"] < 20
@@ -290,16 +309,16 @@ def test_at_the_end_it_tells_what_it_came_to(run: Service):
     assert list(run.data.parent.glob(".*")) == []
 
 
+@pytest.mark.timing
 def test_every_tick_is_archived(run: Service):
-    run.popen.wait(2 * DURATION)
     archived = transitions(run.data)
     summary = json.loads((run.data.parent / "summary.json").read_text())
     assert len(archived) == summary["ticks"] - 1
     assert rms(archived.orbit[:1])[0] == pytest.approx(250e-6, rel=0.01)
 
 
+@pytest.mark.timing
 def test_the_log_says_what_happened(run: Service):
-    run.popen.wait(2 * DURATION)
     lines = read_log(run.data)
     assert all({"timestamp", "level", "event"} <= line.keys() for line in lines)
     events = [line["event"] for line in lines]

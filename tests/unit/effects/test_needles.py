@@ -60,6 +60,7 @@ def test_the_step_of_a_crate_is_found_that_shows_in_no_column_and_not_in_all(ste
     assert all(abs(other / step - 1.0) > 1e-4 for other in others)
 
 
+@pytest.mark.nightly
 def test_noise_alone_proposes_next_to_nothing():
     currents, proposed = setpoints(), 0
     groups = [np.arange(first, first + 5) for first in range(0, COLUMNS, 5)]

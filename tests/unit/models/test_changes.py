@@ -65,7 +65,7 @@ def test_no_false_alarm_in_a_day_of_blocks_whatever_the_noise(noise):
     assert through_detector(1, 3, 3.0, noise, kicks_per_hour=1.0) <= 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_false_alarms_of_twenty_days():
     assert worst_case(20, 0) <= 20 + 3 * np.sqrt(20)
     for information in (0.002, 0.3, 3.0):

@@ -31,6 +31,21 @@ def test_an_absent_current_trips_or_holds_as_told_but_a_low_one_always_trips():
     assert stored_current({}, InterlockSettings(current_min=None)) is FINE
 
 
+@given(before=st.floats(0.1, 1.0), kept=st.floats(0.0, 1.2))
+def test_a_current_that_drops_by_more_than_may_be_lost_trips_though_it_is_enough(before, kept):
+    now = before * kept
+    dropped = now < S.current_min or now < (1 - S.current_drop) * before
+    verdict = stored_current({"current": now}, S, before=before)
+    assert verdict.action is (Action.TRIP if dropped else Action.OK)
+
+
+def test_a_drop_is_told_with_both_currents_and_looked_at_only_where_it_is_wanted():
+    said = stored_current({"current": 0.25}, S, before=0.4)
+    assert said.reason == "the stored current dropped from 400 to 250 mA"
+    never = InterlockSettings(current_drop=1.0)
+    assert stored_current({"current": 0.02}, never, before=0.4) is FINE
+
+
 @given(rms=st.floats(), largest=st.floats())
 def test_distortion_lets_pass_only_what_is_known_to_be_small(rms, largest):
     fine = rms <= S.distortion_rms and largest <= S.distortion_max

@@ -1,0 +1,324 @@
+"""The table: how each rule is broken, and which unit tests must notice it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """A rule and how it is broken.
+
+    Args:
+        rule: What no longer holds.
+        module: Where it is written, as an import would name it.
+        old: Text of the module that stands there exactly once.
+        new: What stands there instead.
+        tests: Files of which at least one test must fail, below `tests/unit`.
+    """
+
+    rule: str
+    module: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+    @property
+    def file(self) -> Path:
+        """The file of the module, below the root of the repository."""
+        return Path(*self.module.split(".")).with_suffix(".py")
+
+    @property
+    def paths(self) -> Sequence[str]:
+        """The test files, below the root of the repository."""
+        return [f"tests/unit/{name}" for name in self.tests]
+
+    def broken(self, text: str) -> str:
+        """Break the rule in the text of its module.
+
+        Raises:
+            ValueError: The text to be replaced does not stand there exactly once.
+        """
+        if (count := text.count(self.old)) != 1:
+            raise ValueError(f"{self.rule}: {self.old!r} is {count} times in {self.file}, not once")
+        return text.replace(self.old, self.new)
+
+
+LIMITS, INTERLOCKS, WATCH = (
+    "orbitfb.safety.limits",
+    "orbitfb.safety.interlocks",
+    "orbitfb.safety.watch",
+)
+BPMS, CORRECTORS = "orbitfb.safety.bpms", "orbitfb.safety.correctors"
+ENGINE, TICK = "orbitfb.loop.engine", "orbitfb.loop.tick"
+
+MUTANTS = (
+    Mutant(
+        "no setpoint moves by more than limits.change_per_tick in a tick",
+        LIMITS,
+        "if peak <= settings.change_per_tick:",
+        "if peak <= 3 * settings.change_per_tick:",
+        ("safety/test_limits.py",),
+    ),
+    Mutant(
+        "no setpoint is sent beyond limits.setpoint",
+        LIMITS,
+        "initial=0.0)) <= settings.setpoint:",
+        "initial=0.0)) <= 2 * settings.setpoint:",
+        ("safety/test_limits.py",),
+    ),
+    Mutant(
+        "a change or a setpoint that is not finite is refused",
+        LIMITS,
+        "    if not refused.may_act:\n",
+        "    if False:\n",
+        ("safety/test_limits.py",),
+    ),
+    Mutant(
+        "drive limits of the machine that are narrower than ours are told, either of them",
+        LIMITS,
+        "(drive[:, 0] > -limit) | (drive[:, 1] < limit)",
+        "(drive[:, 0] > -limit) & (drive[:, 1] < limit)",
+        ("safety/test_limits.py",),
+    ),
+    Mutant(
+        "a stored current that is not known is not enough",
+        INTERLOCKS,
+        "if current >= settings.current_min:",
+        "if not current < settings.current_min:",
+        ("safety/test_interlocks.py",),
+    ),
+    Mutant(
+        "a stored current that drops trips",
+        INTERLOCKS,
+        "current < (1 - settings.current_drop) * before",
+        "current < 0.0 * before",
+        ("safety/test_interlocks.py",),
+    ),
+    Mutant(
+        "an rms orbit error that is not a number trips",
+        INTERLOCKS,
+        "if not value <= most:",
+        "if value > most:",
+        ("safety/test_interlocks.py",),
+    ),
+    Mutant(
+        "an orbit error that is too large at one BPM trips",
+        INTERLOCKS,
+        '("largest", largest, settings.distortion_max),',
+        '("largest", largest, float("inf")),',
+        ("safety/test_interlocks.py",),
+    ),
+    Mutant(
+        "a readback that is not known does not follow",
+        INTERLOCKS,
+        "return ~((readback >= low - tolerance) & (readback <= high + tolerance))",
+        "return (readback < low - tolerance) | (readback > high + tolerance)",
+        ("safety/test_interlocks.py",),
+    ),
+    Mutant(
+        "a BPM that reads exactly 0 is left out",
+        BPMS,
+        "zero = known & (position == 0.0)",
+        "zero = known & (position == np.inf)",
+        ("safety/test_bpms.py",),
+    ),
+    Mutant(
+        "a BPM that repeats itself while others change is left out",
+        BPMS,
+        "known & (repeats >= settings.bpm_frozen_ticks)",
+        "known & (repeats >= 1000)",
+        ("safety/test_bpms.py",),
+    ),
+    Mutant(
+        "a BPM that jumps alone is left out",
+        BPMS,
+        "jump = known & _jumped(",
+        "jump = ~known & _jumped(",
+        ("safety/test_bpms.py",),
+    ),
+    Mutant(
+        "a BPM that was left out proves itself before it counts again",
+        BPMS,
+        "flaws[~bad & (good < settings.bpm_proving)]",
+        "flaws[~bad & (good < 0)]",
+        ("safety/test_bpms.py",),
+    ),
+    Mutant(
+        "more invalid BPMs than may be hold the loop",
+        BPMS,
+        "if invalid > settings.max_invalid_bpms or invalid == wanted:",
+        "if invalid == wanted:",
+        ("safety/test_bpms.py",),
+    ),
+    Mutant(
+        "too many invalid BPMs next to each other hold the loop, also where the ring closes",
+        BPMS,
+        "start = int(np.argmin(bad))",
+        "start = 0",
+        ("safety/test_bpms.py",),
+    ),
+    Mutant(
+        "more lost correctors than may be trip",
+        CORRECTORS,
+        "if count > settings.max_lost_correctors and new.any():",
+        "if count > 1000 and new.any():",
+        ("safety/test_correctors.py",),
+    ),
+    Mutant(
+        "a corrector that cannot be written is left out at once",
+        CORRECTORS,
+        "new = (counts >= ticks) | gone",
+        "new = counts >= ticks",
+        ("safety/test_correctors.py",),
+    ),
+    Mutant(
+        "an orbit that does not answer as the response says trips",
+        "orbitfb.safety.prediction",
+        'Verdict(Action.TRIP, "prediction", reason)',
+        'Verdict(Action.WARN, "prediction", reason)',
+        ("safety/test_prediction.py",),
+    ),
+    Mutant(
+        "an orbit error that grows tick by tick trips",
+        WATCH,
+        'Verdict(Action.TRIP, "divergence", reason)',
+        'Verdict(Action.WARN, "divergence", reason)',
+        ("safety/test_watch.py",),
+    ),
+    Mutant(
+        "an orbit error that grows too fast trips",
+        WATCH,
+        "if most is None or rate <= most:",
+        "if most is None or rate <= 10 * most:",
+        ("safety/test_watch.py",),
+    ),
+    Mutant(
+        "an orbit is acted on once",
+        WATCH,
+        "if not orbit.time > memory.time:",
+        "if orbit.time < memory.time:",
+        ("safety/test_watch.py",),
+    ),
+    Mutant(
+        "an orbit that repeats itself as a whole is not acted on",
+        WATCH,
+        "if settings.frozen_ticks and repeats >= settings.frozen_ticks:",
+        "if settings.frozen_ticks and repeats >= 1000:",
+        ("safety/test_watch.py",),
+    ),
+    Mutant(
+        "one error is corrected once, also while puts are late",
+        "orbitfb.safety.arrival",
+        "    late = part < SEEN\n",
+        "    late = False\n",
+        ("safety/test_arrival.py",),
+    ),
+    Mutant(
+        "a tripped loop does not close before it was reset",
+        "orbitfb.loop.states",
+        "{Event.RESET: _OPEN}",
+        "{**_ORDERS, Event.RESET: _OPEN}",
+        ("loop/test_states.py",),
+    ),
+    Mutant(
+        "an orbit that has grown old while the policy decided is not acted on",
+        ENGINE,
+        "> rules.loop.patience:",
+        "> 1e9:",
+        ("loop/test_rules.py", "loop/test_runner.py", "loop/test_guard.py"),
+    ),
+    Mutant(
+        "only correctors that the loop moves are put",
+        ENGINE,
+        "self._machine.write(limited.setpoints, mine)",
+        "self._machine.write(limited.setpoints)",
+        ("loop/test_disabled_correctors.py",),
+    ),
+    Mutant(
+        "after a write that failed the setpoints are not known",
+        ENGINE,
+        "            self.memory = remember.forget_setpoints(self.memory)\n",
+        "",
+        ("loop/test_rules.py",),
+    ),
+    Mutant(
+        "before it closes the loop reads the setpoints",
+        "orbitfb.loop.inspection",
+        "doubt = closing or unknown or given or memory.state is LoopState.HELD",
+        "doubt = unknown or given",
+        ("loop/test_rules.py", "loop/test_away_rules.py"),
+    ),
+    Mutant(
+        "the loop does not close while the machine must not be written to",
+        "orbitfb.loop.inspection",
+        "trouble=answer.trouble or self.guard.obstacle()",
+        "trouble=answer.trouble",
+        ("loop/test_guard.py", "loop/test_rules.py", "loop/test_away_rules.py"),
+    ),
+    Mutant(
+        "the baseline decides where the policy asks for what is not finite",
+        "orbitfb.loop.guard",
+        "            if not np.isfinite(change).all():\n",
+        "            if False:\n",
+        ("loop/test_guard.py",),
+    ),
+    Mutant(
+        "a loop that is held too long trips",
+        TICK,
+        "held >= loop.trip_after:",
+        "held < 0:",
+        ("loop/test_rules.py",),
+    ),
+    Mutant(
+        "the gain is ramped after closing",
+        TICK,
+        "return min(1.0, (max(closed_for, 0.0) + loop.period) / loop.ramp)",
+        "return 1.0",
+        ("loop/test_rules.py",),
+    ),
+    Mutant(
+        "BPMs that are masked by configuration never count",
+        "orbitfb.loop.masked",
+        "reading.orbit.valid & self._counting",
+        "reading.orbit.valid",
+        ("loop/test_masking_rules.py",),
+    ),
+    Mutant(
+        "the way back to good setpoints ends when the orbit error grows",
+        "orbitfb.loop.comeback",
+        "if not checked.rms <= _WORSE * way.rms + _NOISE:",
+        "if checked.rms > 1e3:",
+        ("loop/test_comeback.py", "loop/test_coming_back.py"),
+    ),
+    Mutant(
+        "what a BPM said before it went away is not taken for what it says now",
+        "orbitfb.epics.assembler",
+        '            self.records["severity"][index] = INVALID\n',
+        "            pass\n",
+        ("epics/test_assembler.py",),
+    ),
+    Mutant(
+        "an orbit that is too old is not handed to the loop",
+        "orbitfb.epics.inbox",
+        "        if age > limit:\n",
+        "        if age > 1e9:\n",
+        ("epics/test_inbox.py",),
+    ),
+    Mutant(
+        "a controller whose lease is not confirmed does not write",
+        "orbitfb.epics.lease",
+        "        if age < self._time:\n",
+        "        if age < 1e9:\n",
+        ("epics/test_epics_lease.py",),
+    ),
+    Mutant(
+        "a lease whose owner lives is not taken",
+        "orbitfb.epics.lease",
+        "while self._sign(now) is Sign.THEIRS and",
+        "while False and",
+        ("epics/test_epics_lease.py",),
+    ),
+)
