@@ -86,7 +86,6 @@ def check(archive, handed_over):
 
 
 @pytest.mark.system
-@pytest.mark.timing
 @pytest.mark.parametrize(
     "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(2, 12))]
 )

@@ -97,7 +97,7 @@ def test_what_it_shows_equals_what_the_pvs_say(service: Service):
     with look(service) as viewer:
         hello = json.loads(viewer.recv(5.0))
         ask(service.data, {"command": "open"})  # setpoints stand still
-        script = LISTEN.format(ring=service.port, panel=panel, names=wanted, seconds=6.0)
+        script = LISTEN.format(ring=service.port, panel=panel, names=wanted, seconds=8.0)
         pvs, texts = run_client(panel, script)
         shown = pictures(viewer, 0.5)
     assert hello["layout"]["bpms"] == list(CHANNELS.bpms)

@@ -12,7 +12,7 @@ from service_process import START, Service, orbitfb, transitions
 
 from orbitfb import control
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.timing]
 
 RATE_HZ = 50.0
 FIGURES = {

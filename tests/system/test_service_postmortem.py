@@ -14,7 +14,7 @@ from orbitfb.control import ask
 from orbitfb.postmortem.reading import read_postmortem
 from orbitfb.sim.layout import STORED_PV
 
-pytestmark = [pytest.mark.system, pytest.mark.timing]
+pytestmark = pytest.mark.system
 
 
 @pytest.fixture(scope="module")

@@ -80,7 +80,7 @@ def pull_of(true_error, rows, noise):
     return (true_error + noise * rng.standard_normal(rows.shape)) * 1e8
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.7])
+@pytest.mark.parametrize("offset", [0.0, pytest.param(0.7, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("step", [0.4e-3, 1.1e-3, 3.07e-3])
 @pytest.mark.parametrize("where", ["all", "one"])
 def test_the_needle_of_a_quantisation_is_found(layout, step, offset, where):

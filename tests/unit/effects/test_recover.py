@@ -60,6 +60,7 @@ def course_values(bench, cause):
     return found.causes[0].values, [found.interval(i) for i in range(len(found.parameters))]
 
 
+@pytest.mark.nightly
 @each_kind
 def test_what_was_simulated_is_recovered_within_its_interval(kind, benches):
     case, bench = benches(kind)

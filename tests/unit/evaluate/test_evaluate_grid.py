@@ -62,6 +62,7 @@ def test_results_are_sorted_by_point(monkeypatch, tmp_path):
         )
 
 
+@pytest.mark.nightly
 def test_a_point_is_the_evaluation_of_refits():
     settings = RefitEvaluationSettings(ticks=600, seed=3, bpm_noise=0.4e-6)
     result, expected = one_point(settings.model_dump(mode="json")), evaluate_refit(settings)

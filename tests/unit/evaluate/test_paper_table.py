@@ -86,6 +86,7 @@ def test_parts_that_are_there_are_not_run_again(tmp_path: Path) -> None:
     assert first.methods["E1"]["svd"].figures["trajectories"] == 9
 
 
+@pytest.mark.nightly
 def test_the_best_in_hindsight_is_no_worse_than_the_papers_law() -> None:
     settings = PaperSettings(
         scenarios=("E1",), methods=("svd", "svd-best"), static_trajectories=2, steps=100, after=0
@@ -136,6 +137,7 @@ def call(*words: str) -> Any:
     return CliRunner().invoke(app, ["evaluate", "paper", *words])
 
 
+@pytest.mark.nightly
 def test_the_command_writes_and_goes_on(tmp_path: Path) -> None:
     words = ["--scenario", "E1", "--method", "svd", "--trajectories", "2", "--steps", "100"]
     words += ["--workers", "1", "--out", str(tmp_path / "out")]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from orbitfb.core.clock import ManualClock
+from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import LoopState
 from orbitfb.loop.guard import Safeguards
 from orbitfb.loop.runner import Runner
@@ -51,6 +52,7 @@ class Bad:
 
 class Bench:
     def __init__(self, policy=None, seed=0, limits=None, fallback=True, response=RESPONSE, **keys):
+        self.obstacle = ""
         self.clock, self.records = ManualClock(), []
         self.machine = PlantMachine(Plant(RING, "x", seed=seed), self.clock)
         self.bad = Bad(self.clock)
@@ -66,7 +68,9 @@ class Bench:
             self.clock,
             start=LoopState.CLOSED,
             subscribers=(self.records.append,),
-            safeguards=Safeguards(self.baseline if fallback else None, without),
+            safeguards=Safeguards(
+                self.baseline if fallback else None, without, lambda: self.obstacle
+            ),
         )
 
     def steps(self, count):
@@ -102,6 +106,23 @@ def test_a_slow_policy_is_put_aside_after_three_strikes():
     for _ in range(6):
         record = bench.runner.step()
     assert record.policy_id == "baseline"
+
+
+def test_a_machine_that_must_not_be_written_to_keeps_the_loop_from_closing():
+    bench = Bench()
+    bench.obstacle = "the drive limits are narrower"
+    record = bench.steps(30)
+    assert (record.state, record.reason) == (LoopState.HELD, bench.obstacle)
+    bench.runner.command("open")
+    bench.steps(1)
+    refused = bench.runner.command("close")
+    bench.steps(1)
+    with pytest.raises(ControlError, match="the drive limits are narrower"):
+        refused.result(timeout=0)
+    assert all(np.isnan(record.written) for record in bench.records)
+    bench.obstacle = ""
+    bench.runner.command("close")
+    assert bench.steps(2).state is LoopState.CLOSED
 
 
 def test_an_operator_who_closes_anew_gives_the_policy_another_chance():
