@@ -40,10 +40,7 @@ SUMMARY = {
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A closed loop on its own ring; tests that only look share it, the last ones end it.
-
-    In between it must bear that others start and stop on the same computer.
-    """
+    """A closed loop on its own ring; tests that only look share it, the last ones end it."""
     data = tmp_path_factory.mktemp("run") / "data"
     with Service(data, "sim", "--summary", data.parent / "summary.json", watch=True) as service:
         yield service
@@ -129,6 +126,52 @@ def test_setpoints_of_a_ring_of_its_own_are_seen_by_any_client(run: Service):
 def test_what_it_does_not_do_is_refused_with_the_reason(run: Service, name: str, message: str):
     done = orbitfb("command", name, "--data", run.data)
     assert (done.returncode, done.stdout, done.stderr) == (2, "", message)
+
+
+def settled_and_refitted(status: dict[str, Any]) -> bool:
+    return status["refits"] >= 1 and 0 < (status["orbit_rms_um"]["last_10s"] or 0) <= 0.27
+
+
+@pytest.mark.timing
+def test_at_the_end_it_tells_what_it_came_to(run: Service):
+    seen = run.wait_status("a refit and ten good seconds", settled_and_refitted, START)
+    run.stop()
+    assert run.popen.returncode == 0
+    summary = json.loads((run.data.parent / "summary.json").read_text())
+    for key, inner in SUMMARY.items():
+        assert key in summary
+        assert set(inner or ()) <= set(summary[key] if inner else ())
+    orbit = summary["orbit_rms_um"]
+    assert summary["state"] == "CLOSED"
+    assert orbit["first"] == pytest.approx(250.0, rel=0.01)
+    assert 0.2 < orbit["last_10s"] <= 0.27
+    assert orbit["true_last_10s"] <= 0.15
+    assert seen["ticks"] <= summary["ticks"] <= seen["ticks"] + 20
+    # None is missed on a quiet computer; other tests may take both cores for 100 ms.
+    assert summary["missed_ticks"] <= 2
+    assert 0 < summary["latency_ms"]["p50"] < 20
+    assert summary["refits"] >= 1
+    assert list(run.data.parent.glob(".*")) == []
+
+
+@pytest.mark.timing
+def test_every_tick_is_archived(run: Service):
+    archived = transitions(run.data)
+    summary = json.loads((run.data.parent / "summary.json").read_text())
+    assert len(archived) == summary["ticks"] - 1
+    assert rms(archived.orbit[:1])[0] == pytest.approx(250e-6, rel=0.01)
+
+
+@pytest.mark.timing
+def test_the_log_says_what_happened(run: Service):
+    lines = read_log(run.data)
+    assert all({"timestamp", "level", "event"} <= line.keys() for line in lines)
+    events = [line["event"] for line in lines]
+    assert events[:2] == ["lease_taken", "service_started"] and events[-1] == "service_stopped"
+    states = [line["state"] for line in lines if line["event"] == "loop_state_changed"]
+    assert states == ["HELD", "CLOSED"]
+    assert "refit_judged" in events
+    assert not [line for line in lines if line["level"] in ("error", "critical")]
 
 
 def test_planes_y_and_xy(tmp_path: Path):
@@ -282,49 +325,3 @@ def test_a_ring_of_its_own_that_dies_is_waited_for(tmp_path: Path):
         service.wait_state("HELD")
         service.stop()
         assert (service.popen.returncode, service.err) == (2, f"orbitfb: {died}\n")
-
-
-def settled_and_refitted(status: dict[str, Any]) -> bool:
-    return status["refits"] >= 1 and 0 < (status["orbit_rms_um"]["last_10s"] or 0) <= 0.27
-
-
-@pytest.mark.timing
-def test_at_the_end_it_tells_what_it_came_to(run: Service):
-    seen = run.wait_status("a refit and ten good seconds", settled_and_refitted, START)
-    run.stop()
-    assert run.popen.returncode == 0
-    summary = json.loads((run.data.parent / "summary.json").read_text())
-    for key, inner in SUMMARY.items():
-        assert key in summary
-        assert set(inner or ()) <= set(summary[key] if inner else ())
-    orbit = summary["orbit_rms_um"]
-    assert summary["state"] == "CLOSED"
-    assert orbit["first"] == pytest.approx(250.0, rel=0.01)
-    assert 0.2 < orbit["last_10s"] <= 0.27
-    assert orbit["true_last_10s"] <= 0.15
-    assert seen["ticks"] <= summary["ticks"] <= seen["ticks"] + 20
-    # None is missed on a quiet computer; other tests may take both cores for 100 ms.
-    assert summary["missed_ticks"] <= 2
-    assert 0 < summary["latency_ms"]["p50"] < 20
-    assert summary["refits"] >= 1
-    assert list(run.data.parent.glob(".*")) == []
-
-
-@pytest.mark.timing
-def test_every_tick_is_archived(run: Service):
-    archived = transitions(run.data)
-    summary = json.loads((run.data.parent / "summary.json").read_text())
-    assert len(archived) == summary["ticks"] - 1
-    assert rms(archived.orbit[:1])[0] == pytest.approx(250e-6, rel=0.01)
-
-
-@pytest.mark.timing
-def test_the_log_says_what_happened(run: Service):
-    lines = read_log(run.data)
-    assert all({"timestamp", "level", "event"} <= line.keys() for line in lines)
-    events = [line["event"] for line in lines]
-    assert events[:2] == ["lease_taken", "service_started"] and events[-1] == "service_stopped"
-    states = [line["state"] for line in lines if line["event"] == "loop_state_changed"]
-    assert states == ["HELD", "CLOSED"]
-    assert "refit_judged" in events
-    assert not [line for line in lines if line["level"] in ("error", "critical")]
