@@ -78,7 +78,8 @@ PVs of the loop itself, served while `orbitfb run` runs with `panel.enabled`; se
 CONFIGURATION_HEAD = """# Configuration
 
 One TOML file (`--config FILE`), `ORBITFB_…` environment variables and options of the command
-line; later ones win. `ORBITFB_LOOP__RATE_HZ=20` sets `loop.rate_hz`. A key that nobody knows, a
+line; later ones win. `ORBITFB_LOOP__RATE_HZ=20` sets `loop.rate_hz`. Relative paths in the file are
+seen from its directory, all others from the working directory. A key that nobody knows, a
 wrong type or a value out of its bounds is refused with its path and the line where it stands.
 `orbitfb config show` prints everything as TOML, `orbitfb config check FILE` checks a file,
 `orbitfb config schema` prints the JSON schema, kept as [config.schema.json](config.schema.json).

@@ -1,8 +1,9 @@
 """The configuration of the whole service: one frozen tree, from file, environment and options.
 
 Later sources win: defaults, the TOML file, `ORBITFB_SECTION__KEY` environment variables, command
-line options. A key that nobody knows or a value of the wrong type is refused with its path and
-the place that it came from.
+line options. Paths in the file are relative to it, those of the others to the working directory.
+A key that nobody knows or a value of the wrong type is refused with its path and the place that it
+came from.
 """
 
 import difflib
@@ -20,6 +21,7 @@ from pydantic_core import ErrorDetails
 
 from orbitfb.core.bounded import LARGEST_TEXT, parse_toml, read_text
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.setting_paths import seen_from
 from orbitfb.core.settings import Settings
 from orbitfb.diagnose.settings import DiagnoseSettings
 from orbitfb.effects.settings import EffectSettings
@@ -46,6 +48,35 @@ from orbitfb.safety.limits import LimitSettings
 from orbitfb.sim.settings import SimSettings
 
 ENVIRONMENT_PREFIX = "ORBITFB_"
+
+OPTIONS = {
+    "data_directory": "--data",
+    "effect": "--effect",
+    "loop.rate_hz": "--rate",
+    "measure.amplitude": "--amplitude",
+    "measure.at_once": "--at-once",
+    "observe.port": "--metrics-port",
+    "plant.drift.preset": "--drift",
+    "plant.drift.ticks": "--drift-ticks",
+    "policy.kind": "--policy",
+    "ring.parameters": "--ring",
+    "ring.places": "--places",
+    "ring.planes": "--planes",
+    "seed": "--seed",
+    "sim.lockstep": "--lockstep",
+    "sim.plain": "--plain",
+    "sim.port": "--port",
+    "sim.rate_hz": "--rate",
+}
+"""What the command line calls a key."""
+
+_FORMS = {
+    "bool_type": "write true or false",
+    "tuple_type": 'write a list, as in ["A", "B"]',
+    "list_type": 'write a list, as in ["A", "B"]',
+    "dict_type": 'write a table, as in { name = "A" }',
+}
+"""What to write, where a value is of the wrong type."""
 
 
 class RingSettings(Settings):
@@ -194,7 +225,7 @@ def load_config(
     origins: dict[str, str] = {}
     if path is not None:
         text = read_text(path, LARGEST_TEXT, ConfigError, "name a TOML file with --config")
-        tree = parse_toml(text, path, ConfigError)
+        tree = seen_from(parse_toml(text, path, ConfigError), AppConfig, path.parent)
         lines = dict(_key_lines(text))
         origins = {key: f"{path}, line {line}" for key, line in lines.items()}
     for variable, value in sorted((os.environ if environment is None else environment).items()):
@@ -204,13 +235,14 @@ def load_config(
             origins[dotted] = f"environment variable {variable}"
     for dotted, value in (options or {}).items():
         if value is not None:
-            _put(tree, dotted, value, "command line")
-            origins[dotted] = "command line"
+            origins[dotted] = OPTIONS.get(dotted, "command line")
+            _put(tree, dotted, value, origins[dotted])
     try:
         # As JSON, strictly: "10" is no number and 1 is no truth value, but text may be a path.
         return AppConfig.model_validate_json(json.dumps(tree, default=str), strict=True)
     except ValidationError as error:
-        problems = "\n".join(f"  {_explain(problem, origins)}" for problem in error.errors())
+        told = [_explain(problem, origins) for problem in error.errors()]
+        problems = "\n".join(f"  {problem}" for problem in _once(told))
         raise ConfigError(
             f"the configuration is refused:\n{problems}\n"
             "`orbitfb config show` prints every key with its value and meaning."
@@ -267,7 +299,18 @@ def _explain(problem: ErrorDetails, origins: Mapping[str, str]) -> str:
     origin = next((origins[key] for key in chain(above, below) if key in origins), "default")
     if problem["type"] == "extra_forbidden":
         return f"{dotted}: no such key ({origin}){_did_you_mean(location)}"
-    return f"{dotted}: {problem['msg']}, got {_short(problem['input'])} ({origin})"
+    its, where = (origin, f"key {dotted}") if origin.startswith("--") else (dotted, origin)
+    form = f"; {_FORMS[problem['type']]}" if problem["type"] in _FORMS else ""
+    return f"{its}: {problem['msg']}, got {_short(problem['input'])} ({where}){form}"
+
+
+def _once(problems: list[str]) -> list[str]:
+    """Leave out what an option that sets several keys has wrong a second time."""
+    first: dict[str, str] = {}
+    for problem in problems:
+        first.setdefault(problem.rpartition(" (")[0] if problem.startswith("--") else problem,
+                         problem)  # fmt: skip
+    return list(first.values())
 
 
 def _short(value: object) -> str:

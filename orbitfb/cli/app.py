@@ -1,5 +1,6 @@
 """The program `orbitfb`: all commands together, and how a known error ends it."""
 
+import errno
 import io
 import sys
 from typing import Annotated
@@ -47,17 +48,35 @@ app.add_typer(importing, name="import")
 app.add_typer(exporting, name="export")
 app.add_typer(config, name="config")
 
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""What writing says where there is no room."""
+
 
 def main() -> None:
-    """Run the command line; a known error is printed without a traceback and exits with 2."""
+    """Run the command line; an error that is known is printed without a traceback, exit code 2."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that knows no µ gets a ?
     try:
-        app()
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
+        return
     except OrbitFeedbackError as error:
-        print(f"orbitfb: {error}", file=sys.stderr)
-        sys.exit(2)
+        told = str(error)
+    except OSError as error:
+        if error.errno not in _FULL:
+            raise
+        sys.stdout = None  # what is left of the output cannot be written at the end either
+        told = f"the output cannot be written ({error.strerror}); make room, or write it elsewhere"
+    except MemoryError:
+        told = (
+            "there is not enough memory; raise the limit (ulimit -v, of the container, MemoryMax), "
+            "or give a shorter record"
+        )
+    print(f"orbitfb: {told}", file=sys.stderr)
+    sys.exit(2)
 
 
 def _version(wanted: bool) -> None:

@@ -59,14 +59,13 @@ OPTIONS = {
     "no rate": (
         (*SIM, "--rate", 0),
         "the configuration is refused:\n"
-        "  loop.rate_hz: Input should be greater than 0, got 0.0 (command line)\n"
-        "  sim.rate_hz: Input should be greater than 0, got 0.0 (command line)\n"
+        "  --rate: Input should be greater than 0, got 0.0 (key loop.rate_hz)\n"
         "`orbitfb config show` prints every key with its value and meaning.",
     ),
     "unknown drift": (
         (*SIM, "--drift", "papr"),
-        "the configuration is refused:\n  plant.drift.preset: Input should be 'none', 'paper', "
-        "'mild' or 'strong', got 'papr' (command line)\n"
+        "the configuration is refused:\n  --drift: Input should be 'none', 'paper', "
+        "'mild' or 'strong', got 'papr' (key plant.drift.preset)\n"
         "`orbitfb config show` prints every key with its value and meaning.",
     ),
 }

@@ -1,10 +1,13 @@
 """Bad inputs of commands: one message, at once, that names what was typed."""
 
 import socket
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
-from orbitfb.cli.app import app
+from orbitfb.cli.app import app, main
 from orbitfb.core.errors import ConfigError
 from orbitfb.evaluate.campaign import run_tasks
 from orbitfb.evaluate.pool.task import Task
@@ -80,3 +83,26 @@ def test_a_file_of_effects_of_another_ring_is_named(tmp_path, monkeypatch, comma
     assert said.startswith("--effects theirs.toml is not of this ring and cannot be simulated on")
     assert "no correctors called 'LX03/KICK2'" in said
     assert [path.name for path in tmp_path.iterdir()] == ["theirs.toml"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+@pytest.mark.parametrize("arguments", [("config", "show"), ("config", "schema"), ("--version",)])
+def test_an_output_without_room_is_told_in_words(arguments):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "orbitfb", *arguments], stdout=full, stderr=subprocess.PIPE,
+            text=True, check=False,
+        )  # fmt: skip
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "the output cannot be written (No space left on device)" in done.stderr
+
+
+def test_too_little_memory_is_told_in_words(monkeypatch, capsys):
+    def gorge():
+        raise MemoryError
+
+    monkeypatch.setattr("orbitfb.cli.app.app", gorge)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "orbitfb: there is not enough memory; raise the limit" in capsys.readouterr().err

@@ -1,13 +1,17 @@
 """Bad configuration: each kind is refused with what, where and what to do."""
 
+import ast
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 
-from orbitfb.config import load_config
+import orbitfb.cli
+from orbitfb.cli.app import app
+from orbitfb.config import OPTIONS, load_config
 from orbitfb.config_text import to_toml
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError, RingError
 
@@ -132,7 +136,7 @@ def test_everything_wrong_is_told_at_once(tmp_path: Path):
         f"  seed: Input should be greater than or equal to 0, got -1 ({file}, line 1)",
         f"  loop.rat: no such key ({file}, line 3); did you mean rate_hz?",
         f"  ring.planes: Input should be 'x', 'y' or 'xy', got 'z' ({file}, line 5)",
-        "  sim.port: Input should be greater than or equal to 0, got -1 (command line)",
+        "  --port: Input should be greater than or equal to 0, got -1 (key sim.port)",
         "  learn.every: Input should be a valid integer, got 'no' "
         "(environment variable ORBITFB_LEARN__EVERY)",
     ):
@@ -208,7 +212,7 @@ def test_option_below_a_plain_value_of_the_file(tmp_path: Path):
     with pytest.raises(ConfigError) as caught:
         load_config(file, {"loop.rate_hz": 5.0}, {})
     assert str(caught.value) == (
-        "command line: loop.rate_hz lies below loop, which is already set to 3, a plain value"
+        "--rate: loop.rate_hz lies below loop, which is already set to 3, a plain value"
     )
 
 
@@ -221,8 +225,79 @@ def test_later_sources_win(tmp_path: Path):
     assert config.data_directory == Path("b")
 
 
+def test_paths_of_a_file_are_seen_from_it_and_others_from_the_working_directory(tmp_path: Path):
+    (tmp_path / "ring").mkdir()
+    file = tmp_path / "ring" / "orbitfb.toml"
+    file.write_text(
+        '\ufeffdata_directory = "data"\n[ring]\nplaces = "places.csv"\n'
+        'response = "/measured/r.safetensors"\n[panel]\nrules = "../rules.toml"\n'
+        '[observe.logs]\nfile = "its.log"\n',
+        encoding="utf-8",
+    )
+    config = load_config(
+        file, {"data_directory": "here"}, {"ORBITFB_RING__PARAMETERS": "ring.json"}
+    )
+    assert config.data_directory == Path("here")
+    assert config.ring.places == tmp_path / "ring" / "places.csv"
+    assert config.ring.parameters == Path("ring.json")
+    assert config.ring.response == Path("/measured/r.safetensors")
+    assert config.panel.rules == tmp_path / "ring" / ".." / "rules.toml"
+    assert config.observe.logs.file == "its.log", (
+        "no path of its own: one within the data directory"
+    )
+    assert load_config(file, environment={}).data_directory == tmp_path / "ring" / "data"
+
+
+def test_an_option_that_sets_two_keys_is_told_once():
+    with pytest.raises(ConfigError) as caught:
+        load_config(None, {"loop.rate_hz": 0.0, "sim.rate_hz": 0.0}, {})
+    assert str(caught.value).count("--rate: Input should be greater than 0, got 0.0") == 1
+
+
+def test_every_key_that_an_option_sets_is_called_by_it():
+    """Messages name what was typed: the table of options is that of the commands."""
+    folder = Path(orbitfb.cli.__file__).parent
+    trees = [ast.parse(path.read_text()) for path in folder.glob("*.py")]
+    calls = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    keys = {
+        keyword.arg.replace("__", ".")
+        for call in calls
+        if isinstance(call.func, ast.Name) and call.func.id == "configure"
+        for keyword in call.keywords
+        if keyword.arg not in (None, "effects_file")
+    }
+    assert keys == set(OPTIONS)
+    words = {option for command in walked(get_command(app)) for param in command.params
+             for option in param.opts}  # fmt: skip
+    assert set(OPTIONS.values()) <= words
+
+
+def walked(command):
+    yield command
+    for inner in getattr(command, "commands", {}).values():
+        yield from walked(inner)
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "form"),
+    [
+        ("LEARN__ENABLED", "1", "write true or false"),
+        ("LEARN__ENABLED", "yes", "write true or false"),
+        ("MASKS__BPMS", "PH1A_C02", 'write a list, as in ["A", "B"]'),
+        ("EPICS__AUXILIARY", "DCCT", "write a table"),
+    ],
+)
+def test_a_value_of_the_wrong_form_is_told_the_right_one(variable: str, value: str, form: str):
+    with pytest.raises(ConfigError) as caught:
+        load_config(environment={f"ORBITFB_{variable}": value})
+    assert form in str(caught.value)
+
+
 @pytest.mark.parametrize("changed", [False, True])
-def test_what_is_shown_is_accepted_and_says_the_same(changed: bool, tmp_path: Path):
+def test_what_is_shown_is_accepted_and_says_the_same(
+    changed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
     environment = {
         "ORBITFB_SEED": "7",
         "ORBITFB_RING__PLACES": 'a "quoted" \\ µ.csv',
@@ -234,7 +309,7 @@ def test_what_is_shown_is_accepted_and_says_the_same(changed: bool, tmp_path: Pa
         "ORBITFB_PLANT__DRIFT__TICKS": "100",
     }
     config = load_config(environment=environment if changed else {})
-    file = tmp_path / "shown.toml"
+    file = Path("shown.toml")
     file.write_text(to_toml(config), encoding="utf-8")
     assert load_config(file, environment={}) == config
 
