@@ -44,6 +44,7 @@ from orbitfb.own_lease import take_lease
 from orbitfb.own_ring import OwnRing
 from orbitfb.policies.masking import mask_of
 from orbitfb.policies.stability import growth_of, warning_of
+from orbitfb.policies.trips import TripNotes
 from orbitfb.remote import Remote
 from orbitfb.reports import Reports, beside, gap_watch, postmortems, say_and_log, say_excitation
 from orbitfb.safety.limits import too_narrow
@@ -124,7 +125,9 @@ class Service:
         if not counting.all():
             machine = MaskedMachine(machine, counting)
         self.store = open_store(config)
-        keeper = Keeper(self.store, self.channels, config.policies_kept)
+        keeper = Keeper(
+            self.store, self.channels, config.policies_kept, watches=config.learn.enabled
+        )
         nominal = baseline(config, ring, lambda line: say_and_log(say, line))
         first = keeper.first(nominal, movable, ioc == SIMULATED, asked)
         self.slot = PolicySlot(first)
@@ -147,7 +150,9 @@ class Service:
         self._dither = Excitation(waveform, below) if waveform else below
         recorders = postmortems(config, ioc, self.channels, counting, self._reports, stack)
         latest, clocks = Latest(), ClockWatch(clock, self._reports.clock_set)
-        told = (self.events, latest, clocks, *recorders)
+        trips = TripNotes(self.store, config.interlocks)
+        stack.callback(trips.close)
+        told = (self.events, latest, clocks, trips, *recorders)
         self.runner = Runner(
             machine,
             self.slot,
@@ -176,7 +181,11 @@ class Service:
                 alarmed=self._reports.alarmed,
                 tripped=lambda: self.runner.state is LoopState.TRIPPED,
                 clock=clock,
+                records=keeper,
             )
+            if going_on := keeper.resumed:
+                probation = going_on.probation
+                self.learner.resume(going_on.former, probation.before, probation.seen)
             self.learner.start()
             stack.callback(self.learner.stop)
         registry = metrics_registry(

@@ -156,7 +156,10 @@ class AppConfig(Settings):
     )
     seed: int = Field(default=1, ge=0, description="Seed of the simulated ring and of the dither.")
     policies_kept: int = Field(
-        default=100, ge=2, description="Newest policies, and last ones in force, that are kept."
+        default=100,
+        ge=2,
+        description="Newest promotions of the learner, and last ones in force, that are kept; "
+        "what was trained, imported, measured or activated is never removed.",
     )
     policy: PolicySettings = Field(
         default=PolicySettings(), description="The law that runs, and that of every refit."

@@ -25,6 +25,7 @@ from orbitfb.loop.guard import Safeguards
 from orbitfb.measure.response_file import nominal_response
 from orbitfb.observe.plain import plain
 from orbitfb.physics.places import Ring
+from orbitfb.policies.failures import Failure
 from orbitfb.policies.masking import mask_of, without
 from orbitfb.policies.store import PolicyStore
 from orbitfb.policies.svd import SvdPolicy
@@ -173,7 +174,7 @@ def list_policies(config: AppConfig) -> list[dict[str, Any]]:
     """List the stored policies, the oldest first; a damaged one is listed with its damage."""
     store = open_store(config)
     damage: list[StoreError] = []
-    active = store.active()
+    active, probation, failures = store.active(), store.probation(), store.failures()
     rows: list[dict[str, Any]] = [
         {
             "id": card.id,
@@ -183,6 +184,8 @@ def list_policies(config: AppConfig) -> list[dict[str, Any]]:
             "parent": card.parent,
             "active": card.id == active,
             "warning": card.warning,
+            "failure": _failure_in_words(failures.get(card.id)),
+            "probation": card.id == active and probation is not None,
             "damage": None,
         }
         for card in store.cards(damage.append)
@@ -195,8 +198,18 @@ def list_policies(config: AppConfig) -> list[dict[str, Any]]:
         "parent": None,
         "active": False,
         "warning": None,
+        "failure": None,
+        "probation": False,
     }
     return rows + [{**nothing, "damage": str(error)} for error in damage]
+
+
+def _failure_in_words(failure: Failure | None) -> str | None:
+    """Say when a policy failed in force, and how; None: it did not."""
+    if failure is None:
+        return None
+    when = datetime.fromtimestamp(failure.time, UTC).isoformat(timespec="seconds")
+    return f"{when} {failure.words}"
 
 
 def show_policy(config: AppConfig, policy_id: str) -> dict[str, Any]:
@@ -227,7 +240,7 @@ def activate_policy(
     Args:
         config: Names the store.
         policy_id: Which; None: the one that was active before.
-        force: Even if a loop that is closed would run away with it.
+        force: Even if a loop that is closed would run away with it, or if it failed before.
 
     Returns:
         `policy`, `before`, and `warning` where there is one.
@@ -242,9 +255,9 @@ def activate_policy(
     store = open_store(config)
     before = store.active()
     if policy_id is None:
-        policy_id = store.rollback()
+        policy_id = store.rollback(force)
     else:
         store.activate(policy_id)
     answer = {"policy": policy_id, "before": before}
-    warning = store.card(policy_id).warning
+    warning = store.fault_of(policy_id)
     return answer | {"warning": warning} if warning else answer

@@ -118,22 +118,22 @@ class Remote:
     def _activate(self, policy_id: object, force: bool) -> Mapping[str, Any]:
         back = policy_id is None
         if back:
-            earlier = self.store.activations()[:-1]
-            # With none before it, the store says so.
-            policy_id = earlier[-1].id if earlier else self.store.rollback()
+            policy_id = self.store.previous(force)
         if not isinstance(policy_id, str):
             raise ControlError(f"{policy_id!r} is no policy id")
         # Whatever is refused is refused before anything changes.
         policy = self.dress(self.store.load(policy_id, self.channels))
-        warning = warning_of(growth_of(policy))
+        failure = self.store.failures().get(policy_id)
+        known = failure.words if failure else "", warning_of(growth_of(policy)) or ""
+        warning = "; ".join(filter(None, known))
         if warning and not force and self.runner.state in (LoopState.CLOSED, LoopState.HELD):
             raise ControlError(
-                f"policy {policy_id} is {warning}; the loop is {self.runner.state}, so that it "
+                f"policy {policy_id}: {warning}; the loop is {self.runner.state}, so that it "
                 "would act at once: open the loop first, or insist with `orbitfb policies "
                 f"{'rollback' if back else f'activate {policy_id}'} --force`"
             )
         if back:
-            self.store.rollback()
+            self.store.rollback(force)
         else:
             self.store.activate(policy_id)
         before = self.slot.swap(policy)

@@ -22,7 +22,10 @@ from orbitfb.cli.options import (
 
 Force = Annotated[
     bool,
-    typer.Option("--force", help="Even if the loop is closed and would run away with it."),
+    typer.Option(
+        "--force",
+        help="Even if the policy tripped the loop, was rolled back, or would run away.",
+    ),
 ]
 
 policies = typer.Typer(help="Policies in the store of a data directory.", no_args_is_help=True)
@@ -45,7 +48,8 @@ def policies_list(
             f"{star} {row['id']:<24} {row['kind']:<8} {row['planes']:<3} {row['created']}  "
             f"parent {row['parent'] or '-'}"
         )
-        for trouble in filter(None, (row["warning"], row["damage"])):
+        on_probation = "on probation: the learner watches it" if row["probation"] else None
+        for trouble in filter(None, (on_probation, row["failure"], row["warning"], row["damage"])):
             print(f"    {trouble}")
     if not rows:
         print("no policies stored yet: `orbitfb run` stores its baseline, a refit its candidates")
@@ -85,7 +89,7 @@ def policies_rollback(
     planes: Planes = None,
     force: Force = False,
 ) -> None:
-    """Go back to the policy that was active before."""
+    """Go back to the policy that was active before; those that failed are passed over."""
     from orbitfb.maintenance import activate_policy
 
     settings = configure(config_file, data_directory=data, ring__planes=planes)

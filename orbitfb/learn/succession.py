@@ -35,6 +35,36 @@ class Slot(Protocol):
         ...
 
 
+class Records(Protocol):
+    """What is on record about policies in force, beyond the life of this program."""
+
+    def proved(self, identifier: str) -> None:
+        """Put on record that a promoted policy passed its watch."""
+        ...
+
+    def suspended(self, identifier: str, seen: int) -> None:
+        """Leave the watch over a promoted policy, seen for so many ticks, to the next service."""
+        ...
+
+    def fault_of(self, identifier: str) -> str:
+        """Say how a policy failed in force; empty when nothing is known against it."""
+        ...
+
+
+class NoRecords:
+    """Nothing is on record."""
+
+    def proved(self, identifier: str) -> None:
+        """Forget it."""
+
+    def suspended(self, identifier: str, seen: int) -> None:
+        """Forget it."""
+
+    def fault_of(self, identifier: str) -> str:
+        """Know nothing."""
+        return ""
+
+
 class TransitionSource(Protocol):
     """Where the last transitions are kept."""
 
@@ -68,6 +98,7 @@ class Succession:
         limits: Of a write.
         tripped: Whether the loop has tripped.
         clock: For the reports and the patience with candidates.
+        records: What is known of policies beyond the life of this program.
     """
 
     def __init__(
@@ -79,13 +110,15 @@ class Succession:
         limits: LimitSettings,
         tripped: Callable[[], bool],
         clock: Clock,
+        records: Records,
     ) -> None:
         self._settings, self._history, self._slot = settings, history, slot
         self._keep, self._limits = keep, limits
         self._tripped, self._clock = tripped, clock
         self._trial: _Trial | None = None
         self._watch: Watch | None = None
-        self._left: set[str] = set()
+        self._records = records
+        self._left: dict[str, str] = {}
 
     @property
     def trying(self) -> bool:
@@ -101,8 +134,9 @@ class Succession:
             report: Of the judge.
             tell: Gets the report when it is known what became of the candidate.
         """
-        if candidate.policy_id in self._left:
-            reason = "this policy was in force before and was rolled back; it does not come again"
+        known = self._left.get(candidate.policy_id) or self._records.fault_of(candidate.policy_id)
+        if known:
+            reason = f"this policy was in force before and does not come again: it {known}"
             tell(replace(report, decision=Decision.REFUSED, reason=reason))
         elif self._settings.shadow.ticks == 0:
             self._promote(candidate, incumbent, report, tell)
@@ -161,11 +195,28 @@ class Succession:
             return self._roll_back(watch, reason)
         if watch.seen >= self._settings.watch:
             self._watch = None
+            self._records.proved(watch.promoted.policy_id)
         return None
 
-    def drop(self) -> None:
-        """Give up the candidate on trial; nobody is told."""
+    def resume(self, former: Policy, before: float | None, seen: int) -> None:
+        """Go on watching the policy in force, which an earlier service promoted.
+
+        Args:
+            former: The policy to go back to.
+            before: Observed orbit before the swap, rms [m]; None: not known, so that only a trip
+                takes the policy back.
+            seen: Ticks for which it was watched [ticks].
+        """
+        usual = np.inf if before is None else before
+        watch = Watch(self._slot.current, former, usual, self._newest() + 1, self._tripped())
+        watch.seen = seen
+        self._watch = watch
+
+    def end(self) -> None:
+        """Give up the candidate on trial, of which nobody is told, and suspend the watch."""
         self._trial = None
+        if (watch := self._watch) is not None and self._slot.current is watch.promoted:
+            self._records.suspended(watch.promoted.policy_id, watch.seen)
 
     def _promote(
         self, candidate: Policy, incumbent: Policy, report: RefitReport, tell: Tell
@@ -174,24 +225,26 @@ class Succession:
         if self._slot.current is not incumbent:
             tell(_overtaken(report))
             return
-        report = replace(report, decision=Decision.PROMOTED)
+        usual = float(np.median(before)) if before.size else None
+        told = {} if usual is None else {"rms_before": usual}
+        report = replace(report, decision=Decision.PROMOTED, figures={**report.figures, **told})
         self._keep(candidate, report)
         if not self._slot.swap_from(incumbent, candidate):
             back = replace(report, decision=Decision.ROLLED_BACK)
             self._keep(self._slot.current, back)  # what an operator chose stays the active one
             tell(_overtaken(report))
             return
-        if before.size:
-            usual = float(np.median(before))
-            since, tripped = self._newest() + 2, self._tripped()
-            self._watch = Watch(candidate, incumbent, usual, since, tripped)
+        since, tripped = self._newest() + 2, self._tripped()
+        self._watch = Watch(
+            candidate, incumbent, np.inf if usual is None else usual, since, tripped
+        )
         tell(report)
 
     def _roll_back(self, watch: Watch, reason: str) -> RefitReport | None:
         left, self._watch = watch.promoted, None
         if not self._slot.swap_from(left, watch.former):
             return None
-        self._left.add(left.policy_id)
+        self._left[left.policy_id] = f"was rolled back: {reason}"
         report = RefitReport(
             number=0,
             time=self._clock.wall(),

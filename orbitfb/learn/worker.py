@@ -15,7 +15,14 @@ from orbitfb.core.clock import SystemClock
 from orbitfb.core.ports import Clock, Policy
 from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.transitions import Transitions
-from orbitfb.learn.succession import Keep, Slot, Succession, TransitionSource
+from orbitfb.learn.succession import (
+    Keep,
+    NoRecords,
+    Records,
+    Slot,
+    Succession,
+    TransitionSource,
+)
 from orbitfb.learn.trainer import MOST_ROWS, Answer, Task, Trainer, explain
 from orbitfb.safety.limits import LimitSettings
 
@@ -49,6 +56,7 @@ class LearnerThread(threading.Thread):
         alarmed: Gets every alarm, in this thread; it must not raise.
         tripped: Whether the loop has tripped; a policy that trips it is left.
         clock: For the reports and the patience with candidates.
+        records: What is known of policies beyond the life of this program.
     """
 
     def __init__(
@@ -63,6 +71,7 @@ class LearnerThread(threading.Thread):
         alarmed: Callable[[Alarm], None] = lambda _: None,
         tripped: Callable[[], bool] = lambda: False,
         clock: Clock | None = None,
+        records: Records | None = None,
     ) -> None:
         super().__init__(name="learner", daemon=True)
         self._trainer, self._history, self._slot = trainer, history, slot
@@ -77,6 +86,7 @@ class LearnerThread(threading.Thread):
             limits or LimitSettings(),
             tripped,
             self._clock,
+            records or NoRecords(),
         )
         self._wake = threading.Event()
         self._stopping = False
@@ -105,6 +115,16 @@ class LearnerThread(threading.Thread):
         self._wake.set()
         return future
 
+    def resume(self, former: Policy, before: float | None, seen: int) -> None:
+        """Go on watching the policy in force, which an earlier service promoted.
+
+        Args:
+            former: The policy to go back to.
+            before: Observed orbit before the swap, rms [m]; None: not known.
+            seen: Ticks for which it was watched [ticks].
+        """
+        self._succession.resume(former, before, seen)
+
     def stop(self, timeout: float = 1.0) -> None:
         """Let the thread end and the trainer go; requests that wait are cancelled."""
         self._stopping = True
@@ -114,7 +134,7 @@ class LearnerThread(threading.Thread):
         self._trainer.close()
         with self._lock:
             requests, self._requests = self._requests, []
-        self._succession.drop()
+        self._succession.end()
         waiting = {request.future for request in requests if request.future} | self._running
         for future in waiting:
             if not future.cancel() and not future.done():

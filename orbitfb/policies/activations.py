@@ -1,6 +1,6 @@
 """Which policies were put in force, one after the other: `active.json` of a store."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -18,6 +18,23 @@ _LARGEST = 2**20
 _KEPT = 200
 
 
+class Probation(Settings):
+    """A promotion that has not proved itself yet.
+
+    Args:
+        former: The policy to go back to.
+        before: Observed orbit before the swap, rms [m]; None: not known.
+        seen: Ticks for which it was watched [ticks].
+        suspended: Whether its watch was suspended by a service that ended in good order, so that
+            the next one may go on; after a kill it is False, and nobody knows what happened.
+    """
+
+    former: str
+    before: float | None = None
+    seen: int = 0
+    suspended: bool = False
+
+
 class Activation(Settings):
     """One line of `active.json`.
 
@@ -25,11 +42,13 @@ class Activation(Settings):
         id: The policy that was put in force.
         time: When [s since the epoch].
         by: Who did it; a file of an earlier version does not say, and means the service.
+        probation: What is to be known while it is watched; None: it is not.
     """
 
     id: str
     time: float
     by: By = "service"
+    probation: Probation | None = None
 
 
 class _Activations(Settings):
@@ -64,7 +83,7 @@ def write_activations(path: Path, stack: Sequence[Activation]) -> None:
     """
     content = _Activations(activations=newest(stack, _KEPT))
     try:
-        replace_file(path, content.model_dump_json(indent=1).encode())
+        replace_file(path, content.model_dump_json(indent=1, exclude_none=True).encode())
     except OSError as error:
         raise StoreError(
             f"{path} cannot be written ({error.strerror}); the active policy is unchanged"
@@ -81,6 +100,45 @@ def with_top(stack: Sequence[Activation], new: Activation) -> tuple[Activation, 
     if not stack or stack[-1].id != new.id:
         return (*stack, new)
     return (*stack[:-1], new) if new.by == "operator" else tuple(stack)
+
+
+def with_probation(
+    stack: Sequence[Activation], identifier: str, probation: Probation | None
+) -> tuple[Activation, ...]:
+    """Give the stack with another probation of the policy in force, if it is still that one.
+
+    Args:
+        stack: The one in force last.
+        identifier: The policy that is meant.
+        probation: None: it has proved itself.
+    """
+    if not stack or stack[-1].id != identifier or stack[-1].probation is None:
+        return tuple(stack)
+    return (*stack[:-1], stack[-1].model_copy(update={"probation": probation}))
+
+
+def back_from(
+    stack: Sequence[Activation], why_not: Callable[[str], str]
+) -> tuple[tuple[Activation, ...], dict[str, str]]:
+    """Give the stack after going back, and what was passed over with why.
+
+    Args:
+        stack: The one in force last.
+        why_not: Says why a policy must not be gone back to; empty: it may.
+
+    Returns:
+        The stack, its last one to be put in force; empty when there is none to go back to.
+    """
+    earlier = list(stack[:-1])
+    passed: dict[str, str] = {}
+    while earlier:
+        last = earlier[-1].id
+        if last != stack[-1].id:  # that one is left, so it cannot be what is gone back to
+            if not (reason := why_not(last)):
+                break
+            passed[last] = reason
+        earlier.pop()
+    return tuple(earlier), passed
 
 
 def newest(stack: Sequence[Activation], keep: int) -> tuple[Activation, ...]:

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import ValidationError
 
@@ -12,6 +12,9 @@ from orbitfb.core.errors import StoreError
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Channels
 from orbitfb.policies.files import read_json
+
+Owner = Literal["operator", "learner"]
+"""Whose a policy is."""
 
 _LARGEST_CARD = 8 * 2**20
 _IDENTIFIER = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -38,6 +41,9 @@ class PolicyCard(Settings):
         correctors: Names of the correctors, in the order of its columns.
         tensor_bytes: Size of `policy.safetensors`.
         tensor_sha256: Its SHA-256, hexadecimal.
+        owner: Whose it is. The learner removes old ones of its own and nothing else; what an
+            operator puts in force is the operator's from then on. A card of an earlier version
+            does not say, and means the operator.
     """
 
     schema_version: int
@@ -56,6 +62,7 @@ class PolicyCard(Settings):
     correctors: tuple[str, ...]
     tensor_bytes: int
     tensor_sha256: str
+    owner: Owner = "operator"
 
 
 def finite(content: Any) -> Any:

@@ -1,50 +1,36 @@
-"""A directory of policies: tensors in safetensors, a JSON card beside them, one of them active.
+"""The store: a shelf of policies, and which of them is in force.
 
-    STORE/<id>/policy.safetensors     response matrix, weights and what else its kind needs
-    STORE/<id>/card.json              see `policies.card`
     STORE/active.json                 stack of activations; the last one is in force
-    STORE/.lock                       held while anything is written
+    STORE/failures.json               policies that failed in force, and how
 
-A policy appears by the rename of a directory that is complete and on disk, and `active.json`
-is replaced the same way: whoever reads sees the old or the new, also after a kill or a power
-cut. Readers take no lock. Nothing is ever unpickled.
+Both are replaced by a rename: whoever reads sees the old or the new, also after a kill or a power
+cut. The policies themselves are in `policies.shelf`.
 """
 
-import hashlib
-import math
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
-from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import StoreError
-from orbitfb.core.ports import Clock, Policy
-from orbitfb.core.signals import Channels
+from orbitfb.core.ports import Clock
 from orbitfb.policies.activations import (
     Activation,
     By,
+    Probation,
+    back_from,
     chosen,
     newest,
     read_activations,
+    with_probation,
     with_top,
     without,
     write_activations,
 )
-from orbitfb.policies.card import PolicyCard, check_identifier, check_ring, finite, read_card
-from orbitfb.policies.files import (
-    SCHEMA_VERSION,
-    publish_directory,
-    remove_directory,
-    sole_writer,
-)
-from orbitfb.policies.kinds import StoredPolicy, kind_of
-from orbitfb.policies.stability import growth_of, warning_of
-from orbitfb.policies.tensors import decode, encode, is_same
-
-_TENSORS = "policy.safetensors"
+from orbitfb.policies.card import check_identifier
+from orbitfb.policies.failures import Cause, Failure, add_failure, read_failures
+from orbitfb.policies.files import remove_directory, sole_writer
+from orbitfb.policies.shelf import PolicyShelf
 
 
-class PolicyStore:
+class PolicyStore(PolicyShelf):
     """Policies by name, and which of them is in force.
 
     Args:
@@ -53,115 +39,9 @@ class PolicyStore:
     """
 
     def __init__(self, path: Path, clock: Clock | None = None) -> None:
-        self.path = Path(path)
+        super().__init__(path, clock)
         self._active = self.path / "active.json"
-        self._clock = clock or SystemClock()
-
-    def save(
-        self,
-        policy: Policy,
-        channels: Channels,
-        parent: str | None = None,
-        data_hash: str | None = None,
-        figures: Mapping[str, float] | None = None,
-        training: Mapping[str, Any] | None = None,
-    ) -> str:
-        """Store a policy; one that is there already stays as it is, with its first card.
-
-        Args:
-            policy: What to store; when correctors are masked, the policy inside is stored.
-            channels: The ring that it is for.
-            parent: Policy that it was refitted from.
-            data_hash: Hash of the data that it was fitted to.
-            figures: Judged figures by name, SI.
-            training: How it was trained: method, settings, seeds, figures; only what JSON
-                can say.
-
-        Returns:
-            Its id.
-
-        Raises:
-            StoreError: It cannot be written, is of a kind that cannot be stored, or another
-                policy has its id.
-        """
-        kind, inside = kind_of(policy)
-        shape = (len(channels.bpms), len(channels.correctors))
-        if inside.response.shape != shape:
-            raise StoreError(
-                f"policy {inside.policy_id} has a response of shape {inside.response.shape}, the "
-                f"ring has {shape[0]} BPMs and {shape[1]} correctors; nothing was stored"
-            )
-        identifier = check_identifier(inside.policy_id)
-        content = encode(kind, inside)
-        growth = growth_of(inside)
-        card = PolicyCard(
-            schema_version=SCHEMA_VERSION,
-            id=identifier,
-            kind=kind.word,
-            created=self._clock.wall(),
-            parent=parent,
-            data_hash=data_hash,
-            settings=inside.settings.model_dump(mode="json"),
-            figures={k: v if math.isfinite(v) else None for k, v in (figures or {}).items()},
-            training=None if training is None else finite(training),
-            growth=growth if math.isfinite(growth) else None,
-            warning=warning_of(growth),
-            planes=channels.planes,
-            bpms=channels.bpms,
-            correctors=channels.correctors,
-            tensor_bytes=len(content),
-            tensor_sha256=hashlib.sha256(content).hexdigest(),
-        )
-        with sole_writer(self.path):
-            self._publish(card, content)
-        return identifier
-
-    def load(self, identifier: str, channels: Channels) -> StoredPolicy:
-        """Load a policy for a ring.
-
-        Raises:
-            StoreError: There is none of that name, it is damaged, or it is for another ring.
-        """
-        card = self.card(identifier)
-        path = self.path / identifier / _TENSORS
-        check_ring(card, channels, path)
-        return decode(path, card)
-
-    def card(self, identifier: str) -> PolicyCard:
-        """Read one card.
-
-        Raises:
-            StoreError: There is no such policy, or its card is damaged.
-        """
-        directory = self.path / check_identifier(identifier)
-        if not directory.is_dir():
-            raise StoreError(
-                f"there is no policy {identifier!r} in {self.path}; `orbitfb policies list` shows "
-                "those there are"
-            )
-        return read_card(directory)
-
-    def cards(self, on_damage: Callable[[StoreError], None] | None = None) -> list[PolicyCard]:
-        """Read all cards, the oldest first.
-
-        Args:
-            on_damage: Told of each damaged policy, so that the others are listed all the same.
-
-        Raises:
-            StoreError: A policy is damaged and nobody asked to be told.
-        """
-        cards: list[PolicyCard] = []
-        directories = self.path.iterdir() if self.path.is_dir() else ()
-        for directory in directories:
-            if directory.name.startswith(".") or not directory.is_dir():
-                continue
-            try:
-                cards.append(self.card(directory.name))
-            except StoreError as error:
-                if on_damage is None:
-                    raise
-                on_damage(error)
-        return sorted(cards, key=lambda card: (card.created, card.id))
+        self._failures = self.path / "failures.json"
 
     def active(self) -> str | None:
         """Name the policy in force; None when none was ever activated.
@@ -189,25 +69,113 @@ class PolicyStore:
         """
         return read_activations(self._active)
 
-    def activate(self, identifier: str, by: By = "operator") -> None:
+    def failures(self) -> dict[str, Failure]:
+        """Give the last failure of every policy that failed in force, by its id.
+
+        Raises:
+            StoreError: `failures.json` is damaged.
+        """
+        return read_failures(self._failures)
+
+    def fault_of(self, identifier: str) -> str:
+        """Say why a policy should not act; empty when nothing is known against it.
+
+        Raises:
+            StoreError: `failures.json` is damaged.
+        """
+        failure = self.failures().get(identifier)
+        try:
+            unstable = self.card(identifier).warning or ""
+        except StoreError as error:
+            unstable = str(error)
+        return "; ".join(filter(None, (failure.words if failure else "", unstable)))
+
+    def failed(self, identifier: str, cause: Cause, reason: str) -> None:
+        """Put on record that a policy failed in force.
+
+        Args:
+            identifier: Which.
+            cause: How.
+            reason: What the loop or the learner said.
+
+        Raises:
+            StoreError: It cannot be written.
+        """
+        with sole_writer(self.path):
+            self._note(identifier, cause, reason)
+
+    def activate(self, identifier: str, by: By = "operator", before: float | None = None) -> None:
         """Put a policy in force; activating the active one only makes it the operator's choice.
+
+        A service that puts one in force in the place of another has it on probation, until
+        `set_probation` says that it has proved itself.
 
         Args:
             identifier: Which.
             by: Who does it.
+            before: Observed orbit before, for the watch of a probation, rms [m].
 
         Raises:
             StoreError: It does not exist or is damaged; the active one stays.
         """
+        former = self.active()
+        on_trial = by == "service" and former is not None and former != identifier
+        probation = Probation(former=former, before=before) if former and on_trial else None
+        self._put_in_force(identifier, by, probation)
+
+    def begin(self, identifier: str) -> None:
+        """Let a service begin with a policy, which is not on probation.
+
+        Args:
+            identifier: Which.
+
+        Raises:
+            StoreError: It does not exist or is damaged; the active one stays.
+        """
+        self._put_in_force(identifier, "service", None)
+
+    def probation(self) -> Probation | None:
+        """Give the probation of the policy in force; None when it has proved itself.
+
+        Raises:
+            StoreError: `active.json` is damaged.
+        """
+        stack = self.activations()
+        return stack[-1].probation if stack else None
+
+    def set_probation(self, identifier: str, probation: Probation | None) -> None:
+        """Put on record how the probation of a policy goes, if it is in force and on one.
+
+        Args:
+            identifier: The policy.
+            probation: None: it has proved itself.
+
+        Raises:
+            StoreError: It cannot be written.
+        """
         with sole_writer(self.path):
-            self._check_whole(identifier)
-            new = Activation(id=identifier, time=self._clock.wall(), by=by)
             stack = self.activations()
-            if (after := with_top(stack, new)) != stack:
+            if (after := with_probation(stack, identifier, probation)) != stack:
                 write_activations(self._active, after)
 
-    def rollback(self) -> str:
+    def previous(self, force: bool = False) -> str:
+        """Name the policy that `rollback` would go back to.
+
+        Args:
+            force: Also one that failed, or that would run away.
+
+        Raises:
+            StoreError: There is none.
+        """
+        return self._way_back(force)[-1].id
+
+    def rollback(self, force: bool = False) -> str:
         """Go back to the policy that was active before this one; again: one further.
+
+        Policies that failed in force or would run away are passed over.
+
+        Args:
+            force: Go back to the one right before, whatever is known against it.
 
         Returns:
             The id of the policy now in force.
@@ -216,25 +184,23 @@ class PolicyStore:
             StoreError: There is none before it, or it is damaged; the active one stays.
         """
         with sole_writer(self.path):
-            stack = self.activations()[:-1]
-            if not stack:
-                raise StoreError(
-                    f"no policy was active before the present one in {self.path}; activate one by "
-                    "name instead: `orbitfb policies activate ID`"
-                )
-            self._check_whole(stack[-1].id)
-            back = stack[-1].model_copy(update={"by": "operator"})  # who goes back chooses it
-            write_activations(self._active, (*stack[:-1], back))
-            return stack[-1].id
+            stack = self._way_back(force)
+            identifier = stack[-1].id
+            self._check_whole(identifier)
+            chosen_now = {"by": "operator", "probation": None}  # who goes back chooses it
+            write_activations(self._active, (*stack[:-1], stack[-1].model_copy(update=chosen_now)))
+            self._adopt(identifier)
+            return identifier
 
-    def withdraw(self, identifier: str, restored: str) -> None:
+    def withdraw(self, identifier: str, restored: str, reason: str = "") -> None:
         """Take a policy out of force for good: going back does not lead to it again.
 
         It stays in the store and can still be activated by name.
 
         Args:
-            identifier: The policy that failed.
+            identifier: The policy that failed, or that nobody could watch.
             restored: The one that is in force instead.
+            reason: How it failed, to be put on record; empty: that is not known.
 
         Raises:
             StoreError: The one restored does not exist or is damaged; nothing is changed.
@@ -243,12 +209,14 @@ class PolicyStore:
             self._check_whole(restored)
             left = without(self.activations(), identifier, restored, self._clock.wall())
             write_activations(self._active, left)
+            if reason:
+                self._note(identifier, "rolled_back", reason)
 
     def prune(self, keep: int) -> list[str]:
-        """Remove policies that are neither among the newest nor among those last in force.
+        """Remove old policies of the learner that are not among those last in force.
 
         Args:
-            keep: How many of each stay.
+            keep: How many of the learner's newest, and of those last in force, stay.
 
         Returns:
             The ids that were removed.
@@ -257,14 +225,16 @@ class PolicyStore:
             StoreError: A directory cannot be removed.
         """
         with sole_writer(self.path):
-            stack = newest(self.activations(), keep)
-            staying = {activation.id for activation in stack}
+            stack = self.activations()
+            staying = {activation.id for activation in newest(stack, keep)}
+            staying |= {entry.probation.former for entry in stack if entry.probation}
             cards = self.cards(lambda _: None)  # a damaged one stays, to be looked at
-            staying |= {card.id for card in cards[-keep:]}
-            leaving = [card.id for card in cards if card.id not in staying]
+            learnt = [card.id for card in cards if card.owner == "learner"]
+            leaving = [identifier for identifier in learnt[:-keep] if identifier not in staying]
             if leaving:
                 # First, so that no activation names what is gone.
-                write_activations(self._active, stack)
+                left = [entry for entry in stack if entry.id not in leaving]
+                write_activations(self._active, left)
             for identifier in leaving:
                 try:
                     remove_directory(self.path / identifier)
@@ -275,26 +245,31 @@ class PolicyStore:
                     ) from error
         return leaving
 
-    def _check_whole(self, identifier: str) -> None:
-        """See that a policy is there and unharmed, as far as that goes without its ring."""
-        card = self.card(identifier)
-        decode(self.path / identifier / _TENSORS, card)
+    def _put_in_force(self, identifier: str, by: By, probation: Probation | None) -> None:
+        with sole_writer(self.path):
+            self._check_whole(identifier)
+            new = Activation(id=identifier, time=self._clock.wall(), by=by, probation=probation)
+            stack = self.activations()
+            if (after := with_top(stack, new)) != stack:
+                write_activations(self._active, after)
+            if by == "operator":
+                self._adopt(identifier)
 
-    def _publish(self, card: PolicyCard, content: bytes) -> None:
-        final = self.path / card.id
-        if final.exists():
-            stored = self.card(card.id)
-            if not is_same(stored, card):
-                raise StoreError(
-                    f"{final} holds another policy of the same id; store this one under another"
-                )
-            self._check_whole(card.id)
-            return
-        files = {_TENSORS: content, "card.json": card.model_dump_json(indent=1).encode()}
-        try:
-            publish_directory(final, files)
-        except OSError as error:
+    def _way_back(self, force: bool) -> tuple[Activation, ...]:
+        stack, passed = back_from(self.activations(), (lambda _: "") if force else self.fault_of)
+        if stack:
+            return stack
+        advice = "activate one by name instead: `orbitfb policies activate ID`"
+        if passed:
+            told = "; ".join(f"{identifier} {fault}" for identifier, fault in passed.items())
             raise StoreError(
-                f"policy {card.id} cannot be stored in {self.path} ({error.strerror}); make room "
-                "or mend the permissions and save it again"
-            ) from error
+                f"no policy that was active before in {self.path} may be gone back to: {told}; "
+                f"{advice}, or insist with `orbitfb policies rollback --force`"
+            )
+        raise StoreError(f"no policy was active before the present one in {self.path}; {advice}")
+
+    def _note(self, identifier: str, cause: Cause, reason: str) -> None:
+        failure = Failure(
+            id=check_identifier(identifier), time=self._clock.wall(), cause=cause, reason=reason
+        )
+        add_failure(self._failures, failure)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from orbitfb.core.errors import StoreError
+from orbitfb.core.refit import Decision, RefitReport, Stage
 from orbitfb.keeper import Keeper
 from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response
@@ -28,7 +29,7 @@ def store(tmp_path: Path) -> PolicyStore:
     store = PolicyStore(tmp_path)
     for policy in (SVD, MODAL, TRAINED, LEARNT):
         store.save(policy, CHANNELS)
-    store.activate(SVD.policy_id, by="service")
+    store.begin(SVD.policy_id)
     return store
 
 
@@ -57,6 +58,7 @@ def test_another_kind_begins_a_new_ring_and_the_activation_is_told_and_kept(stor
 
 def test_another_kind_does_not_displace_what_is_in_force_on_a_ring_that_goes_on(store, keeper):
     store.activate(LEARNT.policy_id, by="service")
+    keeper.proved(LEARNT.policy_id)
     assert keeper.first(MODAL, ALL, new_ring=False, asked=True).policy_id == LEARNT.policy_id
     assert f"--policy asks for another kind, as {MODAL.policy_id} is" in keeper.reason
 
@@ -98,3 +100,70 @@ def test_what_was_activated_for_other_planes_is_refused(store, new_ring):
     keeper = Keeper(store, RING.channels("y"), 3)
     with pytest.raises(StoreError, match="is a policy for planes 'x', the ring runs 'y'"):
         keeper.first(SvdPolicy(response(RING, "y"), SvdSettings()), ALL, new_ring)
+
+
+def report(decision, policy, other, stage=Stage.SHADOW, reason="worse", **figures):
+    return RefitReport(1, 0.0, "periodic", 9, decision, reason, policy, other, figures, 0.1, stage)
+
+
+def promote(keeper):
+    keeper.keep(LEARNT, report(Decision.PROMOTED, LEARNT.policy_id, SVD.policy_id, rms_before=2e-7))
+
+
+def test_after_a_kill_the_policy_on_probation_is_taken_back(store, keeper):
+    promote(keeper)
+    after = Keeper(PolicyStore(store.path), CHANNELS, 3)
+    assert after.first(MODAL, ALL, new_ring=False).policy_id == SVD.policy_id == store.active()
+    assert after.resumed is None and store.probation() is None
+    assert f"{LEARNT.policy_id} was on probation and the service before this one was killed" in (
+        after.reason
+    )
+    assert keeper.fault_of(LEARNT.policy_id) == ""  # nobody knows what happened
+
+
+def test_after_an_end_in_good_order_the_probation_goes_on_until_the_next_kill(store, keeper):
+    promote(keeper)
+    keeper.suspended(LEARNT.policy_id, 30)
+    after = Keeper(store, CHANNELS, 3)
+    assert after.first(MODAL, ALL, new_ring=False).policy_id == LEARNT.policy_id
+    assert after.resumed is not None and after.resumed.former.policy_id == SVD.policy_id
+    assert (after.resumed.probation.seen, after.resumed.probation.before) == (30, 2e-7)
+    killed = Keeper(store, CHANNELS, 3)
+    assert killed.first(MODAL, ALL, new_ring=False).policy_id == SVD.policy_id
+
+
+def test_nobody_on_probation_runs_where_no_learner_watches(store, keeper):
+    promote(keeper)
+    keeper.suspended(LEARNT.policy_id, 30)
+    after = Keeper(store, CHANNELS, 3, watches=False)
+    assert after.first(MODAL, ALL, new_ring=False).policy_id == SVD.policy_id
+    assert "the learner, which would watch it, is off" in after.reason
+
+
+def test_what_passed_its_watch_is_in_force_after_a_kill(store, keeper):
+    promote(keeper)
+    keeper.proved(LEARNT.policy_id)
+    after = Keeper(store, CHANNELS, 3)
+    assert after.first(MODAL, ALL, new_ring=False).policy_id == LEARNT.policy_id
+    assert after.resumed is None
+
+
+def test_a_roll_back_is_on_record_and_an_overtaken_promotion_is_not(store, keeper):
+    promote(keeper)
+    keeper.keep(SVD, report(Decision.ROLLED_BACK, LEARNT.policy_id, SVD.policy_id))
+    assert keeper.fault_of(LEARNT.policy_id) == "" and store.active() == SVD.policy_id
+    promote(keeper)
+    back = report(Decision.ROLLED_BACK, LEARNT.policy_id, SVD.policy_id, Stage.WATCH, "too large")
+    keeper.keep(SVD, back)
+    assert Keeper(store, CHANNELS, 3).fault_of(LEARNT.policy_id) == "was rolled back: too large"
+    store.activate(MODAL.policy_id)
+    store.activate(SVD.policy_id)
+    assert store.previous() == MODAL.policy_id
+
+
+def test_only_promotions_are_the_learners_to_remove(store, keeper):
+    asked, made = (SvdPolicy(NOMINAL, SvdSettings(gain=gain)) for gain in (0.11, 0.12))
+    keeper.keep(asked, report(Decision.ACCEPTED, asked.policy_id, SVD.policy_id))
+    keeper.keep(made, report(Decision.PROMOTED, made.policy_id, SVD.policy_id))
+    owners = {card.id: card.owner for card in store.cards()}
+    assert owners[asked.policy_id] == "operator" and owners[made.policy_id] == "learner"

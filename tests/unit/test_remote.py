@@ -138,25 +138,38 @@ UNSTABLE = SvdPolicy(NOMINAL, SvdSettings(gain=1.8, integral_gain=1.0))
 
 
 @pytest.mark.parametrize("state", [LoopState.CLOSED, LoopState.HELD])
-@pytest.mark.parametrize("back", [False, True])
-def test_what_would_run_away_is_refused_in_a_closed_loop(
-    store: PolicyStore, state: LoopState, back: bool
+@pytest.mark.parametrize("failed", [False, True])
+def test_what_would_run_away_or_tripped_the_loop_is_refused_in_a_closed_loop(
+    store: PolicyStore, state: LoopState, failed: bool
 ):
-    name = store.save(UNSTABLE, RING.channels("x"))
-    if back:  # it was in force before SECOND
-        store.activate(name)
-        store.activate(SECOND.policy_id)
+    name = store.save(THIRD if failed else UNSTABLE, RING.channels("x"))
+    if failed:
+        store.failed(name, "tripped", "rms orbit error 1005 µm exceeds 1000 µm")
+    said = r": tripped the loop: rms" if failed else r": unstable: .* grow by 1\.\d+ per tick"
     remote = served(store, runner=SimpleNamespace(state=state))
-    request = {"command": "activate", "policy": None if back else name}
-    with pytest.raises(ControlError, match=r"is unstable: .* grow by 1\.\d+ per tick") as caught:
+    request = {"command": "activate", "policy": name}
+    with pytest.raises(ControlError, match=said) as caught:
         remote(request)
-    way = "rollback" if back else f"activate {name}"
-    assert f"`orbitfb policies {way} --force`" in str(caught.value)
+    assert f"`orbitfb policies activate {name} --force`" in str(caught.value)
     assert store.active() == SECOND.policy_id
     assert remote.slot.current is SECOND
     answer = remote({**request, "force": True})
     assert store.active() == remote.slot.current.policy_id == answer["policy"] == name
-    assert answer["warning"].startswith("unstable: ")
+    assert answer["warning"].startswith("tripped the loop: " if failed else "unstable: ")
+
+
+def test_rollback_passes_over_what_tripped_the_loop_and_force_does_not(store: PolicyStore):
+    for policy in (THIRD, SECOND):
+        store.activate(policy.policy_id)
+    store.failed(THIRD.policy_id, "tripped", "rms")
+    remote = served(store, runner=SimpleNamespace(state=LoopState.CLOSED))
+    # FIRST, SECOND, THIRD, SECOND: neither to the one that failed nor to the one that is left.
+    assert remote({"command": "activate", "policy": None})["policy"] == FIRST.policy_id
+    for policy in (THIRD, SECOND):
+        store.activate(policy.policy_id)
+    answer = remote({"command": "activate", "policy": None, "force": True})
+    assert answer["policy"] == THIRD.policy_id == store.active()
+    assert answer["warning"] == "tripped the loop: rms"
 
 
 def test_a_loop_that_is_open_takes_it_and_says_so(store: PolicyStore):

@@ -29,7 +29,7 @@ def build(model, incumbent):
 class Bench:
     """A ring, a loop that obeys the slot, and the thread's work without the thread."""
 
-    def __init__(self, factor=1.0, ticks=2000, **settings):
+    def __init__(self, factor=1.0, ticks=2000, records=None, **settings):
         plant = Plant(RING, seed=2)
         truth = plant.response
         self.slot = PolicySlot(law(factor * truth))
@@ -50,6 +50,7 @@ class Bench:
             lambda *kept: self.kept.append(kept),
             clock=self.clock,
             tripped=lambda: self.tripped,
+            records=records,
         )
         self.tripped = False
 
@@ -293,3 +294,69 @@ def test_an_alarm_is_told_once_and_leads_to_a_refit():
     assert [alarm.cause for alarm in alarms[:1]] == [AlarmCause.SURPRISE]
     assert alarms[0].statistic > alarms[0].threshold
     assert bench.reports[0].trigger == "degradation"
+
+
+class Notes:
+    """Keeps what is put on record."""
+
+    def __init__(self, fault=""):
+        self.said, self.fault = [], fault
+
+    def proved(self, identifier):
+        self.said.append(("proved", identifier))
+
+    def suspended(self, identifier, seen):
+        self.said.append(("suspended", identifier, seen))
+
+    def fault_of(self, identifier):
+        return self.fault
+
+
+QUIET = {"factor": 0.4, "every": 10_000, "chi2_trigger": 1e30}
+
+
+def test_a_policy_that_passes_its_watch_has_proved_itself():
+    bench = Bench(records=Notes(), watch=40, **QUIET)
+    notes = bench.thread._succession._records
+    bench.advance(200)
+    bench.thread.request()
+    bench.thread.step()
+    bench.advance(30, every=10)
+    assert notes.said == []
+    bench.advance(40)
+    assert notes.said == [("proved", bench.slot.current.policy_id)]
+    bench.thread.stop()
+    assert len(notes.said) == 1
+
+
+def test_a_watch_is_suspended_with_its_count_and_goes_on_in_the_next_service():
+    bench = Bench(records=Notes(), **QUIET)
+    bench.advance(200)
+    before = bench.slot.current
+    bench.thread.request()
+    bench.thread.step()
+    bench.advance(40)
+    promoted = bench.slot.current
+    bench.thread.stop()
+    ((word, name, seen),) = bench.thread._succession._records.said
+    assert (word, name) == ("suspended", promoted.policy_id) and 30 < seen <= 40
+    again = Bench(records=Notes(), **QUIET)
+    again.slot.swap(promoted)
+    again.thread.resume(before, 2e-7, seen)
+    again.loop.advance(20)
+    again.tripped = True
+    again.thread.step()
+    assert again.slot.current is before
+    assert again.reports[-1].decision is Decision.ROLLED_BACK
+    assert again.reports[-1].figures["watched_ticks"] > seen
+
+
+def test_what_is_on_record_as_failed_is_not_promoted():
+    bench = Bench(records=Notes("tripped the loop: rms"), **QUIET)
+    bench.advance(200)
+    before = bench.slot.current
+    asked = bench.thread.request()
+    bench.thread.step()
+    assert asked.result(timeout=0).decision is Decision.REFUSED
+    assert "does not come again: it tripped the loop: rms" in asked.result(timeout=0).reason
+    assert bench.slot.current is before and not bench.kept

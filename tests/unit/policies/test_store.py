@@ -144,23 +144,109 @@ def test_many_writers_at_once_lose_nothing(store):
     assert store.active() in identifiers
 
 
-def test_pruning_keeps_the_newest_and_those_last_in_force(tmp_path):
+def test_pruning_removes_old_promotions_of_the_learner_and_nothing_else(tmp_path):
+    clock = ManualClock()
+    store = PolicyStore(tmp_path, clock)
+    baseline, trained, imported, chosen, *learnt = (make_policy(seed) for seed in range(10))
+
+    def save(policy, **more):
+        clock.advance(1.0)
+        return store.save(policy, ring(), **more)
+
+    store.begin(save(baseline))
+    save(trained, training={"method": "trajectory"})
+    save(imported)
+    store.activate(save(chosen, owner="learner"))  # an operator's choice is the operator's
+    ids = [save(policy, owner="learner") for policy in learnt]
+    for identifier in ids:
+        store.activate(identifier, by="service")
+        store.set_probation(identifier, None)
+    assert store.prune(keep=2) == ids[:4]
+    users = {policy.policy_id for policy in (baseline, trained, imported, chosen)}
+    assert {card.id for card in store.cards()} == users | set(ids[4:])
+    assert [entry.id for entry in store.activations()] == [
+        baseline.policy_id,
+        chosen.policy_id,
+        *ids[4:],
+    ]
+    assert store.card(chosen.policy_id).owner == "operator"
+    assert store.prune(keep=2) == []
+
+
+def test_what_a_probation_may_go_back_to_stays(tmp_path):
     clock = ManualClock()
     store = PolicyStore(tmp_path, clock)
     ids = []
-    for seed in range(6):
-        ids.append(store.save(make_policy(seed), ring()))
+    for seed in range(5):
+        ids.append(store.save(make_policy(seed), ring(), owner="learner"))
         clock.advance(1.0)
-    for identifier in (ids[3], ids[0], ids[1]):
+    store.begin(ids[0])
+    store.activate(ids[1], by="service")
+    assert store.probation().former == ids[0]
+    assert ids[0] not in store.prune(keep=1)
+
+
+def test_going_back_passes_over_what_failed(store):
+    first, second, bad, last = (store.save(make_policy(seed), ring()) for seed in range(4))
+    for identifier in (first, second, bad, last):
         store.activate(identifier)
-    assert store.prune(keep=2) == [ids[2], ids[3]]
-    assert [card.id for card in store.cards()] == [ids[0], ids[1], ids[4], ids[5]]
-    assert store.rollback() == ids[0]
-    with pytest.raises(StoreError, match="no policy was active before"):
+    store.failed(bad, "tripped", "rms orbit error 1005 µm exceeds 1000 µm")
+    assert store.previous() == second
+    assert store.previous(force=True) == bad
+    assert store.rollback() == second
+    assert PolicyStore(store.path).active() == second
+    store.failed(first, "rolled_back", "after the swap the orbit stayed above 0.4 µm rms")
+    with pytest.raises(StoreError, match=r"was rolled back: after the swap .* --force"):
         store.rollback()
-    assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == sorted(
-        [ids[0], ids[1], ids[4], ids[5]]
-    )
+    assert store.active() == second
+    assert store.rollback(force=True) == first
+
+
+def test_going_back_never_leads_to_the_policy_that_is_left(store):
+    good, bad = (store.save(make_policy(seed), ring()) for seed in range(2))
+    for identifier in (good, bad, good):
+        store.activate(identifier)
+    store.failed(bad, "tripped", "x")
+    with pytest.raises(StoreError, match="may be gone back to"):
+        store.rollback()
+
+
+def test_going_back_passes_over_what_would_run_away_and_what_is_damaged(store):
+    good, damaged, last = (store.save(make_policy(seed), ring()) for seed in range(3))
+    wild = make_policy(3, gain=1.8, integral_gain=1.0, regularisation=0.0)
+    unstable = store.save(wild, ring())
+    assert "would grow" in store.card(unstable).warning
+    for identifier in (good, damaged, unstable, last):
+        store.activate(identifier)
+    (store.path / damaged / "card.json").write_text("{}")
+    assert store.rollback() == good
+
+
+def test_failures_are_on_record_beyond_the_policy_and_the_program(store):
+    identifier = store.save(make_policy(), ring(), owner="learner")
+    store.failed(identifier, "tripped", "first")
+    store.failed(identifier, "rolled_back", "x" * 1000)
+    again = PolicyStore(store.path).failures()
+    assert list(again) == [identifier]
+    assert again[identifier].cause == "rolled_back" and len(again[identifier].reason) == 400
+    (store.path / "failures.json").write_text("[]")
+    with pytest.raises(StoreError, match=r"failures\.json holds no JSON object; mend"):
+        store.failures()
+
+
+def test_a_promotion_is_on_probation_and_an_operators_choice_is_not(store):
+    first, second = (store.save(make_policy(seed), ring()) for seed in range(2))
+    store.activate(first, by="service")
+    assert store.probation() is None  # there is nothing to go back to
+    store.activate(second, by="service", before=2e-7)
+    probation = PolicyStore(store.path).probation()
+    assert (probation.former, probation.before, probation.suspended) == (first, 2e-7, False)
+    store.set_probation("svd-another", None)
+    assert store.probation() == probation
+    store.activate(second)  # by name
+    assert store.probation() is None
+    store.begin(first)
+    assert store.probation() is None
 
 
 @pytest.mark.parametrize("make", [make_modal, make_network])
