@@ -30,7 +30,7 @@ from orbitfb.loop.guarded import GuardedMachine
 from orbitfb.loop.masked import MaskedMachine
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.maintenance import baseline, open_store, safeguards, sim_job, trainer
+from orbitfb.maintenance import baseline, check_policy, open_store, safeguards, sim_job, trainer
 from orbitfb.measure.left import left_astray
 from orbitfb.observe.clock_watch import ClockWatch
 from orbitfb.observe.event_log import EventLog
@@ -43,7 +43,7 @@ from orbitfb.observe.view import Surroundings
 from orbitfb.own_lease import take_lease
 from orbitfb.own_ring import OwnRing
 from orbitfb.policies.masking import mask_of
-from orbitfb.policies.stability import growth_of, warning_of
+from orbitfb.policies.stability import is_unstable, warning_of
 from orbitfb.policies.trips import TripNotes
 from orbitfb.remote import Remote
 from orbitfb.reports import Reports, beside, gap_watch, postmortems, say_and_log, say_excitation
@@ -129,11 +129,13 @@ class Service:
             self.store, self.channels, config.policies_kept, watches=config.learn.enabled
         )
         nominal = baseline(config, ring, lambda line: say_and_log(say, line))
+        check_policy(nominal, config)
         first = keeper.first(nominal, movable, ioc == SIMULATED, asked)
         self.slot = PolicySlot(first)
         self.statistics = LoopStatistics(self.channels, config.limits.setpoint, clock, counting)
-        if warning := warning_of(growth_of(first)):
-            _log.warning("policy_unstable", policy=first.policy_id, problem=warning)
+        if warning := warning_of(first):
+            word = "policy_unstable" if is_unstable(warning) else "policy_near_its_limit"
+            _log.warning(word, policy=first.policy_id, problem=warning)
             self.statistics.happened("policy", f"{first.policy_id} is {warning}")
         self.events = EventLog(self.channels, clock, config.observe.logs.quiet_time, counting)
         self._reports = Reports(self.statistics, self.events)

@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfb.config import AppConfig
 from orbitfb.control import ask, is_running
-from orbitfb.core.errors import OrbitFeedbackError, StoreError
+from orbitfb.core.errors import ConfigError, OrbitFeedbackError, StoreError
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.transitions import Transitions
@@ -27,6 +27,7 @@ from orbitfb.observe.plain import plain
 from orbitfb.physics.places import Ring
 from orbitfb.policies.failures import Failure
 from orbitfb.policies.masking import mask_of, without
+from orbitfb.policies.stability import is_unstable, warning_of
 from orbitfb.policies.store import PolicyStore
 from orbitfb.policies.svd import SvdPolicy
 from orbitfb.sim.job import SimJob
@@ -73,6 +74,23 @@ def baseline(
             )
 
     return first_policy(matrix, config.policy, movable(config, ring), progress)
+
+
+def check_policy(nominal: ResponsePolicy, config: AppConfig) -> None:
+    """Refuse settings of a linear law that no ring of this response could bear.
+
+    A trained kind is not asked: what a training made is told where it is stored and started.
+
+    Args:
+        nominal: The policy on the nominal response.
+        config: Names its kind.
+
+    Raises:
+        ConfigError: The loop would run away.
+    """
+    kind = config.policy.kind
+    if kind in ("svd", "modal") and is_unstable(warning := warning_of(nominal)):
+        raise ConfigError(f"policy.{kind}: {warning}; set smaller gains")
 
 
 def safeguards(nominal: ResponsePolicy, config: AppConfig, mask: Mask) -> Safeguards:

@@ -16,7 +16,7 @@ from orbitfb.observe.plain import plain
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.observe.summary import summary
 from orbitfb.policies.kinds import StoredPolicy
-from orbitfb.policies.stability import growth_of, warning_of
+from orbitfb.policies.stability import is_unstable, warning_of
 from orbitfb.policies.store import PolicyStore
 
 LONGEST_PATIENCE = 25.0
@@ -124,9 +124,10 @@ class Remote:
         # Whatever is refused is refused before anything changes.
         policy = self.dress(self.store.load(policy_id, self.channels))
         failure = self.store.failures().get(policy_id)
-        known = failure.words if failure else "", warning_of(growth_of(policy)) or ""
-        warning = "; ".join(filter(None, known))
-        if warning and not force and self.runner.state in (LoopState.CLOSED, LoopState.HELD):
+        unstable = warning_of(policy)
+        warning = "; ".join(filter(None, (failure.words if failure else "", unstable)))
+        barred = failure is not None or is_unstable(unstable)
+        if barred and not force and self.runner.state in (LoopState.CLOSED, LoopState.HELD):
             raise ControlError(
                 f"policy {policy_id}: {warning}; the loop is {self.runner.state}, so that it "
                 "would act at once: open the loop first, or insist with `orbitfb policies "

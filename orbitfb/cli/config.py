@@ -26,6 +26,7 @@ def configshow(config_file: ConfigFile = None) -> None:
 def config_check(path: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
     """Say whether a configuration file is good, with the files that it names."""
     from orbitfb.doors import check_panel
+    from orbitfb.maintenance import baseline, check_policy
     from orbitfb.measure.response_file import nominal_response
     from orbitfb.policies.masking import mask_of
 
@@ -33,6 +34,8 @@ def config_check(path: Annotated[Path, typer.Argument(help="Configuration file (
     ring, planes = settings.ring.load(), settings.ring.planes
     mask_of(ring.channels(planes), settings.masks)
     nominal_response(ring, planes, settings.ring.response, settings.masks)
+    if settings.policy.kind in ("svd", "modal"):  # the others are trained, which takes long
+        check_policy(baseline(settings, ring), settings)
     check_panel(settings, ring.channels(planes))
     print(f"{path}: good")
 

@@ -34,8 +34,8 @@ class PidSettings(Settings):
     gain: float = Field(
         default=0.5,
         gt=0.0,
-        le=2.0,
-        description="Proportional gain: share of the error per tick [1].",
+        lt=2.0,
+        description="Proportional gain: share of the error per tick [1]; at 2 no loop holds.",
     )
     integral_gain: float = Field(
         default=0.0,

@@ -97,7 +97,7 @@ class PolicyShelf:
             figures={k: v if math.isfinite(v) else None for k, v in (figures or {}).items()},
             training=None if training is None else finite(training),
             growth=growth if math.isfinite(growth) else None,
-            warning=warning_of(growth),
+            warning=warning_of(inside),
             planes=channels.planes,
             bpms=channels.bpms,
             correctors=channels.correctors,

@@ -10,8 +10,12 @@ policy was made for. Integral and derivative of the linear law (`policies.pid`) 
 eigenvectors; there the growth is that of the 4 by 4 system of error, integral, derivative and
 last correction, within the limits of both.
 
-A bound of what must be, no proof of what will be: the ring may have another response, and a law
-that is not linear may fail far from zero.
+A loop that holds on that response may run away on the ring, whose response is another one. So the
+growth is looked at once more on a response that is larger throughout by `MARGIN`: a law that would
+run away there is near its limit. A law of gain 2 is exactly on it: the noise of each reading comes
+back whole with the other sign, and the orbit grows with the square root of time.
+
+A bound of what must be, no proof of what will be: a law that is not linear may fail far from zero.
 """
 
 from typing import Any
@@ -27,23 +31,45 @@ HIGHEST = 1.0001
 """Growth per tick from which a loop counts as unstable: e-fold in 10,000 ticks. Modes that a law
 leaves alone are at 1, but for the rounding of a network's single precision."""
 
+MARGIN = 0.05
+"""By how much larger the response of the ring may be than the policy's, a ratio [1].
 
-def growth_of(policy: Policy) -> float:
+Errors of 3 % of the calibration of BPMs and of correctors, as on a ring that drifts strongly, make
+4.2 %, rounded up."""
+
+UNSTABLE = "unstable"
+"""First word of the warning of a policy that must not act."""
+
+_EDGE = 2e-4
+"""Larger response on which a loop that is exactly at its limit, of gain 2, passes `HIGHEST` [1]."""
+
+
+def growth_of(policy: Policy, larger: float = 0.0) -> float:
     """Give the growth per tick on the policy's own response [1]; inf when it has no slope.
 
     Args:
         policy: One that names its response and its slope at zero, as all do that can be stored.
+        larger: By how much the response of the ring is larger than the policy's, a ratio [1].
     """
+    answers, settings = _answers(policy)
+    return _growth((1.0 + larger) * answers, settings)
+
+
+def _answers(policy: Policy) -> tuple[Vector, Any]:
+    """Give the eigenvalues of R K, shape (k,), complex, and the settings of the law."""
     inside: Any = policy
     while isinstance(inside, MaskedPolicy):
         inside = inside.policy
     outside: Any = policy
     response, gain = outside.response, outside.gain_matrix
     if not (np.isfinite(gain).all() and np.isfinite(response).all()):
-        return float("inf")
+        return np.array([np.inf]), None
     fewer_bpms = len(response) <= len(gain)
     answers = np.linalg.eigvals(response @ gain if fewer_bpms else gain @ response)
-    settings = inside.settings
+    return answers, inside.settings
+
+
+def _growth(answers: Vector, settings: Any) -> float:
     if isinstance(settings, PidSettings) and not settings.is_memoryless:
         return _dynamic_growth(answers / settings.gain, settings)
     return float(np.max(np.abs(1.0 - answers)))
@@ -70,15 +96,31 @@ def _dynamic_growth(answers: Vector, settings: PidSettings) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(steps))))
 
 
-def warning_of(growth: float) -> str | None:
-    """Say what a growth means; None when the loop holds.
+def warning_of(policy: Policy) -> str | None:
+    """Say what is wrong with the loop that a policy makes; None when it holds with a margin.
 
     Args:
-        growth: Per tick [1].
+        policy: One that names its response and its slope at zero.
+
+    Returns:
+        A sentence that begins with `UNSTABLE` when the policy must not act.
     """
-    if growth <= HIGHEST:
-        return None
-    return (
-        f"unstable: near zero the orbit would grow by {growth:.4g} per tick on the response that "
-        "this policy was made for"
-    )
+    answers, settings = _answers(policy)
+    growth = max(_growth(answers, settings), _growth((1.0 + _EDGE) * answers, settings))
+    if not growth <= HIGHEST:
+        return (
+            f"{UNSTABLE}: near zero the orbit would grow by {growth:.4g} per tick on the response "
+            "that this policy was made for"
+        )
+    growth = _growth((1.0 + MARGIN) * answers, settings)
+    if not growth <= HIGHEST:
+        return (
+            f"near its limit: on a response that is larger by {100 * MARGIN:.0f} % the orbit would "
+            f"grow by {growth:.4g} per tick; a smaller gain leaves room"
+        )
+    return None
+
+
+def is_unstable(warning: str | None) -> bool:
+    """Say whether a warning is of a policy that must not act."""
+    return warning is not None and warning.startswith(UNSTABLE)

@@ -28,6 +28,7 @@ from orbitfb.policies.card import check_identifier
 from orbitfb.policies.failures import Cause, Failure, add_failure, read_failures
 from orbitfb.policies.files import remove_directory, sole_writer
 from orbitfb.policies.shelf import PolicyShelf
+from orbitfb.policies.stability import is_unstable
 
 
 class PolicyStore(PolicyShelf):
@@ -85,7 +86,8 @@ class PolicyStore(PolicyShelf):
         """
         failure = self.failures().get(identifier)
         try:
-            unstable = self.card(identifier).warning or ""
+            warning = self.card(identifier).warning or ""
+            unstable = warning if is_unstable(warning) else ""
         except StoreError as error:
             unstable = str(error)
         return "; ".join(filter(None, (failure.words if failure else "", unstable)))

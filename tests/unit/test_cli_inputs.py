@@ -50,6 +50,14 @@ def test_the_check_of_a_configuration_knows_the_names_that_may_be_masked(tmp_pat
     assert "masks.bpms" in refused("config", "check", file)
 
 
+def test_the_check_of_a_configuration_refuses_gains_that_no_ring_bears(tmp_path):
+    file = tmp_path / "gains.toml"
+    file.write_text("[policy.svd]\ngain = 1.8\nintegral_gain = 1.0\n")
+    assert "policy.svd: unstable: near zero the orbit would grow" in refused(
+        "config", "check", file
+    )
+
+
 @pytest.mark.parametrize("address", ["nonsense", "tcp://host", "tcp://127.0.0.1:99999"])
 def test_what_is_no_address_of_a_scheduler_is_refused(monkeypatch, address):
     pytest.importorskip("distributed")

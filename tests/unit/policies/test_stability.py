@@ -7,7 +7,7 @@ from store_examples import make_policy, ring
 
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.network import NetworkPolicy, NetworkSettings
-from orbitfb.policies.stability import HIGHEST, growth_of, warning_of
+from orbitfb.policies.stability import HIGHEST, MARGIN, growth_of, is_unstable, warning_of
 from orbitfb.policies.store import PolicyStore
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
@@ -54,8 +54,8 @@ def test_a_law_on_the_wrong_response_is_seen_through_its_slope():
     slope = np.eye(CORRECTORS) - network.gain_matrix @ right.response
     expected = np.abs(np.linalg.eigvals(slope)).max()
     assert growth_of(network) == pytest.approx(expected, rel=1e-6)
-    assert expected > HIGHEST and warning_of(expected) is not None
-    assert warning_of(growth_of(right)) is None
+    assert expected > HIGHEST and is_unstable(warning_of(network))
+    assert warning_of(right) is None
 
 
 def test_a_masked_corrector_counts():
@@ -72,7 +72,7 @@ def test_a_masked_corrector_counts():
 @pytest.mark.parametrize("modes", [3, CORRECTORS])
 def test_modes_that_a_law_leaves_alone_are_not_unstable(modes):
     policy = SvdPolicy(make_response(), SvdSettings(singular_values=modes))
-    assert warning_of(growth_of(policy)) is None
+    assert warning_of(policy) is None
 
 
 def test_the_card_of_an_unstable_policy_says_so(tmp_path):
@@ -84,3 +84,30 @@ def test_the_card_of_an_unstable_policy_says_so(tmp_path):
     assert card.warning is not None and card.warning.startswith("unstable: ")
     good = store.card(store.save(make_policy(), ring()))
     assert good.warning is None and good.growth < 1.0
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.8, 1.89])
+def test_a_gain_with_room_for_a_larger_response_is_not_warned_of(gain):
+    policy = SvdPolicy(make_response(), SvdSettings(gain=gain, regularisation=0.0))
+    assert warning_of(policy) is None
+    on_the_ring = SvdPolicy((1 + MARGIN) * policy.response, policy.settings)
+    on_the_ring.gain_matrix = policy.gain_matrix
+    assert growth_of(policy, MARGIN) == pytest.approx(growth_of(on_the_ring))
+
+
+@pytest.mark.parametrize("gain", [1.92, 1.95, 1.99])
+def test_a_gain_near_two_is_warned_of_but_may_act(gain):
+    warning = warning_of(SvdPolicy(make_response(), SvdSettings(gain=gain, regularisation=0.0)))
+    assert warning is not None and warning.startswith(
+        "near its limit: on a response that is larger"
+    )
+    assert not is_unstable(warning)
+
+
+def test_a_gain_of_two_is_unstable_and_refused():
+    policy = SvdPolicy(make_response(), SvdSettings(regularisation=0.0))
+    policy.gain_matrix = 4.0 * policy.gain_matrix
+    assert growth_of(policy) == pytest.approx(1.0)
+    assert is_unstable(warning_of(policy))
+    with pytest.raises(ValueError, match="less than 2"):
+        SvdSettings(gain=2.0)
