@@ -16,6 +16,7 @@ import structlog
 from orbitfb.autosave import FILE, Reference, Saved, labels, read_whole, write_whole
 from orbitfb.core.errors import ConfigError, ControlError, OrbitFeedbackError
 from orbitfb.core.ports import Policy
+from orbitfb.core.retry import EVERY, Retry
 from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.learn.builders import masked, unmasked
 from orbitfb.loop.adjustments import Adjustments
@@ -59,15 +60,35 @@ class Adjuster:
         runner: The loop.
         slot: Its policy.
         dither: Its dither.
+        saved_late: Told that what could not be saved at once is saved.
+        every: Time between two tries to save what could not be saved [s].
     """
 
-    def __init__(self, base: Base, runner: Runner, slot: PolicySlot, dither: Dither) -> None:
+    def __init__(
+        self,
+        base: Base,
+        runner: Runner,
+        slot: PolicySlot,
+        dither: Dither,
+        saved_late: Callable[[], None] = lambda: None,
+        every: float = EVERY,
+    ) -> None:
         self._base, self._runner, self._slot, self._dither = base, runner, slot, dither
         self._lock = threading.Lock()
         self._correctors = np.ones(len(base.channels.correctors), dtype=np.bool_)
         self._gain = dict.fromkeys(base.channels.planes, 1.0)
         self._dither_cost: float | None = None
         self._reference_name = ""
+        self._saving = Retry(self._save_all, _say_unsaved, saved_late, every, "settings")
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether something is in force that a restart would not find."""
+        return self._saving.pending
+
+    def close(self) -> None:
+        """Try once more to save what could not be saved."""
+        self._saving.stop()
 
     @property
     def handlers(self) -> dict[str, Callable[[Mapping[str, Any]], Mapping[str, Any]]]:
@@ -145,8 +166,9 @@ class Adjuster:
                 try:
                     self._save()
                 except OrbitFeedbackError as error:  # in force all the same; a full disk, say
-                    _log.error("settings_not_saved", problem=str(error))
-                    return {**answer, "warning": f"in force, but not saved: {error}"}
+                    self._saving.ask()
+                    told = f"in force, but not saved yet, which is tried again: {error}"
+                    return {**answer, "warning": told}
                 return answer
 
         return handle
@@ -246,6 +268,11 @@ class Adjuster:
             )
         return self._base.directory / "references" / f"{name}.json"
 
+    def _save_all(self) -> None:
+        """Save what is in force, from another thread than the commands'."""
+        with self._lock:
+            self._save()
+
     def _save(self) -> None:
         wanted, channels = self._runner.adjustments, self._base.channels
         bpms = labels(channels.bpms, channels.planes)
@@ -260,6 +287,10 @@ class Adjuster:
             dither=self._dither_cost,
         )
         write_whole(self._base.directory / FILE, saved)
+
+
+def _say_unsaved(error: OrbitFeedbackError) -> None:
+    _log.error("settings_not_saved", problem=str(error))
 
 
 def _moving(policy: Policy, movable: Mask) -> Policy:

@@ -194,7 +194,7 @@ class Service:
             self.statistics.snapshot,
             archive.status,
             recorders[0].status if recorders else None,
-            beside(config, self.machine, below, clocks),
+            beside(config, self.machine, below, clocks, self.statistics),
         )
         remote = Remote(
             self.runner,

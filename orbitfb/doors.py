@@ -115,7 +115,14 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
     channels, slot, statistics = parts.channels, parts.slot, parts.statistics
     directory = config.data_directory
     base = Base(channels, parts.counting, parts.movable, config.panel, directory)
-    adjuster = Adjuster(base, parts.runner, slot, parts.dither)
+
+    def saved_late() -> None:
+        _log.info("settings_saved", file=str(directory / FILE))
+        statistics.happened("command", f"settings of operators saved to {FILE} after all")
+
+    adjuster = Adjuster(base, parts.runner, slot, parts.dither, saved_late)
+    stack.callback(adjuster.close)
+    statistics.unsaved = lambda: adjuster.unsaved
     statistics.enabled = lambda: parts.runner.adjustments.enabled
     if adjuster.restore():
         _log.info("operator_settings_restored", file=str(directory / FILE))

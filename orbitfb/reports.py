@@ -112,7 +112,13 @@ def say_excitation(excitation: Excitation) -> None:
     say("excitation", progress=progress, ticks=excitation.rows)
 
 
-def beside(config: AppConfig, machine: EpicsMachine, dither: Dither, clocks: ClockWatch) -> Beside:
+def beside(
+    config: AppConfig,
+    machine: EpicsMachine,
+    dither: Dither,
+    clocks: ClockWatch,
+    statistics: LoopStatistics,
+) -> Beside:
     """Say where a scrape finds what is not the loop's own.
 
     Args:
@@ -120,6 +126,7 @@ def beside(config: AppConfig, machine: EpicsMachine, dither: Dither, clocks: Clo
         machine: Counts its channels.
         dither: The dither.
         clocks: Counts how often a clock was set.
+        statistics: Know whether settings are not saved.
     """
     return Beside(
         channels=machine.channel_counts,
@@ -129,6 +136,7 @@ def beside(config: AppConfig, machine: EpicsMachine, dither: Dither, clocks: Clo
         noise=config.learn.identify.reading_noise,
         most_invalid=config.interlocks.max_invalid_bpms,
         clock_steps=lambda: clocks.steps,
+        unsaved=lambda: statistics.unsaved(),  # the doors, which know it, are opened later
     )
 
 

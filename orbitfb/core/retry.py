@@ -31,13 +31,13 @@ class Retry:
     ) -> None:
         self._work, self._failed, self._done, self._every = work, failed, done, every
         self._asked, self._stopping = threading.Event(), threading.Event()
-        self._failing = False
+        self._failing = self._working = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     @property
     def pending(self) -> bool:
         """Whether there is work that was asked for and is not done."""
-        return self._asked.is_set()
+        return self._asked.is_set() or self._working
 
     def ask(self) -> None:
         """Have the work done; never waits. The first call starts the thread."""
@@ -59,6 +59,7 @@ class Retry:
 
         What is asked for while the work runs may have missed it, and is done once more.
         """
+        self._working = True  # before the request is taken: it is pending until it is done
         self._asked.clear()
         try:
             self._work()
@@ -68,6 +69,8 @@ class Retry:
                 self._failing = True
                 self._failed(error)
             return False
+        finally:
+            self._working = False
         if self._failing:
             self._failing = False
             self._done()

@@ -20,6 +20,7 @@ class Beside:
         noise: Noise of one BPM reading to believe before a refit has found it, rms [m].
         most_invalid: Invalid BPMs above which the loop is HELD.
         clock_steps: Counts how often a clock was set.
+        unsaved: Whether settings of operators are in force that could not be saved yet.
     """
 
     channels: Callable[[], tuple[ChannelCounts, ...]] = tuple
@@ -29,3 +30,4 @@ class Beside:
     noise: float = math.nan
     most_invalid: float = math.nan
     clock_steps: Callable[[], int] = int
+    unsaved: Callable[[], bool] = bool

@@ -201,6 +201,7 @@ def _service(
         "orbitfb_archive_rows_waiting": _one(archive.waiting) if archive else (),
         "orbitfb_archive_failing": _one(float(bool(archive.problem))) if archive else (),
         "orbitfb_clock_steps_total": _one(beside.clock_steps()),
+        "orbitfb_settings_unsaved": _one(float(beside.unsaved())),
         "orbitfb_postmortems_written_total": _one(postmortems.written) if postmortems else (),
         "orbitfb_postmortems_failed_total": _one(postmortems.failed) if postmortems else (),
         "orbitfb_channel_access_channels": [((one.kind,), one.channels) for one in kinds],

@@ -136,6 +136,13 @@ SERVICE = (
         "How often a clock was set, that of this computer or that of the machine's stamps.",
     ),
     Metric(
+        "orbitfb_settings_unsaved",
+        "gauge",
+        "",
+        (),
+        "1 while settings of operators are in force that could not be saved yet, else 0.",
+    ),
+    Metric(
         "orbitfb_channel_access_channels",
         "gauge",
         "",

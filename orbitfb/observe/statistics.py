@@ -58,6 +58,7 @@ class LoopStatistics:
     Attributes:
         enabled: Tells which BPMs operators have not disabled, shape (n,): the others are left out
             on purpose, and not invalid.
+        unsaved: Tells whether settings of operators are in force that could not be saved yet.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class LoopStatistics:
         count = len(channels.bpms)
         all_bpms: Mask = np.ones(count, dtype=np.bool_)
         self.enabled: Callable[[], Mask] = lambda: all_bpms
+        self.unsaved: Callable[[], bool] = lambda: False
         self._counting = all_bpms if counting is None else counting.copy()
         if channels.planes == "xy":
             self._planes = {"x": slice(0, count // 2), "y": slice(count // 2, count)}

@@ -165,6 +165,9 @@ CASES = {
     "OrbitArchiveNotWriting": Case(
         archive("0x60", "0x60", "1x60"), (archive("0+100x60", "0x60", "0x60"),)
     ),
+    "OrbitSettingsNotSaved": Case(
+        {"orbitfb_settings_unsaved": "1x60"}, ({"orbitfb_settings_unsaved": "0x60"},)
+    ),
     "OrbitHeartbeatGone": Case(
         {"up": "0x60"},
         (

@@ -1,6 +1,7 @@
 """Commands that adjust the loop, and what of it is there after a restart."""
 
 import json
+import threading
 from pathlib import Path
 from typing import Any, cast
 
@@ -50,7 +51,10 @@ class Bench:
         self.counting, self.movable = np.ones(N, dtype=bool), np.ones(M, dtype=bool)
         self.counting[5] = self.movable[6] = False
         base = Base(CHANNELS, self.counting, self.movable, PanelSettings(), directory)
-        self.adjuster = Adjuster(base, cast(Any, self.runner), self.slot, self.dither)
+        self.late = threading.Event()
+        self.adjuster = Adjuster(
+            base, cast(Any, self.runner), self.slot, self.dither, self.late.set, every=0.01
+        )
 
     def __call__(self, command: str, **arguments: object) -> Any:
         return self.adjuster.handlers[command]({"command": command, **arguments})
@@ -207,3 +211,22 @@ def test_a_disk_that_is_full_is_said_and_the_command_is_in_force(bench: Bench, t
     answer = bench("gain", plane="x", value=0.5)
     assert "in force, but not saved" in answer["warning"]
     assert bench.adjuster.shown()["GainX-RB"] == 0.5
+    assert bench.adjuster.unsaved
+    bench.adjuster.close()
+
+
+def test_what_was_set_while_the_disk_was_full_is_saved_as_soon_as_there_is_room(
+    bench: Bench, tmp_path: Path
+):
+    (tmp_path / f".{FILE}.part").mkdir()
+    disabled = [index != 3 for index in range(M)]
+    bench("gain", plane="x", value=0.5)
+    bench("enable-correctors", enabled=disabled)
+    (tmp_path / f".{FILE}.part").rmdir()  # there is room; no further command comes
+    assert bench.late.wait(10)
+    assert not bench.adjuster.unsaved
+    after = Bench(tmp_path)
+    assert after.adjuster.restore()
+    assert after.adjuster.shown()["GainX-RB"] == 0.5
+    assert not after.adjuster.movable[3]
+    bench.adjuster.close()
