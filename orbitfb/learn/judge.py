@@ -14,12 +14,12 @@ import numpy as np
 
 from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.learn.forecast import WORST_RMS, Gain, Prediction, paired_gain, predict_loop
 from orbitfb.learn.settings import JudgeSettings
 from orbitfb.learn.simulation import BatchPolicy, Outcome, Scene, simulate
 from orbitfb.models.linear import LinearModel
 from orbitfb.policies.inverse import regularised_inverse
 
-_WORST_RMS = 1.0
 _UM = 1e6
 _PROBES = 8
 _LIKE = 1.05
@@ -44,25 +44,26 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
-class Prediction:
-    """The loop that a law would make.
+class Evidence:
+    """What rows, each before it was used, say of R̂ against the incumbent's response.
 
     Args:
-        rms: True orbit after the horizon, mean square over the responses drawn, rms [m].
-        growth: Largest growth of the orbit per tick on any of them; below 1 it decays.
+        nats: Log-likelihood ratio of the rows since the last judgement [nats].
+        page: Page's sum of it since the incumbent is in force [nats].
     """
 
-    rms: float
-    growth: float
+    nats: float
+    page: float
 
 
 def judge(
     candidate: Policy,
     incumbent: Policy,
     model: LinearModel,
-    nats: float,
+    evidence: Evidence,
     settings: JudgeSettings,
     generator: np.random.Generator,
+    cost: float = 0.0,
 ) -> Verdict:
     """Compare two laws.
 
@@ -73,10 +74,10 @@ def judge(
         candidate: The law that may act.
         incumbent: The law to beat.
         model: The posterior of R and the noise.
-        nats: Log-likelihood of the rows since the last judgement under R̂, each before it was
-            used, over that under the incumbent's response.
+        evidence: What the rows say of R̂ against the incumbent's response.
         settings: Limits and margins.
         generator: For the responses and the noise; both laws see the same ones.
+        cost: Least gain that pays for a swap, a ratio [1] (`swap_cost`).
     """
     size = len(model.modes)
     ours_gain, theirs_gain = gain_of(candidate, size), gain_of(incumbent, size)
@@ -99,7 +100,8 @@ def judge(
         )
         mine = simulate(_in_batches(candidate, ours_gain), scene)
         others = simulate(_in_batches(incumbent, theirs_gain), scene)
-        ours, theirs = replace(ours, rms=mine.rms), replace(theirs, rms=others.rms)
+        ours = replace(ours, rms=mine.rms, each=mine.each)
+        theirs = replace(theirs, rms=others.rms, each=others.each)
         figures |= {
             "recovery_candidate": mine.left,
             "recovery_incumbent": others.left,
@@ -111,9 +113,12 @@ def judge(
     figures |= {
         "predicted_rms_candidate": ours.rms,
         "predicted_rms_incumbent": theirs.rms,
-        "evidence": nats,
+        "evidence": evidence.nats,
+        "evidence_page": evidence.page,
         "change_rms": change,
     }
+    gain = paired_gain(ours, theirs)
+    figures |= {"gain": gain.mean, "gain_low": gain.low, "gain_high": gain.high}
     if obstacle is not None:
         return Verdict(False, obstacle, figures)
     if not change <= max(settings.change_limit, _LIKE * usual):
@@ -126,7 +131,8 @@ def judge(
                 f"{needed:.3g} A, limit {settings.change_limit:.3g} A)"
             )
             return Verdict(False, reason, figures)
-    accepted, reason = _decide(ours, theirs, nats, settings)
+    least = cost if settings.margin is None else settings.margin
+    accepted, reason = _decide(ours, theirs, gain, evidence, settings, least)
     return Verdict(accepted, reason, figures)
 
 
@@ -205,78 +211,43 @@ def _recovery(ours: Outcome, theirs: Outcome, settings: JudgeSettings) -> str | 
 
 
 def _decide(
-    ours: Prediction, theirs: Prediction, nats: float, settings: JudgeSettings
+    ours: Prediction,
+    theirs: Prediction,
+    gain: Gain,
+    evidence: Evidence,
+    settings: JudgeSettings,
+    cost: float,
 ) -> tuple[bool, str]:
     if ours.growth > settings.slowest_growth and ours.growth >= theirs.growth:
         return False, (
             f"on a response that the data allow the orbit would grow by {ours.growth:.4f} per "
             f"tick (incumbent {theirs.growth:.4f}, limit {settings.slowest_growth:.4f})"
         )
-    if nats < -settings.evidence:
+    if evidence.nats < -settings.evidence:
         return False, (
-            f"rows that were not used yet speak for the incumbent's response by {-nats:.1f} nats "
-            f"(limit {settings.evidence:.1f})"
+            "rows that were not used yet speak for the incumbent's response by "
+            f"{-evidence.nats:.1f} nats (limit {settings.evidence:.1f})"
         )
     compared = (
         f"predicted true orbit {_in_words(ours.rms)} against {_in_words(theirs.rms)} of the "
         "incumbent"
     )
-    if not ours.rms <= theirs.rms * (1.0 - settings.margin):
-        return False, f"{compared}: not better by {100 * settings.margin:.1f} %"
-    return True, f"{compared}: better by {100 * (1 - ours.rms / theirs.rms):.1f} %"
+    interval = f"[{100 * gain.low:.2g}, {100 * gain.high:.2g}] % over the responses drawn"
+    if not gain.mean >= cost:
+        return False, f"{compared}: not better by the {100 * cost:.2g} % that a swap costs"
+    better = f"{compared}: better by {100 * gain.mean:.1f} %, {interval}"
+    refuted = evidence.page >= settings.evidence
+    if settings.resolved and not (gain.low >= cost or refuted):
+        return False, (
+            f"{better}: not resolved, and the rows do not refute the incumbent's response "
+            f"({evidence.page:.1f} of {settings.evidence:.1f} nats)"
+        )
+    told = f"; the rows refute the incumbent's response by {evidence.page:.1f} nats" * refuted
+    return True, f"{better}{told}"
 
 
 def _in_words(rms: float) -> str:
-    return "without bound" if rms >= _WORST_RMS else f"{rms * _UM:.4f} µm rms"
-
-
-def predict_loop(
-    gain: Vector, responses: list[Vector], model: LinearModel, horizon: int
-) -> Prediction:
-    """Predict the true orbit under a law by doubling the covariance recursion.
-
-    x' = (I − R K) x − R K v + w + b, b the creep: mean and covariance after 2k ticks follow from
-    those after k, so that `horizon` ticks (rounded up to a power of two) cost log2(horizon)
-    products. They are made in single precision: what that loses is far below any margin, and both
-    laws lose it alike.
-
-    Args:
-        gain: K, shape (m, n) [A/m].
-        responses: Responses to average over, each of shape (n, m) [m/A].
-        model: Reading noise, ground motion and creep.
-        horizon: Ticks from a perfect orbit.
-    """
-    size = len(model.modes)
-    unit = np.sqrt(model.reading_variance)  # far from the smallest numbers of single precision
-    ground = (model.modes * (model.ground_variances / unit**2)) @ model.modes.T
-    creep = (model.modes @ (model.creep / unit)).astype(np.float32)
-    squares, growth = [], []
-    for response in responses:
-        answer = response @ gain
-        transition = (np.eye(size) - answer).astype(np.float32)
-        covariance = (ground + answer @ answer.T).astype(np.float32)
-        mean = creep
-        norm = 0.0
-        ticks = 1
-        with np.errstate(over="ignore", invalid="ignore"):
-            while ticks < horizon:
-                covariance = covariance + transition @ covariance @ transition.T
-                mean = mean + transition @ mean
-                norm = float(np.linalg.norm(transition))
-                transition = transition @ transition
-                ticks *= 2
-            later = float(np.linalg.norm(transition))
-            square = float(np.trace(covariance) + mean @ mean) / size * unit**2
-        growth.append(_growth(norm, later, ticks))
-        squares.append(min(square, _WORST_RMS**2) if np.isfinite(square) else _WORST_RMS**2)
-    return Prediction(float(np.sqrt(np.mean(squares))), max(growth))
-
-
-def _growth(earlier: float, later: float, ticks: int) -> float:
-    """Give the growth per tick from the transition over half the ticks to that over all."""
-    if not np.isfinite(later):
-        return float("inf")
-    return (later / earlier) ** (2.0 / ticks) if earlier > 0.0 else 0.0
+    return "without bound" if rms >= WORST_RMS else f"{rms * _UM:.4f} µm rms"
 
 
 def gain_of(policy: Policy, readings: int) -> Vector:

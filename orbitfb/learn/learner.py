@@ -11,9 +11,10 @@ from orbitfb.core.ports import Clock, Policy
 from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
-from orbitfb.learn.judge import Verdict, judge
+from orbitfb.learn.judge import Evidence, Verdict, judge
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.learn.since import Since, counts
+from orbitfb.learn.watch import swap_cost
 from orbitfb.models.absorbed import Absorbed
 from orbitfb.models.changes import ChangeDetector
 from orbitfb.models.identify import Identifier
@@ -200,8 +201,11 @@ class Learner:
         if verdict is None:
             model = self.model
             candidate = self._build(model, incumbent)
-            nats = since.take_nats()
-            verdict = judge(candidate, incumbent, model, nats, self.settings.judge, self._generator)
+            evidence = Evidence(since.take_nats(), since.page)
+            nats, cost = evidence.nats, swap_cost(self.settings)
+            verdict = judge(
+                candidate, incumbent, model, evidence, self.settings.judge, self._generator, cost
+            )
             if nats < -_REFUTED * self.settings.judge.evidence:
                 self.forget(incumbent)
                 verdict = replace(

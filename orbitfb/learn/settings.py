@@ -46,11 +46,16 @@ class JudgeSettings(Settings):
         description="Largest orbit after a kick over the kick, unless the incumbent makes a "
         "larger one [1].",
     )
-    margin: float = Field(
-        default=0.002,
+    margin: float | None = Field(
+        default=None,
         ge=0.0,
         lt=1.0,
-        description="Least predicted gain in true-orbit rms, a ratio [1].",
+        description="Least predicted gain in true-orbit rms, a ratio [1]; none: what a swap costs.",
+    )
+    resolved: bool = Field(
+        default=True,
+        description="Whether the gain must be resolved: larger than `margin` on 95 % of the "
+        "responses that the data allow, or the rows refute the incumbent's response.",
     )
     slowest_growth: float = Field(
         default=1.01,
@@ -60,7 +65,8 @@ class JudgeSettings(Settings):
     evidence: float = Field(
         default=10.0,
         ge=0.0,
-        description="Refuse when the rows spoke against R̂ by more than this log-likelihood [nats].",
+        description="Log-likelihood by which rows refute a response: R̂, since the last judgement, "
+        "or that of the incumbent, since it is in force [nats].",
     )
     change_limit: float = Field(
         default=1.0,

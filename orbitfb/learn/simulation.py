@@ -56,12 +56,14 @@ class Outcome:
         worst: The same for the worst response [m].
         peak: Largest true orbit after the kick, rms over the kick, worst response [1].
         left: True orbit at the end of that run over the kick, worst response [1].
+        each: True orbit at rest on each response, rms, shape (S,) [m].
     """
 
     rms: float
     worst: float
     peak: float
     left: float
+    each: Vector
 
 
 def simulate(policy: BatchPolicy, scene: Scene) -> Outcome:
@@ -79,6 +81,7 @@ def simulate(policy: BatchPolicy, scene: Scene) -> Outcome:
         worst=float(np.sqrt(np.max(settled))),
         peak=float(np.max(kicked)),
         left=float(np.max(kicked[-1])),
+        each=np.sqrt(settled),
     )
 
 

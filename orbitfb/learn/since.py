@@ -11,6 +11,11 @@ class Since:
 
     Args:
         policy_id: That policy; None when none is known yet.
+
+    Attributes:
+        page: Page's sum of the evidence for R̂, each row before it was used, against the response
+            of that policy [nats]. While that response is the ring's, it passes E once in e^E
+            looks at most: a likelihood ratio has the mean 1 then, whatever R̂ is.
     """
 
     def __init__(self, policy_id: str | None) -> None:
@@ -18,6 +23,7 @@ class Since:
         self.rows = 0
         self.kicks = 0
         self.nats = 0.0
+        self.page = 0.0
         self.change_square = 0.0
         self.chi2 = float("nan")
         self.chi2_incumbent = float("nan")
@@ -33,7 +39,9 @@ class Since:
             return
         self.rows += absorbed.rows
         self.kicks += absorbed.kicks
-        self.nats += absorbed.rows * absorbed.nats
+        nats = absorbed.rows * absorbed.nats
+        self.nats += nats
+        self.page = max(0.0, self.page + nats)
         self.change_square += float(np.sum(rows.change**2))
         self.dither_pull += absorbed.dither_pull
         self.dither_information += absorbed.dither_information

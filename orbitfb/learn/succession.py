@@ -15,7 +15,7 @@ from orbitfb.core.refit import Decision, RefitReport, Stage
 from orbitfb.core.transitions import Transitions
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.learn.shadow import Shadow
-from orbitfb.learn.watch import BASELINE, Watch, observed_rms
+from orbitfb.learn.watch import BASELINE, Watch, observed_rms, usual_of
 from orbitfb.safety.limits import LimitSettings
 
 Keep = Callable[[Policy, RefitReport], None]
@@ -207,7 +207,8 @@ class Succession:
                 takes the policy back.
             seen: Ticks for which it was watched [ticks].
         """
-        usual = np.inf if before is None else before
+        factor, level = self._settings.rollback_factor, np.inf if before is None else before
+        usual = usual_of(np.zeros(0), factor, level)
         watch = Watch(self._slot.current, former, usual, self._newest() + 1, self._tripped())
         watch.seen = seen
         self._watch = watch
@@ -225,8 +226,8 @@ class Succession:
         if self._slot.current is not incumbent:
             tell(_overtaken(report))
             return
-        usual = float(np.median(before)) if before.size else None
-        told = {} if usual is None else {"rms_before": usual}
+        usual = usual_of(before, self._settings.rollback_factor)
+        told = {"rms_before": usual.level} if np.isfinite(usual.level) else {}
         report = replace(report, decision=Decision.PROMOTED, figures={**report.figures, **told})
         self._keep(candidate, report)
         if not self._slot.swap_from(incumbent, candidate):
@@ -235,9 +236,7 @@ class Succession:
             tell(_overtaken(report))
             return
         since, tripped = self._newest() + 2, self._tripped()
-        self._watch = Watch(
-            candidate, incumbent, np.inf if usual is None else usual, since, tripped
-        )
+        self._watch = Watch(candidate, incumbent, usual, since, tripped)
         tell(report)
 
     def _roll_back(self, watch: Watch, reason: str) -> RefitReport | None:
@@ -254,7 +253,7 @@ class Succession:
             reason=reason,
             policy_id=left.policy_id,
             incumbent_id=watch.former.policy_id,
-            figures={"watched_ticks": float(watch.seen), "rms_before": watch.before},
+            figures={"watched_ticks": float(watch.seen), "rms_before": watch.usual.level},
             duration=0.0,
             stage=Stage.WATCH,
         )

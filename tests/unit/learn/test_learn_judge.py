@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from orbitfb.learn.judge import gain_of, judge, needed_change, predict_loop
+from orbitfb.learn.forecast import Prediction, paired_gain, predict_loop, student
+from orbitfb.learn.judge import Evidence, gain_of, judge, needed_change
 from orbitfb.learn.settings import JudgeSettings
 from orbitfb.models.linear import LinearModel
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
@@ -36,14 +37,15 @@ class Proportional:
         self.gain_matrix = gain
 
 
-def verdict(candidate, incumbent, nats=0.0, settings=None, sigma=1e-9):
+def verdict(candidate, incumbent, nats=0.0, settings=None, sigma=1e-9, page=0.0, cost=0.0):
     return judge(
         Proportional(candidate),
         Proportional(incumbent),
         model(RESPONSE, sigma),
-        nats,
+        Evidence(nats, page),
         settings or JudgeSettings(),
         np.random.default_rng(1),
+        cost,
     )
 
 
@@ -85,7 +87,7 @@ def test_accepts_what_is_better():
 @pytest.mark.parametrize(
     ("candidate", "nats", "settings", "words"),
     [
-        (GOOD, 0.0, JudgeSettings(), "not better"),
+        (GOOD, 0.0, JudgeSettings(margin=0.002), "not better by the 0.2 % that a swap costs"),
         (0.01 * GOOD, 0.0, JudgeSettings(), "not better"),
         (-GOOD, 0.0, JudgeSettings(), "would grow"),
         (GOOD, -50.0, JudgeSettings(), "speak for the incumbent's response by 50.0 nats"),
@@ -140,3 +142,45 @@ def test_asks_a_policy_without_a_gain_matrix():
         act = policy.act
 
     assert np.allclose(gain_of(Opaque(), 4), policy.gain_matrix)
+
+
+def half_known(sigma=0.3e-3):
+    """A candidate that gains on most responses that the data allow, and not on all."""
+    timid = GOOD.copy()
+    timid[3, 3] *= 0.5
+    return {"candidate": GOOD, "incumbent": timid, "sigma": sigma}
+
+
+def test_a_gain_that_is_not_resolved_is_refused_unless_the_rows_refute_the_incumbent():
+    lenient = verdict(**half_known(), settings=JudgeSettings(resolved=False, margin=0.0))
+    figures = lenient.figures
+    assert figures["gain_low"] < 0.0 < figures["gain_high"]
+    if lenient.accepted:
+        said = verdict(**half_known(), settings=JudgeSettings(margin=0.0))
+        assert not said.accepted and "not resolved" in said.reason
+        told = verdict(**half_known(), settings=JudgeSettings(margin=0.0), page=12.0)
+        assert told.accepted and "refute the incumbent's response by 12.0 nats" in told.reason
+
+
+def test_a_gain_that_a_swap_costs_is_refused():
+    weak = 0.9 * GOOD
+    gain = verdict(GOOD * 0.8, GOOD).figures["gain"]
+    assert gain > 0.0
+    assert verdict(GOOD * 0.8, GOOD, cost=0.9 * gain).accepted
+    refused = verdict(GOOD * 0.8, GOOD, cost=1.1 * gain, page=1e3)
+    assert not refused.accepted and "that a swap costs" in refused.reason
+    assert weak is not GOOD
+
+
+def test_the_interval_is_that_of_one_more_response():
+    ours = Prediction(1.0, 0.5, np.array([1.0, 1.1, 0.9]))
+    theirs = Prediction(1.2, 0.5, np.array([1.2, 1.21, 1.17]))
+    ratios = np.log(theirs.each / ours.each)
+    half = student(2) * np.std(ratios, ddof=1) * np.sqrt(4 / 3)
+    gain = paired_gain(ours, theirs)
+    assert gain.mean == pytest.approx(1 / 6)
+    assert gain.low == pytest.approx(1 - np.exp(-(ratios.mean() - half)))
+    assert gain.high == pytest.approx(1 - np.exp(-(ratios.mean() + half)))
+    assert student(5) == pytest.approx(2.5706, abs=1e-4)
+    one = paired_gain(Prediction(1.0, 0.5, np.ones(1)), Prediction(2.0, 0.5, np.ones(1)))
+    assert one.low == -np.inf  # one response resolves nothing

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from test_learn_judge import GROUND, READING, RESPONSE, model
 
-from orbitfb.learn.judge import is_linear, judge, predict_loop
+from orbitfb.learn.forecast import predict_loop
+from orbitfb.learn.judge import Evidence, is_linear, judge
 from orbitfb.learn.settings import JudgeSettings
 from orbitfb.learn.simulation import Scene, simulate
 from orbitfb.policies.embedding import embed
@@ -55,7 +56,7 @@ def verdict(candidate, incumbent, **settings):
         candidate,
         incumbent,
         model(RESPONSE),
-        0.0,
+        Evidence(0.0, 0.0),
         JudgeSettings(**settings),
         np.random.default_rng(1),
     )

@@ -1,0 +1,199 @@
+"""What the learner promotes on a ring that rests and on rings that drift.
+
+    python -m benchmarks.promotions [--minutes 60] [--drift none,paper,mild,strong] [--seed 1]
+
+The loop runs in process, as fast as it goes, with the service's own learner: identification,
+judge, shadow and watch, at 10 orbits a second. Every run is made twice on the same ring and the
+same noise: by the rule `before` (a predicted gain of 0.2 %, whatever its interval) and by the rule
+of the configuration. Both are told side by side: refits, how many of them were promoted with
+the 95 % interval of that share (Wilson), when the first useful one came, and the true orbit.
+
+A promotion is useful when the loop on the true response is better with it than with the policy of
+the start by more than a swap costs (`orbitfb.learn.watch.swap_cost`).
+"""
+
+import os
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ[_name] = "1"  # before numpy is imported
+
+import argparse  # noqa: E402
+from collections.abc import Mapping  # noqa: E402
+from dataclasses import dataclass, replace  # noqa: E402
+from typing import Any  # noqa: E402
+
+import numpy as np  # noqa: E402
+
+from orbitfb.core.clock import ManualClock  # noqa: E402
+from orbitfb.core.ports import Policy  # noqa: E402
+from orbitfb.core.refit import Decision, RefitReport  # noqa: E402
+from orbitfb.core.transitions import Transitions  # noqa: E402
+from orbitfb.evaluate.simulate import ClosedLoop  # noqa: E402
+from orbitfb.learn.builders import builder, first_policy  # noqa: E402
+from orbitfb.learn.forecast import predict_loop  # noqa: E402
+from orbitfb.learn.judge import gain_of  # noqa: E402
+from orbitfb.learn.learner import Learner  # noqa: E402
+from orbitfb.learn.settings import LearnSettings  # noqa: E402
+from orbitfb.learn.trainer import InlineTrainer  # noqa: E402
+from orbitfb.learn.watch import swap_cost  # noqa: E402
+from orbitfb.learn.worker import LearnerThread  # noqa: E402
+from orbitfb.loop.slot import PolicySlot  # noqa: E402
+from orbitfb.physics.drift import DriftSettings  # noqa: E402
+from orbitfb.physics.places import Ring  # noqa: E402
+from orbitfb.physics.plant import Plant, PlantSettings  # noqa: E402
+from orbitfb.policies.settings import PolicySettings  # noqa: E402
+
+RATE = 10.0
+_POLL = 4
+"""Ticks between two looks of the learner; the service looks five times a second."""
+RULES: Mapping[str, Mapping[str, Any]] = {
+    "before": {"margin": 0.002, "resolved": False},
+    "now": {},
+}
+"""Settings of the judge by the name of the rule."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What became of one refit.
+
+    Args:
+        tick: When it was told [ticks].
+        decision: What.
+        gain: True gain of the loop with a promoted policy over that of the start [1]; nan for
+            others.
+    """
+
+    tick: int
+    decision: str
+    gain: float
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One hour, say, under one rule.
+
+    Args:
+        events: Of the learner.
+        true_rms: True orbit of every tick [m].
+    """
+
+    events: tuple[Event, ...]
+    true_rms: np.ndarray
+
+    @property
+    def rms(self) -> float:
+        """True orbit after the first minute, in which the start is corrected, rms [m]."""
+        return float(np.sqrt(np.mean(self.true_rms[int(60 * RATE) :] ** 2)))
+
+    @property
+    def refits(self) -> int:
+        """Candidates that were judged."""
+        return sum(event.decision != Decision.ROLLED_BACK for event in self.events)
+
+    @property
+    def promoted(self) -> int:
+        """Candidates that were put in force."""
+        return sum(event.decision == Decision.PROMOTED for event in self.events)
+
+    def first_useful(self, margin: float) -> int | None:
+        """Tick of the first promotion that makes the loop better; None: there was none."""
+        useful = (event.tick for event in self.events if event.gain > margin)
+        return next(useful, None)
+
+
+class Bench:
+    """A ring, its loop and the learner's work, stepped by hand.
+
+    Args:
+        drift: Of R.
+        seed: Of ring, noise and drift.
+        ticks: How long.
+        judge: Settings of the judge that differ from the defaults.
+    """
+
+    def __init__(self, drift: str, seed: int, ticks: int, judge: Mapping[str, Any]) -> None:
+        drifting = DriftSettings.model_validate({"preset": drift})
+        self._plant = Plant(Ring.load(), "x", PlantSettings(drift=drifting), seed)
+        policy = PolicySettings()
+        first = first_policy(self._plant.nominal_response, policy)
+        self._slot = PolicySlot(first)
+        self._loop = ClosedLoop(self._plant, first, ticks)
+        settings = LearnSettings.model_validate({"judge": judge})
+        response = self._plant.nominal_response
+        self._learner = Learner(response, settings, builder(policy), ManualClock(), seed, RATE)
+        self._events: list[Event] = []
+        self._clock = ManualClock()
+        self._thread = LearnerThread(
+            InlineTrainer(self._learner), self, self._slot, self._note, clock=self._clock
+        )
+        self._first: Policy = first
+
+    def snapshot(self, last: int | None = None, since_tick: int | None = None) -> Transitions:
+        """Give the transitions that the learner asks for."""
+        if last is not None:
+            return self._loop.transitions(self._loop.tick - 1 - last)
+        return self._loop.transitions(since_tick or 0)
+
+    def run(self) -> Run:
+        """Run to the end."""
+        while self._loop.tick < len(self._loop.true_rms) and not self._loop.lost:
+            self._loop.advance(_POLL)
+            self._thread.step()
+            self._loop.policy = self._slot.current
+        return Run(tuple(self._events), self._loop.true_rms[: self._loop.tick])
+
+    def _note(self, report: RefitReport) -> None:
+        gain = float("nan")
+        if report.decision is Decision.PROMOTED:
+            gain = 1.0 - self._on_truth(self._slot.current) / self._on_truth(self._first)
+        self._events.append(Event(self._loop.tick, str(report.decision), gain))
+
+    def _on_truth(self, policy: Policy) -> float:
+        """Predict the true orbit on the true response under the noise as estimated, rms [m]."""
+        model, truth = self._learner.model, self._plant.response
+        model = replace(model, creep=np.zeros_like(model.creep))
+        return predict_loop(gain_of(policy, len(truth)), [truth], model, 512).rms
+
+
+def wilson(count: int, total: int) -> tuple[float, float]:
+    """Give the 95 % interval of a share, Wilson's."""
+    if total == 0:
+        return 0.0, 1.0
+    share, square = count / total, 1.96**2
+    middle = (share + square / (2 * total)) / (1 + square / total)
+    half = 1.96 * np.sqrt(share * (1 - share) / total + square / (4 * total**2))
+    half /= 1 + square / total
+    return float(middle - half), float(middle + half)
+
+
+def line(drift: str, seed: int, rule: str, run: Run) -> str:
+    """Say what came of one run."""
+    low, high = wilson(run.promoted, run.refits)
+    first = run.first_useful(swap_cost(LearnSettings()))
+    useful = "none" if first is None else f"{first / RATE:.0f} s"
+    return (
+        f"{drift:<7}{seed:>4}  {rule:<7}{run.refits:>7}{run.promoted:>9}"
+        f"   {100 * run.promoted / max(run.refits, 1):4.1f} [{100 * low:.1f}, {100 * high:.1f}] %"
+        f"   {useful:>8}   {run.rms * 1e6:.4f}"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=60.0, help="simulated minutes of a run")
+    parser.add_argument("--drift", default="none,paper,mild,strong", help="presets, by commas")
+    parser.add_argument("--seed", type=int, default=1, help="of ring, noise and drift")
+    parser.add_argument("--rule", default="before,now", help="rules, by commas")
+    options = parser.parse_args()
+    ticks = int(options.minutes * 60 * RATE)
+    print("drift  seed  rule    refits promoted   share               first useful   true um rms")
+    for drift in options.drift.split(","):
+        for rule in options.rule.split(","):
+            run = Bench(drift, options.seed, ticks, RULES[rule]).run()
+            print(line(drift, options.seed, rule, run), flush=True)
+
+
+if __name__ == "__main__":
+    main()
