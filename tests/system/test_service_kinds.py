@@ -20,7 +20,7 @@ def service(directory: Path, kind: str, *options: object, text: str = "") -> Ser
     patient = "[loop]\npolicy_deadline = 50.0\n"  # a busy computer is not what is shown
     waiting = "[learn]\nevery = 1000000\nchi2_trigger = 1e9\n"
     waiting += "[learn.changes]\nminimum_sensitivity = 1e9\n"
-    lenient = "[learn.judge]\nmargin = 0.0\nevidence = 1e6\n"
+    lenient = "[learn.judge]\nmargin = 0.0\nresolved = false\nevidence = 1e6\n"
     config.write_text(patient + waiting + lenient + text)
     drift = ("--drift", "paper", "--drift-ticks", 100)
     asked = ("--policy", kind, "--rate", 50.0, "--config", config, *drift, *options)
