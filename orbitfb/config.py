@@ -8,6 +8,7 @@ came from.
 
 import difflib
 import json
+import math
 import os
 import re
 import tomllib
@@ -22,7 +23,7 @@ from pydantic_core import ErrorDetails
 from orbitfb.core.bounded import LARGEST_TEXT, parse_toml, read_text
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.setting_paths import seen_from
-from orbitfb.core.settings import Settings
+from orbitfb.core.settings import Settings, without
 from orbitfb.diagnose.settings import DiagnoseSettings
 from orbitfb.effects.settings import EffectSettings
 from orbitfb.epics.lease import LeaseSettings
@@ -31,6 +32,7 @@ from orbitfb.history.recorder import ArchiveSettings
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.loop.dither import DitherSettings
 from orbitfb.loop.settings import LoopSettings
+from orbitfb.loop.timeouts import RULES
 from orbitfb.measure.settings import MeasureSettings
 from orbitfb.models.forward_settings import ForwardSettings
 from orbitfb.observe.settings import ObserveSettings
@@ -242,14 +244,43 @@ def load_config(
             _put(tree, dotted, value, origins[dotted])
     try:
         # As JSON, strictly: "10" is no number and 1 is no truth value, but text may be a path.
-        return AppConfig.model_validate_json(json.dumps(tree, default=str), strict=True)
+        text = json.dumps(without(tree, AppConfig), default=str)
+        config, problems = _fitted(AppConfig.model_validate_json(text, strict=True))
     except ValidationError as error:
         told = [_explain(problem, origins) for problem in error.errors()]
-        problems = "\n".join(f"  {problem}" for problem in _once(told))
+        config, problems = None, _once(told)
+    if config is None or problems:
+        listed = "\n".join(f"  {problem}" for problem in problems)
         raise ConfigError(
-            f"the configuration is refused:\n{problems}\n"
+            f"the configuration is refused:\n{listed}\n"
             "`orbitfb config show` prints every key with its value and meaning."
-        ) from None
+        )
+    return config
+
+
+def _fitted(config: AppConfig) -> tuple[AppConfig, list[str]]:
+    """Let time-outs follow the rate; give what of several keys does not fit together."""
+    problems: list[str] = []
+    for rule in RULES:
+        section, name = rule.key.split(".")
+        node = getattr(config, section)
+        value = getattr(node, name)
+        if value is None:
+            continue
+        fitted = rule.fitted(value, name in node.model_fields_set, config.loop)
+        if math.isnan(fitted):
+            problems.append(rule.refusal(value, config.loop))
+        elif fitted != value:
+            node = node.model_copy(update={name: fitted})
+            config = config.model_copy(update={section: node})
+    watched, known = config.interlocks.current_channel, config.epics.auxiliary
+    if config.interlocks.current_min is not None and watched not in known:
+        problems.append(
+            f"interlocks.current_min = {config.interlocks.current_min:g}: the loop could never "
+            f"close, as epics.auxiliary has no channel {watched!r}; name its PV there, or set "
+            "interlocks.current_min = false"
+        )
+    return config, problems
 
 
 _LONGEST_SHOWN = 200

@@ -4,13 +4,14 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from orbitfb.core.settings import Settings
+from orbitfb.core.settings import Settings, can_be_off
 
 
 def to_toml(config: Settings) -> str:
     """Write a configuration as TOML, each key below its meaning.
 
-    Keys whose value is None, which TOML cannot say, are written as comments.
+    Keys whose value is None, which TOML cannot say, are written as `false` where that is not their
+    default, else as comments.
     """
     return "\n".join(_section(config, "")).strip() + "\n"
 
@@ -24,6 +25,8 @@ def _section(model: Settings, table: str) -> Iterator[str]:
         if name not in nested:
             value = getattr(model, name)
             yield f"# {fields[name].description}"
+            if value is None and fields[name].default is not None and can_be_off(fields[name]):
+                value = False
             yield f"# {name} =" if value is None else f"{name} = {_toml_value(value)}"
     for name in fields:
         if name in nested:

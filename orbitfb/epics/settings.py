@@ -18,8 +18,8 @@ class AuxiliarySettings(Settings):
     stale_after: float | None = Field(
         default=None,
         gt=0,
-        description="Age by its stamp beyond which the value is not known any more [s]; none = "
-        "never: the PV is posted only when it changes.",
+        description="Age by its stamp beyond which the value is not known any more [s]; left "
+        "out or false: never, as for a PV that is posted only when it changes or has no stamp.",
     )
 
 
@@ -56,7 +56,8 @@ class EpicsSettings(Settings):
     stamp_window: float = Field(
         default=0.0,
         ge=0,
-        description="How far the stamps of one orbit may lie apart [s]; 0: they must be equal.",
+        description="How far the stamps of one orbit may lie apart [s], below half a period; 0: "
+        "they must be equal.",
     )
     stuck_bpms: int = Field(
         default=9,
@@ -72,8 +73,8 @@ class EpicsSettings(Settings):
     silent_after: float = Field(
         default=2.0,
         gt=0,
-        description="Writes are refused when no complete orbit has come for so long [s]; "
-        "must exceed the period.",
+        description="Writes are refused when no complete orbit has come for so long [s]; it "
+        "must exceed the period, and is three periods at least if left out.",
     )
     readback_wait: float = Field(
         default=0.01,

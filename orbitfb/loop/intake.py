@@ -19,7 +19,7 @@ class Intake:
 
     Args:
         reading: The orbit for this tick; None when none came.
-        absence: Why none came; empty when one did.
+        absence: Why none came; empty when one did, or when the wait was ended early.
         pace: Stream of orbits as seen by then.
     """
 
@@ -56,7 +56,9 @@ def await_orbit(
             reading = machine.read(min(left, _SLICE))
         except MachineError as error:
             slices -= 1
-            if left > _SLICE and slices > 0 and not stop.is_set():
+            if stop.is_set() and clock.monotonic() < end:
+                return Intake(None, "", pace)  # none was due yet
+            if left > _SLICE and slices > 0:
                 continue
             return Intake(None, str(error) or type(error).__name__, pace)
         is_due, pace = see(reading.orbit.time, pace, period)

@@ -210,6 +210,8 @@ class Runner:
         engine.take_adjustments()
         self._obey()
         if intake.reading is None:
+            if not intake.absence:  # told to stop while it waited: nothing is wrong
+                return False
             work.missed = engine.without_orbit(intake)
             tripped = self.state is LoopState.TRIPPED
             if tripped or self._clock.monotonic() >= self._closing_until:

@@ -72,7 +72,8 @@ class ObserveSettings(Settings):
         default=5.0,
         gt=0.0,
         le=3600.0,
-        description="Time without a tick after which the loop counts as not alive [s]",
+        description="Time without a tick after which the loop counts as not alive [s]; longer "
+        "than `loop.hold_after` periods, and so by itself if left out",
     )
     logs: LogSettings = Field(default=LogSettings(), description="The JSON log")
     terminal: TerminalSettings = Field(

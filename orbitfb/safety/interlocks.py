@@ -16,7 +16,7 @@ class InterlockSettings(Settings):
     current_min: float | None = Field(
         default=0.01,
         ge=0,
-        description="Least stored current [A]; none = do not look at the current.",
+        description="Least stored current [A]; false = do not look at the current.",
     )
     current_drop: float = Field(
         default=0.2,
@@ -36,7 +36,7 @@ class InterlockSettings(Settings):
         default=5e-4,
         gt=0,
         description="Fastest growth of the rms orbit error while the loop is closed, over about a "
-        "second [m/s]; none = do not look at it.",
+        "second [m/s]; false = do not look at it.",
     )
     max_invalid_bpms: int = Field(
         default=9,
@@ -75,7 +75,7 @@ class InterlockSettings(Settings):
     readback_tolerance: float | None = Field(
         default=0.1,
         gt=0,
-        description="Largest |readback − setpoint| [A]; none = do not look at it.",
+        description="Largest |readback − setpoint| [A]; false = do not look at it.",
     )
     readback_ticks: int = Field(
         default=3,

@@ -304,6 +304,7 @@ def test_what_is_shown_is_accepted_and_says_the_same(
         "ORBITFB_LOOP__TRIP_AFTER": "3.5",
         "ORBITFB_POLICY__SVD__REGULARISATION": "1e-300",
         "ORBITFB_EPICS__AUXILIARY": '{ "a b" = { pv = "X:{Y}", scale = -2.5e-3 } }',
+        "ORBITFB_INTERLOCKS__CURRENT_MIN": "off",
         "ORBITFB_OBSERVE__ENABLED": "false",
         "ORBITFB_PLANT__DRIFT__PRESET": "paper",
         "ORBITFB_PLANT__DRIFT__TICKS": "100",

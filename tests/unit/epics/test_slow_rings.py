@@ -109,3 +109,12 @@ def test_a_clock_set_back_at_a_slow_ring_costs_one_orbit():
                 assert ring.sent <= expected
         assert ring.sent == expected
     assert reading.orbit.time > first.orbit.time
+
+
+def test_a_stop_while_waiting_is_no_missing_orbit():
+    ring: Any = SlowRing(0.2)
+    stop = threading.Event()
+    stop.set()
+    intake = await_orbit(ring, ring.clock, 9.5, Pace(), 5.0, stop)
+    assert intake.reading is None and not intake.absence
+    assert ring.clock.wall() - ring.origin < 1.0
