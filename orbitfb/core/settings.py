@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 from types import NoneType
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 from pydantic import BaseModel, ConfigDict
 from pydantic.fields import FieldInfo
@@ -52,13 +52,18 @@ def _without(value: Any, field: FieldInfo | None) -> Any:
     if field is None:
         return value
     if isinstance(value, Mapping):
-        kinds = (field.annotation, *get_args(field.annotation))
+        inner = cast(Mapping[str, Any], value)
+        own: object = field.annotation
+        if isinstance(own, type) and issubclass(own, Settings):
+            return without(inner, own)
+        kinds = get_args(own)
         model = next((k for k in kinds if isinstance(k, type) and issubclass(k, Settings)), None)
         if model is None:
-            return value
-        if model is field.annotation:
-            return without(value, model)
+            return inner
         # a table of such tables, by name
-        return {k: without(v, model) if isinstance(v, Mapping) else v for k, v in value.items()}
+        return {
+            name: without(cast(Mapping[str, Any], its), model) if isinstance(its, Mapping) else its
+            for name, its in inner.items()
+        }
     said = value is False or (isinstance(value, str) and value.strip().lower() in OFF)
     return None if said and can_be_off(field) else value

@@ -18,7 +18,9 @@ class LoopSettings(Settings):
         default=1.9, gt=1, le=1e5, description="Periods without a fresh orbit before HELD."
     )
     trip_after: float | None = Field(
-        default=600.0, gt=0, description="Time in HELD after which the loop trips [s]; false = never."
+        default=600.0,
+        gt=0,
+        description="Time in HELD after which the loop trips [s]; false = never.",
     )
     policy_deadline: float = Field(
         default=1.0,
