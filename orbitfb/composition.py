@@ -113,12 +113,12 @@ class Service:
         take_ring(epics, self.channels, stack)
         self.lease = take_lease(config, epics, self._lease_lost, stack)
         clock = SystemClock()
-        self.machine = EpicsMachine(self.channels, epics, clock)
+        counting, movable = mask_of(self.channels, config.masks)
+        self.machine = EpicsMachine(self.channels, epics, clock, counting, movable)
         stack.callback(self.machine.close)
         check_limits(config, self.machine.drive_limits, self.channels)
         self._limits = config.limits
 
-        counting, movable = mask_of(self.channels, config.masks)
         machine: Machine = self.machine
         if self.lease is not None:
             machine = GuardedMachine(machine, self.lease.refusal)
@@ -168,6 +168,7 @@ class Service:
             subscribers=(self.history, archive, self.statistics, *told),
             counting=counting,
             safeguards=replace(safeguards(nominal, config, movable), obstacle=self._obstacle),
+            heed=self.machine.count_bpms,
         )
         self.watch = gap_watch(config, ring, self.history, self._reports, stack)
         self.learner: LearnerThread | None = None

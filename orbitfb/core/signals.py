@@ -1,7 +1,7 @@
 """What is read from the machine, what is sent to it, and what one tick leaves behind."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -61,6 +61,8 @@ class Reading:
         received: When the orbit was complete, on the monotonic clock [s].
         away: Correctors whose setpoint cannot be written now, shape (m,); None: all can.
         behind: Correctors whose readback was taken before the orbit, shape (m,); None: none.
+        left_out: Why connected BPMs are not in the orbit, by index.
+        refused: Why correctors did not take what was put to them since the last read, by index.
     """
 
     orbit: Orbit
@@ -69,6 +71,8 @@ class Reading:
     received: float
     away: Mask | None = None
     behind: Mask | None = None
+    left_out: Mapping[int, str] = field(default_factory=dict[int, str])
+    refused: Mapping[int, str] = field(default_factory=dict[int, str])
 
 
 @dataclass(frozen=True, slots=True)

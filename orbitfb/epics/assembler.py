@@ -7,12 +7,14 @@ needed: the assembler counts down the events without which the next vector canno
 and looks at the stamps only when they have come. That is one subtraction per event, and one look
 at all stamps per tick even if a channel is stuck for ever.
 
-A channel that sends nothing during a whole tick in which the others do is stuck: one vector is
-lost, the next ones come without it, until it sends again. More than a few at once are no channels
-that are stuck but a torn orbit, and nothing comes.
+A channel that sends nothing during a whole tick in which the others do, or sends with another stamp
+than they, strays (`stray_stamps`): one vector is lost, the next ones come without it, until its
+stamp is theirs again. More than a few at once are no strays but a torn orbit, and nothing comes;
+those that do not count for the loop, as they are masked or disabled, are not waited for.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
@@ -27,6 +29,7 @@ from orbitfb.epics.records import (
     usable,
     wall_time,
 )
+from orbitfb.epics.stray_stamps import StrayStamps, common_stamp, difference, outside
 
 NEVER = 0
 """Stamp of a record that nothing has been written to: less than any that comes."""
@@ -44,11 +47,13 @@ class Snapshot:
         values: Shape (n,), in the unit of the PVs; NaN where not valid.
         valid: Shape (n,); False where disconnected, INVALID or not finite.
         stamp: Newest stamp in it [ns since the EPICS epoch].
+        left_out: Why connected channels are not in it, by index.
     """
 
     values: Vector
     valid: Mask
     stamp: int
+    left_out: Mapping[int, str] = field(default_factory=dict[int, str])
 
     @property
     def time(self) -> float:
@@ -62,10 +67,10 @@ class Assembler:
     Args:
         size: Count of channels n.
         window: How far the stamps of one vector may lie apart [s].
-        most_stuck: Channels that may be stuck; 0: all must send.
+        most_left: Channels that count and may be left out; 0: all must send.
     """
 
-    def __init__(self, size: int, window: float = 0.0, most_stuck: int = 0) -> None:
+    def __init__(self, size: int, window: float = 0.0, most_left: int = 0) -> None:
         self.records = blank_records(size)
         self.connected: Mask = np.zeros(size, dtype=np.bool_)
         self.checks = 0
@@ -73,9 +78,12 @@ class Assembler:
         self._window = round(window * NANOSECONDS)
         self._used: NDArray[np.int64] = np.full(size, NEVER, dtype=np.int64)
         self._published = NEVER
-        self._most_stuck = most_stuck
-        self._stuck: Mask = np.zeros(size, dtype=np.bool_)
-        self._stuck_at = self._used.copy()
+        self._most_left = most_left
+        self._left: Mask = np.zeros(size, dtype=np.bool_)
+        self._left_at = self._used.copy()
+        self._agreed = self._left.copy()
+        self._strays = StrayStamps(size, self._window)
+        self._counting: Mask = np.ones(size, dtype=np.bool_)
         self._present: Mask = np.zeros(size, dtype=np.bool_)
         self._returning = False
         self._patience = PATIENCE
@@ -89,7 +97,7 @@ class Assembler:
         A channel went back if it says something older than what it gave to the last vector. Then
         no vector comes until the clock has caught up, or `begin_anew` was called.
         """
-        stamps, here = stamps_of(self.records), self.connected & ~self._stuck
+        stamps, here = stamps_of(self.records), self._expected
         back = here & (stamps > NEVER) & (stamps < self._used)
         if 2 * np.count_nonzero(back) <= np.count_nonzero(here):
             return None
@@ -110,14 +118,25 @@ class Assembler:
         went away says nothing of a device that comes back: it is not known until it says it anew.
         """
         if not up:
-            self.records["severity"][index] = INVALID
+            self.records[index] = (0, INVALID, 0, 0, np.nan)
         self.connected[index] = up
         self._awaited = 1
         if not up and not self.connected.any():
             self._returning, self._patience = True, PATIENCE
 
+    def count(self, counting: Mask) -> None:
+        """Say which channels count for the loop: the others are in a vector if they are in time.
+
+        Args:
+            counting: Shape (n,).
+        """
+        self._counting = counting.copy()
+
     def look(self) -> None:
         """Give up channels that have not come back with the others; call it every few seconds.
+
+        Those that were left out are waited for again if their stamp is that of the others, as it
+        is between two ticks, at two looks in a row.
 
         Channels of an IOC come back in waves. After an outage of all of them no vector is
         complete until those of the last one are back, or until the second look at some of them:
@@ -127,6 +146,9 @@ class Assembler:
             self._patience -= 1
             self._returning = self._patience > 0
             self._awaited = 1
+        agrees = self._agrees(stamps_of(self.records))
+        self._left &= ~(agrees & self._agreed)
+        self._agreed = agrees
 
     def arrived(self) -> bool:
         """Count an event; its record has been written to `records` before.
@@ -139,8 +161,9 @@ class Assembler:
 
     def snapshot(self) -> Snapshot:
         """Copy the vector that `arrived` has announced, before the next event is written."""
-        valid = self.connected & ~self._stuck & usable(self.records)
-        return Snapshot(np.where(valid, self.records["value"], np.nan), valid, self._published)
+        valid = self.connected & self._present & usable(self.records)
+        values = np.where(valid, self.records["value"], np.nan)
+        return Snapshot(values, valid, self._published, self._reasons())
 
     def describe(self, names: tuple[str, ...]) -> str:
         """Say what the next vector waits for.
@@ -167,6 +190,14 @@ class Assembler:
                 f"the IOC's clock was set{away}"
             )
         late = connected & ~self._fresh(stamps, newest)
+        common = common_stamp(stamps[connected], self._window)
+        odd = connected & outside(stamps, common, self._window)
+        if newest > common > self._published and 2 * np.count_nonzero(odd) < present:
+            others = present - np.count_nonzero(odd)
+            shown = ", ".join(
+                f"{names[i]} {difference(int(stamps[i]) - common)}" for i in np.flatnonzero(odd)[:5]
+            )
+            return f"{others} of {total} BPMs carry stamp {_clock(common)}, {shown}{away}"
         count = int(np.count_nonzero(late))
         if count == present or newest == self._published:
             return (
@@ -188,49 +219,74 @@ class Assembler:
         stamps = stamps_of(self.records)
         if self._anew is not None:
             self._used, self._anew, self._published = self._anew, None, NEVER
-        if self._stuck.any():
-            self._stuck &= self.connected & (stamps == self._stuck_at)
-        connected = self.connected & ~self._stuck
+        self._left &= self.connected
+        connected = self._expected
         present = stamps[connected]
         if not present.size:
             self._awaited = 1
             return False
         if self._returning:
-            missing = int(np.count_nonzero(self._present & ~connected))
+            missing = int(np.count_nonzero(self._present & self._counting & ~connected))
             if missing:
                 self._awaited = missing
                 return False
             self._returning = False
         newest = int(present.max())
-        late = int(np.count_nonzero(connected & ~self._fresh(stamps, newest)))
-        if late and self._most_stuck and self._give_up(stamps, connected):
-            connected = self.connected & ~self._stuck
-            present = stamps[connected]
-            late = int(np.count_nonzero(connected & ~self._fresh(stamps, newest)))
-        if late or newest <= self._published:
+        late = connected & ~self._fresh(stamps, newest)
+        if late.any() and self._leave_strays(stamps, connected):
+            connected = self._expected
+            newest = int(stamps[connected].max())
+            late = connected & ~self._fresh(stamps, newest)
+        if late.any() or newest <= self._published:
             # Each of them must send at least once more, whatever else comes in between.
-            self._awaited = max(late, 1)
+            excused = late & self._strays.suspects
+            late &= ~(excused & self._may_leave(excused))
+            self._awaited = max(int(np.count_nonzero(late)), 1)
             return False
         self._published = newest
-        self._used[connected] = present
-        self._present = connected.copy()
-        self._awaited = present.size
+        self._strays.clear()
+        self._left &= ~self._agrees(stamps)
+        self._present = self.connected & ~self._left & self._agrees(stamps)
+        self._used[self._present] = stamps[self._present]
+        self._awaited = int(np.count_nonzero(self._present))
         return True
 
-    def _give_up(self, stamps: NDArray[np.int64], connected: Mask) -> bool:
-        """Expect no more of those that were silent for a whole tick; say whether there are any."""
-        silent = connected & (stamps <= self._used)
-        count = int(np.count_nonzero(silent))
-        sent = stamps[connected & ~silent]
-        most = min(self._most_stuck - int(np.count_nonzero(self._stuck)), len(sent) - 1)
-        # Two ticks are under way: the silent ones have left out the first of them altogether.
-        if not 0 < count <= most or int(sent.max()) - int(sent.min()) <= self._window:
+    @property
+    def _expected(self) -> Mask:
+        """Channels without which no vector is complete, shape (n,)."""
+        here = self.connected & ~self._left
+        counting = here & self._counting
+        return counting if counting.any() else here
+
+    def _leave_strays(self, stamps: NDArray[np.int64], connected: Mask) -> bool:
+        """Expect no more of those that stray; say whether there are any."""
+        strays = self._strays.find(stamps, connected, self._published)
+        if not strays.any() or not self._may_leave(strays):
             return False
-        if int(sent.min()) <= self._published:
-            return False
-        self._stuck |= silent
-        self._stuck_at = np.where(silent, stamps, self._stuck_at)
+        self._left |= strays
+        self._left_at = np.where(strays, stamps, self._left_at)
+        self._agreed &= ~strays
         return True
+
+    def _may_leave(self, more: Mask) -> bool:
+        """Whether some more channels may be left out: few of those that count."""
+        return int(np.count_nonzero((self._left | more) & self._counting)) <= self._most_left
+
+    def _agrees(self, stamps: NDArray[np.int64]) -> Mask:
+        """Tell which channels carry the stamp of the last vector, and anew, shape (n,)."""
+        return ~outside(stamps, self._published, self._window) & (stamps > self._used)
+
+    def _reasons(self) -> dict[int, str]:
+        """Say of connected channels why they are not in the vector, by index."""
+        left = self.connected & self._counting & self._left
+        if not left.any():
+            return {}
+        silent = stamps_of(self.records) == self._left_at
+        return {
+            index: "sends nothing" if silent[index] else difference(int(offset))
+            for index, offset in enumerate(self._strays.offsets)
+            if left[index]
+        }
 
 
 def _clock(stamp: int) -> str:

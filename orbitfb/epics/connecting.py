@@ -1,7 +1,7 @@
 """Waiting for all channels at the start, and saying everything that is wrong with them at once."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from orbitfb.core.errors import ConnectError, MachineError
 from orbitfb.core.ports import Clock
@@ -16,6 +16,7 @@ def wait_for_channels(
     setpoints: ChannelGroup,
     settings: EpicsSettings,
     clock: Clock,
+    waived: Collection[str] = (),
 ) -> None:
     """Wait until every channel is connected and every setpoint may be written.
 
@@ -24,17 +25,18 @@ def wait_for_channels(
         setpoints: The group among them that is written to.
         settings: How long to wait, and what to name in the advice.
         clock: Clock that says when the time is over.
+        waived: PVs that need not be there, nor be written: the loop does not use them.
 
     Raises:
         ConnectError: PVs that did not connect in time, all of them.
         MachineError: Setpoints that may not be written, all of them.
     """
     deadline = clock.monotonic() + settings.connect_timeout
-    while not all(group.all_connected for group in groups):
+    while any(name not in waived for group in groups for name in group.disconnected):
         if clock.monotonic() >= deadline:
             break
         time.sleep(LOOK_EVERY)
-    missing = [name for group in groups for name in group.disconnected]
+    missing = [name for group in groups for name in group.disconnected if name not in waived]
     if missing:
         total = sum(len(group) for group in groups)
         advice = (
@@ -42,7 +44,7 @@ def wait_for_channels(
             f"{settings.server_port}? Are the names those of the places table?"
         )
         raise ConnectError(missing, total, settings.connect_timeout, advice)
-    if read_only := setpoints.read_only:
+    if read_only := [name for name in setpoints.read_only if name not in waived]:
         names = "\n".join(f"  {name}" for name in read_only)
         raise MachineError(
             f"{len(read_only)} of {len(setpoints)} setpoints may not be written:\n{names}\n"

@@ -46,6 +46,9 @@ class EpicsMachine:
         channels: Names of the PVs.
         settings: Network and time limits.
         clock: Clock of the program; its wall clock is compared with the stamps.
+        counting: BPMs that are not masked, shape (n,): the others are not waited for; None: all.
+        movable: Correctors that are not masked, shape (m,): of the others the setpoint alone must
+            be there; None: all.
 
     Raises:
         ConnectError: PVs that cannot be reached within `connect_timeout`, all of them.
@@ -53,7 +56,12 @@ class EpicsMachine:
     """
 
     def __init__(
-        self, channels: Channels, settings: EpicsSettings, clock: Clock | None = None
+        self,
+        channels: Channels,
+        settings: EpicsSettings,
+        clock: Clock | None = None,
+        counting: Mask | None = None,
+        movable: Mask | None = None,
     ) -> None:
         self._channels = channels
         self._settings = settings
@@ -69,6 +77,9 @@ class EpicsMachine:
         self._orbit_assembler = Assembler(
             len(channels.orbit_pvs), settings.stamp_window, settings.stuck_bpms
         )
+        if counting is not None:
+            self._orbit_assembler.count(counting)
+        waived = _waived(channels, counting, movable)
         self._readback_assembler = Assembler(len(channels.readback_pvs), settings.stamp_window)
         self._inbox = Inbox(
             self._orbit_assembler,
@@ -85,7 +96,7 @@ class EpicsMachine:
             self._open()
         self._keeper.start()
         try:
-            wait_for_channels(self._groups, self._setpoints, settings, self._clock)
+            wait_for_channels(self._groups, self._setpoints, settings, self._clock, waived)
             self.setpoints()
         except MachineError:
             self.close()
@@ -120,6 +131,14 @@ class EpicsMachine:
         """Return how old each slow channel is by its stamp [s]; NaN where nothing is known."""
         return self._auxiliary.ages(self._inbox.time)
 
+    def count_bpms(self, counting: Mask) -> None:
+        """Take to heart which BPMs count for the loop: an orbit does not wait for the others.
+
+        Args:
+            counting: Shape (n,).
+        """
+        self._orbit_assembler.count(counting)
+
     def read(self, timeout: float) -> Reading:
         """Wait for the newest coherent orbit, never one that was returned before.
 
@@ -138,7 +157,8 @@ class EpicsMachine:
         away = ~self._setpoints.connected
         received = frame.arrival.received
         gone = away if away.any() else None
-        return Reading(orbit, frame.readback, auxiliary, received, gone, frame.behind)
+        left_out = snapshot.left_out
+        return Reading(orbit, frame.readback, auxiliary, received, gone, frame.behind, left_out)
 
     def setpoints(self) -> Vector:
         """Ask the machine for the absolute setpoints in force, shape (m,) [A].
@@ -298,3 +318,16 @@ class EpicsMachine:
         else:
             text = self._orbit_assembler.describe(self._channels.orbit_pvs)
         return f"{text}; {self._keeper.trouble}" if self._keeper.trouble else text
+
+
+def _waived(channels: Channels, counting: Mask | None, movable: Mask | None) -> frozenset[str]:
+    """PVs of masked devices: they need not be there at the start.
+
+    The setpoint of a masked corrector must be read, as every record tells where it is.
+    """
+    names: set[str] = set()
+    if counting is not None:
+        names |= {channels.orbit_pvs[index] for index in np.flatnonzero(~counting)}
+    if movable is not None:
+        names |= {channels.readback_pvs[index] for index in np.flatnonzero(~movable)}
+    return frozenset(names)

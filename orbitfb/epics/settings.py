@@ -62,8 +62,9 @@ class EpicsSettings(Settings):
     stuck_bpms: int = Field(
         default=9,
         ge=0,
-        description="BPMs that may keep their old stamp while the others send a tick: they are "
-        "left out until they send again; 0: such an orbit is refused.",
+        description="BPMs that may keep their old stamp while the others send a tick, or carry "
+        "another one: they are left out until their stamp is that of the others; masked and "
+        "disabled ones besides; 0: such an orbit is refused.",
     )
     stale_after: float = Field(
         default=1.0,

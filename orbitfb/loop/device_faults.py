@@ -8,9 +8,9 @@ _CLOSED, _HELD, _TRIPPED = LoopState.CLOSED, LoopState.HELD, LoopState.TRIPPED
 DEVICE_FAULTS = (
     Fault(
         "a BPM is disconnected, INVALID, NaN or exactly 0, keeps its stamp or repeats its reading "
-        "while others change, or jumps alone",
-        "left out within the tick (one that keeps its stamp: after one lost orbit) and named with "
-        "the reason, the law solved for the rest; counts "
+        "while others change, carries another stamp than they, or jumps alone",
+        "left out within the tick (one whose stamp is not that of the others: after one lost "
+        "orbit) and named with the reason, the law solved for the rest; counts "
         "again after a row of good readings; one that jumped, once it reads what it did, or after "
         "the loop was opened",
         (_CLOSED,),
@@ -25,6 +25,7 @@ DEVICE_FAULTS = (
             "test_a_bad_bpm_is_left_out_named_and_comes_back",
             "test_a_nan_bpm_is_not_read_as_on_reference",
             "test_a_bpm_that_keeps_its_stamp_is_masked_and_comes_back",
+            "test_one_bpm_with_another_stamp_costs_one_orbit_is_left_out_and_named",
             "test_half_of_the_machine_away_is_masked_and_comes_back",
         ),
     ),

@@ -5,6 +5,7 @@ functions; here they meet the machine.
 """
 
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +45,7 @@ class Engine:
         dither: Part of every change.
         start: OPEN, SHADOW or CLOSED.
         safeguards: What there is to fall back on.
+        heed: Told which BPMs count, shape (n,), whenever that changes; None: nobody.
 
     Attributes:
         wanted: What operators want; any thread may put another value here.
@@ -58,6 +60,7 @@ class Engine:
         dither: Dither,
         start: LoopState,
         safeguards: Safeguards = NONE,
+        heed: Callable[[Mask], None] | None = None,
     ) -> None:
         self._machine, self._clock = machine, clock
         deadline = rules.loop.policy_deadline * rules.loop.period
@@ -65,7 +68,7 @@ class Engine:
         self._flaws = np.zeros(len(rules.channels.bpms), dtype=np.int8)
         self._asker = Asker(machine, self._guard)
         self._rules, self._dither = rules, dither
-        self._counting = rules.counting
+        self._counting, self._heed = rules.counting, heed
         self.wanted: Adjustments = Adjustments.none(rules.reference, len(rules.channels.correctors))
         self._adjustments: Adjustments = self.wanted
         self.memory = remember.first_memory(
@@ -103,6 +106,8 @@ class Engine:
             before = self._counting
             counting = wanted.enabled if before is None else wanted.enabled & before
             rules = replace(rules, counting=None if counting.all() else counting)
+            if self._heed is not None:
+                self._heed(counting)
         if rules.reference is not wanted.reference and self.memory.state is not LoopState.HELD:
             closed = self.memory.state is LoopState.CLOSED
             step = rules.loop.reference_speed * rules.loop.period if closed else np.inf

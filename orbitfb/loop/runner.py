@@ -5,7 +5,7 @@ swaps that came during the wait take effect before that orbit is looked at.
 """
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 
 import numpy as np
@@ -47,6 +47,7 @@ class Runner:
         subscribers: Get every record, in this thread.
         counting: BPMs that are not masked by configuration, shape (n,); None: all.
         safeguards: What there is to fall back on: a baseline, correctors that can be left out.
+        heed: Told which BPMs count, shape (n,), whenever operators change it; None: nobody.
 
     Attributes:
         failure: What led to FAULT, for the log; None otherwise.
@@ -71,6 +72,7 @@ class Runner:
         subscribers: Sequence[Subscriber] = (),
         counting: Mask | None = None,
         safeguards: Safeguards = NONE,
+        heed: Callable[[Mask], None] | None = None,
     ) -> None:
         channels = machine.channels
         n, m = len(channels.bpms), len(channels.correctors)
@@ -81,7 +83,7 @@ class Runner:
         rules = Rules(settings, limits, interlocks, reference.copy(), channels, counting)
         self._rules, self._clock = rules, clock
         self._engine = Engine(
-            machine, slot, rules, clock, dither or Dither.off(m), start, safeguards
+            machine, slot, rules, clock, dither or Dither.off(m), start, safeguards, heed
         )
         self._subscribers = tuple(subscribers)
         self._nothing = np.zeros(m)

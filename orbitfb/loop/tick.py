@@ -93,7 +93,8 @@ def check(
         error = np.where(valid, error, 0.0)
     rms, largest = _size(error, int(np.count_nonzero(valid)))
     fresh, last = watch.repeated(reading.orbit, valid, memory.last, settings)
-    quota = bpm_quota(valid, settings, names.bpms, rules.counting, flaws, len(names.planes))
+    planes, told = len(names.planes), reading.left_out
+    quota = bpm_quota(valid, settings, names.bpms, rules.counting, flaws, planes, told)
     unknown = Action.TRIP if closed else Action.HOLD
     active = closed or memory.state is LoopState.HELD
     before = memory.current if active else float("nan")

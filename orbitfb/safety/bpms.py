@@ -172,6 +172,7 @@ def bpm_quota(
     counting: Mask | None = None,
     flaws: Flaws | None = None,
     planes: int = 1,
+    told: Mapping[int, str] | None = None,
 ) -> Verdict:
     """Let a few BPMs be invalid, not more, not too many next to each other, and never all.
 
@@ -183,6 +184,7 @@ def bpm_quota(
             not matter, so they do not use up the quota; None: all.
         flaws: Why each is invalid, for the reason; from `screen`.
         planes: How many planes lie one after the other.
+        told: What the machine says of single BPMs, by index.
     """
     bad = ~valid if counting is None else counting & ~valid
     invalid = int(np.count_nonzero(bad))
@@ -190,7 +192,7 @@ def bpm_quota(
         return FINE
     counted = np.ones_like(valid) if counting is None else counting
     wanted = int(np.count_nonzero(counted))
-    reason = f"{invalid} of {wanted} BPMs are invalid: {_name_flaws(bad, names, flaws)}"
+    reason = f"{invalid} of {wanted} BPMs are invalid: {_name_flaws(bad, names, flaws, told or {})}"
     if invalid > settings.max_invalid_bpms or invalid == wanted:
         return Verdict(Action.HOLD, "bpm_quota", f"{reason}; allowed: {settings.max_invalid_bpms}")
     rows = zip(bad.reshape(planes, -1), counted.reshape(planes, -1), strict=True)
@@ -204,13 +206,20 @@ def bpm_quota(
     return Verdict(Action.WARN, "bpm_quota", reason)
 
 
-def _name_flaws(bad: Mask, names: Sequence[str], flaws: Flaws | None, at_most: int = 5) -> str:
+def _name_flaws(
+    bad: Mask,
+    names: Sequence[str],
+    flaws: Flaws | None,
+    told: Mapping[int, str],
+    at_most: int = 5,
+) -> str:
     where = [int(index) for index in np.flatnonzero(bad)]
     shown: list[str] = []
     for index in where[:at_most]:
         name = names[index] if names else f"#{index}"
         flaw = Flaw.INVALID if flaws is None else Flaw(int(flaws[index]))
         plain = flaw in (Flaw.NONE, Flaw.INVALID)
-        shown.append(name if plain else f"{name} ({WORDS[flaw]})")
+        why = told.get(index, "" if plain else WORDS[flaw])
+        shown.append(f"{name} ({why})" if why else name)
     more = len(where) - len(shown)
     return ", ".join(shown) + (f" and {more} more" if more else "")
