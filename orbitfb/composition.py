@@ -47,11 +47,10 @@ from orbitfb.policies.stability import is_unstable, warning_of
 from orbitfb.policies.trips import TripNotes
 from orbitfb.remote import Remote
 from orbitfb.reports import Reports, beside, gap_watch, postmortems, say_and_log, say_excitation
-from orbitfb.safety.limits import too_narrow
+from orbitfb.safety.bounds import Bounds, narrower
 from orbitfb.startup import (
     SIMULATED,
     announcement,
-    check_limits,
     dither_settings,
     find_ring,
     make_directory,
@@ -116,9 +115,10 @@ class Service:
         counting, movable = mask_of(self.channels, config.masks)
         self.machine = EpicsMachine(self.channels, epics, clock, counting, movable)
         stack.callback(self.machine.close)
-        check_limits(config, self.machine.drive_limits, self.channels)
-        self._limits = config.limits
-
+        names, limit = self.channels.correctors, config.limits.setpoint
+        if told := narrower(limit, self.machine.drive_limits, names):
+            say_and_log(say, told)
+        bounds = Bounds.of(limit, len(names), self.machine.drive_limits)
         machine: Machine = self.machine
         if self.lease is not None:
             machine = GuardedMachine(machine, self.lease.refusal)
@@ -132,7 +132,7 @@ class Service:
         check_policy(nominal, config)
         first = keeper.first(nominal, movable, ioc == SIMULATED, asked)
         self.slot = PolicySlot(first)
-        self.statistics = LoopStatistics(self.channels, config.limits.setpoint, clock, counting)
+        self.statistics = LoopStatistics(self.channels, bounds.largest, clock, counting)
         if warning := warning_of(first):
             word = "policy_unstable" if is_unstable(warning) else "policy_near_its_limit"
             _log.warning(word, policy=first.policy_id, problem=warning)
@@ -167,7 +167,11 @@ class Service:
             start=start,
             subscribers=(self.history, archive, self.statistics, *told),
             counting=counting,
-            safeguards=replace(safeguards(nominal, config, movable), obstacle=self._obstacle),
+            safeguards=replace(
+                safeguards(nominal, config, movable),
+                obstacle=self._obstacle,
+                drive_limits=lambda: self.machine.drive_limits,
+            ),
             heed=self.machine.count_bpms,
         )
         self.watch = gap_watch(config, ring, self.history, self._reports, stack)
@@ -305,9 +309,7 @@ class Service:
 
     def _obstacle(self) -> str:
         """Say why the machine must not be written to now; empty when it may."""
-        if self.lease is not None and (reason := self.lease.refusal()):
-            return reason
-        return too_narrow(self._limits, self.machine.drive_limits, self.channels.setpoint_pvs)
+        return self.lease.refusal() if self.lease is not None else ""
 
     def _lease_lost(self, owner: str) -> None:
         """Open the loop: another controller writes to the machine."""

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orbitfb.config import AppConfig
 from orbitfb.core import state_files
@@ -25,7 +24,6 @@ from orbitfb.loop.excitation_file import read_excitation
 from orbitfb.measure.response_file import nominal_response
 from orbitfb.physics.places import Ring
 from orbitfb.policies.masking import mask_of
-from orbitfb.safety.limits import too_narrow
 
 SIMULATED = "sim"
 ENVIRONMENT = "env"
@@ -223,21 +221,6 @@ def take_ring(settings: EpicsSettings, channels: Channels, stack: ExitStack) -> 
                     "two loops on one ring fight each other; stop the other one first",
                 )
             )
-
-
-def check_limits(config: AppConfig, drive_limits: NDArray[np.float64], channels: Channels) -> None:
-    """Refuse a limit of ours that lies beyond the drive limits of the machine.
-
-    Args:
-        config: Has the limit.
-        drive_limits: Of the machine, shape (m, 2), low and high [A]; NaN: none.
-        channels: Names of the correctors.
-
-    Raises:
-        ConfigError: It does; a write that the machine refuses would trip the loop later.
-    """
-    if narrow := too_narrow(config.limits, drive_limits, channels.setpoint_pvs):
-        raise ConfigError(narrow)
 
 
 def dither_settings(config: AppConfig) -> DitherSettings:

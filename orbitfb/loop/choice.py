@@ -10,8 +10,7 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.loop.guard import Decision, Guard
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
-from orbitfb.safety.limits import Limited, limit, near_limit
-from orbitfb.safety.verdict import name_some
+from orbitfb.safety.limits import Limited, at_limit, limit, near_limit
 
 _ROUNDS = 12
 _SHARE = 0.3
@@ -62,6 +61,7 @@ def choose(
         done: Told the phase of the tick that has just ended.
     """
     names = rules.channels.correctors
+    bounds = guard.bounds(rules.limits.setpoint, len(mine))
     out, state, alarm = memory.lost, memory.policy_state, ""
     full: Mask = np.zeros_like(out)
     rounds, began = 0, done("limit")
@@ -77,7 +77,7 @@ def choose(
             change, shaken = np.where(moves, change, 0.0), np.where(moves, dither, 0.0)
         requested = gain * change + shaken
         done("decide")
-        limited = limit(requested, memory.setpoints, rules.limits, names)
+        limited = limit(requested, memory.setpoints, rules.limits, names, bounds)
         spent = done("limit") - began > _SHARE * rules.loop.period
         tight = limited.at_limit
         more = out | tight
@@ -88,12 +88,10 @@ def choose(
         out, full = more, full | tight
     reasons = [alarm, limited.verdict.reason]
     if not full.any():
-        reasons.append(near_limit(np.where(mine, limited.setpoints, 0.0), rules.limits, names))
+        moved = np.where(mine, limited.setpoints, 0.0)
+        reasons.append(near_limit(moved, rules.limits, names, bounds))
     else:
-        reasons.append(
-            f"{int(full.sum())} correctors at their limit of ±{rules.limits.setpoint:g} A "
-            f"({name_some(full, names)}) are left out"
-        )
+        reasons.append(f"{at_limit(full, rules.limits, names, bounds)} are left out")
     # A change that was shortened is not what the policy asked for: nothing winds up.
     settled = limited.scale == 1.0 and not full.any()
     told = tuple(filter(None, reasons))

@@ -12,6 +12,7 @@ import numpy as np
 from orbitfb.core.signals import LoopState, Mask, Vector
 from orbitfb.loop.memory import LoopMemory, Rules, Way
 from orbitfb.loop.tick import Checked
+from orbitfb.safety.bounds import Bounds
 from orbitfb.safety.limits import Limited, limit
 from orbitfb.safety.verdict import Verdict
 
@@ -86,6 +87,7 @@ def next_step(
     rules: Rules,
     mine: Mask,
     ask: Callable[[], tuple[LoopMemory, str]],
+    bounds: Bounds | None = None,
 ) -> Step:
     """Say what the next step is.
 
@@ -95,6 +97,7 @@ def next_step(
         rules: Limits of the steps.
         mine: Correctors that the loop moves, shape (m,).
         ask: Asks for the setpoints in force; gives what is wrong with them.
+        bounds: Where the setpoint of each may be; None: the same for all, by the rules.
     """
     way = memory.way
     if way is None:
@@ -111,7 +114,7 @@ def next_step(
     if way.seen <= rules.loop.proving:  # what was sent before the trip arrives first
         return Step(replace(memory, way=way))
     left = np.where(mine, way.good - memory.setpoints, 0.0)
-    limited = limit(_cut(left, rules), memory.setpoints, rules.limits)
+    limited = limit(_cut(left, rules), memory.setpoints, rules.limits, bounds=bounds)
     if limited.scale < 1.0:
         return Step(stop(memory, limited.verdict.reason))
     if not limited.change.any():

@@ -254,7 +254,10 @@ class Engine:
         if self.memory.way is None:
             return
         mine, ask = self._mine(), self._state_setpoints
-        step = comeback.next_step(self.memory, checked, self._rules, mine, lambda: ask(reading))
+        bounds = self._guard.bounds(self._rules.limits.setpoint, len(mine))
+        step = comeback.next_step(
+            self.memory, checked, self._rules, mine, lambda: ask(reading), bounds
+        )
         self.memory = step.memory
         if step.limited is None:
             return

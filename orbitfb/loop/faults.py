@@ -99,12 +99,12 @@ FAULTS = (
     Fault(
         "the IOC or the network is gone and comes back",
         "nothing is written meanwhile, setpoints and drive limits are read again before closing; "
-        "HELD while the drive limits are narrower than ours",
+        "drive limits that are narrower now hold for their corrector",
         (_HELD, _TRIPPED),
         ("loop.proving", "loop.reclose", "loop.trip_after", "limits.setpoint"),
         (
             "test_killed_ioc_holds_the_loop_until_it_is_back",
-            "test_a_server_that_comes_back_with_narrower_limits_is_not_written_to",
+            "test_the_limits_of_a_server_that_comes_back_with_narrower_ones_hold",
         ),
     ),
     Fault(

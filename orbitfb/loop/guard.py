@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orbitfb.core.ports import Clock, Policy
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.tick import Checked, decide
+from orbitfb.safety.bounds import Bounds
 
 Without = Callable[[Policy, Mask], Policy]
 """Makes of a policy one that does not move some correctors, shape (m,), the rest solved anew."""
@@ -27,13 +29,16 @@ class Safeguards:
         fallback: The baseline, that decides when the policy in force does not; None: there is
             none, and a policy that fails stops the loop.
         without: See `Without`; None: no corrector can be left out.
-        obstacle: Says why the machine must not be written to, such as drive limits that are
-            narrower now; asked before the loop closes; empty when it may.
+        obstacle: Says why the machine must not be written to; asked before the loop closes; empty
+            when it may.
+        drive_limits: Gives those that the machine states now, shape (m, 2), low and high [A]; NaN:
+            none; None: the machine states none.
     """
 
     fallback: Policy | None = None
     without: Without | None = None
     obstacle: Callable[[], str] = str
+    drive_limits: Callable[[], NDArray[np.float64]] | None = None
 
 
 NONE = Safeguards()
@@ -74,7 +79,7 @@ class Guard:
     ) -> None:
         self._slot, self._clock, self._deadline = slot, clock, deadline
         self._fallback, self._without = safeguards.fallback, safeguards.without
-        self.obstacle = safeguards.obstacle
+        self.obstacle, self._drive_limits = safeguards.obstacle, safeguards.drive_limits
         self._taken = slot.acting
         self._swaps: int = slot.swaps
         self._late = 0
@@ -113,6 +118,16 @@ class Guard:
             if own is not None:
                 mask &= own
         return mask
+
+    def bounds(self, limit: float, correctors: int) -> Bounds:
+        """Say where the setpoint of each corrector may be now.
+
+        Args:
+            limit: Largest |setpoint| of all [A].
+            correctors: m.
+        """
+        drive = None if self._drive_limits is None else self._drive_limits()
+        return Bounds.of(limit, correctors, drive)
 
     def predict(self, change: Vector) -> Vector | None:
         """Give what a change does to the orbit by the policy's matrix, shape (n,) [m]."""

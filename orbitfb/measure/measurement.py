@@ -16,6 +16,7 @@ from orbitfb.measure.settings import MeasureSettings
 from orbitfb.measure.stepping import measure_by_steps
 from orbitfb.measure.sweeping import measure_at_once
 from orbitfb.measure.watch import Watch
+from orbitfb.safety.bounds import Bounds
 from orbitfb.safety.limits import LimitSettings
 
 _LEAST = 0.2
@@ -52,6 +53,7 @@ class Measurement:
         clock: Tells the time.
         seed: Of the waveforms at once.
         progress: Told how many of how many correctors are done.
+        bounds: Where the setpoint of each may be; None: the same for all, by the limits.
     """
 
     def __init__(
@@ -66,7 +68,9 @@ class Measurement:
         clock: Clock,
         seed: int = 0,
         progress: Callable[[int, int], None] = lambda _done, _all: None,
+        bounds: Bounds | None = None,
     ) -> None:
+        self._bounds = bounds or Bounds.of(limits.setpoint, len(movable))
         self._machine, self._nominal, self._settings = machine, nominal, settings
         self._limits, self._watch, self._movable = limits, watch, movable
         self._journal, self._clock, self._progress = journal, clock, progress
@@ -84,7 +88,8 @@ class Measurement:
             MachineError: The machine failed; the setpoints are back.
             ConfigError: It cannot be done within the limits; nothing was moved.
         """
-        mover = Mover(self._machine, self._limits, self._watch, self._settings.same_setpoint)
+        same = self._settings.same_setpoint
+        mover = Mover(self._machine, self._limits, self._watch, same, self._bounds)
         todo = [int(j) for j in np.flatnonzero(self._movable & ~table.measured)]
         size = self._settings.at_once or max(1, len(todo))
         groups = [todo[k : k + size] for k in range(0, len(todo), size)]
@@ -163,13 +168,15 @@ class Measurement:
                 f"measure.excursion_rms ({self._settings.excursion_rms * 1e6:.3g} µm); make them "
                 "smaller"
             )
-        room = self._limits.setpoint - np.abs(base[members])
+        bounds = self._bounds
+        room = np.minimum(bounds.high - base, base - bounds.low)[members]
         tight = np.flatnonzero(~(room >= _LEAST * wanted))
         if tight.size:
             names = ", ".join(self._name(members[int(k)]) for k in tight[:5])
             raise ConfigError(
                 f"{tight.size} correctors have no room for a step to both sides within "
-                f"±{self._limits.setpoint:g} A (limits.setpoint): {names}; unload or mask them"
+                f"±{self._limits.setpoint:g} A (limits.setpoint) or their drive limits: {names}; "
+                "unload or mask them"
             )
         return np.minimum(wanted, room)
 

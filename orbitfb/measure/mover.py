@@ -8,6 +8,7 @@ from orbitfb.core.errors import MachineError, MeasurementError, NoOrbitError
 from orbitfb.core.ports import Clock, Machine
 from orbitfb.core.signals import Vector
 from orbitfb.measure.watch import Watch
+from orbitfb.safety.bounds import Bounds
 from orbitfb.safety.limits import LimitSettings, limit
 from orbitfb.safety.verdict import name_some
 
@@ -28,8 +29,16 @@ class Mover:
         MachineError: The setpoints cannot be read.
     """
 
-    def __init__(self, machine: Machine, limits: LimitSettings, watch: Watch, same: float) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        limits: LimitSettings,
+        watch: Watch,
+        same: float,
+        bounds: Bounds | None = None,
+    ) -> None:
         self._machine, self._limits, self._watch, self._same = machine, limits, watch, same
+        self._bounds = bounds
         self.base = machine.setpoints()
         self._sent = self.base.copy()
 
@@ -71,7 +80,7 @@ class Mover:
     def _step(self, target: Vector, correctors: Sequence[int]) -> bool:
         """Go one step with some correctors; says whether this was the last one."""
         names = self._machine.channels.setpoint_pvs
-        limited = limit(target - self._sent, self._sent, self._limits, names)
+        limited = limit(target - self._sent, self._sent, self._limits, names, self._bounds)
         if not limited.verdict.may_act or limited.scale == 0.0:
             raise MeasurementError(limited.verdict.reason)
         arrived = limited.scale == 1.0

@@ -34,7 +34,8 @@ from orbitfb.own_lease import take_lease
 from orbitfb.own_ring import OwnRing
 from orbitfb.physics.response import response
 from orbitfb.policies.masking import mask_of
-from orbitfb.startup import SIMULATED, check_limits, find_ring, make_directory, take_ring
+from orbitfb.safety.bounds import Bounds
+from orbitfb.startup import SIMULATED, find_ring, make_directory, take_ring
 
 _log = structlog.stdlib.get_logger("orbitfb.measure")
 _TOLD_TIMES = 20
@@ -109,7 +110,8 @@ def measure_response(
         stack.callback(logs.close)
         ring_machine = EpicsMachine(channels, epics, clock)
         stack.callback(ring_machine.close)
-        check_limits(config, ring_machine.drive_limits, channels)
+        drive = ring_machine.drive_limits
+        bounds = Bounds.of(config.limits.setpoint, len(channels.correctors), drive)
         machine: Machine = ring_machine
         lease = take_lease(config, epics, _lease_lost, stack)
         if lease is not None:
@@ -117,7 +119,9 @@ def measure_response(
         journal = Journal(directory, channels, where)
         timeout = max(1.0, 5.0 * config.loop.period)
         watch = Watch(machine, config.measure, config.interlocks, counting, timeout, stop.asked)
-        put_back(machine, nominal, journal, where, watch, config, request.restore, say, confirm)
+        put_back(
+            machine, nominal, journal, where, watch, config, bounds, request.restore, say, confirm
+        )
         table = taken_up(journal, channels, config, request.fresh, begin, say)
         measurement = Measurement(
             machine,
@@ -130,6 +134,7 @@ def measure_response(
             clock,
             config.seed,
             _progress(say),
+            bounds,
         )
         say(f"measuring {int(moving.sum())} correctors at {where}; Ctrl-C puts the setpoints back")
         _log.info("response_measurement_started", ring=where, correctors=int(moving.sum()))

@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from orbitfb.safety.bounds import Bounds
 from orbitfb.config import AppConfig
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import MeasurementError
@@ -27,6 +28,7 @@ def put_back(
     where: str,
     watch: Watch,
     config: AppConfig,
+    bounds: Bounds,
     restore: bool | None,
     say: Say,
     confirm: Callable[[str], bool] | None,
@@ -47,7 +49,7 @@ def put_back(
             f"planes, or put them back by hand and remove {journal.directory / 'moved.json'}"
         )
     mine = np.array([pvs.index(name) for name in moved.setpoint_pvs])
-    mover = Mover(machine, config.limits, watch, config.measure.same_setpoint)
+    mover = Mover(machine, config.limits, watch, config.measure.same_setpoint, bounds)
     away = np.abs(mover.base[mine] - moved.setpoints) > config.measure.same_setpoint
     if not away.any():
         journal.clear()
@@ -67,11 +69,13 @@ def put_back(
     if confirm is not None and restore is None:
         restore = confirm(f"{found}\nPut them back?")
     if restore:
-        limit = config.limits.setpoint
-        if (beyond := np.abs(moved.setpoints) > limit).any():
+        low, high = bounds.low[mine], bounds.high[mine]
+        beyond = (moved.setpoints < low) | (moved.setpoints > high)
+        if beyond.any():
+            first = int(beyond.argmax())
             raise MeasurementError(
-                f"{found}\n{moved.setpoint_pvs[int(beyond.argmax())]} was beyond limits.setpoint "
-                f"({limit:g} A), so that nothing is moved; put the setpoints back by hand and say "
+                f"{found}\n{moved.setpoint_pvs[first]} was beyond its limits "
+                f"({low[first]:g} to {high[first]:g} A: limits.setpoint, drive limits), so that nothing is moved; put the setpoints back by hand and say "
                 "--leave"
             )
         step = moved.setpoints - mover.base[mine]

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.safety.bounds import Bounds
 from orbitfb.safety.verdict import FINE, Action, Verdict, name_some
 
 
@@ -18,7 +18,8 @@ class LimitSettings(Settings):
     setpoint: float = Field(
         default=17.5,
         gt=0,
-        description="Largest |setpoint| [A]; below the drive limit of the machine.",
+        description="Largest |setpoint| [A]; drive limits of the machine that are narrower hold "
+        "for their corrector.",
     )
     change_per_tick: float = Field(
         default=2.0, gt=0, description="Largest |change| of a setpoint in one tick [A]."
@@ -52,32 +53,38 @@ class Limited:
 
 
 def limit(
-    change: Vector, setpoints: Vector, settings: LimitSettings, names: Sequence[str] = ()
+    change: Vector,
+    setpoints: Vector,
+    settings: LimitSettings,
+    names: Sequence[str] = (),
+    bounds: Bounds | None = None,
 ) -> Limited:
     """Shorten the whole vector, its direction kept, until every limit holds.
 
     A setpoint that lies beyond its limit already may only move inwards: an outward element
-    shortens the whole change to nothing.
+    shortens the whole change to nothing. One beyond a drive limit may not move at all: the machine
+    would have it jump to the limit.
 
     Args:
         change: Wanted, shape (m,) [A].
         setpoints: In force, shape (m,) [A].
         settings: The limits.
         names: The correctors, for the reason.
+        bounds: Where the setpoint of each may be; None: the same for all, by the settings.
     """
+    bounds = bounds or Bounds.of(settings.setpoint, len(change))
     none = np.zeros(change.shape, dtype=np.bool_)
     size = np.abs(change)
     peak = float(size.max(initial=0.0))
     if peak <= settings.change_per_tick:  # a NaN does not get through here, nor through the next
         target = setpoints + change
-        if float(np.abs(target).max(initial=0.0)) <= settings.setpoint:
+        if bool(((target >= bounds.low) & (target <= bounds.high)).all()):
             return Limited(change, target, 1.0, none, FINE)
     refused = _refusal(change, setpoints, names)
     if not refused.may_act:
         return Limited(np.zeros_like(change), setpoints.copy(), 0.0, none, refused)
     step_scale = settings.change_per_tick / peak if peak > settings.change_per_tick else 1.0
-    room = settings.setpoint - np.where(change < 0, -setpoints, setpoints)
-    room = np.maximum(room, 0.0)
+    room = bounds.room(change, setpoints)
     moving = size > 0
     tight = moving & (size * step_scale > room)
     scale = step_scale
@@ -85,46 +92,35 @@ def limit(
         scale = min(step_scale, float((room[tight] / size[tight]).min()))
     # Rounding may leave the last bit beyond a limit: clip that bit, never more.
     shortened = np.clip(change * scale, -settings.change_per_tick, settings.change_per_tick)
-    low = np.minimum(-settings.setpoint, setpoints)
-    high = np.maximum(settings.setpoint, setpoints)
+    low, high = np.minimum(bounds.low, setpoints), np.maximum(bounds.high, setpoints)
     target = np.clip(setpoints + shortened, low, high)
-    return Limited(shortened, target, scale, tight, _warning(tight, scale, settings, names))
+    verdict = _warning(tight, scale, settings, names, bounds)
+    return Limited(shortened, target, scale, tight, verdict)
 
 
-def near_limit(setpoints: Vector, settings: LimitSettings, names: Sequence[str] = ()) -> str:
+def near_limit(
+    setpoints: Vector,
+    settings: LimitSettings,
+    names: Sequence[str] = (),
+    bounds: Bounds | None = None,
+) -> str:
     """Say which correctors are close to their limit; empty when none is.
 
     Args:
         setpoints: Shape (m,) [A].
         settings: The limits.
         names: The correctors.
+        bounds: Where the setpoint of each may be; None: the same for all, by the settings.
     """
-    near = np.abs(setpoints) > settings.warning * settings.setpoint
+    bounds = bounds or Bounds.of(settings.setpoint, len(setpoints))
+    high, low = (settings.warning * side for side in (bounds.high, bounds.low))
+    near = (setpoints > np.maximum(high, 0.0)) | (setpoints < np.minimum(low, 0.0))
     if not near.any():
         return ""
     beyond = f"beyond {settings.warning:.0%} of ±{settings.setpoint:g} A"
-    return f"{int(near.sum())} correctors {beyond}: {name_some(near, names)}"
-
-
-def too_narrow(settings: LimitSettings, drive: NDArray[np.float64], names: Sequence[str]) -> str:
-    """Say that our limit lies beyond the drive limits of the machine; empty if it does not.
-
-    Args:
-        settings: Has the limit.
-        drive: Drive limits, shape (m, 2), low and high [A]; NaN: none.
-        names: The m PVs.
-    """
-    limit = settings.setpoint
-    beyond = np.flatnonzero((drive[:, 0] > -limit) | (drive[:, 1] < limit))
-    if not beyond.size:
-        return ""
-    first = int(beyond[0])
-    room = np.minimum(-drive[:, 0], drive[:, 1])
-    return (
-        f"limits.setpoint is {limit:g} A, but {beyond.size} correctors have narrower drive "
-        f"limits, {names[first]} for one: {drive[first, 0]:g} to {drive[first, 1]:g} A; set "
-        f"limits.setpoint to {np.nanmin(room):g} A or less"
-    )
+    if (near & bounds.drive).any():
+        beyond = f"beyond {settings.warning:.0%} of their limits"
+    return f"{int(near.sum())} correctors {beyond}: {bounds.name(near, names)}"
 
 
 def _refusal(change: Vector, setpoints: Vector, names: Sequence[str]) -> Verdict:
@@ -136,12 +132,31 @@ def _refusal(change: Vector, setpoints: Vector, names: Sequence[str]) -> Verdict
     return FINE
 
 
-def _warning(tight: Mask, scale: float, settings: LimitSettings, names: Sequence[str]) -> Verdict:
+def at_limit(
+    which: Mask, settings: LimitSettings, names: Sequence[str], bounds: Bounds | None = None
+) -> str:
+    """Say which correctors are at their limit, and at which.
+
+    Args:
+        which: Shape (m,).
+        settings: The limits.
+        names: The correctors.
+        bounds: Where the setpoint of each may be; None: the same for all, by the settings.
+    """
+    count = int(np.count_nonzero(which))
+    if bounds is None or not (which & bounds.drive).any():
+        return (
+            f"{count} correctors at their limit of ±{settings.setpoint:g} A "
+            f"({name_some(which, names)})"
+        )
+    return f"{count} correctors at their drive limits: {bounds.name(which, names)}"
+
+
+def _warning(
+    tight: Mask, scale: float, settings: LimitSettings, names: Sequence[str], bounds: Bounds
+) -> Verdict:
     if not tight.any():
         return FINE
     effect = "the loop stands still" if scale == 0 else f"the whole change is scaled by {scale:.2g}"
-    reason = (
-        f"{int(tight.sum())} correctors at their limit of ±{settings.setpoint:g} A "
-        f"({name_some(tight, names)}): {effect}"
-    )
+    reason = f"{at_limit(tight, settings, names, bounds)}: {effect}"
     return Verdict(Action.WARN, "setpoint_limit", reason)

@@ -133,14 +133,6 @@ def test_nobody_at_the_port(dead_port: int, tmp_path: Path):
     assert not (tmp_path / "data/policies").exists()
 
 
-def test_limit_above_the_drive_limit(tmp_path: Path):
-    said = refused(*SIM, "--data", tmp_path / "data", ORBITFB_LIMITS__SETPOINT="20")
-    assert said == (
-        "limits.setpoint is 20 A, but 180 correctors have narrower drive limits, "
-        f"{CHANNELS.setpoint_pvs[0]} for one: -18 to 18 A; set limits.setpoint to 18 A or less"
-    )
-
-
 @pytest.mark.parametrize("below", [False, True])
 def test_data_directory_is_a_file(tmp_path: Path, below: bool):
     (tmp_path / "file").write_text("mine")
