@@ -9,8 +9,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
-import numpy as np
-
 from orbitfb.config import AppConfig
 from orbitfb.core import state_files
 from orbitfb.core.errors import ConfigError

@@ -13,9 +13,11 @@ from orbitfb.epics.channels import ChannelGroup, Monitor
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.records import blank_records, stamps_of, usable, wall_time
+from orbitfb.epics.requests import Getter
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.live import check_live
 from orbitfb.physics.places import Ring
+from orbitfb.safety.bounds import narrower
 from orbitfb.startup import SIMULATED, find_ring, servers_of
 
 _PART = "ring"
@@ -110,7 +112,9 @@ def _search(
         found = [_reached(kind, group, where) for kind, group in groups.items()]
         if bpms.connected.any():
             found.append(_fresh(records[bpms.connected].copy(), settings))
-        found.append(_writable(groups["setpoints"]))
+        found += [_writable(groups["setpoints"]), _real(groups["setpoints"])]
+        if groups["setpoints"].connected.any():
+            found.append(_drive_limits(context, groups["setpoints"], config))
     finally:
         for group in groups.values():
             group.forget()
@@ -170,4 +174,32 @@ def _writable(group: ChannelGroup) -> Finding:
         told,
         "ask for write access for this host and user" if read_only else "",
         {"read_only": list(read_only)},
+    )
+
+
+def _real(group: ChannelGroup) -> Finding:
+    """Tell whether the setpoints can hold a current."""
+    wrong = group.not_real
+    return Finding(
+        _PART,
+        "setpoint records",
+        Verdict.FAILED if wrong else Verdict.OK if group.connected.any() else Verdict.SKIPPED,
+        f"{len(wrong)} cannot hold a current: {', '.join(wrong[:_MOST_NAMED])}"
+        if wrong
+        else "all that answer hold real numbers",
+        "name the PVs of the currents [A] in the places table, records of type ao" if wrong else "",
+        {"not_real": list(wrong)},
+    )
+
+
+def _drive_limits(context: Context, group: ChannelGroup, config: AppConfig) -> Finding:
+    """Tell whose drive limits are narrower than ours."""
+    limits = Getter(context, group, config.epics.answer_timeout).limits()
+    told = narrower(config.limits.setpoint, limits, group.names)
+    return Finding(
+        _PART,
+        "drive limits",
+        Verdict.WARNING if told else Verdict.OK,
+        told or f"none is narrower than limits.setpoint = {config.limits.setpoint:g} A",
+        "is that meant? See DRVL and DRVH of these records" if told else "",
     )

@@ -12,6 +12,8 @@ from orbitfb.core.signals import Mask
 from orbitfb.epics.libca import (
     ACCESS_HANDLER,
     CONNECTION_HANDLER,
+    DBR_DOUBLE,
+    DBR_FLOAT,
     DBR_TIME_DOUBLE,
     ECA_NORMAL,
     EVENT_HANDLER,
@@ -26,6 +28,9 @@ from orbitfb.epics.libca import (
     move_memory,
 )
 from orbitfb.epics.records import RECORD
+
+FIELD_TYPES = {0: "text", 1: "a short integer", 3: "an enumeration", 4: "bytes", 5: "an integer"}
+"""Native types that cannot hold a current, by their number in db_access.h."""
 
 ChangeHandler = Callable[[int, bool], None]
 
@@ -103,6 +108,20 @@ class ChannelGroup:
     def read_only(self) -> tuple[str, ...]:
         """The PVs that are connected and may not be written."""
         return self._names_where(self.connected & ~self.writable)
+
+    @property
+    def not_real(self) -> tuple[str, ...]:
+        """The PVs that are connected and hold no real number, each with what it holds."""
+        with self.lock:
+            kinds = {
+                index: int(self._library.ca_field_type(self.handles[index]))
+                for index in np.flatnonzero(self.connected).tolist()
+            }
+        return tuple(
+            f"{self.names[index]} is {FIELD_TYPES.get(kind, f'of type {kind}')}"
+            for index, kind in kinds.items()
+            if kind not in (DBR_FLOAT, DBR_DOUBLE)
+        )
 
     def open(self) -> None:
         """Create all channels and start to search for them."""

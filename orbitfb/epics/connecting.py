@@ -29,7 +29,7 @@ def wait_for_channels(
 
     Raises:
         ConnectError: PVs that did not connect in time, all of them.
-        MachineError: Setpoints that may not be written, all of them.
+        MachineError: Setpoints that may not be written or hold no real number, all of them.
     """
     deadline = clock.monotonic() + settings.connect_timeout
     while any(name not in waived for group in groups for name in group.disconnected):
@@ -49,4 +49,10 @@ def wait_for_channels(
         raise MachineError(
             f"{len(read_only)} of {len(setpoints)} setpoints may not be written:\n{names}\n"
             "Ask for write access for this host and user."
+        )
+    if not_real := setpoints.not_real:
+        names = "\n".join(f"  {name}" for name in not_real)
+        raise MachineError(
+            f"{len(not_real)} of {len(setpoints)} setpoints cannot hold a current:\n{names}\n"
+            "Name the PV of the current [A] in the places table: a record of type ao."
         )

@@ -8,13 +8,17 @@ own are not touched.
 
 import ctypes
 import importlib
+from collections.abc import Callable
 from types import ModuleType
 
 from orbitfb.core.errors import MachineError
 
 ECA_NORMAL = 1
 ECA_TIMEOUT = 80
+ECA_DOUBLED = 200
+"""`ECA_DBLCHNL`: the same PV on several servers."""
 OPERATION_UP = 6
+DBR_FLOAT = 2
 DBR_DOUBLE = 6
 DBR_TIME_DOUBLE = 20
 DBR_CTRL_DOUBLE = 34
@@ -47,9 +51,30 @@ class AccessArguments(ctypes.Structure):
     _fields_ = (("channel", ctypes.c_void_p), ("rights", ctypes.c_uint))
 
 
+class ExceptionArguments(ctypes.Structure):
+    """`struct exception_handler_args`."""
+
+    _fields_ = (
+        ("user", ctypes.c_void_p),
+        ("channel", ctypes.c_void_p),
+        ("type", ctypes.c_long),
+        ("count", ctypes.c_long),
+        ("data", ctypes.c_void_p),
+        ("status", ctypes.c_long),
+        ("operation", ctypes.c_long),
+        ("context", ctypes.c_char_p),
+        ("file", ctypes.c_char_p),
+        ("line", ctypes.c_uint),
+    )
+
+
 EVENT_HANDLER = ctypes.CFUNCTYPE(None, EventArguments)
 CONNECTION_HANDLER = ctypes.CFUNCTYPE(None, ConnectionArguments)
 ACCESS_HANDLER = ctypes.CFUNCTYPE(None, AccessArguments)
+EXCEPTION_HANDLER = ctypes.CFUNCTYPE(None, ExceptionArguments)
+
+_LONGEST_HOST = 256
+"""Bytes of a host name with its port; DNS allows 253 characters and libca keeps fewer."""
 
 _PRINT_HANDLER = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
 
@@ -105,9 +130,13 @@ def bind(path: str) -> ctypes.CDLL:
         text, pointer, pointer, ctypes.c_uint, ctypes.POINTER(pointer)
     ]  # fmt: skip
     library.ca_clear_channel.argtypes = [pointer]
+    library.ca_add_exception_event.argtypes = [pointer, pointer]
+    library.ca_get_host_name.argtypes = [pointer, ctypes.c_char_p, ctypes.c_uint]
     library.ca_puser.argtypes = [pointer]
     library.ca_puser.restype = pointer
     library.ca_write_access.argtypes = [pointer]
+    library.ca_field_type.argtypes = [pointer]
+    library.ca_field_type.restype = ctypes.c_short
     library.ca_replace_access_rights_event.argtypes = [pointer, pointer]
     library.ca_create_subscription.argtypes = [
         ctypes.c_long, ctypes.c_ulong, pointer, ctypes.c_long, pointer, pointer, pointer
@@ -137,6 +166,11 @@ class Context:
         self.library.ca_replace_printf_handler(_print_nothing)
         # A circuit that breaks is told past that handler, to the terminal; the loop says it itself.
         self.library.eltc(0)
+        self.listeners: list[Callable[[ExceptionArguments], None]] = []
+        """Called with what libca says beside the calls, on its threads."""
+        self._exception_handler = EXCEPTION_HANDLER(self._on_exception)
+        handler = ctypes.cast(self._exception_handler, ctypes.c_void_p)
+        self.check("ca_add_exception_event", self.library.ca_add_exception_event(handler, None))
 
     def attach(self) -> None:
         """Make this the context of the calling thread: `flush` and `pend_io` act on it."""
@@ -168,6 +202,16 @@ class Context:
         """
         if status != ECA_NORMAL:
             raise MachineError(f"{call}: {self.message(status)}")
+
+    def host_of(self, channel: int | None) -> str:
+        """Say which server a channel is connected to, `host:port`."""
+        text = ctypes.create_string_buffer(_LONGEST_HOST)
+        self.library.ca_get_host_name(channel, text, _LONGEST_HOST)
+        return text.value.decode("ascii", "replace")
+
+    def _on_exception(self, arguments: ExceptionArguments) -> None:
+        for listener in self.listeners:
+            listener(arguments)
 
     def destroy(self) -> None:
         """End the context: its channels, subscriptions and threads."""

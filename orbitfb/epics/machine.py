@@ -22,8 +22,10 @@ from orbitfb.epics.inbox import Inbox
 from orbitfb.epics.keeper import Keeper
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
+from orbitfb.epics.put_errors import PutErrors
 from orbitfb.epics.requests import Getter, Putter
 from orbitfb.epics.settings import EpicsSettings
+from orbitfb.safety.bounds import ROUNDING
 from orbitfb.safety.verdict import name_some
 
 MILLIMETRE = 1e-3
@@ -34,8 +36,9 @@ KINDS = ("bpm", "setpoint", "readback", "auxiliary")
 class EpicsMachine:
     """A machine behind Channel Access: `orbitfb.core.ports.Machine`.
 
-    One thread reads. Any thread may write or ask for setpoints. Setpoints that the server itself
-    refuses (drive limits) show in the readback, not here: a put is not acknowledged.
+    One thread reads. Any thread may write or ask for setpoints. A put is not acknowledged: one that
+    the server refuses is told with the next orbit, one that it clips to its drive limits shows when
+    the setpoints are asked for.
 
     An orbit is complete when every connected BPM carries the same stamp, so the IOC must stamp
     the BPMs of a tick alike (or within `stamp_window`) and post each of them at every tick, also
@@ -111,7 +114,7 @@ class EpicsMachine:
     def drive_limits(self) -> NDArray[np.float64]:
         """Drive limits that the server states, shape (m, 2), low and high [A]; NaN: none.
 
-        Read when the setpoints connect, and again after they were away.
+        Read when the setpoints connect, after they were away, and when one is not what was sent.
         """
         return self._drive_limits.copy()
 
@@ -154,16 +157,25 @@ class EpicsMachine:
         snapshot = frame.arrival.snapshot
         orbit = Orbit(snapshot.values * MILLIMETRE, snapshot.valid, snapshot.time)
         auxiliary = self._auxiliary.values(self._inbox.time)
-        away = ~self._setpoints.connected
+        away = ~(self._setpoints.connected & self._setpoints.writable)
         received = frame.arrival.received
         gone = away if away.any() else None
-        left_out = snapshot.left_out
-        return Reading(orbit, frame.readback, auxiliary, received, gone, frame.behind, left_out)
+        return Reading(
+            orbit,
+            frame.readback,
+            auxiliary,
+            received,
+            gone,
+            frame.behind,
+            snapshot.left_out,
+            self._put_errors.take(),
+        )
 
     def setpoints(self) -> Vector:
         """Ask the machine for the absolute setpoints in force, shape (m,) [A].
 
-        The drive limits are asked for as well, if a setpoint was away since they were.
+        The drive limits are asked for as well, if a setpoint was away since they were, or is not
+        what was sent: perhaps they have become narrower.
 
         Raises:
             MachineError: A setpoint does not answer with a finite value; the first are named.
@@ -174,6 +186,9 @@ class EpicsMachine:
         comings, connected = self._comings.copy(), self._setpoints.connected.copy()
         values = self._getter.values()
         known = np.isfinite(values)
+        if (np.abs(values - self._last)[known] > ROUNDING).any():
+            self._limits_due = True
+            self._refresh_limits()
         self._last[known] = values[known]
         self._unread[known & (comings == self._comings)] = False
         if known.all():
@@ -262,6 +277,7 @@ class EpicsMachine:
         )
         self._getter = Getter(context, self._setpoints, self._settings.answer_timeout)
         self._putter = Putter(context, self._setpoints)
+        self._put_errors = PutErrors(context, self._setpoints)
         self._keeper = Keeper(
             context, self._groups, self._settings.reconnect_period, self._after_look
         )

@@ -9,6 +9,7 @@ from orbitfb.core.ports import Machine
 from orbitfb.core.signals import Mask
 from orbitfb.loop import memory as remember
 from orbitfb.loop.memory import LoopMemory, Rules
+from orbitfb.safety.refusals import tolerance_of
 from orbitfb.safety.verdict import name_some
 
 
@@ -19,12 +20,14 @@ class Answer:
     Args:
         memory: With the setpoints that are in force, or none where they are not known.
         trouble: What failed; empty when nothing did.
-        moved: The first correctors of ours whose setpoint is not as believed; empty when all are.
+        other: Correctors of ours whose setpoint is not as believed, shape (m,); None: not known.
+        moved: The first of them that somebody moved, for all one knows; empty when none was.
         known: Whether the setpoints are known.
     """
 
     memory: LoopMemory
     trouble: str = ""
+    other: Mask | None = None
     moved: str = ""
     known: bool = True
 
@@ -50,12 +53,12 @@ def ask_setpoints(machine: Machine, memory: LoopMemory, rules: Rules, away: Mask
             return _unknown(memory, error)
     except MachineError as error:
         return _unknown(memory, error)
-    tolerance = rules.interlocks.readback_tolerance or 0.0
+    tolerance = tolerance_of(rules.interlocks)
     mask = remember.moved(memory, actual, tolerance)
     memory = remember.confirm_setpoints(memory, actual, tolerance)
     if not np.isfinite(actual).all():
         return Answer(memory, "the machine states setpoints that are not finite")
-    return Answer(memory, moved=name_some(mask, rules.channels.correctors))
+    return Answer(memory, other=mask, moved=name_some(mask, rules.channels.correctors))
 
 
 def _unknown(memory: LoopMemory, error: MachineError) -> Answer:

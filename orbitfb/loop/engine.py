@@ -174,7 +174,7 @@ class Engine:
         return checked, missed
 
     def _state_setpoints(self, reading: Reading) -> tuple[LoopMemory, str]:
-        answer = self._asker.ask(self.memory, self._rules, reading.away)
+        answer = self._asker.ask(self.memory, self._rules, reading)
         self.memory, moved = answer.memory, answer.moved
         return self.memory, answer.trouble or (moved and f"setpoints were moved: {moved}")
 

@@ -129,9 +129,14 @@ class Guard:
         drive = None if self._drive_limits is None else self._drive_limits()
         return Bounds.of(limit, correctors, drive)
 
+    @property
+    def response(self) -> Vector | None:
+        """The policy's response matrix, shape (n, m) [m/A]; None: it has none."""
+        return getattr(self.policy, "response", None)
+
     def predict(self, change: Vector) -> Vector | None:
         """Give what a change does to the orbit by the policy's matrix, shape (n,) [m]."""
-        response: Vector | None = getattr(self.policy, "response", None)
+        response = self.response
         return None if response is None else response @ change
 
     def decide(self, checked: Checked, policy_state: Any, lost: Mask) -> Decision:

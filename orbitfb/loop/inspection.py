@@ -18,7 +18,14 @@ from orbitfb.loop.guard import Guard
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked, check
 from orbitfb.safety.bpms import Flaws
-from orbitfb.safety.verdict import Action, Verdict
+from orbitfb.safety.culprit import culprit
+from orbitfb.safety.prediction import Answers
+from orbitfb.safety.refusals import doubtful, judge, settled
+from orbitfb.safety.verdict import Action, Verdict, name_some
+from orbitfb.safety.watch import Growth
+
+RESPONSE = frozenset({"prediction", "divergence"})
+"""Interlocks that blame the response matrix: before they do, the setpoints are asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,16 +40,37 @@ class Asker:
     machine: Machine
     guard: Guard
 
-    def ask(self, memory: LoopMemory, rules: Rules, away: Mask | None) -> Answer:
+    def ask(self, memory: LoopMemory, rules: Rules, reading: Reading) -> Answer:
         """Have the machine state its setpoints; say what keeps from writing.
+
+        A closed loop finds out why a setpoint is not what it sent: a corrector that does not take
+        puts is left out, and has not been moved by anybody.
 
         Args:
             memory: So far.
             rules: Tolerance and names.
-            away: Correctors that cannot be written now, shape (m,); None: none.
+            reading: The orbit of this tick, with readbacks and refusals.
         """
-        answer = ask_setpoints(self.machine, memory, rules, away)
-        return replace(answer, trouble=answer.trouble or self.guard.obstacle())
+        answer = ask_setpoints(self.machine, memory, rules, reading.away)
+        answer = replace(answer, trouble=answer.trouble or self.guard.obstacle())
+        if not answer.known:
+            return answer
+        after, refusals = answer.memory, answer.memory.refusals
+        closed = memory.state is LoopState.CLOSED and self.guard.can_leave_out
+        if closed and answer.other is not None and answer.other.any():
+            judged = judge(
+                answer.other,
+                after.setpoints,
+                memory.setpoints,
+                self.guard.bounds(rules.limits.setpoint, len(after.setpoints)),
+                reading.refused,
+                refusals,
+                reading.received,
+            )
+            refusals = judged.refusals
+            answer = replace(answer, moved=name_some(judged.moved, rules.channels.correctors))
+        refusals = settled(refusals, reading.readback, after.setpoints)
+        return replace(answer, memory=replace(after, refusals=refusals))
 
 
 def mine_of(guard: Guard, memory: LoopMemory) -> Mask:
@@ -84,7 +112,7 @@ def inspect(
     trouble = moved = ""
     doubt = closing or unknown or given or memory.state is LoopState.HELD
     if doubt:
-        answer = asker.ask(memory, rules, reading.away)
+        answer = asker.ask(memory, rules, reading)
         memory, trouble = answer.memory, answer.trouble
         if given and not unknown:
             moved = answer.moved
@@ -94,23 +122,63 @@ def inspect(
     def checked_with(memory: LoopMemory) -> Checked:
         return check(reading, memory, rules, flaws, movable, guard.can_leave_out)
 
+    slow = False
+    if not doubt:
+        slow, refusals = doubtful(
+            reading.readback, memory.recent, mine, memory.refusals, rules.interlocks
+        )
+        memory = replace(memory, refusals=refusals)
     checked = checked_with(memory)
     seen = memory.seen
     if not doubt:
         sudden = bool((checked.off & mine).any()) or _back(memory, reading, may)
+        sudden = sudden or any(mine[index] for index in reading.refused)
+        sudden = sudden or slow or (closed and checked.verdict.cause in RESPONSE)
         strays, seen = _strayed(checked.off & ~may, reading.readback, memory.seen, rules)
         if sudden or strays or _back(memory, reading, ~may):
-            answer = asker.ask(memory, rules, reading.away)
+            answer = asker.ask(memory, rules, reading)
             if sudden or answer.known:  # what is not ours holds nobody
                 memory, trouble, moved = answer.memory, answer.trouble, answer.moved
                 if moved:
                     memory = comeback.stop(memory, f"setpoints were moved: {moved}")
                 checked = checked_with(memory)
+        blamed = _blame(guard, memory, reading, checked, rules, mine)
+        if blamed is not None:
+            memory = blamed
+            checked = checked_with(memory)
     if closed and moved:
         trouble = f"setpoints were moved by somebody else: {moved}"
     if trouble and checked.verdict.action < Action.HOLD:
         checked = replace(checked, verdict=Verdict(Action.HOLD, "setpoints", trouble))
     return replace(checked, memory=replace(checked.memory, seen=seen))
+
+
+def _blame(
+    guard: Guard,
+    memory: LoopMemory,
+    reading: Reading,
+    checked: Checked,
+    rules: Rules,
+    mine: Mask,
+) -> LoopMemory | None:
+    """Before the response is called wrong, see whether one corrector explains what is seen.
+
+    Returns:
+        The memory of a loop that leaves it out and expects the answer of the others from now on;
+        None: there is nothing to explain, or no one that does.
+    """
+    response = guard.response
+    wrong = checked.verdict.action is Action.TRIP and checked.verdict.cause == "prediction"
+    if not wrong or response is None or not guard.can_leave_out:
+        return None
+    orbit = reading.orbit
+    index = culprit(orbit.position, checked.valid, memory.answers, response, mine, rules.interlocks)
+    if index is None:
+        return None
+    why = "the orbit does not answer to it as the response matrix says, but to the others"
+    found = {**memory.refusals.found, index: why}
+    refusals = replace(memory.refusals, found=found)
+    return replace(memory, answers=Answers(), growth=Growth(), refusals=refusals)
 
 
 def _back(memory: LoopMemory, reading: Reading, among: Mask) -> bool:

@@ -15,6 +15,7 @@ from orbitfb.safety.bpms import BpmMemory
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.safety.prediction import Answers
+from orbitfb.safety.refusals import Refusals
 from orbitfb.safety.watch import Growth, LastOrbit, Rise
 
 
@@ -90,6 +91,7 @@ class LoopMemory:
             not looked at yet. The others belong to whoever sets them.
         seen: Readback of each of the others when its setpoint was last asked for, shape (m,)
             [A]; NaN or None: not asked for.
+        refusals: Correctors whose puts do not stay.
     """
 
     state: LoopState
@@ -116,6 +118,7 @@ class LoopMemory:
     recloses: bool = True
     mine: Mask | None = None
     seen: Vector | None = None
+    refusals: Refusals = field(default_factory=Refusals)
 
     @property
     def setpoints(self) -> Vector:
@@ -167,6 +170,7 @@ def confirm_setpoints(memory: LoopMemory, actual: Vector, tolerance: float) -> L
     if moved(memory, actual, tolerance).any():
         off = np.zeros_like(memory.off)
         sent = replace(memory.sent, change=None)
+        memory = replace(memory, answers=Answers(), growth=Growth())
         return replace(memory, recent=(actual,), off=off, well=None, sent=sent)
     before, well = memory.recent[1:], memory.well
     if memory.mine is not None and not memory.mine.all():
@@ -209,6 +213,7 @@ def move(memory: LoopMemory, event: Event, reason: str, now: float, recloses: bo
     if after in (LoopState.OPEN, LoopState.SHADOW):
         sent = replace(memory.sent, change=None)
         memory = replace(memory, lost=np.zeros_like(memory.lost), well=None, way=None, sent=sent)
+        memory = replace(memory, refusals=Refusals())
     if after is LoopState.CLOSED:
         return replace(memory, growth=Growth(), rise=Rise())
     if after is LoopState.HELD:

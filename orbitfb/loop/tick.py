@@ -93,8 +93,8 @@ def check(
         error = np.where(valid, error, 0.0)
     rms, largest = _size(error, int(np.count_nonzero(valid)))
     fresh, last = watch.repeated(reading.orbit, valid, memory.last, settings)
-    planes, told = len(names.planes), reading.left_out
-    quota = bpm_quota(valid, settings, names.bpms, rules.counting, flaws, planes, told)
+    planes, left_out = len(names.planes), reading.left_out
+    quota = bpm_quota(valid, settings, names.bpms, rules.counting, flaws, planes, left_out)
     unknown = Action.TRIP if closed else Action.HOLD
     active = closed or memory.state is LoopState.HELD
     before = memory.current if active else float("nan")
@@ -113,6 +113,7 @@ def check(
     if not closed:
         answers = idle(reading.orbit.position, valid, answers)
     off = interlocks.not_following(reading.readback, memory.recent, settings)
+    told, refusing = _refusing(reading, memory, movable)
     away = reading.away
     if away is not None:
         off = off | away
@@ -128,7 +129,10 @@ def check(
         leaves_out=leaves_out,
         away=away if away is None or movable is None else away & movable,
         sure=memory.sure,
+        told=told,
+        refusing=refusing,
     )
+    causes = {index: why for index, why in told.items() if following.lost[index]}
     sound = worst(fresh, quota, current, following.verdict)
     after = replace(
         memory,
@@ -142,8 +146,19 @@ def check(
         # Not known for a while, as after a restart of the IOC: compared with what it was before.
         current=before if np.isnan(now) else now,
         away=away,
+        refusals=replace(memory.refusals, causes=causes, found={}),
     )
     return Checked(error, valid, rms, off, worst(sound, *verdicts), sound, after)
+
+
+def _refusing(
+    reading: Reading, memory: LoopMemory, movable: Mask | None
+) -> tuple[dict[int, str], Mask]:
+    """Collect what is known of correctors that do not take puts, and which they are, shape (m,)."""
+    found = {**reading.refused, **memory.refusals.found}
+    mask = np.zeros(memory.lost.shape, dtype=np.bool_)
+    mask[list(found)] = True
+    return {**memory.refusals.causes, **found}, mask if movable is None else mask & movable
 
 
 def _size(error: Vector, count: int) -> tuple[float, float]:

@@ -5,7 +5,6 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from orbitfb.safety.bounds import Bounds
 from orbitfb.config import AppConfig
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import MeasurementError
@@ -17,6 +16,7 @@ from orbitfb.measure.measurement import conditions
 from orbitfb.measure.mover import Mover, restore_persistently
 from orbitfb.measure.watch import Watch
 from orbitfb.physics.optics import Matrix
+from orbitfb.safety.bounds import Bounds
 
 Say = Callable[[str], None]
 
@@ -75,7 +75,8 @@ def put_back(
             first = int(beyond.argmax())
             raise MeasurementError(
                 f"{found}\n{moved.setpoint_pvs[first]} was beyond its limits "
-                f"({low[first]:g} to {high[first]:g} A: limits.setpoint, drive limits), so that nothing is moved; put the setpoints back by hand and say "
+                f"({low[first]:g} to {high[first]:g} A: limits.setpoint, drive limits), so that "
+                "nothing is moved; put the setpoints back by hand and say "
                 "--leave"
             )
         step = moved.setpoints - mover.base[mine]

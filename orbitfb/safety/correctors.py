@@ -1,6 +1,6 @@
 """Correctors that do not do what they are told: left out, and too many of them trip."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +41,8 @@ def follow(
     leaves_out: bool = True,
     away: Mask | None = None,
     sure: NDArray[np.int64] | None = None,
+    told: Mapping[int, str] | None = None,
+    refusing: Mask | None = None,
 ) -> Following:
     """Leave out what does not follow its setpoint for some ticks in a row.
 
@@ -57,22 +59,26 @@ def follow(
         away: Those whose setpoint cannot be written, shape (m,): left out at once; None: none.
         sure: Ticks in a row so far in which it did not follow, was there and its readback known,
             shape (m,); None: none. One that is back has not done anything wrong yet.
+        told: Why some do not follow, by index.
+        refusing: Those that do not take what is put to them, shape (m,): left out at once; None:
+            none.
     """
+    refusing = np.zeros_like(off) if refusing is None else refusing & ~lost
     gone = np.zeros_like(off) if away is None else away & ~lost
-    off = off | gone
+    off = off | gone | refusing
     known = off & ~gone & np.isfinite(readback)
     sure = np.where(known, 1 if sure is None else sure + 1, 0)
     ticks = settings.readback_ticks if acting else 1
     verdict, counts = not_yet(off & ~lost, counts, ticks, names)
     if not acting or not leaves_out:
         return Following(verdict, counts, lost, sure)
-    new = (counts >= ticks) | gone
+    new = (counts >= ticks) | gone | refusing
     out = lost | new
     count = int(np.count_nonzero(out))
     if count > settings.max_lost_correctors and new.any():
-        absent = bool((new & (sure < ticks)).any())
+        absent = bool((new & ~(refusing & ~gone) & (sure < ticks)).any())
         reason = (
-            f"{count} correctors do not follow their setpoint: {name_some(out, names)}; "
+            f"{count} correctors do not follow their setpoint: {name_some(out, names, told=told)}; "
             f"allowed: {settings.max_lost_correctors}"
         )
         action = Action.HOLD if absent else Action.TRIP  # an IOC that is away may come back
@@ -81,5 +87,7 @@ def follow(
         return Following(Verdict(Action.HOLD, "readback", verdict.reason), counts, out, sure)
     if not out.any():
         return Following(verdict, counts, out, sure)
-    reason = f"{count} correctors do not follow and are left out: {name_some(out, names)}"
+    reason = (
+        f"{count} correctors do not follow and are left out: {name_some(out, names, told=told)}"
+    )
     return Following(Verdict(Action.WARN, "readback", reason), counts, out, sure)

@@ -1,6 +1,6 @@
 """What a check says: fine, say so, do not act on this orbit, hold the loop, trip it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -52,15 +52,21 @@ def worst(*verdicts: Verdict) -> Verdict:
     return max(verdicts, key=lambda verdict: verdict.action, default=FINE)
 
 
-def name_some(mask: Mask, names: Sequence[str], at_most: int = 5) -> str:
+def name_some(
+    mask: Mask, names: Sequence[str], at_most: int = 5, told: Mapping[int, str] | None = None
+) -> str:
     """List the first names under a mask, and how many more there are.
 
     Args:
         mask: Shape (m,).
         names: m names; when empty, the indices stand in for them.
         at_most: How many are spelt out.
+        told: What there is to say of some, by index.
     """
-    where = [int(index) for index in np.flatnonzero(mask)]
-    shown = [names[index] if names else f"#{index}" for index in where[:at_most]]
+    where, told = [int(index) for index in np.flatnonzero(mask)], told or {}
+    shown = [
+        (names[index] if names else f"#{index}") + (f" ({told[index]})" if index in told else "")
+        for index in where[:at_most]
+    ]
     more = len(where) - len(shown)
     return ", ".join(shown) + (f" and {more} more" if more else "")

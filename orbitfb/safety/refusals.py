@@ -1,0 +1,149 @@
+"""Setpoints that are not what was sent: clipped, refused, taken back, or moved by somebody.
+
+A put is not acknowledged, so what became of it shows in the readback, in a refusal that the server
+tells, and in the setpoints that the machine states when it is asked. One corrector whose puts do
+not stay must not pass for a wrong response matrix, nor stop the others: it is left out with its
+cause. What happened once, without a cause, was somebody's hand: the loop holds.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.safety.bounds import Bounds
+from orbitfb.safety.interlocks import InterlockSettings
+
+FORGIVEN = 30.0
+"""Time after which a setpoint that was not what was sent counts no longer [s]. What takes setpoints
+back does so at its scan, every 10 s at most in EPICS base: three of these."""
+
+STRAY = 0.1
+"""Share of `readback_tolerance` by which a setpoint may differ from what was sent. A tenth of 0.1 A
+is the last digit of a 12 bit converter over ±20 A; what is less is rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refusals:
+    """What is remembered of correctors whose puts do not stay.
+
+    Args:
+        missed: When the setpoint of each was not what was sent, monotonic [s], shape (m,); None:
+            never.
+        found: Correctors that were found not to take puts, with the cause, by index; they have yet
+            to be left out.
+        causes: Why correctors were left out, by index.
+        offset: Readback less setpoint when the setpoints were known last, shape (m,) [A]; NaN where
+            not known; None: nowhere.
+        beyond: Orbits in a row at which the readback of each said otherwise, shape (m,).
+    """
+
+    missed: Vector | None = None
+    found: Mapping[int, str] = field(default_factory=dict[int, str])
+    causes: Mapping[int, str] = field(default_factory=dict[int, str])
+    offset: Vector | None = None
+    beyond: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What became of the setpoints that are not what was sent.
+
+    Args:
+        moved: Those that somebody moved, for all one knows, shape (m,).
+        refusals: What to remember.
+    """
+
+    moved: Mask
+    refusals: Refusals
+
+
+def tolerance_of(settings: InterlockSettings) -> float:
+    """Give by how much a setpoint may differ from what was sent [A]."""
+    return STRAY * (settings.readback_tolerance or 0.0)
+
+
+def judge(
+    other: Mask,
+    stated: Vector,
+    sent: Vector,
+    bounds: Bounds,
+    told: Mapping[int, str],
+    refusals: Refusals,
+    now: float,
+) -> Judged:
+    """Say why setpoints are not what was sent.
+
+    One that lies at a drive limit, which what was sent is beyond, was clipped: the limit holds from
+    now on, and nothing is wrong. One whose put was refused, or that is not what was sent for the
+    second time, does not take puts.
+
+    Args:
+        other: Setpoints of ours that are not what was sent, shape (m,).
+        stated: What the machine states, shape (m,) [A].
+        sent: What was sent, shape (m,) [A].
+        bounds: Where they may be, with the drive limits as they are now.
+        told: Puts that the server refused, by index.
+        refusals: So far.
+        now: Monotonic [s].
+    """
+    edge = np.where(sent > bounds.high, bounds.high, bounds.low)
+    beyond = (sent > bounds.high) | (sent < bounds.low)
+    near = np.abs(stated - edge) <= 1e-3 * np.maximum(np.abs(edge), 1.0)
+    clipped = other & bounds.drive & beyond & near
+    before = np.full(len(sent), -np.inf) if refusals.missed is None else refusals.missed
+    again = now - before <= FORGIVEN
+    named = np.zeros_like(other)
+    named[list(told)] = True
+    refused = other & ~clipped & (again | named)
+    found = dict(refusals.found)
+    for index in np.flatnonzero(refused).tolist():
+        seen = f"reads {stated[index]:.4g} A after {sent[index]:.4g} A was sent"
+        found[index] = f"{told[index]}, {seen}" if index in told else f"does not keep puts: {seen}"
+    moved = other & ~clipped & ~refused
+    missed = np.where(other & ~clipped, now, before)
+    return Judged(moved, replace(refusals, missed=missed, found=found))
+
+
+def settled(refusals: Refusals, readback: Vector, setpoints: Vector) -> Refusals:
+    """Remember how readbacks differ from setpoints that the machine has just stated.
+
+    Args:
+        refusals: So far.
+        readback: Shape (m,) [A]; NaN where none is known.
+        setpoints: As stated, shape (m,) [A].
+    """
+    return replace(refusals, offset=readback - setpoints, beyond=None)
+
+
+def doubtful(
+    readback: Vector,
+    recent: tuple[Vector, ...],
+    ours: Mask,
+    refusals: Refusals,
+    settings: InterlockSettings,
+) -> tuple[bool, Refusals]:
+    """Say whether readbacks tell of setpoints that are not what was sent, too little for a fault.
+
+    Args:
+        readback: Shape (m,) [A]; NaN where none is known.
+        recent: Setpoints in force at this orbit and at the ones before, newest first [A].
+        ours: Correctors that the loop moves, shape (m,).
+        refusals: So far.
+        settings: Thresholds.
+
+    Returns:
+        Whether to ask for the setpoints, and what to remember.
+    """
+    if refusals.offset is None or settings.readback_tolerance is None:
+        return False, refusals
+    low = high = recent[0]
+    for earlier in recent[1 : settings.readback_lag + 1]:
+        low, high = np.minimum(low, earlier), np.maximum(high, earlier)
+    at, tolerance = readback - refusals.offset, tolerance_of(settings)
+    off = ours & ((at < low - tolerance) | (at > high + tolerance))  # False where not known
+    counts = np.where(off, 1 if refusals.beyond is None else refusals.beyond + 1, 0)
+    asks = bool((counts >= settings.readback_ticks + settings.readback_lag).any())
+    return asks, replace(refusals, beyond=counts)
