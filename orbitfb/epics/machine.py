@@ -345,5 +345,6 @@ def _waived(channels: Channels, counting: Mask | None, movable: Mask | None) -> 
     if counting is not None:
         names |= {channels.orbit_pvs[index] for index in np.flatnonzero(~counting)}
     if movable is not None:
-        names |= {channels.readback_pvs[index] for index in np.flatnonzero(~movable)}
+        masked = np.flatnonzero(~movable)
+        names |= {channels.readback_pvs[index] for index in masked}
     return frozenset(names)
