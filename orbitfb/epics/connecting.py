@@ -25,18 +25,19 @@ def wait_for_channels(
         setpoints: The group among them that is written to.
         settings: How long to wait, and what to name in the advice.
         clock: Clock that says when the time is over.
-        waived: PVs that need not be there, nor be written: the loop does not use them.
+        waived: PVs that need not be there, or, of setpoints, that need not be writable: the loop
+            does not use them.
 
     Raises:
         ConnectError: PVs that did not connect in time, all of them.
         MachineError: Setpoints that may not be written or hold no real number, all of them.
     """
     deadline = clock.monotonic() + settings.connect_timeout
-    while any(name not in waived for group in groups for name in group.disconnected):
+    while _missing(groups, setpoints, waived):
         if clock.monotonic() >= deadline:
             break
         time.sleep(LOOK_EVERY)
-    missing = [name for group in groups for name in group.disconnected if name not in waived]
+    missing = _missing(groups, setpoints, waived)
     if missing:
         total = sum(len(group) for group in groups)
         advice = (
@@ -56,3 +57,15 @@ def wait_for_channels(
             f"{len(not_real)} of {len(setpoints)} setpoints cannot hold a current:\n{names}\n"
             "Name the PV of the current [A] in the places table: a record of type ao."
         )
+
+
+def _missing(
+    groups: Sequence[ChannelGroup], setpoints: ChannelGroup, waived: Collection[str]
+) -> list[str]:
+    """List the PVs that are needed and away; every setpoint is needed, as records tell it."""
+    return [
+        name
+        for group in groups
+        for name in group.disconnected
+        if group is setpoints or name not in waived
+    ]

@@ -337,14 +337,12 @@ class EpicsMachine:
 
 
 def _waived(channels: Channels, counting: Mask | None, movable: Mask | None) -> frozenset[str]:
-    """PVs of masked devices: they need not be there at the start.
-
-    The setpoint of a masked corrector must be read, as every record tells where it is.
-    """
+    """PVs of masked devices: they need not be there at the start, nor be writable."""
     names: set[str] = set()
     if counting is not None:
         names |= {channels.orbit_pvs[index] for index in np.flatnonzero(~counting)}
     if movable is not None:
         masked = np.flatnonzero(~movable)
         names |= {channels.readback_pvs[index] for index in masked}
+        names |= {channels.setpoint_pvs[index] for index in masked}
     return frozenset(names)

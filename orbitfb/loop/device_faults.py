@@ -77,6 +77,33 @@ DEVICE_FAULTS = (
         ),
     ),
     Fault(
+        "a corrector does not take puts: refused by its server, without write access, or taken "
+        "back again and again",
+        "refusals are heard, setpoints asked for when readbacks tell otherwise and before the "
+        "response is called wrong; left out with its cause, the others take over; what is not as "
+        "it was sent for the first time, without a cause, holds the loop as somebody's hand",
+        (_CLOSED, _HELD),
+        ("interlocks.readback_tolerance", "interlocks.max_lost_correctors"),
+        (
+            "test_a_corrector_that_does_not_take_puts_is_left_out_and_named",
+            "test_a_put_that_the_server_refuses_is_heard_once",
+            "test_what_an_operator_moves_once_still_holds_and_names_it",
+            "test_a_setpoint_that_was_away_is_not_written_before_it_is_read",
+        ),
+    ),
+    Fault(
+        "drive limits of a corrector are narrower than ours, or become so",
+        "they hold for that corrector, which leaves the solution when it is there; a setpoint "
+        "beyond them is not put, as it would jump",
+        (_CLOSED,),
+        ("limits.setpoint",),
+        (
+            "test_drive_limits_narrowed_at_run_time_hold_for_their_corrector",
+            "test_one_narrow_supply_shortens_the_change_and_is_named_with_its_limits",
+            "test_a_setpoint_beyond_a_drive_limit_is_not_put_as_it_would_jump",
+        ),
+    ),
+    Fault(
         "somebody sets a corrector that is disabled, masked or left out",
         "nothing is put there, so that it stays; when it is given to the loop, that reads its "
         "setpoint first and goes on from there in limited steps",

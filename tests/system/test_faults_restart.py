@@ -1,6 +1,5 @@
 """What was away is asked for everything before it is written to again."""
 
-import time
 from dataclasses import replace
 from pathlib import Path
 

@@ -4,9 +4,20 @@ import numpy as np
 import pytest
 from fake_libca import Bench
 
-from orbitfb.core.errors import MachineError, WriteError
+from orbitfb.core.errors import ConnectError, MachineError, WriteError
 from orbitfb.epics.connecting import wait_for_channels
 from orbitfb.epics.settings import EpicsSettings
+
+
+class Late:
+    """A clock on which the time is always over."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def monotonic(self):
+        self.now += 1.0
+        return self.now
 
 
 @pytest.fixture
@@ -89,3 +100,7 @@ def test_masked_devices_are_not_waited_for_at_the_start(bench):
         wait_for_channels(machine._groups, machine._setpoints, settings, clock)
     machine._groups[0].connected[1] = False
     wait_for_channels(machine._groups, machine._setpoints, settings, clock, ("COR0", "BPM1"))
+    machine._setpoints.connected[0] = False  # where it is must be known all the same
+    brief = EpicsSettings(connect_timeout=1e-9)
+    with pytest.raises(ConnectError, match="1 of 11 PVs"):
+        wait_for_channels(machine._groups, machine._setpoints, brief, Late(), ("COR0", "BPM1"))
