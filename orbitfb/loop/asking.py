@@ -6,10 +6,10 @@ import numpy as np
 
 from orbitfb.core.errors import AwayError, MachineError
 from orbitfb.core.ports import Machine
-from orbitfb.core.signals import Mask
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.loop import memory as remember
 from orbitfb.loop.memory import LoopMemory, Rules
-from orbitfb.safety.refusals import tolerance_of
+from orbitfb.safety.refusals import closely, tolerance_of
 from orbitfb.safety.verdict import name_some
 
 
@@ -32,7 +32,13 @@ class Answer:
     known: bool = True
 
 
-def ask_setpoints(machine: Machine, memory: LoopMemory, rules: Rules, away: Mask | None) -> Answer:
+def ask_setpoints(
+    machine: Machine,
+    memory: LoopMemory,
+    rules: Rules,
+    away: Mask | None,
+    response: Vector | None = None,
+) -> Answer:
     """Have the machine state its setpoints.
 
     Those that are known to be away, or are not ours, are left out of the loop: what they were
@@ -43,6 +49,8 @@ def ask_setpoints(machine: Machine, memory: LoopMemory, rules: Rules, away: Mask
         memory: So far.
         rules: Tolerance and names.
         away: Correctors that cannot be written now, shape (m,); None: none.
+        response: R, shape (n, m) [m/A], if it is about to be called wrong: one setpoint that is
+            off by little might explain that; None: it is not.
     """
     try:
         actual = np.array(machine.setpoints(), dtype=np.float64)
@@ -53,7 +61,10 @@ def ask_setpoints(machine: Machine, memory: LoopMemory, rules: Rules, away: Mask
             return _unknown(memory, error)
     except MachineError as error:
         return _unknown(memory, error)
-    tolerance = tolerance_of(rules.interlocks)
+    tolerance: float | Vector = tolerance_of(rules.interlocks)
+    if response is not None:
+        close = closely(actual - memory.setpoints, response, rules.interlocks)
+        tolerance = np.minimum(tolerance, close)
     mask = remember.moved(memory, actual, tolerance)
     memory = remember.confirm_setpoints(memory, actual, tolerance)
     if not np.isfinite(actual).all():

@@ -40,7 +40,9 @@ class Asker:
     machine: Machine
     guard: Guard
 
-    def ask(self, memory: LoopMemory, rules: Rules, reading: Reading) -> Answer:
+    def ask(
+        self, memory: LoopMemory, rules: Rules, reading: Reading, doubted: bool = False
+    ) -> Answer:
         """Have the machine state its setpoints; say what keeps from writing.
 
         A closed loop finds out why a setpoint is not what it sent: a corrector that does not take
@@ -50,13 +52,15 @@ class Asker:
             memory: So far.
             rules: Tolerance and names.
             reading: The orbit of this tick, with readbacks and refusals.
+            doubted: Whether the response is about to be called wrong.
         """
-        answer = ask_setpoints(self.machine, memory, rules, reading.away)
+        response = self.guard.response if doubted else None
+        answer = ask_setpoints(self.machine, memory, rules, reading.away, response)
         answer = replace(answer, trouble=answer.trouble or self.guard.obstacle())
         if not answer.known:
             return answer
         after, refusals = answer.memory, answer.memory.refusals
-        closed = memory.state is LoopState.CLOSED and self.guard.can_leave_out
+        closed = memory.state is LoopState.CLOSED
         if closed and answer.other is not None and answer.other.any():
             judged = judge(
                 answer.other,
@@ -66,8 +70,12 @@ class Asker:
                 reading.refused,
                 refusals,
                 reading.received,
+                rules.interlocks,
             )
-            refusals = judged.refusals
+            if self.guard.can_leave_out:
+                refusals = judged.refusals
+            else:  # one that does not take puts holds the loop, as somebody's hand does
+                judged.moved[list(judged.refusals.found)] = True
             answer = replace(answer, moved=name_some(judged.moved, rules.channels.correctors))
         refusals = settled(refusals, reading.readback, after.setpoints)
         return replace(answer, memory=replace(after, refusals=refusals))
@@ -133,10 +141,11 @@ def inspect(
     if not doubt:
         sudden = bool((checked.off & mine).any()) or _back(memory, reading, may)
         sudden = sudden or any(mine[index] for index in reading.refused)
-        sudden = sudden or slow or (closed and checked.verdict.cause in RESPONSE)
+        doubted = closed and checked.verdict.cause in RESPONSE
+        sudden = sudden or slow or doubted
         strays, seen = _strayed(checked.off & ~may, reading.readback, memory.seen, rules)
         if sudden or strays or _back(memory, reading, ~may):
-            answer = asker.ask(memory, rules, reading)
+            answer = asker.ask(memory, rules, reading, doubted)
             if sudden or answer.known:  # what is not ours holds nobody
                 memory, trouble, moved = answer.memory, answer.trouble, answer.moved
                 if moved:

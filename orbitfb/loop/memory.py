@@ -155,7 +155,7 @@ def first_memory(start: LoopState, rules: Rules, policy_state: Any, now: float) 
     )
 
 
-def confirm_setpoints(memory: LoopMemory, actual: Vector, tolerance: float) -> LoopMemory:
+def confirm_setpoints(memory: LoopMemory, actual: Vector, tolerance: float | Vector) -> LoopMemory:
     """Take setpoints as the machine states them.
 
     What was sent before still explains a readback on its way, unless a setpoint is not what
@@ -165,7 +165,7 @@ def confirm_setpoints(memory: LoopMemory, actual: Vector, tolerance: float) -> L
     Args:
         memory: So far.
         actual: In force, shape (m,) [A].
-        tolerance: Largest difference that is none [A].
+        tolerance: Largest difference that is none, for all or shape (m,) [A].
     """
     if moved(memory, actual, tolerance).any():
         off = np.zeros_like(memory.off)
@@ -179,7 +179,7 @@ def confirm_setpoints(memory: LoopMemory, actual: Vector, tolerance: float) -> L
     return replace(memory, recent=(actual, *before), well=well)
 
 
-def moved(memory: LoopMemory, actual: Vector, tolerance: float) -> Mask:
+def moved(memory: LoopMemory, actual: Vector, tolerance: float | Vector) -> Mask:
     """Find the setpoints of ours that are not what they were believed to be, shape (m,)."""
     other = ~(np.abs(actual - memory.setpoints) <= tolerance)
     return other if memory.mine is None else other & memory.mine

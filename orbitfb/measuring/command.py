@@ -120,7 +120,7 @@ def measure_response(
         timeout = max(1.0, 5.0 * config.loop.period)
         watch = Watch(machine, config.measure, config.interlocks, counting, timeout, stop.asked)
         put_back(
-            machine, nominal, journal, where, watch, config, bounds, request.restore, say, confirm
+            machine, nominal, journal, where, watch, config, request.restore, say, confirm, bounds
         )
         table = taken_up(journal, channels, config, request.fresh, begin, say)
         measurement = Measurement(

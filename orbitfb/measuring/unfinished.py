@@ -28,10 +28,10 @@ def put_back(
     where: str,
     watch: Watch,
     config: AppConfig,
-    bounds: Bounds,
     restore: bool | None,
     say: Say,
     confirm: Callable[[str], bool] | None,
+    bounds: Bounds | None = None,
 ) -> None:
     """Offer to put back what a killed measurement left astray.
 
@@ -49,6 +49,7 @@ def put_back(
             f"planes, or put them back by hand and remove {journal.directory / 'moved.json'}"
         )
     mine = np.array([pvs.index(name) for name in moved.setpoint_pvs])
+    bounds = bounds or Bounds.of(config.limits.setpoint, len(pvs))
     mover = Mover(machine, config.limits, watch, config.measure.same_setpoint, bounds)
     away = np.abs(mover.base[mine] - moved.setpoints) > config.measure.same_setpoint
     if not away.any():
@@ -74,8 +75,8 @@ def put_back(
         if beyond.any():
             first = int(beyond.argmax())
             raise MeasurementError(
-                f"{found}\n{moved.setpoint_pvs[first]} was beyond its limits "
-                f"({low[first]:g} to {high[first]:g} A: limits.setpoint, drive limits), so that "
+                f"{found}\n{moved.setpoint_pvs[first]} was beyond limits.setpoint or its drive "
+                f"limits ({low[first]:g} to {high[first]:g} A), so that "
                 "nothing is moved; put the setpoints back by hand and say "
                 "--leave"
             )

@@ -25,6 +25,11 @@ STRAY = 0.1
 is the last digit of a 12 bit converter over ±20 A; what is less is rounding."""
 
 
+ALONE = 3.0
+"""How many times the median a difference must be to stand out: rounding is spread evenly, so that
+its largest is twice its median."""
+
+
 @dataclass(frozen=True, slots=True)
 class Refusals:
     """What is remembered of correctors whose puts do not stay.
@@ -37,7 +42,8 @@ class Refusals:
         causes: Why correctors were left out, by index.
         offset: Readback less setpoint when the setpoints were known last, shape (m,) [A]; NaN where
             not known; None: nowhere.
-        beyond: Orbits in a row at which the readback of each said otherwise, shape (m,).
+        beyond: Twice the orbits at which the readback of each said otherwise, less those at which
+            it did not since, shape (m,).
     """
 
     missed: Vector | None = None
@@ -65,6 +71,25 @@ def tolerance_of(settings: InterlockSettings) -> float:
     return STRAY * (settings.readback_tolerance or 0.0)
 
 
+def closely(differences: Vector, response: Vector, settings: InterlockSettings) -> Vector:
+    """Give by how much each setpoint may differ while the response is about to be called wrong.
+
+    Less than `prediction_floor` at the BPMs cannot explain an answer that was missed; and it is one
+    corrector that is looked for, not the rounding of all.
+
+    Args:
+        differences: Setpoints less what was sent, shape (m,) [A].
+        response: R, shape (n, m) [m/A].
+        settings: Thresholds.
+
+    Returns:
+        Shape (m,) [A].
+    """
+    sizes = np.sqrt(np.mean(response**2, axis=0))
+    telling = settings.prediction_floor / np.maximum(sizes, np.finfo(np.float64).tiny)
+    return np.maximum(telling, ALONE * float(np.median(np.abs(differences))))
+
+
 def judge(
     other: Mask,
     stated: Vector,
@@ -73,12 +98,14 @@ def judge(
     told: Mapping[int, str],
     refusals: Refusals,
     now: float,
+    settings: InterlockSettings,
 ) -> Judged:
     """Say why setpoints are not what was sent.
 
     One that lies at a drive limit, which what was sent is beyond, was clipped: the limit holds from
     now on, and nothing is wrong. One whose put was refused, or that is not what was sent for the
-    second time, does not take puts.
+    second time, does not take puts. Where that happens to more than may be lost at once, it is no
+    single corrector: puts were lost on their way, or somebody sets them all.
 
     Args:
         other: Setpoints of ours that are not what was sent, shape (m,).
@@ -88,22 +115,28 @@ def judge(
         told: Puts that the server refused, by index.
         refusals: So far.
         now: Monotonic [s].
+        settings: Thresholds.
     """
     edge = np.where(sent > bounds.high, bounds.high, bounds.low)
     beyond = (sent > bounds.high) | (sent < bounds.low)
     near = np.abs(stated - edge) <= 1e-3 * np.maximum(np.abs(edge), 1.0)
     clipped = other & bounds.drive & beyond & near
     before = np.full(len(sent), -np.inf) if refusals.missed is None else refusals.missed
-    again = now - before <= FORGIVEN
     named = np.zeros_like(other)
     named[list(told)] = True
-    refused = other & ~clipped & (again | named)
+    unnamed = other & ~clipped & ~named
+    few = int(np.count_nonzero(unnamed)) <= settings.max_lost_correctors
+    again = unnamed & (now - before <= FORGIVEN) & few
+    refused = (other & ~clipped & named) | again
     found = dict(refusals.found)
     for index in np.flatnonzero(refused).tolist():
         seen = f"reads {stated[index]:.4g} A after {sent[index]:.4g} A was sent"
         found[index] = f"{told[index]}, {seen}" if index in told else f"does not keep puts: {seen}"
-    moved = other & ~clipped & ~refused
-    missed = np.where(other & ~clipped, now, before)
+    moved = unnamed & ~again
+    if not few:
+        moved &= np.abs(stated - sent) > (settings.readback_tolerance or 0.0)
+        return Judged(moved, replace(refusals, found=found))
+    missed = np.where(unnamed, now, before)
     return Judged(moved, replace(refusals, missed=missed, found=found))
 
 
@@ -144,6 +177,8 @@ def doubtful(
         low, high = np.minimum(low, earlier), np.maximum(high, earlier)
     at, tolerance = readback - refusals.offset, tolerance_of(settings)
     off = ours & ((at < low - tolerance) | (at > high + tolerance))  # False where not known
-    counts = np.where(off, 1 if refusals.beyond is None else refusals.beyond + 1, 0)
-    asks = bool((counts >= settings.readback_ticks + settings.readback_lag).any())
+    before = np.zeros(off.shape, dtype=np.int64) if refusals.beyond is None else refusals.beyond
+    # One that is taken back every other tick is off at half of them.
+    counts = np.maximum(before + np.where(off, 2, -1), 0)
+    asks = bool((off & (counts >= 2 * (settings.readback_ticks + settings.readback_lag))).any())
     return asks, replace(refusals, beyond=counts)

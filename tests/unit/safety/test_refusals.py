@@ -6,7 +6,15 @@ from orbitfb.safety.bounds import Bounds
 from orbitfb.safety.culprit import culprit
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.prediction import Answers
-from orbitfb.safety.refusals import FORGIVEN, Refusals, doubtful, judge, settled
+from orbitfb.safety.refusals import (
+    FORGIVEN,
+    Refusals,
+    closely,
+    doubtful,
+    judge,
+    settled,
+    tolerance_of,
+)
 
 M = 4
 RULES = InterlockSettings()
@@ -17,7 +25,7 @@ FREE = Bounds.of(10.0, M)
 
 
 def judged(refusals=None, now=0.0, bounds=FREE, told=None):
-    return judge(OTHER, STATED, SENT, bounds, told or {}, refusals or Refusals(), now)
+    return judge(OTHER, STATED, SENT, bounds, told or {}, refusals or Refusals(), now, RULES)
 
 
 def test_what_happened_once_without_a_cause_was_somebody():
@@ -32,6 +40,17 @@ def test_what_happens_twice_is_a_corrector_that_does_not_keep_its_puts():
     assert second.refusals.found == {1: "does not keep puts: reads 0.05 A after 0.31 A was sent"}
     late = judged(first.refusals, now=101.0 + FORGIVEN)
     assert late.moved.any() and not late.refusals.found
+
+
+def test_puts_of_many_that_were_lost_are_no_single_corrector():
+    every, sent, stated = np.ones(M, dtype=bool), np.full(M, 0.05), np.zeros(M)
+    refusals = Refusals()
+    for now in (0.0, 1.0, 2.0):
+        small = judge(every, stated, sent, FREE, {}, refusals, now, RULES)
+        assert not small.moved.any() and not small.refusals.found
+        large = judge(every, stated, 10 * sent, FREE, {}, refusals, now, RULES)
+        assert large.moved.all() and not large.refusals.found
+        refusals = large.refusals
 
 
 def test_a_put_that_the_server_refused_is_no_hand_at_the_setpoint():
@@ -56,10 +75,11 @@ def test_a_readback_that_stays_away_by_little_is_worth_asking_and_noise_is_not()
     ours, recent = np.ones(M, dtype=bool), (np.zeros(M),)
     refusals = settled(Refusals(), np.full(M, 0.03), np.zeros(M))  # its calibration is off
     ticks = RULES.readback_ticks + RULES.readback_lag
-    for sign in (1, -1) * ticks:
+    for sign in (1, -1) * ticks:  # one orbit in four
         asks, refusals = doubtful(np.full(M, 0.03 + 0.02 * sign), recent, ours, refusals, RULES)
-        assert not asks or sign is None
-        _, refusals = doubtful(np.full(M, 0.03), recent, ours, refusals, RULES)
+        assert not asks
+        for _ in range(3):
+            _, refusals = doubtful(np.full(M, 0.03), recent, ours, refusals, RULES)
     told = []
     for _ in range(ticks):
         asks, refusals = doubtful(np.full(M, 0.05), recent, ours, refusals, RULES)
@@ -67,6 +87,22 @@ def test_a_readback_that_stays_away_by_little_is_worth_asking_and_noise_is_not()
     assert told == [False] * (ticks - 1) + [True]
     asks, _ = doubtful(np.full(M, 0.05), recent, ~ours, refusals, RULES)
     assert not asks
+    refusals = settled(Refusals(), np.full(M, 0.03), np.zeros(M))
+    told = []
+    for tick in range(4 * ticks):  # taken back every other tick
+        at = np.full(M, 0.05 if tick % 2 else 0.03)
+        asks, refusals = doubtful(at, recent, ours, refusals, RULES)
+        told.append(asks)
+    assert any(told)
+
+
+def test_before_the_response_is_called_wrong_one_small_difference_counts_and_rounding_does_not():
+    alone = np.array([0.0, 0.0094, 0.0, 0.0])
+    response = np.full((5, M), 1.2e-3)
+    assert (np.abs(alone) <= tolerance_of(RULES)).all()
+    assert (np.abs(alone) > closely(alone, response, RULES)).tolist() == [False, True, False, False]
+    rounding = np.array([0.004, -0.002, 0.003, -0.0049])  # the last digit of a coarse converter
+    assert not (np.abs(rounding) > closely(rounding, response, RULES)).any()
 
 
 N = 30
