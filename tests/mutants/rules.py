@@ -46,8 +46,9 @@ class Mutant:
         return text.replace(self.old, self.new)
 
 
-LIMITS, INTERLOCKS, WATCH = (
+LIMITS, BOUNDS, INTERLOCKS, WATCH = (
     "orbitfb.safety.limits",
+    "orbitfb.safety.bounds",
     "orbitfb.safety.interlocks",
     "orbitfb.safety.watch",
 )
@@ -65,8 +66,8 @@ MUTANTS = (
     Mutant(
         "no setpoint is sent beyond limits.setpoint",
         LIMITS,
-        "initial=0.0)) <= settings.setpoint:",
-        "initial=0.0)) <= 2 * settings.setpoint:",
+        "(target >= bounds.low) & (target <= bounds.high)",
+        "(target >= bounds.low) | (target <= bounds.high)",
         ("safety/test_limits.py",),
     ),
     Mutant(
@@ -78,10 +79,24 @@ MUTANTS = (
     ),
     Mutant(
         "drive limits of the machine that are narrower than ours are told, either of them",
-        LIMITS,
-        "(drive[:, 0] > -limit) | (drive[:, 1] < limit)",
-        "(drive[:, 0] > -limit) & (drive[:, 1] < limit)",
-        ("safety/test_limits.py",),
+        BOUNDS,
+        "(drive[:, 0] > low) | (drive[:, 1] < high)",
+        "(drive[:, 0] > low) & (drive[:, 1] < high)",
+        ("safety/test_bounds.py",),
+    ),
+    Mutant(
+        "drive limits of the machine that are narrower than ours hold for their corrector",
+        BOUNDS,
+        "np.fmax(low, drive[:, 0]), np.fmin(high, drive[:, 1]), narrow",
+        "low, high, narrow",
+        ("safety/test_bounds.py",),
+    ),
+    Mutant(
+        "a setpoint beyond a drive limit is not moved: the machine would have it jump",
+        BOUNDS,
+        "np.where(self.stranded(setpoints), 0.0, np.maximum(room, 0.0))",
+        "np.maximum(room, 0.0)",
+        ("safety/test_bounds.py",),
     ),
     Mutant(
         "a stored current that is not known is not enough",
@@ -296,7 +311,7 @@ MUTANTS = (
     Mutant(
         "what a BPM said before it went away is not taken for what it says now",
         "orbitfb.epics.assembler",
-        '            self.records["severity"][index] = INVALID\n',
+        "            self.records[index] = (0, INVALID, 0, 0, np.nan)\n",
         "            pass\n",
         ("epics/test_assembler.py",),
     ),
