@@ -166,7 +166,7 @@ MUTANTS = (
         BPMS,
         "if invalid > settings.max_invalid_bpms or invalid == wanted:",
         "if invalid == wanted:",
-        ("safety/test_bpms.py",),
+        ("safety/test_interlocks.py",),
     ),
     Mutant(
         "too many invalid BPMs next to each other hold the loop, also where the ring closes",

@@ -57,6 +57,12 @@ def test_limits_on_one_side_of_zero():
     )
 
 
+@pytest.mark.parametrize("drive", [(-5.0, 18.0), (-18.0, 5.0)])
+def test_one_side_that_is_narrower_is_enough(drive):
+    assert Bounds.of(10.0, 1, np.array([drive])).drive.all()
+    assert narrower(10.0, np.array([drive]), ("A",))
+
+
 def test_it_is_told_which_are_narrower():
     assert not narrower(10.0, DRIVE[[0, 0, 2]], NAMES)
     assert narrower(10.0, DRIVE, NAMES) == (

@@ -62,6 +62,11 @@ def test_bpm_quota(invalid, action):
     assert bpm_quota(valid, S).action is action
 
 
+@pytest.mark.parametrize(("rms", "largest"), [(NAN, 0.0), (0.0, NAN)])
+def test_a_distortion_that_is_not_a_number_trips(rms, largest):
+    assert orbit_distortion(rms, largest, S).action is Action.TRIP
+
+
 def test_masked_bpms_do_not_use_up_the_quota():
     counting = np.arange(20) >= 12
     valid = counting.copy()
