@@ -10,6 +10,7 @@ from typing import Any
 import structlog
 
 from orbitfb.core.errors import ControlError, OrbitFeedbackError
+from orbitfb.core.near_names import did_you_mean
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.panel.figures import Figures
 
@@ -73,7 +74,7 @@ class Commands:
             return self._panel()
         handler = self._handlers.get(name, self._handlers[""])
         if name in SILENT:
-            _check(name, request)
+            check_request(request)
             return handler(request)
         who = origin_of(request)
         if name == "refused":
@@ -81,7 +82,7 @@ class Commands:
             return {}
         told = _told(request)
         try:
-            _check(name, request)
+            check_request(request)
             answer = handler(request)
         except OrbitFeedbackError as error:
             self._refused(name, who, told, str(error))
@@ -125,20 +126,26 @@ def origin_of(request: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _check(name: str, request: Mapping[str, Any]) -> None:
+def check_request(request: Mapping[str, Any]) -> None:
     """Refuse what nobody knows: a key that is mistyped must not go unnoticed.
+
+    Args:
+        request: The command and what goes with it.
 
     Raises:
         ControlError: There is no such command, or it does not take all that came with it.
     """
+    name = str(request.get("command"))
     if name in _INSIDE:
         return
     if name not in ARGUMENTS:
-        raise ControlError(f"no command {name!r}; there are {', '.join(ARGUMENTS)}")
+        hint = did_you_mean(name, ARGUMENTS, most=1)
+        raise ControlError(f"no command {name!r}{hint}; there are {', '.join(ARGUMENTS)}")
     known = ARGUMENTS[name]
     if unknown := sorted({str(key) for key in request} - _WITH_ALL - set(known)):
         takes = f"takes {', '.join(known)} only" if known else "takes nothing with it"
-        raise ControlError(f"{name} {takes}: {', '.join(unknown)} is unknown")
+        told = ", ".join(key + did_you_mean(key, known, most=1) for key in unknown)
+        raise ControlError(f"{name} {takes}: {told} is unknown")
 
 
 def _told(request: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,6 @@ A key that nobody knows or a value of the wrong type is refused with its path an
 came from.
 """
 
-import difflib
 import json
 import math
 import os
@@ -22,6 +21,7 @@ from pydantic_core import ErrorDetails
 
 from orbitfb.core.bounded import LARGEST_TEXT, parse_toml, read_text
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.near_names import near_names
 from orbitfb.core.setting_paths import seen_from
 from orbitfb.core.settings import Settings, without
 from orbitfb.diagnose.settings import DiagnoseSettings
@@ -358,7 +358,6 @@ def _did_you_mean(location: list[str]) -> str:
         field = getattr(model, "model_fields", {}).get(part)
         model = field.annotation if field else None
     known = list(getattr(model, "model_fields", {}))
-    close = difflib.get_close_matches(location[-1], known, n=1)
-    if close:
-        return f"; did you mean {close[0]}?"
+    if near := near_names(location[-1], known, most=1):
+        return f"; did you mean {near[0]}?"
     return f"; known here: {', '.join(known)}" if known else ""

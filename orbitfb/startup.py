@@ -12,6 +12,7 @@ from typing import Self
 from orbitfb.config import AppConfig
 from orbitfb.core import state_files
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.ownership import Lock
 from orbitfb.core.signals import Channels, LoopState
 from orbitfb.epics.settings import LOWEST_PORT, EpicsSettings
@@ -26,6 +27,7 @@ from orbitfb.policies.masking import mask_of
 SIMULATED = "sim"
 ENVIRONMENT = "env"
 CONFIGURED = "config"
+_PLACES = (SIMULATED, ENVIRONMENT, CONFIGURED)
 PRODUCTION_PORT = 5064
 """The port of Channel Access that every machine uses unless it says otherwise."""
 
@@ -190,8 +192,8 @@ def servers_of(settings: EpicsSettings) -> list[str]:
             address = socket.gethostbyname(host)
         except (OSError, UnicodeError):
             raise ConfigError(
-                f"the host {host!r}, where PVs are to be searched for, is not known; give a name "
-                "that resolves, or an IPv4 address"
+                f"the host {host!r}{did_you_mean(host, _PLACES)}, where PVs are to be searched "
+                "for, is not known; give a name that resolves, or an IPv4 address"
             ) from None
         servers.append(f"{address}:{port or settings.server_port}")
     return servers

@@ -210,8 +210,10 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Command the running service."""
+    from orbitfb.commands import check_request
     from orbitfb.control import ask
 
-    settings = configure(config_file, data_directory=data)
     request = {**pairs(values or []), "command": name}
+    check_request(request)
+    settings = configure(config_file, data_directory=data)
     show(ask(settings.data_directory, request), as_json)

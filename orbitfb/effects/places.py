@@ -1,6 +1,5 @@
 """Which devices an effect is on: from cells, names and planes to columns and places."""
 
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.near_names import did_you_mean
 from orbitfb.effects.cells import cell_of
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind
@@ -133,14 +133,19 @@ def _by_names(
             if its == device and (not plane or there.planes[index] == plane)
         ]
         if not hits:
-            close = difflib.get_close_matches(name, there.names, n=3) or there.names[:3]
+            hint = did_you_mean(name, (*there.names, *pvs)) or _some(there.names)
             raise ConfigError(
-                f"effect {settings.id}, names: the ring has no {there.what} called {name!r}; "
-                f"{len(set(there.names))} there are, {', '.join(close)} for some; devices of "
-                "another ring need its places table (ring.places of the configuration)"
+                f"effect {settings.id}, names: the ring has no {there.what} called {name!r}{hint}; "
+                "devices of another ring need its places table (ring.places of the configuration)"
             )
         found += hits
     return np.array(list(dict.fromkeys(found)), dtype=np.intp)
+
+
+def _some(names: Sequence[str]) -> str:
+    """Show what names look like where none is like the one that was typed."""
+    distinct = list(dict.fromkeys(names))
+    return f"; {len(distinct)} there are, {', '.join(distinct[:3])} for some"
 
 
 def _by_cells(settings: EffectSettings, there: _Candidates) -> Indices:

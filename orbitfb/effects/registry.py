@@ -7,6 +7,7 @@ from functools import cache
 
 import orbitfb.effects
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.near_names import did_you_mean
 from orbitfb.effects.kinds import EffectKind
 
 
@@ -35,5 +36,6 @@ def effect(name: str) -> EffectKind:
     """
     known = all_effects()
     if name not in known:
-        raise ConfigError(f"no effect is called {name!r}; there are: {', '.join(known)}")
+        hint = did_you_mean(name, known)
+        raise ConfigError(f"no effect is called {name!r}{hint}; `orbitfb effects` lists them")
     return known[name]

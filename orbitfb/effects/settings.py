@@ -6,6 +6,7 @@ from typing import Any
 from pydantic import ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.settings import Settings
 from orbitfb.core.units import parse_quantity
 from orbitfb.effects.kinds import EffectKind, Parameter
@@ -173,7 +174,7 @@ def _problems(error: ValidationError, name: str) -> Iterator[str]:
             yield said if problem["type"] != "missing" else "the key id is missing"
         elif problem["type"] == "extra_forbidden":
             known = ", ".join(keys())
-            yield f"effect {name}: no such key: {key}; there are {known}"
+            yield f"effect {name}: no such key: {key}{did_you_mean(key, keys())}; there are {known}"
         else:
             yield f"effect {name}, {key}: {said}, got {problem['input']!r}"
 
@@ -189,8 +190,8 @@ def _value(kind: EffectKind, name: str, given: Any) -> float:
     if name not in known:
         told = ", ".join(describe(parameter) for parameter in kind.parameters)
         raise ValueError(
-            f"no such parameter: {name}; {kind.id} has {told or 'no parameters'}, and takes "
-            "cells, names, planes, from"
+            f"no such parameter: {name}{did_you_mean(name, known)}; {kind.id} has "
+            f"{told or 'no parameters'}, and takes cells, names, planes, from"
         )
     parameter = known[name]
     if isinstance(given, str):

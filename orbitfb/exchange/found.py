@@ -1,6 +1,5 @@
 """What foreign files hold, by one set of words whatever their format, and how much is read."""
 
-import difflib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from orbitfb.core.errors import ExchangeError
+from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.signals import Vector
 
 LARGEST_FILE = 2 * 2**30
@@ -123,8 +123,7 @@ def offset(shape: tuple[int, ...], index: Sequence[int], where: str) -> tuple[in
 def absent(source: Source, where: str) -> ExchangeError:
     """Make the error for a path under which there is nothing."""
     there = source.listing()
-    near = difflib.get_close_matches(where, there, n=1)
-    hint = f"; did you mean {near[0]}?" if near else ""
+    hint = did_you_mean(where, there, most=1)
     shown = ", ".join(there[:_MOST_LISTED]) or "nothing"
     more = f" and {len(there) - _MOST_LISTED} more" if len(there) > _MOST_LISTED else ""
     return ExchangeError(f"{source.path}: there is no {where!r}{hint} (there are: {shown}{more})")

@@ -1,12 +1,12 @@
 """Which device of the ring is meant by a name of a file; nothing is guessed from the order."""
 
-import difflib
 from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
 from orbitfb.core.errors import ExchangeError
+from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.signals import Channels
 from orbitfb.physics.places import Indices
 
@@ -48,7 +48,9 @@ def places_of(names: Sequence[str], labels: dict[str, int], what: str, file: obj
     """
     unknown = [name for name in names if name not in labels]
     if unknown:
-        shown = ", ".join(f"{name!r}{_near(name, labels)}" for name in unknown[:_MOST_TOLD])
+        shown = ", ".join(
+            f"{name!r}{did_you_mean(name, labels, most=1)}" for name in unknown[:_MOST_TOLD]
+        )
         more = f" and {len(unknown) - _MOST_TOLD} more" if len(unknown) > _MOST_TOLD else ""
         raise ExchangeError(
             f"{file}: {len(unknown)} of {len(names)} {what} are not of the configured ring: "
@@ -80,8 +82,3 @@ def _labels(names: Sequence[str], planes: str, pvs: Sequence[Sequence[str]]) -> 
     for kind in pvs:
         found |= {pv: place for place, pv in enumerate(kind) if pv}
     return found
-
-
-def _near(name: str, labels: dict[str, int]) -> str:
-    close = difflib.get_close_matches(name, labels, n=1)
-    return f" (did you mean {close[0]}?)" if close else ""

@@ -24,7 +24,6 @@ Source: the conditional normal distribution, e.g. Rasmussen and Williams, Gaussi
 Machine Learning, appendix A.2; the Schur complement of the normal equations.
 """
 
-import difflib
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,6 +31,7 @@ import numpy as np
 from pydantic import Field
 
 from orbitfb.core.errors import ConfigError, RingError
+from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.ports import Policy
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Channels, Mask, Vector
@@ -245,7 +245,7 @@ def _unmasked(names: Sequence[str], planes: str, masked: Sequence[str], key: str
         where.setdefault(f"{name}:{planes[index // per_plane]}", []).append(index)
     unknown = [name for name in masked if name not in where]
     if unknown:
-        problems = "; ".join(f"{name!r}{_nearest(name, where)}" for name in unknown)
+        problems = "; ".join(f"{name!r}{did_you_mean(name, where)}" for name in unknown)
         raise ConfigError(
             f"{key} names {len(unknown)} that the ring does not have in planes {planes}: "
             f"{problems}; use the names of the places table"
@@ -256,8 +256,3 @@ def _unmasked(names: Sequence[str], planes: str, masked: Sequence[str], key: str
     if not unmasked.any():
         raise ConfigError(f"{key} masks all {len(names)} of them; leave at least one")
     return unmasked
-
-
-def _nearest(name: str, known: dict[str, list[int]]) -> str:
-    close = difflib.get_close_matches(name, known, n=3)
-    return f" (did you mean {', '.join(close)}?)" if close else ""

@@ -119,7 +119,8 @@ def test_setpoints_of_a_ring_of_its_own_are_seen_by_any_client(run: Service):
         ("reset", "orbitfb: reset refused in CLOSED: there is nothing to reset\n"),
         (
             "clsoe",
-            f"orbitfb: no command 'clsoe'; there are {', '.join(ARGUMENTS)}\n",
+            "orbitfb: no command 'clsoe' (did you mean close?); there are "
+            f"{', '.join(ARGUMENTS)}\n",
         ),
     ],
 )

@@ -4,11 +4,12 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from orbitfb.cli.app import app, main
-from orbitfb.core.errors import ConfigError
+from orbitfb.core.errors import ConfigError, ControlError
 from orbitfb.evaluate.campaign import run_tasks
 from orbitfb.evaluate.pool.task import Task
 
@@ -42,6 +43,16 @@ def test_the_kick_experiment_names_the_option_that_was_given(tmp_path, option, v
     said = refused("evaluate", "kick", "--out", tmp_path / "out", f"--{option}={value}")
     assert said.startswith(f"--{option}: ")
     assert said.count("--") == 1
+
+
+def test_a_command_that_there_is_not_is_told_without_a_service(tmp_path):
+    with pytest.raises(ControlError, match=r"no command 'opne' \(did you mean open\?\)"):
+        app(["command", "opne", "--data", str(tmp_path)], standalone_mode=False)
+
+
+def test_a_place_that_is_nearly_sim_is_no_unknown_host(monkeypatch):
+    monkeypatch.setattr("socket.gethostbyname", Mock(side_effect=OSError))
+    assert "'simm' (did you mean sim?)" in refused("run", "--ioc", "simm", "--duration", 1)
 
 
 def test_the_check_of_a_configuration_knows_the_names_that_may_be_masked(tmp_path):

@@ -115,10 +115,13 @@ def test_what_is_no_pair(typed: str):
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        ({"command": "clsoe"}, "no command 'clsoe'; there are status, open,"),
+        (
+            {"command": "clsoe"},
+            r"no command 'clsoe' \(did you mean close\?\); there are status,",
+        ),
         (
             {"command": "gain", "value": 0.5, "vlaue": 1, "foo": 2},
-            "gain takes plane, value only: foo, vlaue",
+            r"gain takes plane, value only: foo, vlaue \(did you mean value\?\)",
         ),
         ({"command": "close", "now": True}, "close takes nothing with it: now is unknown"),
         ({"command": "status", "extra": 1}, "status takes nothing with it: extra is unknown"),

@@ -74,7 +74,8 @@ def test_the_text_of_the_command_line():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("exampel-gain", "no effect is called 'exampel-gain'; there are: example-gain"),
+        ("exampel-gain", r"no effect is called 'exampel-gain' \(did you mean example-gain"),
+        ("example-gain:tua=1", r"no such parameter: tua \(did you mean tau\?\); example-gain has"),
         ("example-gain:size=1", r"no such parameter: size; example-gain has gain \(-0.5 to 0.5\)"),
         ("example-gain:gain=0.7", r"gain: 0.7 is out of bounds; gain \(-0.5 to 0.5\)"),
         ("example-gain:gain=2mm", "gain: 'mm' is no unit"),
