@@ -7,6 +7,7 @@ import numpy as np
 from orbitfb.core.errors import RecordError
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.finding import Finding, listed
+from orbitfb.diagnose.load_holes import without_holes
 from orbitfb.diagnose.load_meta import Meta
 from orbitfb.diagnose.load_raw import CURRENTS, NUMBERS, VECTORS, Raw
 from orbitfb.diagnose.load_rows import FEWEST_ROWS, Transition
@@ -35,12 +36,12 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
     """
     _check_present(raw)
     shapes = _check_shapes(raw)
+    rows = shapes[0]
+    given = raw
+    raw, keep, found = without_holes(given, rows, lambda name: _not_finite(given, name))
     for name in NUMBERS:
         if name in raw.numbers:
-            _check_finite(raw, name)
             _check_size(raw, name)
-    found: list[Finding] = []
-    rows = shapes[0]
     scaled = {
         name: raw.numbers[name] * meta.factor(raw, name)
         for name in NUMBERS
@@ -72,7 +73,9 @@ def transitions_from(raw: Raw, meta: Meta) -> tuple[Transition, list[Finding]]:
         auxiliary=auxiliary,
     )
     if made:  # the last row has no row after it
-        transition = transition.take(np.arange(rows) < rows - 1)
+        keep[-1] = False
+    if not keep.all():
+        transition = transition.take(keep)
     if len(transition) < FEWEST_ROWS:
         raise raw.wrong(
             "orbit", f"has {len(transition)} rows", f"a diagnosis needs {FEWEST_ROWS}, better 1000"
@@ -147,14 +150,13 @@ def _trusted(raw: Raw) -> str:
     return max(there, key=agreeing)
 
 
-def _check_finite(raw: Raw, name: str) -> None:
+def _not_finite(raw: Raw, name: str) -> RecordError:
+    """Say which values of an array are missing that nothing can stand for."""
     values = raw.numbers[name]
     bad = ~np.isfinite(values)
-    if not bad.any():
-        return
     where = np.argwhere(bad)[0]
     column = _column(raw, name, int(where[1])) if values.ndim == 2 else ""
-    advice = "leave such rows out, or save what was read"
+    advice = "save what was read, or leave out what has no numbers"
     if name == "model_R":
         column = f", column {where[1]} ({_pair(raw, *where)})"
         advice = "rows are BPMs, columns are correctors: give the response of each to each, or "
@@ -167,7 +169,7 @@ def _check_finite(raw: Raw, name: str) -> None:
             f"leave the {kind} without readings ({listed(dead)}) out: its column of every array, "
             f"its name in {names}, its {'row' if kind == 'BPM' else 'column'} of model_R"
         )
-    raise raw.wrong(
+    return raw.wrong(
         name,
         f"is {values[tuple(where)]} in row {where[0]}{column} ({int(bad.sum())} such values)",
         advice,
@@ -182,7 +184,8 @@ def _pair(raw: Raw, row: int, column: int) -> str:
 
 def _check_size(raw: Raw, name: str) -> None:
     """See that squares of the values are numbers, and not all zero."""
-    largest = float(np.abs(raw.numbers[name]).max(initial=0.0))
+    values = raw.numbers[name]
+    largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
     if largest and not 1.0 / _LARGEST < largest < _LARGEST:
         raise raw.wrong(
             name,
@@ -200,8 +203,8 @@ def _column(raw: Raw, name: str, column: int) -> str:
 
 def _following(raw: Raw, orbit: Vector, next_orbit: Vector) -> Mask:
     """Tell whether next_orbit of a row is the orbit of the row after it, shape (T - 1,)."""
-    exact = _EXACT * max(float(np.abs(orbit).max()), 1e-12)
-    same = np.abs(orbit[1:] - next_orbit[:-1]) <= exact
+    exact = _EXACT * max(float(np.nanmax(np.abs(orbit), initial=0.0)), 1e-12)
+    same = ~(np.abs(orbit[1:] - next_orbit[:-1]) > exact)  # what has no number says nothing
     follows: Mask = np.all(same, axis=1)
     if len(follows) == 0 or follows.mean() >= _NOWHERE:
         return follows
@@ -231,7 +234,7 @@ def _lagged(orbit: Vector, next_orbit: Vector, lag: int, exact: float) -> bool:
     count = len(orbit) - abs(lag)
     first = orbit[max(lag, 0) :][:count]
     second = next_orbit[max(-lag, 0) :][:count]
-    return bool((np.abs(first - second) <= exact).all(axis=1).mean() > 1 - _NOWHERE)
+    return bool((~(np.abs(first - second) > exact)).all(axis=1).mean() > 1 - _NOWHERE)
 
 
 def _complete_currents(scaled: dict[str, Vector], follows: Mask, found: list[Finding]) -> None:

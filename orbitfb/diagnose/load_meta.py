@@ -182,7 +182,8 @@ def _guessed(raw: Raw, name: str) -> float:
     if is_gap(name):
         widest = float(np.max(np.abs(values), initial=0.0))
         return 1.0 if widest < 0.5 else 1e-3 if widest < 500.0 else 1e-6
-    typical = abs(float(values.flat[0])) if values.size else 0.0
+    there = values[np.isfinite(values)]
+    typical = abs(float(there[0])) if len(there) else 0.0
     if name == "current":
         return 1e-3 if typical > 5.0 else 1.0
     return 1e6 if 10.0 < typical < 1e4 else 1e3 if 1e5 < typical < 1e7 else 1.0

@@ -12,6 +12,7 @@ import numpy as np
 
 from orbitfb.core.errors import ExchangeError
 from orbitfb.core.signals import Channels, Mask, Vector
+from orbitfb.exchange.align import MOST
 from orbitfb.exchange.naming import plain_labels
 from orbitfb.exchange.plausible import history_problem
 from orbitfb.exchange.writing import write_whole
@@ -52,8 +53,8 @@ def write_history(
 ) -> dict[str, Any]:
     """Check a history, keep the transitions that are whole, and write them.
 
-    A transition is two ticks one period apart at which every BPM that is kept is valid and every
-    corrector that is kept is known. Nothing is filled in.
+    A transition is two ticks one period apart at which most BPMs that are kept are valid and every
+    corrector that is kept is known. Nothing is filled in: a BPM that is not valid has NaN.
 
     Args:
         history: What was read.
@@ -93,7 +94,7 @@ def write_history(
     rows, gaps = _whole(history, bpms, correctors, seconds)
     if len(rows) < FEWEST:
         raise ExchangeError(
-            f"{len(rows)} of {len(history.time) - 1} transitions are whole (all BPMs valid, all "
+            f"{len(rows)} of {len(history.time) - 1} transitions are whole (most BPMs valid, all "
             f"correctors known, {seconds:.4g} s apart), {FEWEST} are needed; leave out BPMs or "
             "correctors that are mostly not there, give --period, or a larger --tolerance"
         )
@@ -110,6 +111,7 @@ def write_history(
         "transitions": len(rows),
         "ticks": len(history.time),
         "gaps": gaps,
+        "missing_readings": int(np.isnan(arrays["orbit"]).sum()),
         "period": seconds,
         "bpms": int(bpms.sum()),
         "correctors": int(correctors.sum()),
@@ -140,7 +142,7 @@ def _kept(history: History) -> tuple[Mask, Mask]:
 
 def _whole(history: History, bpms: Mask, correctors: Mask, period: float) -> tuple[Any, int]:
     """Find the ticks from which a whole transition begins, and count the gaps between them."""
-    good: Mask = np.asarray(np.isfinite(history.orbit[:, bpms]).all(axis=1))
+    good: Mask = np.asarray(np.isfinite(history.orbit[:, bpms]).mean(axis=1) >= MOST)
     good &= np.isfinite(history.setpoints[:, correctors]).all(axis=1)
     follows = np.abs(np.diff(history.time) / period - 1.0) <= _APART
     rows = np.flatnonzero(good[:-1] & good[1:] & follows)

@@ -67,8 +67,14 @@ def twice(made):
 
 
 WRONG = {
-    "NaN in orbit": (put("orbit", 17, np.nan), ["'orbit'", "row 17", "column 3"]),
-    "inf in action": (put("action", 5, np.inf), ["'action'", "row 5", "inf"]),
+    "most orbits lost": (
+        put("orbit", slice(50, None), np.nan, slice(None)),
+        ["'orbit'", "row 50", "column 0", "840 such values"],
+    ),
+    "a corrector mostly unknown": (
+        put("setpoint", slice(5, 25), np.inf),
+        ["'setpoint'", "row 5", "inf", "column 3"],
+    ),
     "NaN in t": (put("t", 9, np.nan), ["'t'", "row 9"]),
     "NaN in model": (put("model_R", 2, np.nan), ["'model_R'", "row 2", "rows are BPMs"]),
     "too few columns in action": (
@@ -82,9 +88,17 @@ WRONG = {
     "time goes back": (put("t", 60, 1.0), ["'t'", "row 60", "does not increase"]),
     "time stands": (replace("t", np.zeros_like), ["'t'", "row 1", "it is 0 s in every row"]),
     "time stands at 5 s": (replace("t", lambda a: 0 * a + 5), ["'t'", "it is 5 s in every row"]),
-    "a dead BPM": (
-        put("orbit", slice(None), np.nan),
-        ["'orbit'", "leave the BPM without readings", "its row of model_R"],
+    "a dead corrector": (
+        put("setpoint", slice(None), np.nan),
+        ["'setpoint'", "leave the corrector without readings", "its column of model_R"],
+    ),
+    "no BPM": (
+        put("orbit", slice(None), np.nan, slice(None)),
+        ["'orbit'", "1440 such values", "leave the BPM without readings"],
+    ),
+    "NaN in actions that are added up": (
+        lambda made: (made.pop("setpoint"), put("action", 5, np.nan)(made)),
+        ["'action'", "row 5"],
     ),
     "time of float32": (replace("t", lambda a: (a + 1.7e9).astype("f4")), ["'t'", "float32"]),
     "next orbit is the orbit": (

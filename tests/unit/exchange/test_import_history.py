@@ -100,13 +100,21 @@ def test_missing_and_invalid_samples_are_never_filled_in(tmp_path, shift):
     invalid = {(7, 40): 3, (8, 45): 2}  # INVALID is not used, a MAJOR alarm is
     path = written(tmp_path / "a.json", archived(shift, lose, invalid))
     record = taken(path)
-    assert record.starts.sum() == 3, "two gaps cut the record into three pieces"
+    assert record.starts.sum() == 1
+    assert set(zip(*np.nonzero(record.filled), strict=True)) == {(20, 5), (40, 7)}
     with h5py.File("history.h5") as file:
-        ticks = np.round((file["t"][:] - BEGIN) / PERIOD).astype(int)
         orbit, after = file["orbit"][:], file["next_orbit"][:]
-    assert sorted(set(range(TICKS - 1)) - set(ticks)) == [19, 20, 39, 40]
-    np.testing.assert_allclose(orbit, shift[1][ticks], atol=1e-12)
-    np.testing.assert_allclose(after, shift[1][ticks + 1], atol=1e-12)
+    missing = np.zeros_like(orbit, dtype=bool)
+    missing[20, 5] = missing[40, 7] = True
+    np.testing.assert_array_equal(np.isnan(orbit), missing)
+    np.testing.assert_allclose(orbit[~missing], shift[1][:-1][~missing], atol=1e-12)
+    np.testing.assert_allclose(after[-1], shift[1][-1], atol=1e-12)
+
+
+def test_a_tick_that_most_bpms_miss_is_a_gap(tmp_path, shift):
+    record = taken(written(tmp_path / "a.json", archived(shift, {(j, 20) for j in range(100)})))
+    assert record.starts.sum() == 2
+    assert not record.filled.any()
 
 
 def test_a_bpm_that_is_mostly_away_is_left_out_by_name(tmp_path, shift, capsys):
