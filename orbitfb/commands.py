@@ -9,8 +9,12 @@ from typing import Any
 
 import structlog
 
+from orbitfb.core.bursts import Bursts
+from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ControlError, OrbitFeedbackError
 from orbitfb.core.near_names import did_you_mean
+from orbitfb.core.ports import Clock
+from orbitfb.core.printable import escaped
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.panel.figures import Figures
 
@@ -39,6 +43,8 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
 _INSIDE = frozenset({"panel", "page", "refused"})
 """Requests of our own programs."""
 _WITH_ALL = frozenset({"command", "origin", "peer"})
+ONE_BY_ONE = 20
+"""Commands of one source within 10 s that the log has one by one; the others it counts."""
 _LONGEST_WORD = 300
 _MANY = 8
 
@@ -51,6 +57,7 @@ class Commands:
         statistics: Figures of the loop; gets a line for people.
         figures: What the panel shows.
         more: What it shows besides, by PV.
+        clock: Tells the time; that of the computer by default.
     """
 
     def __init__(
@@ -59,9 +66,13 @@ class Commands:
         statistics: LoopStatistics,
         figures: Figures,
         more: Callable[[], Mapping[str, Any]] = dict,
+        clock: Clock | None = None,
     ) -> None:
         self._handlers = handlers
         self._statistics, self._figures, self._more = statistics, figures, more
+        clock = clock or SystemClock()
+        self._given = Bursts(clock, free=ONE_BY_ONE)
+        self._denied = Bursts(clock)
 
     def __call__(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         """Carry out a request.
@@ -70,6 +81,7 @@ class Commands:
             OrbitFeedbackError: It is refused; the message says why.
         """
         name = str(request.get("command"))
+        self._tell_counts()
         if name == "panel":
             return self._panel()
         handler = self._handlers.get(name, self._handlers[""])
@@ -78,7 +90,9 @@ class Commands:
             return handler(request)
         who = origin_of(request)
         if name == "refused":
-            self._refused("write", who, {}, _word(request.get("reason")))
+            times = request.get("times")
+            times = times if isinstance(times, int) else 1
+            self._refused("write", who, {}, _word(request.get("reason")), times)
             return {}
         told = _told(request)
         try:
@@ -87,15 +101,34 @@ class Commands:
         except OrbitFeedbackError as error:
             self._refused(name, who, told, str(error))
             raise
-        _log.info("command_given", command=name, **told, **who)
-        self._statistics.commanded(name, who["user"], who["host"])
+        told_now = self._given.add(_source(who), name)
+        if told_now:
+            _log.info("command_given", command=name, **told, **who)
+        self._statistics.commanded(name, who["user"], who["host"], told=bool(told_now))
         return answer
 
     def _refused(
-        self, name: str, who: Mapping[str, Any], told: Mapping[str, Any], reason: str
+        self,
+        name: str,
+        who: Mapping[str, Any],
+        told: Mapping[str, Any],
+        reason: str,
+        times: int = 1,
     ) -> None:
-        _log.warning("command_refused", command=name, reason=reason, **told, **who)
-        self._statistics.commanded(name, who["user"], who["host"], reason)
+        told_now = self._denied.add(_source(who), reason, times)
+        if told_now:
+            many = {"count": times} if times > 1 else {}
+            _log.warning("command_refused", command=name, reason=reason, **many, **told, **who)
+        self._statistics.commanded(
+            name, who["user"], who["host"], reason, times=times, told=bool(told_now)
+        )
+
+    def _tell_counts(self) -> None:
+        """Tell what was counted of those who go on and on: one line each per quiet time."""
+        for source, name, count in self._given.due():
+            _log.info("commands_counted", source=source, last=name, count=count)
+        for source, reason, count in self._denied.due():
+            _log.warning("refusals_counted", source=source, reason=reason, count=count)
 
     def _panel(self) -> Mapping[str, Any]:
         snapshot = self._statistics.snapshot()
@@ -165,4 +198,9 @@ def _short(value: Any) -> Any:
 
 
 def _word(value: object) -> str:
-    return str(value)[:_LONGEST_WORD]
+    return escaped(str(value)[:_LONGEST_WORD])[:_LONGEST_WORD]
+
+
+def _source(who: Mapping[str, Any]) -> str:
+    """Name who is counted together: a host of the network, a user of this computer."""
+    return str(who["host"] if who["door"] == "panel" else who["user"])

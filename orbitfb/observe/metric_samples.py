@@ -13,7 +13,7 @@ from orbitfb.effects.registry import all_effects
 from orbitfb.history.archive import ArchiveStatus
 from orbitfb.observe.beside import Beside
 from orbitfb.observe.snapshot import LoopSnapshot
-from orbitfb.observe.tallies import without_figures
+from orbitfb.observe.tallies import kind_of, without_figures
 
 Sample = tuple[tuple[str, ...], float]
 """Values of the labels, and the value."""
@@ -48,7 +48,7 @@ def samples_of(
 
 def _loop(snapshot: LoopSnapshot, beside: Beside) -> Samples:
     ticks, closing, state = snapshot.ticks, snapshot.closing, snapshot.state
-    reason = snapshot.entry_reason[:200]
+    reason = kind_of(snapshot.entry_reason)
     return {
         "orbitfb_loop_state": [((one.value,), float(one is state)) for one in LoopState],
         "orbitfb_loop_state_entries_total": [

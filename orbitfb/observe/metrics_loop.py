@@ -90,7 +90,8 @@ LOOP = (
         "info",
         "",
         ("state", "reason"),
-        "The state, and why the loop entered it; no reason when there is nothing to say.",
+        "The state, and the kind of reason why the loop entered it, without figures and names: the "
+        "log has them. No reason when there is nothing to say.",
     ),
     Metric(
         "orbitfb_loop_closed_by_info",

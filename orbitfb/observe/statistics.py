@@ -140,7 +140,16 @@ class LoopStatistics:
         with self._lock:
             self._tallies.gap_seen(sight)
 
-    def commanded(self, name: str, user: str, host: str, refusal: str = "") -> None:
+    def commanded(
+        self,
+        name: str,
+        user: str,
+        host: str,
+        refusal: str = "",
+        *,
+        times: int = 1,
+        told: bool = True,
+    ) -> None:
         """Take a command of an operator; called from any thread.
 
         Args:
@@ -148,11 +157,14 @@ class LoopStatistics:
             user: Who gave it.
             host: From where.
             refusal: Why it was refused; empty when it was carried out.
+            times: How often.
+            told: Whether people get a line about it.
         """
         with self._lock:
             last, since = self._last, self._clock.monotonic() - self._state_since
             idle = last is not None and last.state is LoopState.CLOSED and since > _ANSWERED
-            self._tallies.commanded(name, user, host, refusal, idle=idle and name == "close")
+            idle = idle and name == "close"
+            self._tallies.commanded(name, user, host, refusal, idle=idle, times=times, told=told)
 
     def happened(self, kind: str, text: str) -> None:
         """Note something that people want to know; called from any thread.

@@ -6,6 +6,7 @@ from collections import Counter, deque
 
 from orbitfb.core.gap import GapSight
 from orbitfb.core.ports import Clock
+from orbitfb.core.printable import escaped
 from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.observe.snapshot import Closing, Happening
 
@@ -15,6 +16,10 @@ MOST_REASONS = 40
 OTHER = "other"
 _LONGEST_NAME = 64
 _FIGURE = re.compile(r"(?<![A-Za-z])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?: (?:%|µm|mm|A|s|nats))?")
+
+
+_NAME = re.compile(r"[^\s(),;]*\d[^\s(),;]*")
+_SEVERAL = re.compile(r"…(?:(?:, | and )…)+")
 
 
 class Tallies:
@@ -64,13 +69,23 @@ class Tallies:
             self.note("gap", f"{sight.nats:.3g} nats/tick, {sight.effect} suspected")
 
     def commanded(
-        self, name: str, user: str, host: str, refusal: str = "", *, idle: bool = False
+        self,
+        name: str,
+        user: str,
+        host: str,
+        refusal: str = "",
+        *,
+        idle: bool = False,
+        times: int = 1,
+        told: bool = True,
     ) -> None:
         """Count a command; see `LoopStatistics.commanded`. One that is `idle` changed nothing."""
-        self.commands["refused" if refusal else "given"] += 1
+        self.commands["refused" if refusal else "given"] += times
         if name == "close" and not refusal and not idle:
             self.closed_by(user, host)
-        self.note("command", f"{name} by {user}@{host}{f' refused: {refusal}' if refusal else ''}")
+        if told:
+            why = f" refused: {refusal}" if refusal else ""
+            self.note("command", f"{name} by {user}@{host}{why}")
 
     def closed_by(self, user: str, host: str) -> None:
         """Keep who closed the loop."""
@@ -79,7 +94,19 @@ class Tallies:
     def note(self, kind: str, text: str) -> None:
         """Keep a line for people."""
         self._happened += 1
-        self.happenings.append(Happening(self._happened, self._clock.wall(), kind, text))
+        self.happenings.append(Happening(self._happened, self._clock.wall(), kind, escaped(text)))
+
+
+def kind_of(reason: str) -> str:
+    """Give the kind of a reason: without figures and without names that have some.
+
+    A label made of it has few values, however many incidents there are.
+
+    Args:
+        reason: A sentence with figures and names of devices.
+    """
+    plain = _NAME.sub("…", without_figures(reason))
+    return _SEVERAL.sub("…", plain)
 
 
 def without_figures(reason: str) -> str:

@@ -8,6 +8,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from orbitfb.core.printable import escaped
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import LoopState
 from orbitfb.observe.snapshot import LoopSnapshot
@@ -80,9 +81,9 @@ def panel(
     style = STYLES[snapshot.state]
     rows.add_row("State", Text.assemble((state, style), f" for {clock_time(snapshot.in_state)}"))
     if snapshot.reason:
-        rows.add_row("", Text(snapshot.reason, style="yellow", no_wrap=False))
+        rows.add_row("", Text(escaped(snapshot.reason), style="yellow", no_wrap=False))
     if trouble := around.trouble():
-        rows.add_row("Trouble", Text(trouble, style="yellow", no_wrap=small))
+        rows.add_row("Trouble", Text(escaped(trouble), style="yellow", no_wrap=small))
     _orbit_rows(rows, snapshot, trend, width - LABEL_WIDTH - 6)
     if not small:
         rows.add_row("")
@@ -198,4 +199,4 @@ def line(snapshot: LoopSnapshot) -> str:
     ]
     if snapshot.reason:
         parts.append(snapshot.reason)
-    return "  ".join(parts)
+    return escaped("  ".join(parts))

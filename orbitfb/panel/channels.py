@@ -18,6 +18,7 @@ from caproto import (
 )
 
 from orbitfb.core.errors import ControlError
+from orbitfb.core.printable import plain as plain_text
 from orbitfb.panel.plain import plain
 from orbitfb.panel.pv import Kind, PanelPv, out_of_range
 
@@ -33,6 +34,19 @@ class Origin:
 
     user: str
     address: str
+
+
+LONGEST_NAME = 60
+"""Most characters of a claimed name that are kept."""
+
+
+def claimed(name: str | None) -> str:
+    """Give a user's name as a client claims it, fit for logs and terminals.
+
+    Args:
+        name: Of anybody; None: nothing is claimed.
+    """
+    return plain_text(name or "", LONGEST_NAME)
 
 
 class Desk(Protocol):
@@ -63,7 +77,7 @@ class _Panel:
 
     def check_access(self, hostname: str, username: str) -> AccessRights:
         """Let everybody read; say who may write."""
-        origin = Origin(username or "", hostname or "")
+        origin = Origin(claimed(username), hostname or "")
         if self.pv.writable and self.desk.may_write(self.pv, origin):
             return AccessRights.READ | AccessRights.WRITE
         return AccessRights.READ
@@ -78,7 +92,7 @@ class _Panel:
         **options: Any,
     ) -> Any:
         """Carry out a client's write, or refuse it and say why."""
-        origin = Origin(username or "", hostname or "")
+        origin = Origin(claimed(username), hostname or "")
         # a rule may have been enough when the channel was made; a name can be claimed anew
         if AccessRights.WRITE not in self.check_access(hostname, username):
             reason = f"{origin.user}@{origin.address} may not write {self.pv.name}"

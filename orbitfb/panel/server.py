@@ -7,16 +7,16 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
-from caproto.asyncio.server import VirtualCircuit
-
 from orbitfb.control import ask
+from orbitfb.core.bursts import Bursts
+from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ControlError, OrbitFeedbackError
 from orbitfb.panel.access import read_access
-from orbitfb.panel.channels import Origin, channel_of, show
+from orbitfb.panel.channels import Origin, channel_of, claimed, show
+from orbitfb.panel.circuit import PanelContext
 from orbitfb.panel.job import PanelJob
 from orbitfb.panel.pv import PanelPv, request_of
 from orbitfb.panel.pv_table import panel_pvs, writable_names
-from orbitfb.sim.context import ClaimedContext
 from orbitfb.sim.listening import Sockets, claim
 
 ANSWER_TIMEOUT = 60.0
@@ -26,25 +26,6 @@ LOOK_TIMEOUT = 5.0
 _THREADS = 8
 _PATIENCE = 0.3
 SEND_BUFFER = 1 << 17
-
-
-class PanelCircuit(VirtualCircuit):
-    """A client that is known by the address of its connection, whatever name it claims."""
-
-    @property
-    def client_hostname(self) -> str:
-        """Where it is."""
-        return str(self.circuit.address[0])
-
-    @client_hostname.setter
-    def client_hostname(self, claimed: str | None) -> None:
-        """Take no notice of what it claims."""
-
-
-class PanelContext(ClaimedContext):
-    """The server of the panel."""
-
-    CircuitClass = PanelCircuit
 
 
 class Panel:
@@ -72,11 +53,12 @@ class Panel:
         self._beats = 0
         self._unset = {pv.name for pv in self.pvs if pv.name.endswith("-SP")}
         self._telling: set[asyncio.Task[None]] = set()
+        self._refusals = Bursts(SystemClock())
 
     def context(self, sockets: Sockets) -> PanelContext:
         """Make the caproto server that serves it."""
         named = {self._prefix + name: channel for name, channel in self._channels.items()}
-        return PanelContext(named, sockets)
+        return PanelContext(named, sockets, max(pv.length for pv in self.pvs), self.dropped)
 
     def may_write(self, pv: PanelPv, origin: Origin) -> bool:
         """Ask the rules."""
@@ -94,8 +76,19 @@ class Panel:
 
     def refused(self, pv: PanelPv, value: Any, origin: Origin, reason: str) -> None:
         """Have the service log a write that was refused here."""
-        told = {"user": origin.user, "host": origin.address, "pv": self._prefix + pv.name}
-        request = {"command": "refused", "reason": reason, "origin": told}
+        self._refuse(origin.user, origin.address, self._prefix + pv.name, reason)
+
+    def dropped(self, address: str, user: str, reason: str) -> None:
+        """Have the service log that a client was hung up on."""
+        self._refuse(claimed(user), address, "", f"hung up on: {reason}")
+
+    def _refuse(self, user: str, address: str, pv: str, reason: str) -> None:
+        """Tell the first refusal of a host at once, and count what follows for a while."""
+        if self._refusals.add(address, reason):
+            self._report({"user": user, "host": address, "pv": pv}, reason, 1)
+
+    def _report(self, told: dict[str, str], reason: str, times: int) -> None:
+        request = {"command": "refused", "reason": reason, "times": times, "origin": told}
         task = asyncio.get_running_loop().create_task(self._tell(request))
         self._telling.add(task)
         task.add_done_callback(self._telling.discard)
@@ -106,6 +99,8 @@ class Panel:
         await self._channels["PVs-I"].write(names)
         while True:
             await self.look()
+            for address, reason, times in self._refusals.due():
+                self._report({"user": "", "host": address, "pv": ""}, reason, times)
             await asyncio.sleep(self._period)
 
     async def look(self) -> None:

@@ -6,7 +6,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from orbitfb.cli.options import pairs
-from orbitfb.commands import Commands
+from orbitfb.commands import ONE_BY_ONE, Commands
+from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import ConfigError, ControlError
 
 PANEL = {"user": "jane", "host": "10.0.5.9", "pv": "SR:FB{Orbit}Command-Cmd"}
@@ -16,11 +17,17 @@ SOCKET = {"user": "root", "process": 17}
 class Statistics:
     def __init__(self) -> None:
         self.lines: list[str] = []
+        self.counted = 0
 
-    def commanded(self, name: str, user: str, host: str, refusal: str = "") -> None:
-        self.lines.append(
-            f"command: {name} by {user}@{host}" + (refusal and f" refused: {refusal}")
-        )
+    def commanded(
+        self, name: str, user: str, host: str, refusal: str = "", *, times: int = 1,
+        told: bool = True,
+    ) -> None:  # fmt: skip
+        self.counted += times
+        if told:
+            self.lines.append(
+                f"command: {name} by {user}@{host}" + (refusal and f" refused: {refusal}")
+            )
 
 
 def loop(request: Any) -> dict[str, Any]:
@@ -130,3 +137,42 @@ def test_what_is_no_pair(typed: str):
 def test_what_nobody_knows_is_refused(commands: Commands, request_: Any, words: str):
     with pytest.raises(ControlError, match=words):
         commands({**request_, "peer": SOCKET})
+
+
+def test_who_floods_gets_one_line_per_quiet_time(statistics: Statistics):
+    clock = ManualClock()
+    commands = Commands({"": loop}, *cast(Any, (statistics, None)), clock=clock)
+    refused = {"command": "refused", "reason": "may not", "origin": PANEL, "peer": SOCKET}
+    with capture_logs() as logs:
+        for _ in range(1000):
+            commands(refused)
+        clock.advance(10.0)
+        commands({"command": "close", "peer": SOCKET})
+    assert [line["event"] for line in logs] == [
+        "command_refused", "refusals_counted", "command_given",
+    ]  # fmt: skip
+    assert (logs[1]["source"], logs[1]["count"]) == (PANEL["host"], 999)
+    assert statistics.counted == 1001
+    assert len(statistics.lines) == 2
+
+
+def test_commands_of_an_operator_are_logged_one_by_one_until_they_flood(statistics: Statistics):
+    clock = ManualClock()
+    commands = Commands({"": loop}, *cast(Any, (statistics, None)), clock=clock)
+    with capture_logs() as logs:
+        for _ in range(3 * ONE_BY_ONE):
+            commands({"command": "open", "origin": PANEL, "peer": SOCKET})
+    assert len(logs) == ONE_BY_ONE
+    with capture_logs() as logs:
+        clock.advance(10.0)
+        commands({"command": "close", "peer": SOCKET})
+    assert logs[0]["event"] == "commands_counted"
+    assert (logs[0]["last"], logs[0]["count"]) == ("open", 2 * ONE_BY_ONE)
+
+
+def test_a_name_with_line_feeds_forges_no_line(commands: Commands, statistics: Statistics):
+    forger = {**PANEL, "user": "x\n0:00:00 CLOSED\x1b[2J"}
+    with capture_logs() as logs:
+        commands({"command": "close", "origin": forger, "peer": SOCKET})
+    assert logs[0]["user"].isprintable()
+    assert all(line.isprintable() for line in statistics.lines)
