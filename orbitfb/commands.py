@@ -43,8 +43,6 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
 _INSIDE = frozenset({"panel", "page", "refused"})
 """Requests of our own programs."""
 _WITH_ALL = frozenset({"command", "origin", "peer"})
-ONE_BY_ONE = 20
-"""Commands of one source within 10 s that the log has one by one; the others it counts."""
 _LONGEST_WORD = 300
 _MANY = 8
 
@@ -71,7 +69,7 @@ class Commands:
         self._handlers = handlers
         self._statistics, self._figures, self._more = statistics, figures, more
         clock = clock or SystemClock()
-        self._given = Bursts(clock, free=ONE_BY_ONE)
+        self._given = Bursts(clock)
         self._denied = Bursts(clock)
 
     def __call__(self, request: Mapping[str, Any]) -> Mapping[str, Any]:

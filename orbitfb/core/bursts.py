@@ -5,6 +5,10 @@ from dataclasses import dataclass
 
 from orbitfb.core.ports import Clock
 
+ONE_BY_ONE = 20
+"""Commands or refusals of one source that are told one by one: as many as a screen that sets a
+panel's every value, each of which somebody may ask about."""
+
 REST = "others"
 """Stands for all sources beyond the bound."""
 
@@ -29,7 +33,7 @@ class Bursts:
     """
 
     def __init__(
-        self, clock: Clock, quiet_time: float = 10.0, free: int = 1, most: int = 32
+        self, clock: Clock, quiet_time: float = 10.0, free: int = ONE_BY_ONE, most: int = 32
     ) -> None:
         self._clock, self._quiet_time, self._free, self._most = clock, quiet_time, free, most
         self._bursts: dict[str, _Burst] = {}

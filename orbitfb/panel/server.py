@@ -83,7 +83,7 @@ class Panel:
         self._refuse(claimed(user), address, "", f"hung up on: {reason}")
 
     def _refuse(self, user: str, address: str, pv: str, reason: str) -> None:
-        """Tell the first refusal of a host at once, and count what follows for a while."""
+        """Tell the first refusals of a host at once, and count what follows for a while."""
         if self._refusals.add(address, reason):
             self._report({"user": user, "host": address, "pv": pv}, reason, 1)
 

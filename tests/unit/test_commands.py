@@ -6,7 +6,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from orbitfb.cli.options import pairs
-from orbitfb.commands import ONE_BY_ONE, Commands
+from orbitfb.commands import Commands
+from orbitfb.core.bursts import ONE_BY_ONE
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import ConfigError, ControlError
 
@@ -148,12 +149,11 @@ def test_who_floods_gets_one_line_per_quiet_time(statistics: Statistics):
             commands(refused)
         clock.advance(10.0)
         commands({"command": "close", "peer": SOCKET})
-    assert [line["event"] for line in logs] == [
-        "command_refused", "refusals_counted", "command_given",
-    ]  # fmt: skip
-    assert (logs[1]["source"], logs[1]["count"]) == (PANEL["host"], 999)
+    events = ["command_refused"] * ONE_BY_ONE + ["refusals_counted", "command_given"]
+    assert [line["event"] for line in logs] == events
+    assert (logs[-2]["source"], logs[-2]["count"]) == (PANEL["host"], 1000 - ONE_BY_ONE)
     assert statistics.counted == 1001
-    assert len(statistics.lines) == 2
+    assert len(statistics.lines) == ONE_BY_ONE + 1
 
 
 def test_commands_of_an_operator_are_logged_one_by_one_until_they_flood(statistics: Statistics):

@@ -19,7 +19,7 @@ def test_the_first_are_told_and_the_others_counted():
 
 def test_who_was_quiet_is_told_anew():
     clock = ManualClock()
-    bursts = Bursts(clock, quiet_time=10.0)
+    bursts = Bursts(clock, quiet_time=10.0, free=1)
     assert (bursts.add("a"), bursts.add("a")) == (1, 0)
     for _ in range(2):
         clock.advance(10.0)
@@ -28,14 +28,14 @@ def test_who_was_quiet_is_told_anew():
 
 
 def test_inventing_names_does_not_help():
-    bursts = Bursts(ManualClock(), most=3)
+    bursts = Bursts(ManualClock(), free=1, most=3)
     assert sum(bursts.add(f"name {k}") for k in range(1000)) == 4
     assert bursts.add(REST) == 0
 
 
 def test_what_was_counted_elsewhere_counts_as_often():
     clock = ManualClock()
-    bursts = Bursts(clock)
+    bursts = Bursts(clock, free=1)
     assert bursts.add("a", times=7) == 7
     bursts.add("a", "x", times=9)
     clock.advance(10.0)
