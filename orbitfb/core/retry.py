@@ -16,7 +16,7 @@ class Retry:
     Args:
         work: What is to be done; being done twice must do no harm.
         failed: Told why the first try failed; not told of the further ones.
-        done: Told that it is done after a failure.
+        done: Told that all is done after a failure: nothing more was asked for meanwhile.
         every: Time between two tries [s].
         name: Of the thread.
     """
@@ -71,7 +71,7 @@ class Retry:
             return False
         finally:
             self._working = False
-        if self._failing:
+        if self._failing and not self._asked.is_set():
             self._failing = False
             self._done()
         return True

@@ -35,6 +35,25 @@ def test_what_fails_stays_pending():
     assert retry.pending
 
 
+def test_it_is_not_told_done_while_more_was_asked_for_meanwhile():
+    told = []
+
+    def work():
+        if not told:
+            told.append("failed")
+            raise OrbitFeedbackError("no room")
+        if told == ["failed"]:
+            told.append("asked")
+            retry._asked.set()  # as `ask` does from another thread
+
+    retry = Retry(work, done=lambda: told.append("done"))
+    retry.attempt()
+    retry.attempt()
+    assert retry.pending and told == ["failed", "asked"]
+    retry.attempt()
+    assert not retry.pending and told == ["failed", "asked", "done"]
+
+
 def test_a_thread_does_it_as_soon_as_it_can():
     done = threading.Event()
     retry = Retry(Work(3), done=done.set, every=0.001)

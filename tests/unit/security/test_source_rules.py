@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[3]
 SOURCES = sorted((ROOT / "orbitfb").rglob("*.py"))
 
 WHOLE = {
+    "core/delimited.py": "one line of a text that was read with a bound",
     "cli/paper.py": "the table that it has just written",
     "epics/late_lease.py": "a PV, no file: texts of 40 characters",
     "epics/lease.py": "a PV, no file: texts of 40 characters",
