@@ -4,6 +4,7 @@
 - modal: the same inverse with the Kalman gain that the innovations show for every mode;
 - network: that law in the paper's network, only the last matrix new where the modes stay;
 - supervised: the network, trained anew on the answers of the modal law;
+- a kind of another package: what it makes of R̂;
 - trajectory: the network, improved on responses drawn from the posterior. The incumbent's hidden
   layers stay where they fit, so that a swap changes one matrix.
 """
@@ -21,6 +22,7 @@ from orbitfb.learn.learner import Build
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.noise import LADDER
 from orbitfb.policies.embedding import embed, reembed
+from orbitfb.policies.kinds import TAKEN
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.modal import ModalPolicy
 from orbitfb.policies.network import NetworkPolicy
@@ -54,6 +56,8 @@ def first_policy(
         movable: Correctors that may move, shape (m,); None: all.
         progress: Told iterations done and loss, where the kind is trained: supervised.
     """
+    if settings.kind not in TAKEN:
+        return masked(_added(response, settings), movable)
     if settings.kind == "svd":
         return masked(SvdPolicy(response, settings.svd), movable)
     law = ModalPolicy(response, settings.modal)
@@ -105,8 +109,20 @@ def builder(settings: PolicySettings, movable: Mask | None = None, seed: int = 0
         "supervised": _supervised,
         "trajectory": _Trajectory(seed),
     }
-    make = kinds[settings.kind]
+    make = kinds.get(settings.kind, _of_response)
     return lambda model, incumbent: masked(make(model, unmasked(incumbent), settings), movable)
+
+
+def _added(response: Vector, settings: PolicySettings) -> ResponsePolicy:
+    """Make a policy of a kind that another package adds."""
+    kind, own = settings.added()
+    if kind.begin is None:
+        raise ConfigError(f"policy.kind: {kind.word} has no `begin`, so that no loop can run it")
+    return kind.begin(response, own)
+
+
+def _of_response(model: LinearModel, incumbent: Policy, settings: PolicySettings) -> ResponsePolicy:
+    return _added(model.response, settings)
 
 
 def _svd(model: LinearModel, incumbent: Policy, settings: PolicySettings) -> SvdPolicy:

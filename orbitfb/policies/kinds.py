@@ -1,16 +1,19 @@
 """The kinds of policies that can be stored: their tensors, their settings, how they are made.
 
-A new kind is one more entry of `KINDS`.
+A new kind of this package is one more entry of `KINDS`; another package names its `Kind` as an
+entry point of the group `orbitfb.policies`, under the word of the kind.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.errors import StoreError
+from orbitfb.core.errors import ConfigError, StoreError
+from orbitfb.core.plugins import POLICIES, added
 from orbitfb.core.ports import Policy
 from orbitfb.core.settings import Settings
 from orbitfb.policies.masking import MaskedPolicy
@@ -22,6 +25,8 @@ Tensors = Mapping[str, NDArray[Any]]
 StoredPolicy = SvdPolicy | ModalPolicy | NetworkPolicy
 """What the store takes and gives."""
 
+TAKEN = ("svd", "modal", "network", "supervised", "trajectory")
+"""Words by which `policy.kind` knows what this package makes; some are stored as networks."""
 _WIDEST = 4
 """How many times wider than the paper's a network may be."""
 
@@ -52,6 +57,8 @@ class Kind:
         layout: Its tensors by name.
         take: Takes the tensors out of a policy.
         make: Makes a policy from tensors, settings and its name.
+        begin: Makes a policy from a response R, shape (n, m) [m/A], and settings: how a kind of
+            another package begins, and how it follows a refit. None: `learn.builders` knows how.
     """
 
     word: str
@@ -60,6 +67,7 @@ class Kind:
     layout: Mapping[str, Tensor]
     take: Callable[[Any], dict[str, NDArray[Any] | None]]
     make: Callable[[Tensors, Any, str], StoredPolicy]
+    begin: Callable[[NDArray[np.float64], Any], StoredPolicy] | None = None
 
     def largest(self, n: int, m: int) -> int:
         """Bound the size of all tensors together [bytes].
@@ -192,15 +200,40 @@ def kind_of(policy: Policy) -> tuple[Kind, StoredPolicy]:
     inside = policy
     while isinstance(inside, MaskedPolicy):
         inside = inside.policy
-    for kind in KINDS:
+    kinds = all_kinds()
+    for kind in kinds.values():
         if isinstance(inside, kind.policy):
             return kind, inside
     raise StoreError(
-        f"a {type(inside).__name__} cannot be stored; policies of the kinds "
-        f"{', '.join(kind.word for kind in KINDS)} can"
+        f"a {type(inside).__name__} cannot be stored; policies of the kinds {', '.join(kinds)} can"
     )
 
 
 def kind_named(word: str) -> Kind | None:
     """Find a kind by the word on a card; None: this version does not know it."""
-    return next((kind for kind in KINDS if kind.word == word), None)
+    return all_kinds().get(word)
+
+
+@cache
+def added_kinds() -> Mapping[str, Kind]:
+    """Kinds that other packages add, by their words.
+
+    Raises:
+        ConfigError: One cannot be loaded, or its word is taken or another than its entry point's.
+    """
+    kinds = added(POLICIES, Kind)
+    for name, kind in kinds.items():
+        where = f"entry point {name} ({POLICIES})"
+        if kind.word != name:
+            raise ConfigError(f"{where}: its kind is called {kind.word!r}; use one name for both")
+        if name in TAKEN:
+            raise ConfigError(f"{where}: there is a kind of policy {name} already")
+        if kind.begin is None:
+            raise ConfigError(f"{where}: its kind has no `begin`, so that no loop can run it")
+    return kinds
+
+
+@cache
+def all_kinds() -> Mapping[str, Kind]:
+    """All kinds by their words, those of other packages last."""
+    return {**{kind.word: kind for kind in KINDS}, **added_kinds()}

@@ -1,10 +1,12 @@
 """Configuration of the policy that runs and of the candidates of every refit."""
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, JsonValue, field_validator, model_validator
 
+from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.settings import Settings
+from orbitfb.policies.kinds import TAKEN, Kind, added_kinds
 from orbitfb.policies.modal import ModalSettings
 from orbitfb.policies.network import NetworkSettings
 from orbitfb.policies.supervised_settings import SupervisedSettings
@@ -12,6 +14,7 @@ from orbitfb.policies.svd import SvdSettings
 from orbitfb.policies.trajectory_settings import FineTuneSettings
 
 PolicyKind = Literal["svd", "modal", "network", "supervised", "trajectory"]
+"""Kinds of this package."""
 
 
 class LiveModalSettings(ModalSettings):
@@ -39,11 +42,12 @@ class LiveModalSettings(ModalSettings):
 class PolicySettings(Settings):
     """Which law runs, and of which refits make candidates."""
 
-    kind: PolicyKind = Field(
+    kind: str = Field(
         default="svd",
         description="svd: the linear baseline; modal: a gain for every mode from its noise; "
         "network: the same law in the paper's network; supervised: the network, trained on the "
-        "answers of that law; trajectory: the network, improved by trajectory optimisation.",
+        "answers of that law; trajectory: the network, improved by trajectory optimisation; or "
+        "one that another package adds.",
     )
     caution: float = Field(
         default=1.0,
@@ -65,3 +69,38 @@ class PolicySettings(Settings):
         default=FineTuneSettings(),
         description="Trajectory optimisation of a candidate from the incumbent's weights.",
     )
+    own: dict[str, JsonValue] = Field(
+        default={},
+        description="Settings of a kind that another package adds; it checks them.",
+    )
+
+    @field_validator("kind")
+    @classmethod
+    def _known(cls, kind: str) -> str:
+        known = (*TAKEN, *added_kinds())
+        if kind not in known:
+            hint = did_you_mean(kind, known)
+            raise ValueError(
+                f"there is no kind of policy {kind!r}{hint}; choose {', '.join(known)}"
+            )
+        return kind
+
+    @model_validator(mode="after")
+    def _checked(self) -> Self:
+        if self.kind in added_kinds():
+            self.added()
+        elif self.own:
+            raise ValueError(
+                f"own is for kinds that other packages add; {self.kind} has keys of its own"
+            )
+        return self
+
+    def added(self) -> tuple[Kind, Settings]:
+        """Give a kind that another package adds, and its settings.
+
+        Raises:
+            KeyError: The kind is of this package.
+            ValidationError: The settings are wrong.
+        """
+        kind = added_kinds()[self.kind]
+        return kind, kind.settings.model_validate(self.own)
