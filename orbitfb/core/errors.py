@@ -47,16 +47,43 @@ class MachineError(OrbitFeedbackError):
     """The machine did not do what its port promises."""
 
 
+MOST_SHOWN = 10
+"""Names that a message shows: with the lines around them half of a terminal of 24 lines, so that
+its first line, which says how many there are, stays in sight."""
+
+
+def few(names: Sequence[str]) -> str:
+    """List names one a line; of many the first ones, and how many more there are.
+
+    Args:
+        names: In the order of the ring.
+    """
+    shown = [f"  {name}" for name in names[:MOST_SHOWN]]
+    if len(names) > MOST_SHOWN:
+        shown.append(f"  … and {len(names) - MOST_SHOWN} more")
+    return "\n".join(shown)
+
+
 class ConnectError(MachineError):
-    """PVs that cannot be reached, listed all at once."""
+    """PVs that cannot be reached, counted all at once.
+
+    Args:
+        missing: Their names.
+        total: How many there are.
+        waited: For how long they were searched for [s].
+        advice: What to look at.
+
+    Attributes:
+        missing: All of their names; the message shows the first ones.
+        waited: As given.
+    """
 
     def __init__(self, missing: Sequence[str], total: int, waited: float, advice: str) -> None:
         self.missing = tuple(missing)
         self.waited = waited
-        names = "\n".join(f"  {name}" for name in self.missing)
         super().__init__(
             f"{len(self.missing)} of {total} PVs did not connect within {waited:.1f} s:\n"
-            f"{names}\n{advice}"
+            f"{few(self.missing)}\n{advice}"
         )
 
 

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Collection, Sequence
 
-from orbitfb.core.errors import ConnectError, MachineError
+from orbitfb.core.errors import ConnectError, MachineError, few
 from orbitfb.core.ports import Clock
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.settings import EpicsSettings
@@ -42,21 +42,29 @@ def wait_for_channels(
         total = sum(len(group) for group in groups)
         advice = (
             f"Is the IOC running, and reachable at '{settings.address_list}' port "
-            f"{settings.server_port}? Are the names those of the places table?"
+            f"{settings.server_port}? Are the names right ({_origin(missing, settings)})? "
+            "`orbitfb doctor` with the same --ioc and --config counts them by kind."
         )
         raise ConnectError(missing, total, settings.connect_timeout, advice)
     if read_only := [name for name in setpoints.read_only if name not in waived]:
-        names = "\n".join(f"  {name}" for name in read_only)
         raise MachineError(
-            f"{len(read_only)} of {len(setpoints)} setpoints may not be written:\n{names}\n"
+            f"{len(read_only)} of {len(setpoints)} setpoints may not be written:\n"
+            f"{few(read_only)}\n"
             "Ask for write access for this host and user."
         )
     if not_real := setpoints.not_real:
-        names = "\n".join(f"  {name}" for name in not_real)
         raise MachineError(
-            f"{len(not_real)} of {len(setpoints)} setpoints cannot hold a current:\n{names}\n"
+            f"{len(not_real)} of {len(setpoints)} setpoints cannot hold a current:\n"
+            f"{few(not_real)}\n"
             "Name the PV of the current [A] in the places table: a record of type ao."
         )
+
+
+def _origin(missing: Sequence[str], settings: EpicsSettings) -> str:
+    """Say where in the configuration the names are from."""
+    slow = {its.pv for its in settings.auxiliary.values()}
+    sources = {"epics.auxiliary" if name in slow else "the places table" for name in missing}
+    return " and ".join(sorted(sources, reverse=True))
 
 
 def _missing(

@@ -6,7 +6,7 @@ from fake_libca import Bench
 
 from orbitfb.core.errors import ConnectError, MachineError, WriteError
 from orbitfb.epics.connecting import wait_for_channels
-from orbitfb.epics.settings import EpicsSettings
+from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 
 
 class Late:
@@ -102,5 +102,14 @@ def test_masked_devices_are_not_waited_for_at_the_start(bench):
     wait_for_channels(machine._groups, machine._setpoints, settings, clock, ("COR0", "BPM1"))
     machine._setpoints.connected[0] = False  # where it is must be known all the same
     brief = EpicsSettings(connect_timeout=1e-9)
-    with pytest.raises(ConnectError, match="1 of 11 PVs"):
+    with pytest.raises(ConnectError, match=r"1 of 11 PVs(.|\n)*\(the places table\)"):
         wait_for_channels(machine._groups, machine._setpoints, brief, Late(), ("COR0", "BPM1"))
+
+
+def test_the_start_says_where_the_names_are_from_that_do_not_answer(bench):
+    machine = bench.machine
+    machine._groups[0].connected[:] = False
+    slow = {"current": AuxiliarySettings(pv=machine._groups[0].names[0])}
+    brief = EpicsSettings(connect_timeout=1e-9, auxiliary=slow)
+    with pytest.raises(ConnectError, match=r"\(the places table and epics.auxiliary\)"):
+        wait_for_channels(machine._groups, machine._setpoints, brief, Late())
