@@ -147,8 +147,10 @@ class Keeper:
         if promoted:
             before = report.figures.get("rms_before")
             self._store.activate(policy.policy_id, by="service", before=before)
-        if removed := self._store.prune(self._kept):
-            _log.info("policies_removed", policies=removed, kept=self._kept)
+        self._store.prune(self._kept, self._tell_removed)
+
+    def _tell_removed(self, identifier: str) -> None:
+        _log.info("policy_removed", policy=identifier, kept=self._kept)
 
     def proved(self, identifier: str) -> None:
         """Put on record that a promoted policy passed its watch."""

@@ -17,6 +17,7 @@ from typing import Any
 
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import StoreError
+from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.ports import Clock, Policy
 from orbitfb.core.signals import Channels
 from orbitfb.policies.card import (
@@ -58,6 +59,9 @@ class PolicyShelf:
         owner: Owner = "operator",
     ) -> str:
         """Store a policy; one that is there already stays as it is, with its first card.
+
+        Only whose it is may change: what the learner made and an operator stores as well is the
+        operator's from then on.
 
         Args:
             policy: What to store; when correctors are masked, the policy inside is stored.
@@ -128,9 +132,10 @@ class PolicyShelf:
         """
         directory = self.path / check_identifier(identifier)
         if not directory.is_dir():
+            known = (path.name for path in self.path.glob("[!.]*") if path.is_dir())
             raise StoreError(
-                f"there is no policy {identifier!r} in {self.path}; `orbitfb policies list` shows "
-                "those there are"
+                f"there is no policy {identifier!r}{did_you_mean(identifier, known)} in "
+                f"{self.path}; `orbitfb policies list` shows those there are"
             )
         return read_card(directory)
 
@@ -182,6 +187,8 @@ class PolicyShelf:
                     f"{final} holds another policy of the same id; store this one under another"
                 )
             self._check_whole(card.id)
+            if card.owner == "operator":
+                self._adopt(card.id)
             return
         files = {_TENSORS: content, "card.json": card.model_dump_json(indent=1).encode()}
         try:

@@ -7,6 +7,7 @@ Both are replaced by a rename: whoever reads sees the old or the new, also after
 cut. The policies themselves are in `policies.shelf`.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 from orbitfb.core.errors import StoreError
@@ -214,11 +215,12 @@ class PolicyStore(PolicyShelf):
             if reason:
                 self._note(identifier, "rolled_back", reason)
 
-    def prune(self, keep: int) -> list[str]:
+    def prune(self, keep: int, removed: Callable[[str], None] = lambda _: None) -> list[str]:
         """Remove old policies of the learner that are not among those last in force.
 
         Args:
             keep: How many of the learner's newest, and of those last in force, stay.
+            removed: Told of each one when it is gone, also if a later one cannot be removed.
 
         Returns:
             The ids that were removed.
@@ -245,6 +247,7 @@ class PolicyStore(PolicyShelf):
                         f"{self.path / identifier} cannot be removed ({error.strerror}); mend the "
                         "permissions"
                     ) from error
+                removed(identifier)
         return leaving
 
     def _put_in_force(self, identifier: str, by: By, probation: Probation | None) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from structlog.testing import capture_logs
 
 from orbitfb.core.errors import StoreError
 from orbitfb.core.refit import Decision, RefitReport, Stage
@@ -77,6 +78,22 @@ def test_a_learner_does_not_make_an_activation_forgotten(store, keeper):
         store.activate(store.save(learnt, CHANNELS), by="service")
     store.prune(3)
     assert keeper.first(SVD, ALL, new_ring=True).policy_id == TRAINED.policy_id == store.active()
+
+
+def test_churn_of_the_learner_removes_its_own_and_logs_each(store, keeper):
+    users = {card.id for card in store.cards()}
+    promoted = []
+    with capture_logs() as events:
+        for gain in np.linspace(0.1, 0.4, 6):
+            learnt = SvdPolicy(NOMINAL, SvdSettings(gain=float(gain)))
+            above = store.active()
+            keeper.keep(learnt, report(Decision.PROMOTED, learnt.policy_id, above, rms_before=2e-7))
+            keeper.proved(learnt.policy_id)
+            promoted.append(learnt.policy_id)
+    there = {card.id for card in store.cards()}
+    assert users <= there
+    gone = [event["policy"] for event in events if event["event"] == "policy_removed"]
+    assert gone and set(gone) == set(promoted) - there
 
 
 def test_going_back_is_a_choice_too(store, keeper):

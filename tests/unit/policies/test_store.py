@@ -11,6 +11,7 @@ from store_examples import make_modal, make_network, make_policy, ring
 
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import StoreError
+from orbitfb.policies.files import remove_directory
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.modal import ModalPolicy
 from orbitfb.policies.store import PolicyStore
@@ -171,6 +172,40 @@ def test_pruning_removes_old_promotions_of_the_learner_and_nothing_else(tmp_path
     ]
     assert store.card(chosen.policy_id).owner == "operator"
     assert store.prune(keep=2) == []
+
+
+def test_what_the_learner_made_and_an_operator_stores_too_is_the_operators(store):
+    ids = [store.save(make_policy(seed), ring(), owner="learner") for seed in range(4)]
+    store.save(make_policy(0), ring(), training={"method": "svd"})
+    assert store.card(ids[0]).owner == "operator"
+    assert ids[0] not in store.prune(keep=1)
+    store.save(make_policy(0), ring(), owner="learner")
+    assert store.card(ids[0]).owner == "operator"
+
+
+def test_each_removal_is_told_also_before_one_that_fails(store, monkeypatch):
+    for seed in range(5):
+        store.save(make_policy(seed), ring(), owner="learner")
+    told, failing = [], []
+
+    def remove(path):
+        if len(told) == 2:
+            failing.append(path)
+            raise PermissionError(13, "Permission denied")
+        remove_directory(path)
+
+    monkeypatch.setattr("orbitfb.policies.store.remove_directory", remove)
+    with pytest.raises(StoreError, match="cannot be removed"):
+        store.prune(1, told.append)
+    left = {card.id for card in store.cards()}
+    assert len(told) == 2 and left.isdisjoint(told) and len(left) == 3
+    assert failing[0].name in left
+
+
+def test_a_policy_that_there_is_not_is_answered_with_the_nearest(store):
+    identifier = store.save(make_policy(), ring())
+    with pytest.raises(StoreError, match=f"did you mean {identifier}"):
+        store.card(identifier[:-2])
 
 
 def test_what_a_probation_may_go_back_to_stays(tmp_path):
