@@ -105,17 +105,25 @@ class Dither:
         """Where the setpoints stand around those of the feedback, shape (m,) [A]."""
         return self._excursion
 
-    def propose(self) -> Vector:
-        """Draw the next excursion and return the change towards it, shape (m,) [A]."""
+    def propose(self, question: Vector | None = None) -> Vector:
+        """Draw the next excursion and return the change towards it, shape (m,) [A].
+
+        Args:
+            question: Another excursion to add to it, shape (m,) [A]; None: none.
+        """
+        change = self._drawn() - self._excursion
+        return change if question is None else change + question
+
+    def _drawn(self) -> Vector:
         amplitude = self.amplitude
         if amplitude == 0:  # also takes back the last excursion of one that was switched off
-            return 0.0 - self._excursion
+            return np.zeros(len(self._excursion), dtype=np.float64)
         m = len(self._excursion)
         if self._kind is DitherKind.WHITE:
             aim = amplitude * self._random.standard_normal(m)
         else:
             aim = amplitude * (2.0 * self._random.integers(0, 2, m) - 1.0)
-        return self._movable * aim - self._excursion
+        return self._movable * aim
 
     def settle(self, change: Vector) -> None:
         """Note the part of a proposed change that was written, shape (m,) [A].

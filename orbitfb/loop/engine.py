@@ -19,13 +19,14 @@ from orbitfb.loop.adjustments import Adjustments, approach
 from orbitfb.loop.choice import choose
 from orbitfb.loop.dither import Dither
 from orbitfb.loop.guard import NONE, Guard, Safeguards
+from orbitfb.loop.inquiry import WAITS, Inquiry
 from orbitfb.loop.inspection import Asker, inspect, mine_of
 from orbitfb.loop.intake import Intake, await_orbit
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.pacing import Pace, miss, take
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.states import Event
-from orbitfb.loop.tick import Checked, ramp_gain, screened, supervise, too_long
+from orbitfb.loop.tick import Checked, ramp_gain, screened, supervise, too_long, worse
 from orbitfb.loop.waiting import wait_for_change
 from orbitfb.loop.work import Work
 from orbitfb.safety.limits import Limited
@@ -68,6 +69,7 @@ class Engine:
         self._flaws = np.zeros(len(rules.channels.bpms), dtype=np.int8)
         self._asker = Asker(machine, self._guard)
         self._rules, self._dither = rules, dither
+        self._inquiry = Inquiry(rules, self._guard)
         self._counting, self._heed = rules.counting, heed
         self.wanted: Adjustments = Adjustments.none(rules.reference, len(rules.channels.correctors))
         self._adjustments: Adjustments = self.wanted
@@ -169,7 +171,10 @@ class Engine:
         self.memory = replace(self.memory, pace=pace)
         if missed:
             self.memory = replace(self.memory, answers=Answers())
+            self.memory = self._inquiry.missed(self.memory)
+        found, self.memory = self._inquiry.look(self.memory, reading, self._mine())
         checked = inspect(self._asker, self.memory, reading, self._rules, self._flaws, closing)
+        checked = worse(checked, found)
         self.memory = comeback.remember_good(checked.memory, checked, self._rules)
         return checked, missed
 
@@ -216,11 +221,13 @@ class Engine:
             if trouble:
                 self.move(Event.HOLD, trouble)
             if work.held_back:
-                return self._expect(work.nothing)
+                return self._expect(work.nothing, None)
         memory = self.memory
         ramp = ramp_gain(reading.received - memory.since, rules.loop) if closed else 1.0
-        dither = self._dither.propose() if closed else work.nothing
-        deciding, gain = self.policy, ramp * self._adjustments.gain
+        question = self._inquiry.question(memory) if closed else None
+        dither = self._dither.propose(question) if closed else work.nothing
+        waits = closed and self._inquiry.waits(memory)
+        deciding, gain = self.policy, (0.0 if waits else ramp) * self._adjustments.gain
         mine = self._mine()
         choice = choose(guard, checked, memory, rules, gain, dither, mine, work.done)
         limited, policy_state = choice.limited, choice.policy_state
@@ -230,7 +237,7 @@ class Engine:
         if self.policy is not deciding:
             self.memory = replace(self.memory, policy_state=self.policy.initial_state())
         work.requested, work.dither, work.scale = choice.requested, choice.dither, limited.scale
-        told = "; ".join(filter(None, (checked.verdict.reason, *choice.reasons)))
+        told = "; ".join(filter(None, (checked.verdict.reason, *choice.reasons, WAITS * waits)))
         self.memory = remember.note(self.memory, told, may_act=True)
         if not closed:
             return
@@ -239,8 +246,10 @@ class Engine:
             return
         if self._write(work, reading, limited):
             self._dither.settle(limited.scale * choice.dither)
-            self._expect(work.applied)
-            if ramp == 1.0 and choice.settled and policy_state is not self.memory.policy_state:
+            asked = limited.scale == 1.0 and np.array_equal(choice.dither[mine], dither[mine])
+            self._expect(work.applied, question if asked else None)
+            settled = ramp == 1.0 and not waits and choice.settled
+            if settled and policy_state is not self.memory.policy_state:
                 self.memory = replace(self.memory, policy_state=policy_state)
 
     def go_back(self, work: Work, reading: Reading, checked: Checked) -> None:
@@ -265,12 +274,13 @@ class Engine:
         if not self._write(work, reading, step.limited):
             self.memory = comeback.stop(self.memory, "a write failed")
 
-    def _expect(self, applied: Vector) -> None:
+    def _expect(self, applied: Vector, question: Vector | None) -> None:
         """Remember what the change just written should do to the orbit."""
         answer = self._guard.predict(applied)
         if answer is not None:
             answers = predict(answer, self.memory.answers, self._rules.interlocks)
             self.memory = replace(self.memory, answers=answers)
+            self.memory = self._inquiry.sent(self.memory, applied, answer, question, self._mine())
 
     def _write(self, work: Work, reading: Reading, limited: Limited) -> bool:
         before, mine = self.memory.setpoints, self._mine()

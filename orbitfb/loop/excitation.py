@@ -76,9 +76,13 @@ class Excitation(Dither):
         """Where the setpoints stand around those of the feedback, shape (m,) [A]."""
         return self._dither.excursion + self._own
 
-    def propose(self) -> Vector:
-        """Return the next change, shape (m,) [A]: of the waveform and of the dither."""
-        below = self._dither.propose()
+    def propose(self, question: Vector | None = None) -> Vector:
+        """Return the next change, shape (m,) [A]: of the waveform and of the dither.
+
+        Args:
+            question: Another excursion to add to it, shape (m,) [A]; None: none.
+        """
+        below = self._dither.propose(question)
         own = np.zeros_like(self._own)
         if self._progress is Progress.WAITING and self._waited >= self._waveform.wait:
             self._progress = Progress.RUNNING

@@ -10,6 +10,7 @@ from orbitfb.core.signals import Channels, LoopState, Mask, Vector
 from orbitfb.loop.pacing import Pace
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.states import Event, next_state
+from orbitfb.safety.answering import Answering, opened
 from orbitfb.safety.arrival import Sent
 from orbitfb.safety.bpms import BpmMemory
 from orbitfb.safety.interlocks import InterlockSettings
@@ -92,6 +93,7 @@ class LoopMemory:
         seen: Readback of each of the others when its setpoint was last asked for, shape (m,)
             [A]; NaN or None: not asked for.
         refusals: Correctors whose puts do not stay.
+        answering: What was asked of the orbit without a sign of an answer.
     """
 
     state: LoopState
@@ -119,6 +121,7 @@ class LoopMemory:
     mine: Mask | None = None
     seen: Vector | None = None
     refusals: Refusals = field(default_factory=Refusals)
+    answering: Answering = field(default_factory=Answering)
 
     @property
     def setpoints(self) -> Vector:
@@ -213,7 +216,7 @@ def move(memory: LoopMemory, event: Event, reason: str, now: float, recloses: bo
     if after in (LoopState.OPEN, LoopState.SHADOW):
         sent = replace(memory.sent, change=None)
         memory = replace(memory, lost=np.zeros_like(memory.lost), well=None, way=None, sent=sent)
-        memory = replace(memory, refusals=Refusals())
+        memory = replace(memory, refusals=Refusals(), answering=opened(memory.answering))
     if after is LoopState.CLOSED:
         return replace(memory, growth=Growth(), rise=Rise())
     if after is LoopState.HELD:

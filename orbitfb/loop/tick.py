@@ -10,7 +10,7 @@ from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.states import Event
 from orbitfb.safety import interlocks, watch
-from orbitfb.safety.bpms import Flaws, bpm_quota, screen
+from orbitfb.safety.bpms import Flaw, Flaws, bpm_quota, screen
 from orbitfb.safety.correctors import follow
 from orbitfb.safety.prediction import answered, idle
 from orbitfb.safety.verdict import Action, Verdict, worst
@@ -62,6 +62,8 @@ def screened(
         len(rules.channels.planes),
         memory.state in (LoopState.CLOSED, LoopState.HELD),
     )
+    if (left := memory.answering.left) is not None:
+        flaws[left & (flaws == Flaw.NONE)] = Flaw.SILENT
     if flaws.any():
         reading = replace(reading, orbit=replace(orbit, valid=orbit.valid & (flaws == 0)))
     return reading, flaws, replace(memory, bpms=bpms)
@@ -159,6 +161,13 @@ def _refusing(
     mask = np.zeros(memory.lost.shape, dtype=np.bool_)
     mask[list(found)] = True
     return {**memory.refusals.causes, **found}, mask if movable is None else mask & movable
+
+
+def worse(checked: Checked, verdict: Verdict) -> Checked:
+    """Take one more verdict into account, if it is graver."""
+    if verdict.action <= checked.verdict.action:
+        return checked
+    return replace(checked, verdict=verdict, sound=worst(checked.sound, verdict))
 
 
 def _size(error: Vector, count: int) -> tuple[float, float]:

@@ -32,6 +32,7 @@ class Flaw(IntEnum):
     FROZEN = 3
     JUMP = 4
     PROVING = 5
+    SILENT = 6
 
 
 WORDS = {
@@ -40,6 +41,7 @@ WORDS = {
     Flaw.FROZEN: "frozen",
     Flaw.JUMP: "jumped",
     Flaw.PROVING: "proving",
+    Flaw.SILENT: "does not answer the correctors",
 }
 
 

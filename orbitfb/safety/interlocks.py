@@ -119,6 +119,23 @@ class InterlockSettings(Settings):
         description="Rms [m] below which growth is taken for noise: nothing trips, and only ticks "
         "that grow by their share of the factor count.",
     )
+    answer_reach: float | None = Field(
+        default=10e-6,
+        gt=0,
+        description="What may be asked of a BPM, or of the orbit by a corrector, without a sign of "
+        "an answer, before the loop asks whether they answer [m]; none = believe all that is read.",
+    )
+    answer_question: float = Field(
+        default=0.5e-6,
+        ge=0,
+        description="Largest orbit that such questions may cause, rms over the BPMs [m]; 0 = never "
+        "ask: only steps that are large show an answer.",
+    )
+    answer_after: float = Field(
+        default=600.0,
+        gt=0,
+        description="Time without a sign of an answer after which the loop asks too [s].",
+    )
     frozen_ticks: int = Field(
         default=1,
         ge=0,

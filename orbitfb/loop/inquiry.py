@@ -1,0 +1,110 @@
+"""The loop asks whether the orbit answers (`safety.answering`), and heeds what it is told."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.core.signals import LoopState, Mask, Reading, Vector
+from orbitfb.loop.guard import Guard
+from orbitfb.loop.memory import LoopMemory, Rules
+from orbitfb.safety.answering import Found, Seen, Sent, interrupted, look, note
+from orbitfb.safety.questions import Question
+from orbitfb.safety.verdict import FINE, Action, Verdict, name_some
+
+WAITS = "corrects nothing until the orbit has answered what was asked of it"
+"""Said while too much was asked for without a sign of an answer."""
+
+UNANSWERED = "the orbit does not answer it"
+"""Why a corrector is left out."""
+
+
+class Inquiry:
+    """Draws the questions, and tells the loop who does not answer.
+
+    Args:
+        rules: Settings and names.
+        guard: Has the response of the policy in force.
+    """
+
+    def __init__(self, rules: Rules, guard: Guard) -> None:
+        self._settings, self._names, self._guard = rules.interlocks, rules.channels, guard
+        self._random = np.random.default_rng()  # nobody may know what is asked next
+        self._asked: Question | None = None
+
+    def look(self, memory: LoopMemory, reading: Reading, mine: Mask) -> tuple[Verdict, LoopMemory]:
+        """Compare an orbit with what was asked of it.
+
+        Args:
+            memory: So far.
+            reading: The orbit, screened.
+            mine: Correctors that the loop moves, shape (m,).
+
+        Returns:
+            A trip if the ring does not answer, and the memory: BPMs that do not are left out of the
+            next orbit, correctors from this one on.
+        """
+        response = self._guard.response
+        if response is None:
+            return FINE, memory
+        orbit, closed = reading.orbit, memory.state is LoopState.CLOSED
+        seen = Seen(orbit.position, orbit.valid, response, mine, closed, reading.received)
+        found, answering = look(seen, memory.answering, self._settings)
+        memory = replace(memory, answering=answering)
+        return self._heed(found, memory)
+
+    def _heed(self, found: Found, memory: LoopMemory) -> tuple[Verdict, LoopMemory]:
+        if found.ring:
+            return Verdict(Action.TRIP, "answer", found.ring), memory
+        if not found.correctors:
+            return FINE, memory
+        if not self._guard.can_leave_out:
+            silent = np.zeros(len(memory.lost), dtype=np.bool_)
+            silent[list(found.correctors)] = True
+            names = name_some(silent, self._names.correctors)
+            reason = f"the orbit does not answer {names}, whatever the readback says"
+            return Verdict(Action.TRIP, "answer", reason), memory
+        told = {**memory.refusals.found, **dict.fromkeys(found.correctors, UNANSWERED)}
+        return FINE, replace(memory, refusals=replace(memory.refusals, found=told))
+
+    def missed(self, memory: LoopMemory) -> LoopMemory:
+        """Forget what is on its way, as orbits were missed."""
+        return replace(memory, answering=interrupted(memory.answering))
+
+    def waits(self, memory: LoopMemory) -> bool:
+        """Say whether nothing is to be corrected, as too much is owed."""
+        return memory.answering.waits(self._settings)
+
+    def question(self, memory: LoopMemory) -> Vector | None:
+        """Draw a question if one is wanted: an excursion, shape (m,) [A]."""
+        answering, self._asked = memory.answering, None
+        size = answering.question(self._settings)
+        if size == 0 or answering.ring is None or answering.expected is None:
+            return None
+        ring = answering.ring
+        signs: Vector = 2.0 * self._random.integers(0, 2, ring.patterns.shape[1]) - 1.0
+        excursion: Vector = ring.patterns @ (size * signs)
+        still = answering.expected.still
+        self._asked = Question(size, excursion, ring.response @ excursion, still)
+        return excursion
+
+    def sent(
+        self,
+        memory: LoopMemory,
+        change: Vector,
+        moved: Vector,
+        question: Vector | None,
+        mine: Mask,
+    ) -> LoopMemory:
+        """Remember what was sent.
+
+        Args:
+            memory: So far.
+            change: Of the setpoints, shape (m,) [A].
+            moved: What that does to the orbit, shape (n,) [m].
+            question: The part of it that was drawn, if it was sent as it was; None: none was.
+            mine: Correctors that the loop moves, shape (m,).
+        """
+        asked, ring = self._asked, memory.answering.ring
+        if question is None or ring is None or not np.array_equal(ring.movable, mine):
+            asked = None
+        return replace(memory, answering=note(memory.answering, Sent(change, moved, asked)))

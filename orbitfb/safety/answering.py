@@ -1,0 +1,362 @@
+"""The loop believes no orbit that does not answer it.
+
+What the loop asks for is added up until the ring, the BPM or the corrector is seen to answer. When
+that comes to `answer_reach`, or nothing was seen to answer for long, the loop asks: it adds small
+random excursions (`questions`) to what it sends until whoever is in doubt has answered, the louder
+the more is at stake. A ring that does not answer trips; a BPM or a corrector that does not is left
+out by name. While the ring as a whole owes as much the loop corrects nothing.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.safety.expectation import Expectation, Owed, shown
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.questions import Question, Ring, Sight, Test, ask_devices, ask_ring
+
+LAGS = 3
+"""Orbits at which an answer may come: in time, or one or two late."""
+
+ANSWERED = 4.0
+"""z from which a device answers: by chance once in exp(4² / 2) = 3,000 questions at most, and then
+it is asked again."""
+
+SILENT = 5.0
+"""z from which one does not. A device that gives 60 % of an answer is wronged once in exp(5² / 2) =
+270,000 sessions at most; one that gives 80 % or more needs 6 to 8 times its noise for it."""
+
+TOLD = 2 * SILENT
+"""Evidence z that there would be against a device by now if it did not answer, from which less than
+half of it means that it answers, if by a part."""
+
+SUSPECT = 3.0
+"""z from which a corrector is suspected: BPMs beside it seem silent too, so that they wait."""
+
+LOUD = 40.0
+"""What is at stake over a question [1]: an answer costs a part of 40 of what it is about."""
+
+SETTLED = 20
+"""Orbits after which it is known what is usual."""
+
+HALF = 0.5
+"""Share of `answer_reach` below which nobody is in doubt any more [1]."""
+
+PATIENCE = 300
+"""Orbits of only asking after which no answer counts as none: a hundred times what a ring needs
+whose noise is as large as the question."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sent:
+    """What was sent after an orbit.
+
+    Args:
+        change: Of the setpoints, shape (m,) [A].
+        moved: R times it, shape (n,) [m].
+        question: The part of it that was drawn; None: none was.
+    """
+
+    change: Vector
+    moved: Vector
+    question: Question | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """Asking.
+
+    Args:
+        whole: Of the ring.
+        devices: Of the BPMs and correctors.
+        answered: Whether the ring has.
+        waited: Orbits at which the loop only asked.
+    """
+
+    whole: Test
+    devices: Test
+    answered: bool = False
+    waited: int = 0
+
+    @classmethod
+    def begin(cls, n: int, m: int, answered: bool = False) -> "Session":
+        """Begin to ask n BPMs and m correctors."""
+        return cls(Test.none(LAGS + 1, 1), Test.none(2, n + m), answered)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answering:
+    """What is remembered from tick to tick.
+
+    Args:
+        ring: Of the policy in force; None: not known.
+        expected: Of the next orbit; None before the first.
+        sent: After the last orbits, newest first.
+        owed: What was asked for without a sign of an answer; None: the loop is not closed.
+        session: Asking; None: nobody is in doubt.
+        lag: Orbits by which the ring answers late.
+        since: When it answered last, or the loop closed, monotonic [s].
+        left: BPMs that are left out as they do not answer, shape (n,); None: none.
+        found: How often something was found not to answer.
+    """
+
+    ring: Ring | None = None
+    expected: Expectation | None = None
+    sent: tuple[Sent, ...] = ()
+    owed: Owed | None = None
+    session: Session | None = None
+    lag: int = 0
+    since: float = float("nan")
+    left: Mask | None = None
+    found: int = 0
+
+    def question(self, settings: InterlockSettings) -> float:
+        """Say how large a question is wanted: orbit, rms over the BPMs [m]; 0: none is."""
+        ring, owed, expected = self.ring, self.owed, self.expected
+        if self.session is None or ring is None or owed is None or expected is None:
+            return 0.0
+        # A corrector is told by the count of questions, not by how loud they are.
+        stake = max(float(np.abs(owed.bpms).max(initial=0.0)), _rms(owed.ring))
+        noise = float(np.median(expected.spread))
+        return min(max(stake / LOUD, noise), settings.answer_question)
+
+    def waits(self, settings: InterlockSettings) -> bool:
+        """Say whether the loop only asks: the ring owes too much."""
+        reach = settings.answer_reach
+        if reach is None or self.owed is None or self.session is None:
+            return False
+        arrived = self.owed.ring.copy()
+        for item in self.sent[: self.lag]:
+            arrived -= item.moved
+        return _rms(arrived) > reach
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """An orbit, and of what.
+
+    Args:
+        position: Shape (n,) [m].
+        valid: BPMs that count, shape (n,).
+        response: R of the policy in force, shape (n, m) [m/A].
+        movable: Correctors that the loop moves, shape (m,).
+        closed: Whether the loop is CLOSED.
+        time: When it was complete, monotonic [s].
+    """
+
+    position: Vector
+    valid: Mask
+    response: Vector
+    movable: Mask
+    closed: bool
+    time: float
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What does not answer.
+
+    Args:
+        ring: Why the ring as a whole is not believed; empty when it is.
+        bpms: BPMs that do not answer, by index.
+        correctors: Correctors that the orbit does not answer, by index.
+    """
+
+    ring: str = ""
+    bpms: tuple[int, ...] = ()
+    correctors: tuple[int, ...] = field(default=())
+
+
+NOTHING = Found()
+
+
+def look(seen: Seen, memory: Answering, settings: InterlockSettings) -> tuple[Found, Answering]:
+    """Compare an orbit with what was asked of it.
+
+    Args:
+        seen: The orbit.
+        memory: What the last call, or `note`, returned.
+        settings: What may be asked for without an answer, and how loud a question may be.
+    """
+    memory, ring = _prepared(seen, memory)
+    expected = memory.expected
+    n, m = seen.response.shape
+    valid = seen.valid & np.isfinite(seen.position)
+    if expected is None:
+        position = np.where(valid, seen.position, 0.0)
+        return NOTHING, replace(memory, expected=Expectation.first(position, m))
+    came = memory.sent[memory.lag] if len(memory.sent) > memory.lag else None
+    nothing = Sent(np.zeros(m), np.zeros(n))
+    moved, change = (came or nothing).moved, (came or nothing).change
+    position = np.where(valid, seen.position, expected.model + moved)
+    after = expected.follow(position, moved, change, valid)
+    if not seen.closed or settings.answer_reach is None:
+        idle = replace(memory, expected=after, sent=(), owed=None, session=None)
+        return NOTHING, replace(idle, since=float("nan"))
+    owed = memory.owed
+    if owed is None:
+        owed = Owed.nothing(n, m)
+    counts = np.concatenate((valid, ring.movable))
+    since = seen.time if np.isnan(memory.since) else memory.since
+    memory = replace(memory, expected=after, owed=owed.paid(False, ~counts), since=since)
+    if expected.before is not None:
+        memory = _heed_steps(position - expected.before, valid, memory, expected, ring, settings)
+    session = memory.session
+    if session is None:
+        return NOTHING, _begin(memory, ring, valid, seen.time, settings)
+    surprise = expected.surprise(position, moved)
+    sight = Sight(position, valid, surprise, expected.spread, after.recent)
+    questions = tuple(item.question for item in memory.sent)
+    whole = ask_ring(session.whole, sight, questions, ring, memory.lag)
+    at = [*questions[memory.lag : memory.lag + 2], None, None]
+    devices = ask_devices(session.devices, sight, at[0], at[1], ring)
+    session = replace(session, whole=whole, devices=devices)
+    return _judge(seen, replace(memory, session=session), session, ring, valid, settings)
+
+
+def note(memory: Answering, sent: Sent) -> Answering:
+    """Remember what was sent after an orbit, zeros if nothing was.
+
+    Args:
+        memory: What `look` returned.
+        sent: What was sent.
+    """
+    owed = memory.owed
+    if owed is None:  # the loop has just closed
+        owed = Owed.nothing(len(sent.moved), len(sent.change))
+    owed = owed.add(sent.moved, sent.change)
+    return replace(memory, owed=owed, sent=(sent, *memory.sent[:LAGS]))
+
+
+def interrupted(memory: Answering) -> Answering:
+    """Forget what is on its way, as an orbit was missed."""
+    expected = memory.expected
+    if expected is None:
+        return memory
+    model = expected.model.copy()
+    for item in memory.sent[: memory.lag + 1]:
+        model += item.moved
+    expected = replace(expected, model=model, before=None)
+    return replace(memory, expected=expected, sent=())
+
+
+def opened(memory: Answering) -> Answering:
+    """Believe everybody again: the loop is open."""
+    return replace(memory, owed=None, session=None, sent=(), left=None)
+
+
+def _prepared(seen: Seen, memory: Answering) -> tuple[Answering, Ring]:
+    """Take the response of the policy in force, and the correctors that move."""
+    ring = memory.ring
+    same = ring is not None and ring.response is seen.response
+    if ring is not None and same and np.array_equal(ring.movable, seen.movable):
+        return memory, ring
+    ring = Ring.of(seen.response, seen.movable)
+    expected = memory.expected
+    if expected is not None and expected.model.shape != seen.position.shape:
+        memory = Answering(found=memory.found)
+    n, m = seen.response.shape
+    session = None
+    if memory.session is not None:
+        session = Session.begin(n, m, memory.session.answered)
+    sent = tuple(replace(item, question=None) for item in memory.sent)
+    return replace(memory, ring=ring, session=session, sent=sent), ring
+
+
+def _heed_steps(
+    step: Vector,
+    valid: Mask,
+    memory: Answering,
+    expected: Expectation,
+    ring: Ring,
+    settings: InterlockSettings,
+) -> Answering:
+    """Strike out what plainly showed in a step of the orbit, whichever change it answers."""
+    least, nobody = settings.prediction_floor, np.zeros(len(step) + len(ring.sizes), dtype=np.bool_)
+    for lag, sent in enumerate(memory.sent[:LAGS]):
+        whole, devices = shown(step, sent.moved, sent.change, valid, expected.spread, least, ring)
+        if whole and memory.owed is not None:
+            devices = devices if lag == memory.lag else nobody
+            return replace(memory, owed=memory.owed.paid(whole, devices))
+    return memory
+
+
+def _begin(
+    memory: Answering, ring: Ring, valid: Mask, time: float, settings: InterlockSettings
+) -> Answering:
+    """Ask if somebody owes too much, or nobody was asked for long."""
+    owed, expected, reach = memory.owed, memory.expected, settings.answer_reach
+    if owed is None or expected is None or reach is None or expected.orbits < SETTLED:
+        return memory
+    doubted = _doubted(owed, ring, valid, reach).any() or _rms(owed.ring) > reach
+    if not doubted and time - memory.since < settings.answer_after:
+        return memory
+    if settings.answer_question == 0 or not ring.movable.any():
+        return memory
+    return replace(memory, session=Session.begin(*ring.response.shape))
+
+
+def _judge(
+    seen: Seen,
+    memory: Answering,
+    session: Session,
+    ring: Ring,
+    valid: Mask,
+    settings: InterlockSettings,
+) -> tuple[Found, Answering]:
+    """Say what the answers mean: of the ring first, then of correctors, then of BPMs."""
+    n, m = ring.response.shape
+    owed, reach = memory.owed, settings.answer_reach
+    if owed is None or reach is None:
+        return NOTHING, memory
+    whole = session.whole.first(LAGS)
+    waited = session.waited + memory.waits(settings)
+    if float(whole.silence[0]) >= SILENT or waited > PATIENCE:
+        asked = _rms(owed.ring)
+        reason = (
+            f"the orbit does not answer the setpoints: {asked * 1e6:.3g} µm rms were asked for "
+            "since it last did; BPMs that do not see the beam, or power supplies that do not move "
+            "it: look at both before the loop is reset"
+        )
+        after = replace(memory, session=None, owed=Owed.nothing(n, m), found=memory.found + 1)
+        return Found(ring=reason), after
+    lag, since, answered = memory.lag, memory.since, session.answered
+    devices, nobody = session.devices, np.zeros(n + m, dtype=np.bool_)
+    if float(session.whole.sure[0]) >= ANSWERED:
+        owed, since = owed.paid(True, nobody), seen.time
+    if float(whole.sure[0]) >= ANSWERED:
+        if whole.lag != lag:
+            lag, devices = whole.lag, Test.none(2, n + m)
+        session, answered = replace(session, whole=Test.none(LAGS + 1, 1)), True
+    told = devices.told
+    sure = (devices.sure >= ANSWERED) | ((told >= TOLD) & (devices.doubt < 0.5 * told))
+    owed, devices = owed.paid(False, sure), devices.anew(sure)
+    session = replace(session, devices=devices, answered=answered, waited=waited)
+    after = replace(memory, session=session, owed=owed, lag=lag, since=since)
+    counts = np.concatenate((valid, ring.movable))
+    silent = counts & (devices.doubt >= SILENT) & answered
+    correctors, bpms = np.flatnonzero(silent[n:]), np.flatnonzero(silent[:n])
+    if correctors.size or (bpms.size and float(devices.doubt[n:].max(initial=0.0)) >= SUSPECT):
+        bpms = bpms[:0]
+    if correctors.size or bpms.size:
+        left = memory.left
+        if bpms.size:
+            left = np.zeros(n, dtype=np.bool_) if left is None else left.copy()
+            left[bpms] = True
+        after = replace(
+            after, session=Session.begin(n, m, answered), left=left, found=memory.found + 1
+        )
+        return Found("", tuple(bpms.tolist()), tuple(correctors.tolist())), after
+    if answered and not _doubted(owed, ring, valid, HALF * reach).any():
+        after = replace(after, session=None)
+    return NOTHING, after
+
+
+def _doubted(owed: Owed, ring: Ring, valid: Mask, reach: float) -> Mask:
+    """Find who owes more than a reach [m], shape (n + m,)."""
+    return (owed.sizes(ring) > reach) & np.concatenate((valid, ring.movable))
+
+
+def _rms(orbit: Vector) -> float:
+    return float(np.sqrt(np.mean(orbit**2)))

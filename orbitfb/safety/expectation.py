@@ -1,0 +1,194 @@
+"""What the next orbit should be, and what the loop has asked for without a sign of an answer.
+
+An observer follows the orbit, knowing what was sent: p = R a is added, and half of the surprise
+that is left. What was asked for since a device last answered is what its reading, or its field,
+may be wrong by if it does not: the loop lets it not become large without asking (`answering`).
+
+A step that is much larger than the noise needs no question: it shows by itself.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.safety.questions import CLIP, Ring
+
+FOLLOWING = 0.4
+"""Share of a surprise that the observer takes over [1]: noise of 1.12 times its least size is left,
+and a move that was not made is forgotten in four orbits."""
+
+STILL = 0.2
+"""The same of the average of the readings [1]: 1.05 times."""
+
+MEMORY = 50.0
+"""Orbits over which the usual size of a surprise is averaged: long beside a kick, short beside a
+shift."""
+
+CALM = 0.5
+"""Size of the surprises of one orbit, over the usual one, from which that was too large [1]."""
+
+MEDIAN = 0.455
+"""Median of the square of a normal number [1]."""
+
+LEAST = 1e-9
+"""Least usual size of a surprise [m]: no BPM reads finer; a ring without noise has none."""
+
+PLAIN = 10.0
+"""Times its noise from which the step of a single BPM shows by itself [1]."""
+
+NEAR = 0.5
+"""Largest part of a predicted step that may be missing or too much if it was made [1]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expectation:
+    """What is expected of the next orbit.
+
+    Args:
+        model: Orbit of the observer, shape (n,) [m].
+        still: Average of the last readings, shape (n,) [m].
+        power: Mean square of the surprise, shape (n,) [m²].
+        recent: What of the last changes is in the surprise if a corrector took none, (m,) [A].
+        before: The last reading, shape (n,) [m]; None: there is none that this one follows.
+        orbits: Orbits that were seen.
+    """
+
+    model: Vector
+    still: Vector
+    power: Vector
+    recent: Vector
+    before: Vector | None
+    orbits: int
+
+    @classmethod
+    def first(cls, position: Vector, correctors: int) -> "Expectation":
+        """Begin with an orbit, shape (n,) [m]; finite."""
+        power = np.full(position.shape, LEAST**2)
+        return cls(position, position, power, np.zeros(correctors), position, 1)
+
+    @property
+    def spread(self) -> Vector:
+        """Usual size of a surprise, shape (n,) [m]."""
+        return np.sqrt(self.power)
+
+    def surprise(self, position: Vector, moved: Vector) -> Vector:
+        """Give what of an orbit was not expected, shape (n,) [m].
+
+        Args:
+            position: Shape (n,) [m].
+            moved: What the changes of the setpoints should have moved it, shape (n,) [m].
+        """
+        return position - self.model - moved
+
+    def follow(self, position: Vector, moved: Vector, change: Vector, seen: Mask) -> "Expectation":
+        """Take over an orbit.
+
+        Args:
+            position: Shape (n,) [m].
+            moved: What the changes should have moved it, shape (n,) [m].
+            change: Those changes, shape (m,) [A].
+            seen: BPMs that count, shape (n,).
+        """
+        surprise = self.surprise(position, moved)
+        square, orbits = surprise**2, self.orbits + 1
+        settled = orbits > 2 * CLIP  # before, the first orbits are not known to be usual
+        if settled:
+            square = np.minimum(square, CLIP**2 * self.power)
+        power = self.power + max(1.0 / MEMORY, 1.0 / orbits) * (square - self.power)
+        quiet = _quiet(square[seen], power[seen])
+        if quiet < CALM**2:  # after a kick, or the closing, the whole ring is calm again
+            power = power * np.sqrt(quiet)
+        return replace(
+            self,
+            model=self.model + moved + np.where(seen, FOLLOWING * surprise, 0.0),
+            still=self.still + np.where(seen, STILL * (position - self.still), 0.0),
+            power=np.where(seen, np.maximum(power, LEAST**2), self.power),
+            recent=(1.0 - FOLLOWING) * self.recent + change,
+            before=position,
+            orbits=orbits,
+        )
+
+
+def _quiet(square: Vector, power: Vector) -> float:
+    """Give the mean square of all over what it was thought to be, by its median."""
+    return float(np.median(square / power)) / MEDIAN if square.size else 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Owed:
+    """What was asked for since the last sign of an answer.
+
+    Args:
+        ring: Predicted for the orbit since the ring answered, shape (n,) [m].
+        bpms: The same since each BPM did, shape (n,) [m].
+        correctors: Changes since each corrector did, shape (m,) [A].
+    """
+
+    ring: Vector
+    bpms: Vector
+    correctors: Vector
+
+    @classmethod
+    def nothing(cls, n: int, m: int) -> "Owed":
+        """Begin: nothing was asked for."""
+        return cls(np.zeros(n), np.zeros(n), np.zeros(m))
+
+    def add(self, moved: Vector, change: Vector) -> "Owed":
+        """Ask for more: `moved` of the orbit, shape (n,) [m], by a change, shape (m,) [A]."""
+        return Owed(self.ring + moved, self.bpms + moved, self.correctors + change)
+
+    def paid(self, ring: bool, devices: Mask) -> "Owed":
+        """Strike out what answered.
+
+        Args:
+            ring: Whether the ring as a whole did.
+            devices: Shape (n + m,).
+        """
+        if not ring and not devices.any():
+            return self
+        n = len(self.bpms)
+        return Owed(
+            np.zeros(n) if ring else self.ring,
+            np.where(devices[:n], 0.0, self.bpms),
+            np.where(devices[n:], 0.0, self.correctors),
+        )
+
+    def sizes(self, ring: Ring) -> Vector:
+        """Say how much it is: of each BPM and corrector, shape (n + m,) [m]."""
+        return np.concatenate((np.abs(self.bpms), np.abs(self.correctors) * ring.sizes))
+
+
+def shown(
+    step: Vector, moved: Vector, change: Vector, seen: Mask, noise: Vector, least: float, ring: Ring
+) -> tuple[bool, Mask]:
+    """Find who plainly answered a large change in one step of the orbit.
+
+    Args:
+        step: Of the orbit, shape (n,) [m].
+        moved: What it should be, shape (n,) [m].
+        change: Of the setpoints, shape (m,) [A].
+        seen: BPMs that count in both orbits, shape (n,).
+        noise: Of each BPM, shape (n,) [m].
+        least: Rms of a step that is large [m].
+        ring: The response.
+
+    Returns:
+        Whether the ring as a whole did, and which BPMs and correctors, shape (n + m,).
+    """
+    count = int(np.count_nonzero(seen))
+    asked = np.where(seen, moved, 0.0)
+    power = float(asked @ asked)
+    nobody = np.zeros(len(moved) + len(change), dtype=np.bool_)
+    floor = max(least, PLAIN * float(np.median(noise)))
+    if power < max(count, 1) * floor**2:
+        return False, nobody
+    missing = np.where(seen, step - moved, 0.0)
+    if float(missing @ missing) > NEAR**2 * power:
+        return False, nobody
+    large = np.maximum(least, PLAIN * noise)
+    bpms = seen & (np.abs(moved) >= large) & (np.abs(missing) <= NEAR * np.abs(moved))
+    size = np.maximum(len(step) * ring.sizes**2, np.finfo(np.float64).tiny)
+    part = np.abs(missing @ ring.response) / size
+    correctors = (np.abs(change) * ring.sizes >= floor) & (part <= NEAR * np.abs(change))
+    return True, np.concatenate((bpms, correctors))

@@ -1,0 +1,301 @@
+"""Small random excursions as questions to the ring: what answers them is there.
+
+The loop sets the correctors aside by d = s B ξ, its signs ξ = ±1 drawn anew at every tick. Nothing
+else that moves the orbit, and no reading that does not see the beam, can know the signs. So if a
+share c of x = R d shows in the next orbit y, and f is any guess of y made before they were drawn,
+e = y − f − c x knows nothing of ξ, and over the questions
+
+    M = Σ x e,   V = Σ (x e)²
+
+of a BPM are a sum of random signs and its variance: z = M / √V exceeds h with the chance
+exp(−h² / 2) at most (Hoeffding 1963), whatever the noise, the drift, the kicks and the loop do.
+For the ring as a whole the variance over the signs is known at once, V = Σ s² |(R B)ᵀ e|², so that
+few questions suffice. For correctors, d ∘ Rᵀ e / s² is multiplied by the inverse of
+(B Bᵀ) ∘ (Rᵀ R): what of it comes of the neighbours' answers is told apart.
+
+A device answers if "c is `LITTLE` or less" is refuted, it does not if "c is `MUCH` or more" is.
+
+Sources: Hoeffding, J. Amer. Statist. Assoc. 58 (1963) 13; that only a watermark tells replayed
+readings from a ring that answers: Mo and Sinopoli, Allerton Conf. (2009) 911.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+
+LITTLE = 0.2
+"""Share of an answer up to which a device does not answer [1]: neighbours may feign as much."""
+
+MUCH = 0.6
+"""Share of an answer from which a device does [1]: half of an answer harms nobody, the loop then
+corrects at half its speed; and no response matrix in use is wrong by so much."""
+
+FLAT = 0.03
+"""Singular value, over the largest, below which a mode of R is asked less [1]. The first five modes
+of the default ring are above: questions spread over all the others alike, and their currents stay
+below 1 mA for 0.3 µm of orbit."""
+
+SINGULAR = 1e-6
+"""Relative size below which differences between correctors are rounding [1]."""
+
+CLIP = 4.0
+"""Largest deviation from the guess that counts, over its usual size: one kick is one question."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ring:
+    """A response matrix and what is made of it once.
+
+    Args:
+        response: R, shape (n, m) [m/A].
+        movable: Correctors that are asked, shape (m,).
+        sizes: Rms of each column, shape (m,) [m/A].
+        patterns: B, excursions that move the orbit by 1 m rms all together, and alike in all the
+            modes of R that can be moved, shape (m, q) [A].
+        moves: R B, shape (n, q) [m].
+        reach: Squared length of each of its rows, shape (n,) [m²].
+        apart: Inverse of (B Bᵀ) ∘ (Rᵀ R), which tells correctors apart whose excursions and
+            answers are alike, shape (m, m) [1/m²].
+        mixed: Rᵀ R ∘ `apart`, shape (m, m) [1/A²].
+    """
+
+    response: Vector
+    movable: Mask
+    sizes: Vector
+    patterns: Vector
+    moves: Vector
+    reach: Vector
+    apart: Vector
+    mixed: Vector
+
+    @classmethod
+    def of(cls, response: Vector, movable: Mask) -> "Ring":
+        """Look at a ring.
+
+        Args:
+            response: R, shape (n, m) [m/A].
+            movable: Correctors that may be asked, shape (m,).
+        """
+        _, sizes, modes = np.linalg.svd(response * movable, full_matrices=False)
+        flat = movable[:, None] * modes.T / np.sqrt(sizes**2 + (FLAT * sizes[0]) ** 2)
+        moves = response @ flat
+        scale = np.sqrt(len(response)) / np.linalg.norm(moves)
+        patterns = scale * flat
+        square = response.T @ response
+        apart = _inverse((patterns @ patterns.T) * square)
+        sizes = np.sqrt(np.mean(response**2, axis=0))
+        moves, reach = scale * moves, scale**2 * np.sum(moves**2, axis=1)
+        return cls(response, movable, sizes, patterns, moves, reach, apart, apart * square)
+
+
+def _inverse(matrix: Vector) -> Vector:
+    """Invert a symmetric matrix as far as it is not rounding."""
+    sizes, modes = np.linalg.eigh(matrix)
+    telling = sizes > SINGULAR * float(sizes[-1])
+    return (modes[:, telling] / sizes[telling]) @ modes[:, telling].T
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Question:
+    """An excursion that was sent.
+
+    Args:
+        size: Orbit that it causes, rms over the BPMs [m].
+        excursion: d, shape (m,) [A].
+        asked: x = R d, shape (n,) [m].
+        still: f, what was read of late, shape (n,) [m].
+    """
+
+    size: float
+    excursion: Vector
+    asked: Vector
+    still: Vector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """An orbit that may show answers.
+
+    Args:
+        position: y, shape (n,) [m]; finite also where a BPM does not count.
+        valid: BPMs that count, shape (n,).
+        surprise: y less what all that was sent should have made of the orbits before, shape (n,)
+            [m].
+        spread: Usual size of the surprise, shape (n,) [m].
+        recent: What of the last changes is in the surprise if a corrector took none of them,
+            shape (m,) [A].
+    """
+
+    position: Vector
+    valid: Mask
+    surprise: Vector
+    spread: Vector
+    recent: Vector
+
+    @property
+    def noise(self) -> Vector:
+        """Mean square of the surprise, or that of this orbit if it is larger, shape (n,) [m²]."""
+        return np.maximum(self.spread, np.abs(self.surprise)) ** 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Test:
+    """Sums that speak for and against an answer, each at some lags.
+
+    Args:
+        little: M for c = `LITTLE`, shape (lags, devices).
+        little_power: V of it.
+        much: M for c = `MUCH`.
+        much_power: V of it.
+    """
+
+    little: Vector
+    little_power: Vector
+    much: Vector
+    much_power: Vector
+
+    @classmethod
+    def none(cls, lags: int, devices: int) -> "Test":
+        """Begin without a word."""
+        zero = np.zeros((lags, devices))
+        return cls(zero, zero, zero, zero)
+
+    def add(
+        self, lag: int, little: Vector, little_power: Vector, much: Vector, much_power: Vector
+    ) -> "Test":
+        """Add what one orbit says at one lag, each of shape (devices,)."""
+
+        def plus(total: Vector, value: Vector) -> Vector:
+            total = total.copy()
+            total[lag] += value
+            return total
+
+        return Test(
+            plus(self.little, little),
+            plus(self.little_power, little_power),
+            plus(self.much, much),
+            plus(self.much_power, much_power),
+        )
+
+    def anew(self, which: Mask) -> "Test":
+        """Forget what was said of some, shape (devices,)."""
+        if not which.any():
+            return self
+        keep = ~which
+        return Test(
+            self.little * keep,
+            self.little_power * keep,
+            self.much * keep,
+            self.much_power * keep,
+        )
+
+    def first(self, rows: int) -> "Test":
+        """Take the first rows alone."""
+        return Test(
+            self.little[:rows], self.little_power[:rows], self.much[:rows], self.much_power[:rows]
+        )
+
+    @property
+    def sure(self) -> Vector:
+        """Evidence z for an answer at the best lag, shape (devices,) [1]."""
+        return _over(self.little, self.little_power).max(axis=0)
+
+    @property
+    def doubt(self) -> Vector:
+        """Evidence z against an answer in time, shape (devices,) [1]."""
+        return _over(-self.much[0], self.much_power[0])
+
+    @property
+    def told(self) -> Vector:
+        """Evidence z that there would be against one that does not answer, (devices,) [1]."""
+        asked = MUCH / (MUCH - LITTLE) * (self.little[0] - self.much[0])
+        return _over(asked, self.much_power[0])
+
+    @property
+    def silence(self) -> Vector:
+        """Evidence z against an answer at any lag, shape (devices,) [1]."""
+        return _over(-self.much, self.much_power).min(axis=0)
+
+    @property
+    def lag(self) -> int:
+        """Lag at which the first device answers most."""
+        return int(np.argmax(_over(self.little, self.little_power)[:, 0]))
+
+
+def _over(value: Vector, power: Vector) -> Vector:
+    return value / np.sqrt(np.maximum(power, np.finfo(np.float64).tiny))
+
+
+def ask_ring(
+    test: Test, sight: Sight, questions: tuple[Question | None, ...], ring: Ring, usual: int
+) -> Test:
+    """Look for the answer of the ring as a whole.
+
+    Args:
+        test: So far, a row for every lag, and one for what the surprise says at once.
+        sight: The orbit.
+        questions: Sent before it, newest first; None: none was.
+        ring: The response.
+        usual: Lag at which the ring answers, for all that is known.
+    """
+    weight, most = np.where(sight.valid, sight.spread**-2.0, 0.0), CLIP * sight.spread
+    for lag, question in enumerate(questions[: len(test.little) - 1]):
+        if question is None:
+            continue
+        besides, asked = sight.position - question.still, question.asked
+        left = np.stack([besides - share * asked for share in (LITTLE, MUCH)])
+        left = weight * np.clip(left, -most, most)
+        value = left @ asked
+        power = question.size**2 * np.sum((left @ ring.moves) ** 2, axis=1)
+        test = test.add(lag, value[:1], power[:1], value[1:], power[1:])
+        if lag == usual:
+            known = np.clip(sight.surprise + (1.0 - LITTLE) * asked, -most, most)
+            value = np.array([(weight * asked) @ known])
+            power = np.array([np.sum((weight * asked) ** 2 * sight.noise)])
+            test = test.add(-1, value, power, np.zeros(1), np.zeros(1))
+    return test
+
+
+def ask_devices(
+    test: Test, sight: Sight, now: Question | None, before: Question | None, ring: Ring
+) -> Test:
+    """Look for the answer of each BPM, in time or one orbit late, and of each corrector.
+
+    Args:
+        test: So far, two rows of n + m.
+        sight: The orbit.
+        now: The question that the ring answers with it; None: there was none.
+        before: The one before that.
+        ring: The response.
+    """
+    most = CLIP * sight.spread
+    m = len(sight.recent)
+    noise = np.median(sight.noise)
+    for late, question in enumerate((now, before)):
+        if question is None:
+            continue
+        asked = np.where(sight.valid, question.asked, 0.0)
+        besides = sight.position - question.still
+        known = besides if late else sight.surprise + asked
+        little = asked * np.clip(known - LITTLE * asked, -most, most)
+        left = np.clip(besides - MUCH * asked, -most, most)
+        usual, reach = asked**2 * sight.noise, question.size**2 * ring.reach * left**2
+        share, doubt, power = np.zeros(m), np.zeros(m), np.zeros(m)
+        if not late:
+            clipped = np.where(sight.valid, np.clip(sight.surprise, -most, most), 0.0)
+            alone = ring.apart @ (question.excursion * (clipped @ ring.response))
+            own = sight.recent * (ring.mixed @ question.excursion)
+            share, doubt = (
+                (alone + (1.0 - part) * own) / question.size**2 for part in (LITTLE, MUCH)
+            )
+            power = np.diag(ring.apart) * noise / question.size**2
+        test = test.add(
+            late,
+            np.concatenate((little, share)),
+            np.concatenate((usual, power)),
+            np.concatenate((asked * left, doubt)),
+            np.concatenate((np.where(sight.valid, reach, 0.0), doubt**2)),
+        )
+    return test
