@@ -47,7 +47,7 @@ def at_rest(machine, policy):
         PolicySlot(policy),
         LoopSettings(ramp=0.0),
         LimitSettings(setpoint=50.0, change_per_tick=50.0),
-        InterlockSettings(divergence_factor=1000.0, prediction_ticks=0),
+        InterlockSettings(divergence_factor=1000.0, prediction_ticks=0, answer_reach=None),
         np.zeros(N),
         machine.clock,
         start=LoopState.CLOSED,
