@@ -22,6 +22,7 @@ from orbitfb.epics.machine import EpicsMachine
 from orbitfb.history.archive import ArchiveWriter
 from orbitfb.history.buffer import History
 from orbitfb.keeper import Keeper
+from orbitfb.learn.answered import AnsweredRows
 from orbitfb.learn.builders import loop_gain, masked
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.dither import Dither
@@ -177,9 +178,10 @@ class Service:
         self.watch = gap_watch(config, ring, self.history, self._reports, stack)
         self.learner: LearnerThread | None = None
         if config.learn.enabled:
+            rows = Screen(self.history, self.channels, self.watch.broken, config.interlocks)
             self.learner = LearnerThread(
                 trainer(config, first.response, movable),
-                Screen(self.history, self.channels, self.watch.broken, config.interlocks),
+                rows,
                 self.slot,
                 self._reports.refitted,
                 keep=keeper.keep,
@@ -189,6 +191,7 @@ class Service:
                 tripped=lambda: self.runner.state is LoopState.TRIPPED,
                 clock=clock,
                 records=keeper,
+                teaching=AnsweredRows(rows, lambda: self.runner.believed),
             )
             if going_on := keeper.resumed:
                 probation = going_on.probation

@@ -54,6 +54,16 @@ class Transitions:
     def __len__(self) -> int:
         return len(self.tick)
 
+    def part(self, begin: int, end: int | None = None) -> "Transitions":
+        """Give the rows of a range; negative numbers count from the end."""
+        columns = {
+            name: getattr(self, name)[begin:end]
+            for name in self.__dataclass_fields__
+            if name != "auxiliary"
+        }
+        auxiliary = {name: column[begin:end] for name, column in self.auxiliary.items()}
+        return Transitions(**columns, auxiliary=auxiliary)
+
     def starts(self) -> Mask:
         """Rows where a new unbroken stretch begins, shape (T,).
 

@@ -223,12 +223,4 @@ class ProcessTrainer:
 
 def _newest(transitions: Transitions) -> Transitions:
     """Leave out the oldest rows beyond the most that are sent."""
-    if len(transitions) <= MOST_ROWS:
-        return transitions
-    columns = {
-        name: getattr(transitions, name)[-MOST_ROWS:]
-        for name in Transitions.__dataclass_fields__
-        if name != "auxiliary"
-    }
-    auxiliary = {name: column[-MOST_ROWS:] for name, column in transitions.auxiliary.items()}
-    return Transitions(**columns, auxiliary=auxiliary)
+    return transitions.part(-MOST_ROWS)

@@ -57,6 +57,7 @@ class LearnerThread(threading.Thread):
         tripped: Whether the loop has tripped; a policy that trips it is left.
         clock: For the reports and the patience with candidates.
         records: What is known of policies beyond the life of this program.
+        teaching: The transitions that may teach; None: those of the history.
     """
 
     def __init__(
@@ -72,9 +73,11 @@ class LearnerThread(threading.Thread):
         tripped: Callable[[], bool] = lambda: False,
         clock: Clock | None = None,
         records: Records | None = None,
+        teaching: TransitionSource | None = None,
     ) -> None:
         super().__init__(name="learner", daemon=True)
-        self._trainer, self._history, self._slot = trainer, history, slot
+        self._trainer, self._slot = trainer, slot
+        self._teaching = history if teaching is None else teaching
         self._publish, self._poll, self._alarmed = publish, poll, alarmed
         self._keep = keep or _keep_nothing
         self._clock = clock or SystemClock()
@@ -162,9 +165,9 @@ class LearnerThread(threading.Thread):
         request = self._next_request()
         last = self._trainer.last_tick
         if last is None:
-            new = self._history.snapshot(last=MOST_ROWS)
+            new = self._teaching.snapshot(last=MOST_ROWS)
         else:
-            new = self._history.snapshot(since_tick=last + 1)
+            new = self._teaching.snapshot(since_tick=last + 1)
         if request is None:
             task = self._due(new)
             request = _Request(None, activate=True)

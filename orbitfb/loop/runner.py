@@ -23,6 +23,7 @@ from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.states import Event, as_command, next_state
 from orbitfb.loop.work import Work
+from orbitfb.safety.believed import Believed
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.safety.verdict import Verdict
@@ -53,6 +54,7 @@ class Runner:
         failure: What led to FAULT, for the log; None otherwise.
         subscriber_failures: Count of records that a subscriber raised on.
         last_subscriber_failure: What the last of them raised; empty if none did.
+        believed: Which ticks the ring answered; any thread may read it.
 
     Raises:
         ConfigError: The reference does not fit the machine, or the start is no start.
@@ -93,6 +95,7 @@ class Runner:
         self._closing_until = -np.inf
         self._stop = threading.Event()
         self._ticks = 0
+        self.believed = Believed()
         self.failure: Exception | None = None
         self.subscriber_failures = 0
         self.last_subscriber_failure = ""
@@ -195,6 +198,7 @@ class Runner:
             self._refuse_closing(self.reason)
             self._commands.end(f"the loop has failed: {self.reason}")
         record = self._record(work)
+        self.believed = self.believed.follow(self._ticks, engine.memory.answering)
         self._ticks += 1
         for subscriber in self._subscribers:
             try:
