@@ -45,6 +45,7 @@ class FaultyRing:
         self._chosen: dict[str, Any] = {}
         self._began: dict[str, float] = {}
         self._size = len(ring.channels.bpms)
+        self._random = np.random.default_rng(1)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._ring, name)
@@ -79,6 +80,13 @@ class FaultyRing:
         shift = next((fault["shift"] for fault in faults if "shift" in fault), 0)
         reading = np.roll(reading, shift)
         self._misread(reading, faults)
+        for fault in faults:
+            if "blind" in fault:
+                blind = self._chosen.setdefault(fault["id"], reading[fault["blind"]].copy())
+                noise = self._random.normal(0.0, fault["noise"], blind.shape)
+                reading[fault["blind"]] = blind + noise
+            if "deaf" in fault:
+                readback[fault["deaf"]] = setpoints[fault["deaf"]]
         for index, error in errors.items():
             readback[index] += error
         self.good = self._may_act(faults, now)
@@ -88,6 +96,9 @@ class FaultyRing:
     def _powered(self, actual: np.ndarray, faults: list[dict[str, Any]]) -> tuple[np.ndarray, dict]:
         errors: dict[int, float] = {}
         for fault in faults:
+            if "deaf" in fault:
+                held = self._chosen.setdefault(fault["id"], actual[fault["deaf"]].copy())
+                actual[fault["deaf"]] = held
             if "corrector" not in fault:
                 continue
             if fault["id"] not in self._chosen:

@@ -99,6 +99,19 @@ def _kick(least: float, most: float) -> Draw:
     return lambda rng: {"kick": float(rng.uniform(least, most))}
 
 
+def _unanswered(what: str, count: int) -> Draw:
+    """Devices next to each other that go on as if they were well: fresh stamps, plausible values.
+
+    A blind BPM shows for ever what it read last, and noise; a deaf supply echoes its setpoint.
+    """
+
+    def draw(rng: np.random.Generator) -> dict[str, Any]:
+        first = int(rng.integers(BPMS))
+        return {what: [(first + step) % BPMS for step in range(count)], "noise": 0.2e-6}
+
+    return draw
+
+
 def _moved(rng: np.random.Generator) -> dict[str, Any]:
     return {
         "move": int(rng.integers(CORRECTORS)),
@@ -140,6 +153,12 @@ KINDS = (
     Kind("current old", "ring", _plain(current_old=True), (0.5, 1.0)),
     Kind("response of the other sign", "ring", _plain(sign=-1.0), (0.3, 1.0)),
     Kind("BPMs exchanged", "ring", lambda rng: {"shift": int(rng.integers(3, 60))}, (0.3, 1.0)),
+    Kind("BPMs all blind", "ring", _unanswered("blind", BPMS), (2.0, 5.0)),
+    Kind("BPMs of a cell blind", "ring", _unanswered("blind", 6), (2.0, 5.0)),
+    Kind("BPM blind", "ring", _unanswered("blind", 1), (2.0, 5.0)),
+    Kind("supplies all deaf", "ring", _unanswered("deaf", CORRECTORS), (2.0, 5.0)),
+    Kind("supplies of a cell deaf", "ring", _unanswered("deaf", 6), (2.0, 5.0)),
+    Kind("supply deaf", "ring", _unanswered("deaf", 1), (2.0, 5.0)),
     Kind("IOC killed", "ioc", _plain(do="restart"), (0.1, 1.5), 0.5),
     Kind("IOC back with other limits", "ioc", _limits, (0.1, 1.0), 0.3),
     Kind("IOC stands still", "ioc", _plain(do="stop"), (0.1, 2.0)),

@@ -1,0 +1,49 @@
+"""Devices of the chaos campaign that look alive and do not answer."""
+
+import numpy as np
+import pytest
+
+from orbitfb.physics.places import Ring
+from orbitfb.physics.plant import Plant, PlantSettings
+from tests.chaos.devices import FaultyRing
+from tests.chaos.kinds import KINDS
+
+
+@pytest.fixture(scope="module")
+def ring():
+    return Ring.load()
+
+
+def faulty(ring, name):
+    quiet = PlantSettings(ground_motion_rms=0.0, initial_orbit_rms=0.0)
+    wrapped = FaultyRing(Plant(ring, "x", quiet, seed=1))
+    kind = next(kind for kind in KINDS if kind.name == name)
+    return wrapped, kind.draw(np.random.default_rng(3)) | {"id": "1"}
+
+
+@pytest.mark.parametrize("name", ["BPMs all blind", "BPMs of a cell blind", "BPM blind"])
+def test_blind_bpms_do_not_follow_and_look_alive(ring, name):
+    wrapped, fault = faulty(ring, name)
+    wrapped.faults = [fault]
+    before = wrapped.step(np.zeros(180)).reading.copy()
+    shown = [wrapped.step(np.full(180, 0.5)).reading.copy() for _ in range(2)]
+    blind = np.zeros(180, bool)
+    blind[fault["blind"]] = True
+    assert np.abs(shown[0] - before)[blind].max() < 2e-6
+    assert (shown[0] != shown[1]).all()
+    if not blind.all():
+        assert np.abs(shown[0] - before)[~blind].max() > 100e-6
+
+
+@pytest.mark.parametrize("name", ["supplies all deaf", "supplies of a cell deaf", "supply deaf"])
+def test_deaf_supplies_echo_their_setpoint_and_jump_when_they_are_back(ring, name):
+    wrapped, fault = faulty(ring, name)
+    wrapped.faults = [fault]
+    wrapped.step(np.zeros(180))
+    setpoints = np.zeros(180)
+    setpoints[fault["deaf"]] = 0.5
+    shown = wrapped.step(setpoints)
+    np.testing.assert_array_equal(shown.readback, setpoints)
+    assert np.abs(shown.true_orbit).max() < 1e-9
+    wrapped.faults = []
+    assert np.abs(wrapped.step(setpoints).true_orbit).max() > 10e-6
