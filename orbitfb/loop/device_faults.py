@@ -92,6 +92,37 @@ DEVICE_FAULTS = (
         ),
     ),
     Fault(
+        "readings with fresh stamps and noise that do not answer the correctors (blind, repeated, "
+        "late), or supplies that echo the setpoint and do not move the beam: of the whole ring",
+        "the loop asks by small random excursions once setpoints have wandered, or no answer was "
+        "seen for long; TRIPPED if none comes, before the beam is 20 µm away; such ticks teach "
+        "nobody",
+        (_TRIPPED,),
+        ("interlocks.answer_reach", "interlocks.answer_question", "interlocks.answer_after"),
+        (
+            "test_a_ring_whose_bpms_are_blind_trips_before_the_beam_is_far_away",
+            "test_supplies_that_echo_and_do_not_move_trip_and_the_beam_does_not_jump_far",
+            "test_orbits_of_the_past_with_fresh_stamps_trip",
+            "test_rows_of_a_ring_that_does_not_answer_are_refused",
+        ),
+    ),
+    Fault(
+        "the same of a BPM, a corrector or a few of them",
+        "left out and named, until the loop is opened; while one of them owes too much of an "
+        "answer the loop corrects nothing; more than may be left out hold (BPMs) or trip it",
+        (_CLOSED, _HELD, _TRIPPED),
+        (
+            "interlocks.answer_reach",
+            "interlocks.max_invalid_bpms",
+            "interlocks.max_lost_correctors",
+        ),
+        (
+            "test_one_blind_bpm_is_left_out_by_name_and_the_loop_goes_on",
+            "test_a_corrector_that_the_orbit_does_not_answer_is_left_out_by_name",
+            "test_a_cell_of_blind_bpms_does_not_wind_up",
+        ),
+    ),
+    Fault(
         "drive limits of a corrector are narrower than ours, or become so",
         "they hold for that corrector, which leaves the solution when it is there; a setpoint "
         "beyond them is not put, as it would jump",

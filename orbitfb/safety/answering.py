@@ -94,6 +94,11 @@ class Session:
         """Begin to ask n BPMs and m correctors."""
         return cls(Test.none(LAGS + 1, 1), Test.none(2, n + m), answered)
 
+    def anew(self, n: int, m: int) -> "Session":
+        """Hear everybody anew, as others are asked; how long the loop has asked still counts."""
+        begun = Session.begin(n, m, self.answered)
+        return replace(begun, waited=self.waited, orbits=self.orbits)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answering:
@@ -277,7 +282,7 @@ def _prepared(seen: Seen, memory: Answering) -> tuple[Answering, Ring]:
     n, m = seen.response.shape
     session = None
     if memory.session is not None:
-        session = Session.begin(n, m, memory.session.answered)
+        session = memory.session.anew(n, m)
     sent = tuple(replace(item, question=None) for item in memory.sent)
     return replace(memory, ring=ring, session=session, sent=sent), ring
 
@@ -343,6 +348,7 @@ def _judge(
     devices, nobody = session.devices, np.zeros(n + m, dtype=np.bool_)
     if float(session.whole.sure[0]) >= ANSWERED:
         owed, since = owed.paid(True, nobody), seen.time
+        session = replace(session, whole=session.whole.forget(LAGS))
     if float(whole.sure[0]) >= ANSWERED:
         if whole.lag != lag:
             lag, devices = whole.lag, Test.none(2, n + m)
@@ -364,9 +370,7 @@ def _judge(
         if bpms.size:
             left = np.zeros(n, dtype=np.bool_) if left is None else left.copy()
             left[bpms] = True
-        after = replace(
-            after, session=Session.begin(n, m, answered), left=left, found=memory.found + 1
-        )
+        after = replace(after, session=session.anew(n, m), left=left, found=memory.found + 1)
         return Found("", tuple(bpms.tolist()), tuple(correctors.tolist())), after
     if answered and not _doubted(owed, ring, valid, HALF * reach).any():
         after = replace(after, session=None)

@@ -123,7 +123,7 @@ class InterlockSettings(Settings):
         default=10e-6,
         gt=0,
         description="What may be asked of a BPM, or of the orbit by a corrector, without a sign of "
-        "an answer, before the loop asks whether they answer [m]; none = believe all that is read.",
+        "an answer, before the loop asks [m]; false = believe all that is read.",
     )
     answer_question: float = Field(
         default=0.5e-6,
@@ -132,7 +132,7 @@ class InterlockSettings(Settings):
         "ask: only steps that are large show an answer.",
     )
     answer_after: float = Field(
-        default=600.0,
+        default=60.0,
         gt=0,
         description="Time without a sign of an answer after which the loop asks too [s].",
     )

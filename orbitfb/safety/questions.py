@@ -191,6 +191,17 @@ class Test:
             self.much_power * keep,
         )
 
+    def forget(self, row: int) -> "Test":
+        """Begin one row anew."""
+        keep = np.ones((len(self.little), 1))
+        keep[row] = 0.0
+        return Test(
+            keep * self.little,
+            keep * self.little_power,
+            keep * self.much,
+            keep * self.much_power,
+        )
+
     def first(self, rows: int) -> "Test":
         """Take the first rows alone."""
         return Test(

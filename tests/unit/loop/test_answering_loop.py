@@ -1,0 +1,113 @@
+"""Data that do not answer are never believed: the loop on the simulated ring, and what lies."""
+
+import numpy as np
+import pytest
+from lying import closed_loop
+
+from orbitfb.core.signals import LoopState
+from orbitfb.physics.places import Ring
+
+FAR = 20e-6
+"""True orbit error that no such fault may reach [m]."""
+
+
+@pytest.fixture(scope="module")
+def ring():
+    return Ring.load()
+
+
+class Bench:
+    def __init__(self, ring, seed=0, **interlocks):
+        self.machine, self.runner, _, self.records = closed_loop(ring, seed, **interlocks)
+        self.rms = self.peak = 0.0
+        self.steps(120)
+        assert self.runner.state is LoopState.CLOSED
+        self.rms = self.peak = 0.0
+
+    def steps(self, most, until=lambda: False):
+        for _ in range(most):
+            self.runner.step()
+            orbit = self.machine.machine._last[0].true_orbit
+            self.rms = max(self.rms, float(np.sqrt(np.mean(orbit**2))))
+            self.peak = max(self.peak, float(np.abs(orbit).max()))
+            if until() or self.runner.state is LoopState.TRIPPED:
+                break
+        return self.runner.reason
+
+    def jump(self):
+        """What the orbit does when deaf supplies are back, rms [m]."""
+        away = self.machine._asked - self.machine._got
+        return float(np.sqrt(np.mean((self.machine.machine.plant.nominal_response @ away) ** 2)))
+
+
+def test_a_ring_whose_bpms_are_blind_trips_before_the_beam_is_far_away(ring):
+    bench = Bench(ring)
+    bench.machine.blind[:] = True
+    assert "does not answer the setpoints" in bench.steps(600)
+    assert bench.runner.state is LoopState.TRIPPED
+    assert bench.rms < FAR
+
+
+def test_believing_everything_drives_the_beam_away(ring):
+    bench = Bench(ring, answer_reach=None)
+    bench.machine.blind[:] = True
+    bench.steps(200)
+    assert bench.runner.state is LoopState.CLOSED
+    assert bench.rms > FAR
+
+
+def test_supplies_that_echo_and_do_not_move_trip_and_the_beam_does_not_jump_far(ring):
+    bench = Bench(ring, seed=1)
+    bench.machine.deaf[:] = True
+    bench.steps(1500)
+    assert bench.runner.state is LoopState.TRIPPED
+    assert bench.jump() < FAR
+
+
+def test_orbits_of_the_past_with_fresh_stamps_trip(ring):
+    bench = Bench(ring, seed=2)
+    bench.machine.again = 40
+    bench.steps(600)
+    assert bench.runner.state is LoopState.TRIPPED
+    assert bench.rms < FAR
+
+
+def test_one_blind_bpm_is_left_out_by_name_and_the_loop_goes_on(ring):
+    bench = Bench(ring, seed=3)
+    bench.machine.pattern = 3e-6
+    bench.machine.blind[60] = True
+    name = bench.machine.channels.bpms[60]
+    bench.steps(1500, until=lambda: name in bench.runner.reason)
+    assert f"{name} (does not answer the correctors)" in bench.steps(2)
+    assert bench.runner.state is LoopState.CLOSED
+    assert bench.peak < FAR
+
+
+def test_a_corrector_that_the_orbit_does_not_answer_is_left_out_by_name(ring):
+    bench = Bench(ring, seed=4)
+    bench.machine.deaf[77] = True
+    name = bench.machine.channels.correctors[77]
+    bench.steps(1500, until=lambda: name in bench.runner.reason)
+    assert f"{name} (the orbit does not answer it)" in bench.runner.reason
+    assert bench.runner.state is LoopState.CLOSED
+    assert bench.jump() < FAR
+
+
+def test_a_cell_of_blind_bpms_does_not_wind_up(ring):
+    bench = Bench(ring, seed=5)
+    bench.machine.pattern = 1e-6
+    bench.machine.blind[60:66] = True
+    bench.steps(500, until=lambda: bench.runner.state is not LoopState.CLOSED)
+    assert bench.rms < FAR
+    assert bench.peak < 2 * FAR
+    named = np.flatnonzero(bench.runner._engine.memory.answering.left)
+    assert set(named.tolist()) <= set(range(60, 66))
+
+
+def test_a_healthy_ring_that_is_kicked_goes_on(ring):
+    bench = Bench(ring, seed=6)
+    for kick in (30e-6, 100e-6):
+        bench.machine.machine.plant.kick(kick)
+        bench.steps(250)
+        assert bench.runner.state is LoopState.CLOSED
+        assert np.sqrt(np.mean(bench.records[-1].reading.orbit.position ** 2)) < 2e-6
