@@ -61,7 +61,7 @@ def closed_loop(
         slot,
         loop,
         LimitSettings(),
-        InterlockSettings(),
+        InterlockSettings(answer_reach=None),  # simulated: it answers, and runs can be repeated
         np.zeros(len(channels.bpms)),
         clock,
         start=LoopState.CLOSED,
