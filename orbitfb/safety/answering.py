@@ -45,8 +45,8 @@ STAKE = 1.5
 loop only asks [1]: half as much again for the time that asking takes."""
 
 GRACE = 30
-"""Orbits of asking before the loop waits for the answer: a kick is corrected meanwhile, and a ring
-that does not answer a question as large as its noise is found out in fewer."""
+"""Orbits of asking before the loop waits for the answers of single devices: a kick is corrected
+meanwhile. For the first answer of the ring it waits at once: that comes in a few orbits."""
 
 HALF = 0.5
 """Share of `answer_reach` below which nobody is in doubt any more [1]."""
@@ -143,16 +143,17 @@ class Answering:
         reach = settings.answer_reach
         if reach is None or self.owed is None or self.session is None:
             return False
-        if self.session.orbits < GRACE:
-            return False
         arrived = self.owed.ring.copy()
         for item in self.sent[: self.lag]:
             arrived -= item.moved
-        if _rms(arrived) > reach or self.ring is None:
-            return _rms(arrived) > reach
+        owes = _rms(arrived) > reach
+        if owes and not self.session.answered:
+            return True
+        if self.ring is None or self.session.orbits < GRACE:
+            return False
         most = float(self.owed.sizes(self.ring).max(initial=0.0))
         jump = _rms(self.ring.response @ self.owed.correctors)
-        return max(most, jump) > STAKE * reach
+        return owes or max(most, jump) > STAKE * reach
 
 
 @dataclass(frozen=True, slots=True)

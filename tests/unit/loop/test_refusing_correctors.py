@@ -69,7 +69,8 @@ class Bench:
             PolicySlot(policy),
             LoopSettings(rate_hz=1 / PERIOD, ramp=0.0, proving=3),
             LimitSettings(setpoint=50.0, change_per_tick=50.0),
-            InterlockSettings(),
+            # The loop that asks waits for its answers meanwhile: here, what becomes of puts alone.
+            InterlockSettings(answer_reach=None),
             np.zeros(N),
             self.machine.clock,
             start=LoopState.CLOSED,
