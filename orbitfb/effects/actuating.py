@@ -129,20 +129,21 @@ Law = Callable[[Arithmetic, Any, Any], Any]
 """What comes of what is wanted now and what was held before."""
 
 
-def followed(courses: Matrix, record: Record, law: Law) -> Matrix:
+def followed(courses: Matrix, record: Record, law: Law, by_column: bool = False) -> Matrix:
     """Pass all columns through a memory, row by row; at the start of a stretch it is at rest.
 
     Args:
         courses: Shape (N, k).
         record: Where the stretches begin.
         law: Of one column.
+        by_column: Whether the law has values of every column's own, so that it needs whole rows.
 
     Returns:
         Shape (N, k).
     """
     held = np.empty_like(courses)
     starts = record.starts.tolist()
-    if courses.shape[1] > _FEW:
+    if by_column or courses.shape[1] > _FEW:
         _follow(courses, held, starts, law, _ROWS)
     else:
         for column, wanted in enumerate(courses.T.tolist()):

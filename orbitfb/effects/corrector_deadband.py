@@ -1,5 +1,6 @@
 """A corrector that ignores small changes of its setpoint."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,7 @@ class CorrectorDeadband(ActuatorKind):
             rough=True,
         ),
     )
+    row_by_row = True
     confused_with = (
         "corrector-hysteresis",
         "corrector-quantisation",
@@ -61,12 +63,16 @@ class CorrectorDeadband(ActuatorKind):
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Hold or follow, row by row."""
+        return self.drive_each(setpoints, values, record)
+
+    def drive_each(self, setpoints: Matrix, values: Mapping[str, Any], record: Record) -> Matrix:
+        """The same, also with values of every column's own."""
         width = values["width"]
 
         def law(own: Arithmetic, wanted: Any, held: Any) -> Any:
             return own.either(abs(wanted - held) > width, wanted, held)
 
-        return followed(setpoints, record, law)
+        return followed(setpoints, record, law, np.ndim(width) > 0)
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """Widths up to several times the largest change: it is dead to them or not."""

@@ -1,5 +1,6 @@
 """A corrector whose field depends on where its current came from."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -69,17 +70,22 @@ class CorrectorHysteresis(ActuatorKind):
     )
     linear = "share"
     of_changes = True
+    row_by_row = True
     confused_with = ("corrector-deadband", "corrector-lag", "corrector-gain", "corrector-slew")
     splits = "A triangular ladder with reversals at three amplitudes: only play depends on them."
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Drag, row by row."""
+        return self.drive_each(setpoints, values, record)
+
+    def drive_each(self, setpoints: Matrix, values: Mapping[str, Any], record: Record) -> Matrix:
+        """The same, also with values of every column's own."""
         half, share = 0.5 * values["width"], values["share"]
 
         def law(own: Arithmetic, wanted: Any, held: Any) -> Any:
             return own.least(own.most(held, wanted - half), wanted + half)
 
-        return setpoints + share * (followed(setpoints, record, law) - setpoints)
+        return setpoints + share * (followed(setpoints, record, law, np.ndim(half) > 0) - setpoints)
 
     def fitted(self, record: Record) -> tuple[Parameter, ...]:
         """Both, the width up to half the range: within a wider play what is lost is a gain."""

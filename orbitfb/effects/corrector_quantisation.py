@@ -1,5 +1,7 @@
 """A power supply that knows only multiples of its smallest step."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -15,6 +17,12 @@ from orbitfb.physics.places import Indices
 
 _FINEST = (0.3, 0.05, 0.01)
 """Finest steps looked for, in usual changes of a setpoint: the finer, the more pass for one."""
+
+_LOOKED_AT = 24
+"""Single correctors whose needles are sought: those that are pulled at and move most."""
+
+_PROPOSED = 5
+"""Needles that are looked at, of all correctors together and of single ones."""
 
 
 class CorrectorQuantisation(ActuatorKind):
@@ -58,6 +66,21 @@ class CorrectorQuantisation(ActuatorKind):
         steps = np.outer(scales, np.geomspace(0.3, 60.0, 14)).ravel()
         steps = steps[steps <= self.parameters[0].high]
         return ladder("step", {}, [*read_back_steps(record, 4), *steps])
+
+    def proposed(
+        self, currents: Matrix, pull: Callable[[], Matrix], record: Record
+    ) -> tuple[Values, ...]:
+        """Find the needles of all correctors together and of single ones.
+
+        Those of a crate show as those of its correctors, one by one.
+        """
+        steps, pulled = list[float](), pull()
+        for scale in scales_of_change(record):
+            finest = sorted(_FINEST)[1] * scale
+            steps += common_steps(currents, pulled, finest, _PROPOSED)
+            moving = np.argsort(-np.sum(pulled**2, axis=0) * np.var(currents, axis=0))[:_LOOKED_AT]
+            steps += single_steps(currents[:, moving], pulled[:, moving], finest, _PROPOSED)
+        return ladder("step", {}, steps)
 
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> tuple[Values, ...]:
         """Find the needles that the grid steps over, coarse ones and those below a dither."""

@@ -5,7 +5,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.effects.actuating import ColumnsEffect, ladder, largest_setpoint, widest_range
 from orbitfb.effects.device_kinds import ActuatorKind
-from orbitfb.effects.kinds import Parameter, Values
+from orbitfb.effects.kinds import OwnValues, Parameter, Values
 from orbitfb.effects.layout import Layout
 from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
@@ -26,6 +26,9 @@ _CORNERS = (
     (0.15, (-0.3, -0.1, 0.1, 0.3)),
 )
 """Roundings, and with each distances of the limit below the top, as shares of the range."""
+
+_SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
+"""Shares of the rows in which a setpoint is below the limits that are scanned."""
 
 
 class CorrectorSaturation(ActuatorKind):
@@ -83,6 +86,11 @@ class CorrectorSaturation(ActuatorKind):
     )
     confused_with = ("corrector-stuck", "corrector-gain")
     splits = "A slow ramp of this corrector through the suspected limit, at both signs."
+
+    def own_grid(self, record: Record) -> tuple[OwnValues, ...]:
+        """Limits at shares of the sizes that every corrector's setpoint has."""
+        sizes = np.quantile(np.abs(record.setpoints), _SHARES, axis=0)
+        return tuple({"limit": one, "side": 0.0, "rounding": _SHARP} for one in sizes)
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Hold back."""

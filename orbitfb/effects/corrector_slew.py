@@ -1,5 +1,6 @@
 """A power supply that cannot change its current faster than a certain rate."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -44,17 +45,22 @@ class CorrectorSlew(ActuatorKind):
             log=True,
         ),
     )
+    row_by_row = True
     confused_with = ("corrector-lag", "corrector-gain", "corrector-deadband", "corrector-stuck")
     splits = "Steps of three sizes: a slew rate lets small ones pass whole, a lag none."
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Ramp, row by row."""
+        return self.drive_each(setpoints, values, record)
+
+    def drive_each(self, setpoints: Matrix, values: Mapping[str, Any], record: Record) -> Matrix:
+        """The same, also with values of every column's own."""
         most = values["rate"] * record.layout.period
 
         def law(own: Arithmetic, wanted: Any, held: Any) -> Any:
             return own.least(own.most(wanted, held - most), held + most)
 
-        return followed(setpoints, record, law)
+        return followed(setpoints, record, law, np.ndim(most) > 0)
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """24 rates up to that of the largest step of the record."""

@@ -1,7 +1,7 @@
 """Effects on devices: correctors, BPMs, and pairs of either."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -20,9 +20,18 @@ class ActuatorKind(EffectKind):
 
     One with the target `ring` strikes all correctors at once and has no place: `drive` gets every
     column, and `simulate` no places.
+
+    Attributes:
+        row_by_row: Whether its memory is followed row by row; many values at once are then as quick
+            as one, and `drive_each` tells them.
+        proposes: Whether `hints` has any.
+        only_whole: Whether only all correctors together can be struck.
     """
 
     target = "corrector"
+    row_by_row: ClassVar[bool] = False
+    proposes: ClassVar[bool] = False
+    only_whole: ClassVar[bool] = False
 
     @abstractmethod
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
@@ -45,9 +54,36 @@ class ActuatorKind(EffectKind):
         def course(values: Values, given: Signals) -> tuple[Matrix, ...]:
             return (self.drive(given.currents, values, given.record) - given.currents,)
 
+        def many(sets: Sequence[Values], given: Signals) -> Matrix:
+            devices = given.currents.shape[1]
+            beside = np.tile(given.currents, (1, len(sets)))
+            values = {name: np.repeat([one[name] for one in sets], devices) for name in sets[0]}
+            return self.drive_each(beside, values, given.record) - beside
+
         names = tuple(layout.correctors.label(i) for i in range(len(layout.correctors)))
         groups = layout.correctors.groups()
-        return (DeviceLaw((layout.response,), course, names, groups, whole=self.target == "ring"),)
+        return (
+            DeviceLaw(
+                (layout.response,), course, names, groups, whole=self.only_whole,
+                many=many if self.row_by_row else None,
+            ),
+        )  # fmt: skip
+
+    def drive_each(self, setpoints: Matrix, values: Mapping[str, Vector], record: Record) -> Matrix:
+        """Tell the currents of columns that have values of each one's own, if it goes by rows.
+
+        Args:
+            setpoints: Shape (N, k) [A].
+            values: All parameters, each of shape (k,).
+            record: As for `drive`.
+        """
+        raise NotImplementedError(f"{self.id} has one set of values for all columns")
+
+    def proposed(
+        self, currents: Matrix, pull: Callable[[], Matrix], record: Record
+    ) -> Sequence[Values]:
+        """What `hints` proposes, of kinds that have any."""
+        return self.hints(currents, pull(), record) if self.proposes else ()
 
     def hints(self, setpoints: Matrix, pull: Matrix, record: Record) -> Sequence[Values]:
         """Propose values to scan beside `grid`, from what pulls at the likelihood.

@@ -11,7 +11,7 @@ separately on purpose, so that recovering what was simulated tests both.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
@@ -32,6 +32,9 @@ CALIBRATION_ERROR = 0.01
 
 Values = Mapping[str, float]
 """Values of the parameters by name, SI."""
+
+OwnValues = Mapping[str, float | Vector]
+"""The same, some of them of every device's own, shape (D,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +203,22 @@ class EffectKind(ABC):
         else:
             steps = np.linspace(first.low, first.high, 9)
         return tuple({**typical, first.name: float(step)} for step in steps)
+
+    def own_grid(self, record: Record) -> Sequence[OwnValues]:
+        """Values to scan that every device has of its own, where one for all says little; none."""
+        return ()
+
+    def proposed(
+        self, currents: Matrix, pull: Callable[[], Matrix], record: Record
+    ) -> Sequence[Values]:
+        """Values to scan beside `grid`, from what the record itself says; by default none.
+
+        Args:
+            currents: Of all correctors, shape (N, m) [A].
+            pull: Tells ∂log L/∂current of every row under the causes so far, shape (N, m) [1/A].
+            record: That shows it.
+        """
+        return ()
 
     def long_after(self, values: Values) -> Values:
         """Values with which it acts on a record that begins long after it did; the same."""

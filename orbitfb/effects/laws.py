@@ -9,7 +9,7 @@ The diagnosis knows effects only by these forms. A law is one of
 * `EventLaw`: a known change that strikes single rows, nobody knows which.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -49,6 +49,8 @@ class DeviceLaw:
         groups: Devices that are commonly struck together, by name.
         whole: Whether only all devices together can be struck.
         periodic: Whether the course is a wave whose frequency is to be found.
+        many: Courses of all devices for several sets of values at once, shape (N, V · D); None
+            where that is no quicker than one after the other.
     """
 
     patterns: tuple[Matrix, ...]
@@ -57,6 +59,7 @@ class DeviceLaw:
     groups: Mapping[str, Indices] = field(default_factory=dict)
     whole: bool = False
     periodic: bool = False
+    many: Callable[[Sequence[Values], Signals], Matrix] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,6 @@ expectation maximisation (A. Dempster, N. Laird, D. Rubin, J. R. Stat. Soc. B 39
 second moments of the transformed steps in bands of λ.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +22,9 @@ rows cannot show, and gives way where thousands speak."""
 
 LEAST_STEPS = 40
 """Steps below which walk and noise cannot be told apart: λ then has too few values."""
+
+_RESTART = 1e-3
+"""Share of an even part that a weight begins with at least: one that is zero could not grow."""
 
 _LEAST_VARIANCE = 1e-6
 """Least variance of a BPM's noise, of the median BPM's: one that repeats its reading has none."""
@@ -98,15 +100,9 @@ def improve(
     walk, white = noise.walk, np.diag(noise.white).copy()
     total = float(moments.count.sum())
     for _ in range(iterations):
-        moved, shaken = np.zeros_like(walk), np.zeros_like(white)
-        for square, count, eigenvalue in zip(
-            moments.total, moments.count, moments.eigenvalue, strict=True
-        ):
-            inverse = np.linalg.inv(walk + eigenvalue * np.diag(white))
-            beyond = square - count * (walk + eigenvalue * np.diag(white))
-            whitened = inverse @ beyond @ inverse
-            moved += count * walk + walk @ whitened @ walk
-            shaken += count * white + eigenvalue * white**2 * np.diag(whitened)
+        pull, expected, noisy, usual = _sums(walk, white, moments)
+        moved = total * walk + walk @ (pull - expected) @ walk
+        shaken = total * white + white**2 * (noisy - usual)
         walk = (counts * shape + moved) / (counts + total)
         walk = (walk + walk.T) / 2.0
         white = shaken / total
@@ -114,14 +110,47 @@ def improve(
     return StepNoise(walk, np.diag(white))
 
 
-def fit_families(
+@dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """What the covariance of a walk may be made of: a sum with weights that are not negative.
+
+    Args:
+        broad: Covariances of any scale, each (n, n).
+        single: Patterns whose amplitudes walk each for itself, shape (n, P).
+    """
+
+    broad: tuple[Matrix, ...]
+    single: Matrix
+
+    def __len__(self) -> int:
+        return len(self.broad) + self.single.shape[1]
+
+    def total(self, weights: Vector) -> Matrix:
+        """Sum them up by their weights, shape (n, n)."""
+        scale = np.sqrt(weights[len(self.broad) :])
+        used = scale > 0.0
+        scaled = self.single[:, used] * scale[used]
+        found = scaled @ scaled.T
+        for weight, one in zip(weights, self.broad, strict=False):
+            found += weight * one
+        return found
+
+    def seen(self, weighing: Matrix) -> Vector:
+        """Trace of every shape with a weighing matrix, shape (F,)."""
+        broad = np.array([float(np.sum(weighing * one)) for one in self.broad])
+        single = np.einsum("np,np->p", self.single, weighing @ self.single)
+        return np.concatenate([broad, single])
+
+
+def fit_shapes(
     noise: StepNoise,
     moments: Moments,
-    families: Sequence[Matrix],
+    shapes: Shapes,
     held: Matrix,
+    weights: Vector | None = None,
     rounds: int = 30,
-) -> StepNoise:
-    """Fit a walk that is a mixture of families, and one reading noise per BPM.
+) -> tuple[StepNoise, Vector]:
+    """Fit a walk that is a mixture of shapes, and one reading noise per BPM.
 
     The weights w of Q = Σ w_k F_k and the variances of the noise rise and fall by the ratio of what
     the data pull to what the covariance expects (T. W. Anderson, Ann. Stat. 1 (1973) 135); unlike
@@ -130,56 +159,74 @@ def fit_families(
     Args:
         noise: To begin with.
         moments: Of what no model explains.
-        families: Positive covariances of any scale, each (n, n).
+        shapes: Of the walk.
         held: Covariance of the walk that is known besides, shape (n, n) [m²].
-        rounds: At most; it ends when no weight moves by more than a hundredth.
+        weights: To begin with, of an earlier fit; None or empty: of the data's own level.
+        rounds: At most; it ends when no weight of note moves by more than a hundredth.
+
+    Returns:
+        The noise, and the weights w, shape (F,).
     """
     white = np.diag(noise.white).copy()
-    weights = _start(white, moments, families)
+    unit = shapes.seen(np.eye(len(white)))
+    if weights is None or not len(weights):
+        weights = _start(white, moments, shapes, unit)
+    share = weights * unit
+    weights = np.maximum(weights, _RESTART * share.sum() / len(shapes) / np.maximum(unit, 1e-300))
     for _ in range(rounds):
-        walk = sum_of(weights, families) + held
-        pull, expected = np.zeros_like(walk), np.zeros_like(walk)
-        shaken, usual = np.zeros_like(white), np.zeros_like(white)
-        for square, count, eigenvalue in zip(
-            moments.total, moments.count, moments.eigenvalue, strict=True
-        ):
-            inverse = np.linalg.inv(walk + eigenvalue * np.diag(white))
-            seen = inverse @ square @ inverse
-            pull += seen
-            expected += count * inverse
-            shaken += eigenvalue * np.diag(seen)
-            usual += count * eigenvalue * np.diag(inverse)
-        ratio = np.array([np.sum(pull * one) / np.sum(expected * one) for one in families])
-        ratio = np.maximum(ratio, 1e-3)
-        weights = weights * ratio
+        pull, expected, shaken, usual = _sums(shapes.total(weights) + held, white, moments)
+        usually = shapes.seen(expected)
+        ratio = np.where(usually > 0.0, shapes.seen(pull) / np.maximum(usually, 1e-300), 0.0)
+        weights = weights * np.maximum(ratio, 1e-3)
         white = np.maximum(white * shaken / usual, _LEAST_VARIANCE * float(np.median(white)))
-        share = weights / weights.sum()
+        share = weights * unit / float(np.sum(weights * unit))
         if np.all(np.abs(ratio - 1.0)[share > 0.01] < 0.01):
             break
-    return StepNoise(sum_of(weights, families) + held, np.diag(white))
+    return StepNoise(shapes.total(weights) + held, np.diag(white)), weights
 
 
-def _start(white: Vector, moments: Moments, families: Sequence[Matrix]) -> Vector:
-    """Weights of families, each a share of the level at which all together are most likely."""
-    mixed = sum_of(np.ones(len(families)) / len(families), families)
-    unit = StepNoise(
-        mixed * (float(np.mean(white)) / float(np.mean(np.diag(mixed)))), np.diag(white)
+def _sums(walk: Matrix, white: Vector, moments: Moments) -> tuple[Matrix, Matrix, Vector, Vector]:
+    """Σ Ω S Ω and Σ n Ω over bands, and the diagonals of both weighted by λ, Ω = (Q + λV)⁻¹.
+
+    In the modes that part walk and noise Ω is diagonal, so that the bands are summed there.
+    """
+    noise = StepNoise(walk, np.diag(white))
+    modes = noise.modes
+    pull, shaken = np.zeros_like(walk), np.zeros_like(walk)
+    expected, usual = np.zeros(len(walk)), np.zeros(len(walk))
+    for square, count, eigenvalue in zip(
+        moments.total, moments.count, moments.eigenvalue, strict=True
+    ):
+        inverse = 1.0 / (noise.ratio + eigenvalue)
+        seen = inverse[:, None] * (modes.T @ square @ modes) * inverse
+        pull += seen
+        shaken += eigenvalue * seen
+        expected += count * inverse
+        usual += count * eigenvalue * inverse
+    return (
+        modes @ pull @ modes.T,
+        (modes * expected) @ modes.T,
+        np.einsum("nm,mk,nk->n", modes, shaken, modes, optimize=True),
+        (modes**2) @ usual,
     )
-    square = np.einsum("nm,bnk,km->bm", unit.modes, moments.total, unit.modes, optimize=True)
+
+
+def _start(white: Vector, moments: Moments, shapes: Shapes, unit: Vector) -> Vector:
+    """Weights of shapes, each a share of the level at which all together are most likely.
+
+    All single patterns together begin with the share of one broad shape.
+    """
+    several = max(shapes.single.shape[1], 1)
+    share = np.concatenate(
+        [np.ones(len(shapes.broad)), np.full(len(unit) - len(shapes.broad), 1.0 / several)]
+    )
+    share = share / share.sum() * len(white) / np.maximum(unit, 1e-300)
+    mixed = StepNoise(shapes.total(share * float(np.mean(white))), np.diag(white))
+    square = np.einsum("nm,bnk,km->bm", mixed.modes, moments.total, mixed.modes, optimize=True)
     levels = np.geomspace(1e-6, 1e3, 60)
     count, eigenvalue = moments.count[:, None], moments.eigenvalue[:, None]
     worth = [
         float(np.sum(-0.5 * count * np.log(v) - 0.5 * square / v))
-        for v in (level * unit.ratio + eigenvalue for level in levels)
+        for v in (level * mixed.ratio + eigenvalue for level in levels)
     ]
-    level = levels[int(np.argmax(worth))]
-    scale = level * float(np.mean(white)) / float(np.mean(np.diag(mixed)))
-    return np.full(len(families), scale / len(families))
-
-
-def sum_of(weights: Vector, families: Sequence[Matrix]) -> Matrix:
-    """Sum families by their weights."""
-    total = np.zeros_like(families[0])
-    for weight, family in zip(weights, families, strict=True):
-        total += weight * family
-    return total
+    return share * float(np.mean(white)) * levels[int(np.argmax(worth))]

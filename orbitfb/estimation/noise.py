@@ -45,7 +45,7 @@ class StepNoise:
 
     def variance(self, transform: StepTransform) -> Matrix:
         """Variance q + λ of every mode at every frequency, shape (T, n)."""
-        return self.ratio + transform.eigenvalue[:, None]
+        return self.ratio + transform.level[:, None]
 
     def pull(self, spectrum: Matrix, transform: StepTransform) -> Matrix:
         """Ω_f z_f of a spectrum z, Ω = (Q + λN)⁻¹, shape (T, n) [1/m]."""
@@ -59,18 +59,11 @@ class StepNoise:
         return -0.5 * (square + log_det + spectrum.size * np.log(2.0 * np.pi))
 
     def precision(self, transform: StepTransform, patterns: Matrix) -> Matrix:
-        """Pᵀ Ω_b P of every band, Ω_b the mean over its frequencies, shape (B, k, k)."""
+        """Pᵀ Ω_b P of every band, shape (B, k, k)."""
         seen = patterns.T @ self.modes
         mean = self.inverse_variance(transform)
         return np.stack([(seen * weight) @ seen.T for weight in mean])
 
     def inverse_variance(self, transform: StepTransform) -> Matrix:
-        """Mean of 1/(q + λ) over the frequencies of every band, shape (B, n).
-
-        Weighted by λ, as the steps of a course are that is as strong at every frequency.
-        """
-        eigenvalue = transform.eigenvalue
-        weighed = eigenvalue[:, None] / self.variance(transform)
-        total = np.zeros((len(transform.count), weighed.shape[1]))
-        np.add.at(total, transform.band, weighed)
-        return total / np.bincount(transform.band, eigenvalue)[:, None]
+        """1/(q + λ) of every mode in every band, shape (B, n)."""
+        return 1.0 / (self.ratio + transform.band_levels()[:, None])

@@ -7,7 +7,7 @@ independent from frequency to frequency: Q the covariance of the walk, N that of
 (G. Strang, SIAM Review 41 (1999) 135, on the eigenvectors of the second difference).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,8 @@ from orbitfb.core.signals import Mask, Vector
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_LOWEST = 2e-3
-"""λ of the edge of the lowest band: periods of 140 ticks and longer are one band."""
+_LOWEST = 1e-4
+"""λ of the edge of the lowest band: periods of 630 ticks and longer are one band."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +31,8 @@ class StepTransform:
         begins: First row of every stretch, shape (S,).
         pieces: Steps that are transformed together, in order.
         eigenvalue: λ_f of every frequency, piece by piece, shape (T,), T = N − S.
+        level: The λ that stands for it where the noise is weighed, shape (T,): the mean of its
+            band, so that sums by band and by frequency are the same.
         band: Band of every frequency, shape (T,).
         count: Frequencies in every band, shape (B,).
     """
@@ -39,11 +41,12 @@ class StepTransform:
     begins: Indices
     pieces: tuple[slice, ...]
     eigenvalue: Vector
+    level: Vector
     band: Indices
     count: Indices
 
     @classmethod
-    def of(cls, starts: Mask, bands: int | None = 16, exact: bool = False) -> "StepTransform":
+    def of(cls, starts: Mask, bands: int | None = 20, exact: bool = False) -> "StepTransform":
         """Lay out the transform.
 
         A stretch whose length has large prime factors is cut in two, because its transform would
@@ -71,7 +74,17 @@ class StepTransform:
         else:
             edges = np.geomspace(_LOWEST, 4.0, bands)[:-1]
             _, band = np.unique(np.searchsorted(edges, eigenvalue), return_inverse=True)
-        return cls(len(starts), begins, tuple(pieces), eigenvalue, band, np.bincount(band))
+        count = np.bincount(band)
+        level = (np.bincount(band, eigenvalue) / count)[band]
+        return cls(len(starts), begins, tuple(pieces), eigenvalue, level, band, count)
+
+    def exact(self) -> "StepTransform":
+        """The same with every λ for itself, for what is not summed by band."""
+        return replace(self, level=self.eigenvalue)
+
+    def band_levels(self) -> Vector:
+        """λ that stands for every band, shape (B,)."""
+        return np.bincount(self.band, self.level) / self.count
 
     def __len__(self) -> int:
         return len(self.eigenvalue)
@@ -87,18 +100,26 @@ class StepTransform:
         """Frequencies of a band."""
         return np.flatnonzero(self.band == band)
 
+    def by_band(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Sum over the frequencies of every band, shape (B, k) of (T, k)."""
+        member = np.zeros((len(self.count), len(self)), dtype=values.dtype)
+        member[self.band, np.arange(len(self))] = 1.0
+        return np.asarray(member @ values)
+
     def steps(self, courses: Matrix) -> Matrix:
         """Differences of neighbouring rows of a stretch, shape (T, k) of (N, k)."""
         difference = np.diff(courses, axis=0)
+        if len(self.begins) == 1:
+            return difference
         return np.delete(difference, self.begins[1:] - 1, axis=0)
 
     def step_rows(self) -> Indices:
         """Row at which every step ends, shape (T,)."""
         return np.delete(np.arange(self.rows), self.begins)
 
-    def turn(self, steps: Matrix) -> Matrix:
+    def turn(self, steps: NDArray[np.floating]) -> Matrix:
         """Transform steps to frequencies, or back: the transform is its own inverse."""
-        turned = np.empty_like(steps)
+        turned = np.empty(steps.shape)
         for part in self.pieces:
             turned[part] = np.asarray(dst(steps[part], type=1, axis=0, norm="ortho"))
         return turned

@@ -1,10 +1,11 @@
 """A hypothesis with values: what it adds to the record, and what that is worth."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.refit import SCATTER, Course, joined
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.noise import StepNoise
@@ -29,6 +30,8 @@ class Candidate:
         raised: Standard deviation of healthy errors that it raises: block number and share.
         columns: Columns of the healthy errors whose own variance it sets, with that variance.
         noisy: Whether it says something of the noise alone.
+        sources: Courses of its devices, if any: their values stay free when it is accepted.
+        finer: Search the neighbourhood of its values, which a grid gave; None: that is done.
     """
 
     kind: EffectKind
@@ -44,6 +47,8 @@ class Candidate:
     raised: Mapping[int, float] = dataclasses.field(default_factory=dict)
     columns: Mapping[int, float] = dataclasses.field(default_factory=dict)
     noisy: bool = False
+    sources: tuple[Course, ...] = ()
+    finer: "Callable[[], Candidate] | None" = None
 
     def accepted(self, space: Workspace) -> Workspace:
         """Add it to what a workspace explains, and estimate the floor anew."""
@@ -62,6 +67,11 @@ class Candidate:
             for column, variance in self.columns.items():
                 single[column] = variance
             space = replace(space, single=single)
+        columns = [
+            column for one in self.sources for column in one.columns(self.kind, space.signals)
+        ]
+        if columns:
+            space = space.beside(self.kind, self.sources[0].law, *joined(columns), SCATTER)
         return space.with_floor()
 
     def describe(self) -> str:

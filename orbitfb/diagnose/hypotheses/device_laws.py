@@ -1,7 +1,7 @@
 """Scan a law of devices over its values, its devices and the rows at which it may begin."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import fminbound
@@ -9,27 +9,26 @@ from scipy.optimize import fminbound
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.priors import (
-    MORE,
-    MOST_DEVICES,
     ONSET_SIGN,
     SIZE_WIDTH,
     VALUE_COST,
 )
+from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, worths_of
+from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import best_set
+from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
-from orbitfb.estimation.evidence import given_size, normal_size
+from orbitfb.estimation.evidence import given_size
 from orbitfb.estimation.transform import Matrix
 
 _FINENESS = 1.0 / 300.0
 """Share of the interval between two values of the grid to which the best one is found."""
 
-_FINALISTS = 3
-"""Values of a grid that are scored for all sets of devices, by each of two marks."""
-
-_WORTH_REFINING = 5.0
-"""Nats from which a value is refined."""
+_REACH = 2
+"""Values of the grid on either side within which the best one is searched: the best one for one
+device at a grid's distance is the best one for all within two."""
 
 _ONSETS_EVERY = 10
 """Rows between the onsets that are tried first."""
@@ -48,91 +47,48 @@ class _Found:
     free: bool
 
 
-def scan_devices(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> list[Candidate]:
+def scan_devices(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> list[Candidate]:
     """Find the best values, devices and onset of one law.
 
     Args:
         kind: The effect.
         law: One of its laws.
         scorer: Of what is left to explain.
+        rank: Of the values of its grid.
 
     Returns:
-        The best candidate that begins with the record, and the best that begins later, if any.
+        The best candidates of all devices and of some of them, and the best that begins later.
     """
-    signals = scorer.space.signals
-    grid = kind.grid(signals.record)
-    usual = any(block.kind is kind for block in scorer.space.blocks)
+    grid = rank.grid
+    usual = any(block.kind is kind and not block.accepted for block in scorer.space.blocks)
     cost = VALUE_COST * len(kind.parameters)
-    tops: list[_Found] = []
-    late: tuple[float, int, int, Values] = (-np.inf, 0, 0, grid[0])
-    for values in _promising(kind, law, scorer, grid):
-        courses = law.course(values, signals)
-        pull, information = scorer.score(law.patterns, courses)
-        tops.append(_best(kind, law, pull, information, values))
+    every: list[_Found] = []
+    some: list[_Found] = []
+    late: tuple[float, int, int, Values] = (-np.inf, 0, 0, grid[0] if grid else {})
+    for values in rank.promising:
+        spectra = scorer.space.courses.spectra(law, values)
+        pull, information = scorer.score(law.patterns, spectra)
+        information = scorer.marginal(kind, law.patterns, spectra, information)
+        for worth, free in worths_of(kind):
+            gain, places = best_set(
+                pull, information, law.groups, worth, whole=law.whole, alone=not kind.collective
+            )
+            (some if places else every).append(_Found(gain, places, values, free))
+            if places and kind.collective:
+                gain = float(worth(np.array([pull.sum()]), np.array([information.sum()]))[0])
+                every.append(_Found(gain, (), values, free))
         if kind.sudden and not law.whole:
-            begun = _late(kind, law, scorer, courses, pull, information, values)
+            begun = _late(kind, law, scorer, spectra, pull, information, values)
             late = max(late, begun, key=lambda one: one[0])
-    if not tops:
-        return []
-    top = max(tops, key=lambda one: one.evidence)
     candidates = []
-    if top.evidence > 0.0 and not usual:
-        candidates.append(_refined(kind, law, scorer, grid, top, cost))
-    if late[0] > max(0.0, top.evidence):
+    for found in (every, some):
+        top = max(found, key=lambda one: one.evidence, default=None)
+        if top is not None and top.evidence > 0.0 and not usual:
+            candidates.append(_refined(kind, law, scorer, grid, top, cost))
+    best = max((one.evidence for one in (*every, *some)), default=0.0)
+    if late[0] > max(0.0, best):
         candidates += _late_candidates(kind, law, scorer, late, cost)
     return candidates
-
-
-def _promising(
-    kind: EffectKind, law: DeviceLaw, scorer: Scorer, grid: Sequence[Values]
-) -> list[Values]:
-    """The values of a grid that explain most, by device and by all devices together."""
-    if len(grid) <= _FINALISTS:
-        return list(grid)
-    alone, together = np.full(len(grid), -np.inf), np.full(len(grid), -np.inf)
-    for number, values in enumerate(grid):
-        courses = law.course(values, scorer.space.signals)
-        if not any(np.any(course) for course in courses):
-            continue
-        pull: Vector | float = 0.0
-        information: Vector | float = 0.0
-        for pattern, course in zip(law.patterns, courses, strict=True):
-            part, weight = scorer.apart(pattern, course)
-            pull, information = pull + part, information + weight
-        own = normal_size(np.asarray(pull), np.asarray(information), 1.0)
-        alone[number] = float(np.max(own))
-        together[number] = float(np.sum(pull) ** 2 / max(np.sum(information), 1e-300))
-    best = {*np.argsort(-alone)[:_FINALISTS], *np.argsort(-together)[:_FINALISTS]}
-    return [grid[number] for number in sorted(best) if np.isfinite(alone[number])]
-
-
-def _best(
-    kind: EffectKind, law: DeviceLaw, pull: Vector, information: Matrix, values: Values
-) -> _Found:
-    """The best set for values of the grid: of the size that they say, or of any."""
-    choices = []
-    if not kind.linear or not scales(kind):
-        choices.append((given_size, False))
-    if scales(kind):
-        choices.append((_any_size, True))
-        if kind.linear and len(kind.parameters) > 1:
-            choices.append((given_size, False))
-    found = []
-    for worth, free in choices:
-        gain, places = best_set(
-            pull, information, law.groups, worth, whole=law.whole, alone=not kind.collective
-        )
-        found.append(_Found(gain, places, values, free))
-    return max(found, key=lambda one: one.evidence)
-
-
-def scales(kind: EffectKind) -> bool:
-    """Whether a course may have any size: one that runs over a grid of its sizes has them there."""
-    return bool(kind.linear) or len(kind.sizes) > 1
-
-
-def _any_size(pull: Vector, information: Vector) -> Vector:
-    return normal_size(pull, information, SIZE_WIDTH**2)
 
 
 def _refined(
@@ -143,18 +99,29 @@ def _refined(
     top: _Found,
     cost: float,
 ) -> Candidate:
-    """Search between the neighbours of the best value in the grid, by exact evidence."""
+    """The best value of the grid, by exact evidence; it knows how to search between."""
 
     def exact(values: Values) -> Candidate:
         return _candidate(kind, law, scorer, top.places, values, 0, top.free, cost)
 
     best = exact(top.values)
     name = _running(grid)
-    if name is None or top.evidence < _WORTH_REFINING:
+    if name is None:
         return best
+    return replace(best, finer=lambda: _finer(exact, best, top, name, grid))
+
+
+def _finer(
+    exact: Callable[[Values], Candidate],
+    best: Candidate,
+    top: _Found,
+    name: str,
+    grid: Sequence[Values],
+) -> Candidate:
+    """Search between the neighbours of the best value in the grid."""
     line = sorted({one[name] for one in grid})
     place = line.index(top.values[name])
-    low, high = line[max(place - 1, 0)], line[min(place + 1, len(line) - 1)]
+    low, high = line[max(place - _REACH, 0)], line[min(place + _REACH, len(line) - 1)]
     bend = np.log if low > 0.0 else np.asarray
     back = np.exp if low > 0.0 else np.asarray
 
@@ -180,7 +147,7 @@ def _late(
     kind: EffectKind,
     law: DeviceLaw,
     scorer: Scorer,
-    courses: tuple[Matrix, ...],
+    spectra: Sequence[Single],
     pull: Vector,
     information: Matrix,
     values: Values,
@@ -192,19 +159,22 @@ def _late(
     if not len(hopeful):
         return (-np.inf, 0, 0, values)
     hopeful = hopeful[np.argsort(-sign[hopeful])[:24]]
+    error = scorer.own_error(kind, hopeful)
     total_pull: Matrix | float = 0.0
     total_information: Matrix | float = 0.0
     onsets = np.zeros(0, dtype=np.intp)
-    for pattern, course in zip(law.patterns, courses, strict=True):
-        columns = course if course.shape[1] == 1 else course[:, hopeful]
+    for pattern, spectrum in zip(law.patterns, spectra, strict=True):
+        columns = spectrum if spectrum.shape[1] == 1 else spectrum[:, hopeful]
+        steps = scorer.space.transform.turn(columns)
         part, weight, onsets = scorer.since(
             pattern[:, hopeful],
-            np.broadcast_to(columns, (len(columns), len(hopeful))),
+            np.broadcast_to(steps, (len(steps), len(hopeful))),
             _ONSETS_EVERY,
+            error,
         )
         total_pull, total_information = total_pull + part, total_information + weight
     free = scales(kind)
-    worth = _any_size if free else given_size
+    worth = any_size if free else given_size
     gain = worth(np.asarray(total_pull), np.asarray(total_information))
     outside = (onsets < _MARGIN) | (onsets > len(scorer.space.transform) - _MARGIN)
     gain[outside] = -np.inf
@@ -232,7 +202,8 @@ def _late_candidates(
     courses = law.course(values, scorer.space.signals)
     last = scorer.space.transform.rows - 2
     tried = np.arange(max(onset - 2 * _ONSETS_EVERY, 1), min(onset + 2 * _ONSETS_EVERY, last))
-    worth = _any_size if free else given_size
+    worth = any_size if free else given_size
+    error = scorer.own_error(kind, np.array([device]))
     best: tuple[float, int, bool] = (-np.inf, onset, False)
     for kick in (False, True):
         pull: Vector | float = 0.0
@@ -240,7 +211,7 @@ def _late_candidates(
         for pattern, course in zip(law.patterns, courses, strict=True):
             own = course[:, 0] if course.shape[1] == 1 else course[:, device]
             begun = np.stack([_begun(own, int(row), kick) for row in tried], axis=1)
-            part, weight = scorer.quick(pattern[:, device], begun)
+            part, weight = scorer.quick(pattern[:, device], begun, error)
             pull, information = pull + part, information + weight
         gain = worth(np.asarray(pull), np.asarray(information))
         place = int(np.argmax(gain))
@@ -253,29 +224,6 @@ def _begun(course: Vector, onset: int, kick: bool) -> Vector:
     """A course that begins at a row, with or without what it has reached by then."""
     base = course[0] if kick else course[onset]
     return np.where(np.arange(len(course)) < onset, 0.0, course - base)
-
-
-def course_of(
-    law: DeviceLaw, scorer: Scorer, values: Values, places: tuple[int, ...], onset: int, kick: bool
-) -> tuple[Matrix, ...]:
-    """Courses of some devices, nothing before the onset.
-
-    Args:
-        law: Of the devices.
-        scorer: Of the record.
-        values: Of the law.
-        places: Devices; empty: all.
-        onset: Row at which it begins.
-        kick: Whether what it has reached by then comes at once; else only what follows counts.
-    """
-    chosen = list(places) if places else slice(None)
-    found = []
-    for course in law.course(values, scorer.space.signals):
-        part = course if course.shape[1] == 1 else course[:, chosen]
-        if onset:
-            part = np.stack([_begun(one, onset, kick) for one in part.T], axis=1)
-        found.append(part)
-    return tuple(found)
 
 
 def field_of(
@@ -308,14 +256,15 @@ def _candidate(
     kick: bool = False,
 ) -> Candidate:
     """Evaluate a finalist exactly, and give it its size."""
-    courses = course_of(law, scorer, values, places, onset, kick)
     count = len(places) or len(law.names)
-    field = field_of(law, scorer, courses, places, np.ones(count))
+    source = Course(law, places, values, np.ones(count), onset, kick)
+    courses = source.of(scorer.space.signals, values)
+    field = field_of(law, scorer, courses, places, source.size)
     pull, information = scorer.evaluate([field])
     size = 1.0
     if free:
         size = float(pull[0] / max(information[0, 0] + SIZE_WIDTH**-2, 1e-300))
-        gain = float(_any_size(pull, information[0])[0])
+        gain = float(any_size(pull, information[0])[0])
     else:
         gain = float(given_size(pull, information[0])[0])
     gain -= cost + _choices(law, places)
@@ -325,7 +274,10 @@ def _candidate(
     for parameter in kind.sizes:
         scaled[parameter.name] = size * values[parameter.name]
     names = tuple(law.names[place] for place in places)
-    return Candidate(kind, places, names, scaled, gain, onset=onset, field=size * field)
+    return Candidate(
+        kind, places, names, scaled, gain, onset=onset, field=size * field,
+        sources=(replace(source, size=size * source.size),),
+    )  # fmt: skip
 
 
 def _choices(law: DeviceLaw, places: tuple[int, ...]) -> float:
@@ -345,55 +297,3 @@ def _as_groups(law: DeviceLaw, places: tuple[int, ...]) -> int:
             left -= set(map(int, members))
             used += 1
     return 0 if left else used
-
-
-def sparse_sizes(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Iterator[Candidate]:
-    """Devices with a size of each one's own, grown greedily; for laws that are linear."""
-    usual = any(block.kind is kind for block in scorer.space.blocks)
-    if kind.linear is None or law.whole or usual or not kind.collective:
-        return
-    values = kind.grid(scorer.space.signals.record)[0]
-    courses = law.course(values, scorer.space.signals)
-    if not any(np.any(np.ptp(course, axis=0)) for course in courses):
-        return
-    pull, information = scorer.score(law.patterns, courses)
-    variance = SIZE_WIDTH**2
-    cost = np.log(len(pull))
-    chosen: list[int] = []
-    best = 0.0
-    for _ in range(MOST_DEVICES):
-        if chosen:
-            inner = information[np.ix_(chosen, chosen)] + np.eye(len(chosen)) / variance
-            solved = np.linalg.solve(inner, information[chosen])
-            left = pull - solved.T @ pull[chosen]
-            own = np.diag(information) - np.einsum("kd,kd->d", solved, information[chosen])
-        else:
-            left, own = pull, np.diag(information)
-        gain = normal_size(left, np.maximum(own, 0.0), variance)
-        gain[chosen] = -np.inf
-        device = int(np.argmax(gain))
-        if gain[device] < cost + MORE:
-            break
-        best += float(gain[device]) - cost
-        chosen.append(device)
-    if len(chosen) < 2:
-        return
-    inner = information[np.ix_(chosen, chosen)] + np.eye(len(chosen)) / variance
-    sizes = np.linalg.solve(inner, pull[chosen])
-    order = tuple(sorted(range(len(chosen)), key=lambda one: chosen[one]))
-    places = tuple(chosen[one] for one in order)
-    sizes = sizes[list(order)]
-    parts = course_of(law, scorer, values, places, 0, False)
-    field = field_of(law, scorer, parts, places, np.asarray(sizes, dtype=np.float64))
-    pulls, informations = scorer.evaluate([field])
-    exact = float(pulls[0] - 0.5 * informations[0, 0])
-    occam = 0.5 * float(
-        np.linalg.slogdet(np.eye(len(places)) + variance * information[np.ix_(places, places)])[1]
-    )
-    largest = int(np.argmax(np.abs(sizes)))
-    scaled = {**values, kind.linear: float(sizes[largest] * values[kind.linear])}
-    yield Candidate(
-        kind, places, tuple(law.names[place] for place in places), scaled,
-        exact - occam - cost * len(places),
-        sizes=tuple(float(size * values[kind.linear]) for size in sizes), field=field,
-    )  # fmt: skip

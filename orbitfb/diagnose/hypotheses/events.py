@@ -24,24 +24,23 @@ def scan_events(kind: EffectKind, law: EventLaw, scorer: Scorer) -> list[Candida
     """Find what is struck, and how often or how strongly."""
     if law.single:
         return [_tails(kind, scorer)]
-    found: list[Candidate] = []
+    best: tuple[float, str, tuple[int, ...], Matrix, dict[str, float], Vector] | None = None
+    count = 0
     response = scorer.space.signals.record.layout.response
     for name, members, shapes in _parts(law, response):
+        count += 1
         pull, information = _rows(scorer, shapes)
-        found += (
-            _jitter(kind, scorer, members, name, shapes, pull, information)
-            if law.often
-            else _struck(kind, scorer, members, name, shapes, pull, information)
-        )
-    cost = float(np.log(max(len(found), 1)))
-    best = max(found, key=lambda one: one.evidence, default=None)
+        weigh = _jitter if law.often else _struck
+        evidence, values, strength = weigh(kind, scorer, pull, information)
+        if best is None or evidence > best[0]:
+            best = (evidence, name, members, shapes, values, strength)
     if best is None:
         return []
-    return [
-        Candidate(
-            best.kind, best.places, best.names, best.values, best.evidence - cost, field=best.field
-        )
-    ]
+    evidence, name, members, shapes, values, strength = best
+    field = _field(scorer, shapes, strength)
+    names = (name,) if members else ()
+    gain = evidence - float(np.log(count)) - VALUE_COST
+    return [Candidate(kind, members, names, values, gain, field=field)]
 
 
 def _parts(law: EventLaw, response: Matrix) -> Iterator[tuple[str, tuple[int, ...], Matrix]]:
@@ -76,15 +75,9 @@ def _rows(scorer: Scorer, shapes: Matrix) -> tuple[Vector, Vector]:
 
 
 def _struck(
-    kind: EffectKind,
-    scorer: Scorer,
-    members: tuple[int, ...],
-    name: str,
-    shapes: Matrix,
-    pull: Vector,
-    information: Vector,
-) -> list[Candidate]:
-    """Strikes of strength one, with a probability."""
+    kind: EffectKind, scorer: Scorer, pull: Vector, information: Vector
+) -> tuple[float, dict[str, float], Vector]:
+    """Strikes of strength one, with a probability: evidence, values, strength by step."""
     gain, against = pull - 0.5 * information, -pull - 0.5 * information
     best, share = -np.inf, 0.0
     for tried in _SHARES:
@@ -93,11 +86,9 @@ def _struck(
         if found > best:
             best, share = found, tried
     struck = np.log(share) + gain > np.log1p(-share)
-    field = _field(scorer, shapes, struck.astype(float))
     values = {p.name: p.typical for p in kind.parameters}
     values[kind.parameters[0].name] = share
-    names = (name,) if members else ()
-    return [Candidate(kind, members, names, values, best - VALUE_COST, field=field)]
+    return best, values, struck.astype(float)
 
 
 def _mixture(gain: Vector, share: float) -> float:
@@ -105,27 +96,18 @@ def _mixture(gain: Vector, share: float) -> float:
 
 
 def _jitter(
-    kind: EffectKind,
-    scorer: Scorer,
-    members: tuple[int, ...],
-    name: str,
-    shapes: Matrix,
-    pull: Vector,
-    information: Vector,
-) -> list[Candidate]:
-    """A normal strength at every row."""
+    kind: EffectKind, scorer: Scorer, pull: Vector, information: Vector
+) -> tuple[float, dict[str, float], Vector]:
+    """A normal strength at every row: evidence, values, strength by step."""
     best, variance = -np.inf, 0.0
-    for values in kind.grid(scorer.space.signals.record):
+    for values in scorer.space.courses.grid(kind):
         tried = values[kind.parameters[0].name] ** 2
         grown = 1.0 + information * tried
         found = float(np.sum(0.5 * pull**2 * tried / grown - 0.5 * np.log(grown)))
         if found > best:
             best, variance = found, tried
     strength = pull * variance / (1.0 + information * variance)
-    field = _field(scorer, shapes, strength)
-    told = {kind.parameters[0].name: float(np.sqrt(variance))}
-    names = (name,) if members else ()
-    return [Candidate(kind, members, names, told, best - VALUE_COST, field=field)]
+    return best, {kind.parameters[0].name: float(np.sqrt(variance))}, strength
 
 
 def _field(scorer: Scorer, shapes: Matrix, strength: Vector) -> Matrix:

@@ -14,8 +14,8 @@ def scan_field(kind: EffectKind, law: FieldLaw, scorer: Scorer) -> list[Candidat
     """Find the best values of a law of the ring."""
     space = scorer.space
     found = []
-    for values in kind.grid(space.signals.record):
-        field = space.transform.spectrum(law.course(values, space.signals))
+    for values in space.courses.grid(kind):
+        field = space.courses.field(law, values)
         if not np.any(field):
             continue
         pull, information = scorer.evaluate([field])
@@ -26,5 +26,9 @@ def scan_field(kind: EffectKind, law: FieldLaw, scorer: Scorer) -> list[Candidat
         else:
             gain = float(given_size(pull, information[0])[0])
         scaled = {**values, **{p.name: size * values[p.name] for p in kind.sizes}}
-        found.append(Candidate(kind, (), (), scaled, gain - VALUE_COST, field=size * field))
+        found.append(
+            Candidate(
+                kind, (), (), scaled, gain - VALUE_COST, field=size * field.astype(np.float64)
+            )
+        )
     return [max(found, key=lambda one: one.evidence)] if found else []

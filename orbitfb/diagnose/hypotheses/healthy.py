@@ -18,6 +18,8 @@ def scan_errors(scorer: Scorer) -> Iterator[Candidate]:
     terms = scorer.errors
     base = terms.evidence()
     for number, block in enumerate(space.blocks):
+        if block.accepted:
+            continue
         yield from _all(scorer, number, terms, base)
         yield from _few(block, terms, base)
 

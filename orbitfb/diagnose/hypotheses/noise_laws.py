@@ -38,7 +38,7 @@ class ReadingNoise:
         late = scorer.late
         following = np.vstack([late[1:], np.zeros_like(late[:1])])
         found = white * (late - following)
-        share = np.mean(transform.eigenvalue[:, None] / noise.variance(transform), axis=0)
+        share = np.mean(transform.eigenvalue[:, None] / noise.variance(transform.exact()), axis=0)
         spread = white**2 * ((noise.modes**2) @ share)
         return cls(found / np.sqrt(spread))
 
@@ -98,7 +98,9 @@ def scan_colour(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
     transform = space.transform
     noise = transform.turn(ReadingNoise.of(scorer).values)
     part = transform.eigenvalue > 0.3
-    power, eigenvalue = noise[part] ** 2, transform.eigenvalue[part]
+    eigenvalue = transform.eigenvalue[part]
+    share = eigenvalue[:, None] / (space.noise.ratio + eigenvalue[:, None])
+    power = noise[part] ** 2 / (share @ (space.noise.modes**2).T)
     flat = np.mean(power, axis=0)
     best: tuple[float, tuple[int, ...], float] = (-np.inf, (), 0.0)
     cosine = 1.0 - 0.5 * eigenvalue

@@ -21,7 +21,7 @@ def scan_pairs(kind: EffectKind, law: PairLaw, scorer: Scorer) -> list[Candidate
     spectrum = space.transform.quick_spectrum(law.courses)
     pulls = ((scorer.pulled @ law.patterns).astype(np.float32).T @ spectrum).astype(np.float64)
     best: list[Candidate] = []
-    for values in kind.grid(space.signals.record):
+    for values in space.courses.grid(kind):
         mixing = law.mixing(values)
         pull, information = _pair_scores(law, scorer, spectrum, pulls, mixing)
         free = bool(kind.sizes)

@@ -12,7 +12,7 @@ SIZE_WIDTH = 5.0
 """Standard deviation of a free size over the typical one of the effect."""
 
 MOST_DEVICES = 24
-"""Devices that a set may have before it is all, a group or a scatter of all."""
+"""Devices with a size of each one's own that a set may have before it is a scatter of all."""
 
 MORE = 3.0
 """Nats beyond its look-elsewhere cost that a further device of a set must bring."""
@@ -30,3 +30,25 @@ SCATTER = (2.0, 4.0, 8.0, 16.0, 32.0)
 SHAPE_COUNTS = 32.0
 """Steps that the ground's families are worth where a walk is compared with them: they are right to
 a quarter of the variance of a mode, and the scatter of a variance of ν normal values is √(2/ν)."""
+
+FINALISTS = 6
+"""Candidates whose values are refined between those of the grid: a grid whose steps are 1.5 apart
+loses a tenth of the evidence at most, so the best one is among those."""
+
+MISFIT = 0.004
+"""Share of the best evidence by which the evidences of models that are all a little wrong may
+differ by chance [1]."""
+
+RIVAL = 0.02
+"""Probability from which another effect is told as one that the record cannot exclude [1]."""
+
+REMAINDER = 0.03
+"""Share of the named causes' evidence from which what a free course finds beside them is told [1]:
+a law that is right to a sixth of its amplitude leaves that."""
+
+HOPE = 2.0
+"""Log evidence [nats] of the best single device below which values are not looked at closely: the
+best of 180 devices of a healthy record reaches 4."""
+
+MOST_REFINED = 6
+"""Devices of a set whose own values are searched between those of the grid; others keep it."""

@@ -1,25 +1,26 @@
 """Laws whose amplitude is random: walks, common noise, strokes that are rare."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.lines import strongest_line
 from orbitfb.diagnose.hypotheses.noise_laws import scan_colour, scan_level
-from orbitfb.diagnose.hypotheses.priors import SHAPE_COUNTS, VALUE_COST
+from orbitfb.diagnose.hypotheses.priors import MORE, MOST_DEVICES, SHAPE_COUNTS, VALUE_COST
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import RandomLaw
 from orbitfb.estimation.noise import StepNoise
-from orbitfb.estimation.transform import Matrix
+from orbitfb.estimation.transform import Matrix, StepTransform
 
 _SIZES = np.geomspace(1e-3, 1e4, 36)
 """Variances that are tried, in units of what the floor leaves uncertain of the pattern."""
 
-_RARE = (0.003, 0.01, 0.03, 0.1)
-"""Shares of the rows in which a stroke comes."""
+_PLACES = 4
+"""Places whose strokes are sought one by one: those with the largest single one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,8 +44,9 @@ def scan_random(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
     noise = StepNoise(space.shape + space.held, space.noise.white)
     mean = space.errors.mean()
     left = space.residual - space.terms.contribution(mean)
-    pulled = noise.pull(left, space.transform)
-    weighed = _Weighed(noise, pulled, space.transform.turn(pulled))
+    exact = space.transform.exact()
+    pulled = noise.pull(left, exact)
+    weighed = _Weighed(noise, pulled, exact.turn(pulled))
     steady = _steady(kind, law, space, weighed)
     if not law.walk:
         return [steady]
@@ -60,17 +62,13 @@ def scan_random(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
 
 def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighed) -> Candidate:
     """Amplitudes that are normal at every row."""
-    transform, noise = space.transform, weighed.noise
+    transform, noise = space.transform.exact(), weighed.noise
     seen = (law.patterns.T @ noise.modes) ** 2
-    along = weighed.pulled @ law.patterns
-    by_band = np.stack(
-        [
-            np.sum(along[transform.members(band)] ** 2, axis=0)
-            for band in range(len(transform.count))
-        ]
-    )
-    precision = noise.inverse_variance(transform) @ seen.T
+    weights = (1.0 / noise.variance(transform)) @ seen.T
     count = transform.count[:, None].astype(float)
+    precision = transform.by_band(weights) / count
+    normal = (weighed.pulled @ law.patterns) ** 2 / weights
+    by_band = transform.by_band(normal) * precision
     eigenvalue = (np.bincount(transform.band, transform.eigenvalue) / transform.count)[:, None]
     weight = np.ones_like(eigenvalue) if law.walk else eigenvalue
     scale = np.sum(count * precision * weight, axis=0) / count.sum()
@@ -91,26 +89,51 @@ def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighe
 
 
 def _strokes(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighed) -> Candidate:
-    """Amplitudes that come in a few rows only."""
-    noise = weighed.noise
-    flat = 1.0 / np.sqrt(noise.ratio**2 + 4.0 * noise.ratio + 1e-12)
-    own = ((law.patterns.T @ noise.modes) ** 2) @ flat
+    """Amplitudes that come in a few rows only, one after the other: matching pursuit.
+
+    S. Mallat and Z. Zhang, IEEE Trans. Signal Process. 41 (1993) 3397, with the row that is most
+    likely struck instead of the largest projection, until none is worth its choice among all rows.
+    """
+    transform = space.transform.exact()
+    seen = (law.patterns.T @ weighed.noise.modes) ** 2
+    weights = (1.0 / weighed.noise.variance(transform)) @ seen.T
+    own = weights.mean(axis=0)
     along = weighed.late @ law.patterns
-    square = along**2 / own
-    normal = np.mean(square, axis=0)
-    best, size = np.full(len(own), -np.inf), np.zeros(len(own))
-    for share in _RARE:
-        for strength in (10.0, 100.0, 1e3, 1e4):
-            gain = 0.5 * square * strength / (1.0 + strength) - 0.5 * np.log1p(strength)
-            mixed = np.logaddexp(np.log1p(-share), np.log(share) + gain)
-            total = np.sum(mixed, axis=0)
-            better = total > best
-            best[better], size[better] = total[better], (share * strength / own)[better]
-    # A steady walk of the same total strength explains part of it: only the tails count.
-    steady = 0.5 * len(along) * (np.maximum(normal, 1.0) - 1.0 - np.log(np.maximum(normal, 1.0)))
-    gain = best - steady - np.log(len(own)) - VALUE_COST
-    place = int(np.argmax(gain))
-    return _candidate(kind, law, space, place, float(size[place]), float(gain[place]))
+    hopeful = np.argsort(-np.max(along**2, axis=0) / own)[:_PLACES]
+    best: tuple[float, int, Vector] = (-np.inf, int(hopeful[0]), np.zeros(len(along)))
+    for place in map(int, hopeful):
+        found = _pursued(along[:, place], weights[:, place], transform)
+        if found[0] > best[0]:
+            best = (found[0], place, found[1])
+    gain, place, strokes = best
+    evidence = gain - float(np.log(len(own))) - VALUE_COST
+    whole = _candidate(kind, law, space, place, float(np.mean(strokes**2)), evidence)
+    field = np.outer(transform.turn(strokes[:, None])[:, 0], law.patterns[:, place])
+    return replace(whole, walk=None, field=field)
+
+
+def _pursued(pull: Vector, weights: Vector, transform: StepTransform) -> tuple[float, Vector]:
+    """Evidence of strokes at single rows, and the strokes of every row, shape (T,).
+
+    Args:
+        pull: Of a stroke at every step, shape (T,).
+        weights: Information of it at every frequency, shape (T,).
+        transform: Of the record.
+    """
+    own, cost = float(weights.mean()), float(np.log(len(pull)))
+    left, strokes = pull.copy(), np.zeros(len(pull))
+    gains: list[float] = []
+    while len(gains) < MOST_DEVICES:
+        row = int(np.argmax(np.abs(left)))
+        gain = 0.5 * left[row] ** 2 / own - cost - 0.5 * float(np.log(1.0 + left[row] ** 2 / own))
+        if gain < MORE:
+            break
+        gains.append(gain)
+        stroke = np.zeros((len(pull), 1))
+        stroke[row] = left[row] / own
+        strokes += stroke[:, 0]
+        left = left - transform.turn(weights[:, None] * transform.turn(stroke))[:, 0]
+    return sum(gains), strokes
 
 
 def _candidate(

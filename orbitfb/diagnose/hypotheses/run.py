@@ -2,17 +2,20 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
-from orbitfb.diagnose.hypotheses.device_laws import scan_devices, sparse_sizes
+from orbitfb.diagnose.hypotheses.device_laws import scan_devices
+from orbitfb.diagnose.hypotheses.each_own import scan_each_own
 from orbitfb.diagnose.hypotheses.events import scan_events
 from orbitfb.diagnose.hypotheses.fields import scan_field
+from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
 from orbitfb.diagnose.hypotheses.healthy import scan_errors
 from orbitfb.diagnose.hypotheses.lines import scan_lines
 from orbitfb.diagnose.hypotheses.pairs import scan_pairs
-from orbitfb.diagnose.hypotheses.priors import ROUNDS, SURE
+from orbitfb.diagnose.hypotheses.priors import FINALISTS, MISFIT, ROUNDS, SURE
 from orbitfb.diagnose.hypotheses.random_laws import scan_random
+from orbitfb.diagnose.hypotheses.ranking import ranked
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
@@ -21,10 +24,17 @@ from orbitfb.effects.laws import DeviceLaw, EventLaw, FieldLaw, Law, PairLaw
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
-    """One round: every candidate, the best first, and the workspace that they were tried on."""
+    """One round: every candidate, the best first, and the workspace that they were tried on.
+
+    Args:
+        space: Before anything of the round was accepted.
+        candidates: Every one that was tried.
+        free: Unknown laws of single devices, the most telling first.
+    """
 
     space: Workspace
     candidates: tuple[Candidate, ...]
+    free: tuple[FreeCourse, ...]
 
 
 def tournament(
@@ -48,13 +58,27 @@ def tournament(
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
         candidates = candidates_of(space, left, tell)
-        rounds.append(Round(space, tuple(candidates)))
+        free = scan_free(Scorer.of(space))[:FINALISTS]
+        rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())
-        if len(accepted) == ROUNDS or not candidates or candidates[0].evidence < SURE:
+        told = sum(one.evidence for one in accepted)
+        if (
+            len(accepted) == ROUNDS
+            or not candidates
+            or candidates[0].evidence < SURE + MISFIT * told
+        ):
             return accepted, rounds
+        if not accepted and free and free[0].evidence > candidates[0].evidence:
+            return accepted, rounds  # nothing of the library is as good as a law without a name
         accepted.append(candidates[0])
         space = candidates[0].accepted(space)
+
+
+def _light(candidates: list[Candidate]) -> list[Candidate]:
+    """Drop the fields of all but the finalists: each is as large as the record."""
+    rest = [replace(one, field=None, finer=None) for one in candidates[FINALISTS:]]
+    return [*candidates[:FINALISTS], *rest]
 
 
 def candidates_of(
@@ -67,10 +91,25 @@ def candidates_of(
     tell(f"errors {time.process_time() - began:.2f} s")
     for kind in kinds:
         began = time.process_time()
-        for law in kind.laws(space.signals):
+        for law in space.courses.laws(kind):
             found += _scan(kind, law, scorer)
         tell(f"{kind.id} {time.process_time() - began:.2f} s")
-    return strongest(found)
+    return _refined(strongest(found))
+
+
+def _refined(candidates: list[Candidate]) -> list[Candidate]:
+    """Refine the values of the finalists, until all that lead are refined."""
+    while True:
+        for place, one in enumerate(candidates[:FINALISTS]):
+            if one.finer is not None and one.evidence > 0.0:
+                fine = one.finer()
+                candidates[place] = (
+                    fine if fine.evidence > one.evidence else replace(one, finer=None)
+                )
+                break
+        else:
+            return candidates
+        candidates = strongest(candidates)
 
 
 def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
@@ -78,7 +117,11 @@ def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
     if isinstance(law, DeviceLaw):
         if law.periodic:
             return scan_lines(kind, law, scorer)
-        return [*scan_devices(kind, law, scorer), *sparse_sizes(kind, law, scorer)]
+        rank = ranked(kind, law, scorer)
+        return [
+            *scan_devices(kind, law, scorer, rank),
+            *scan_each_own(kind, law, scorer, rank),
+        ]
     if isinstance(law, PairLaw):
         return scan_pairs(kind, law, scorer)
     if isinstance(law, FieldLaw):

@@ -1,14 +1,21 @@
 """Pull and information of device laws, from one spectrum of courses."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import lfilter
 
 from orbitfb.core.signals import Vector
+from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.evidence import NormalTerms
 from orbitfb.estimation.transform import Indices, Matrix
+
+_FOURTH = 4
+"""Every which frequency is summed where a value is only to be ranked among others."""
 
 _GROUPS = 3
 """Groups of modes, by the walk over the noise, that share one whitening filter for onsets."""
@@ -21,10 +28,15 @@ class Scorer:
     Args:
         space: The record, its floor and what was accepted.
         pulled: Ω z with healthy errors marginalised, shape (T, n) [1/m].
-        late: The same from row to row instead of by frequency, shape (T, n).
+        late: The same from row to row instead of by frequency, each λ for itself, shape (T, n).
         errors: The healthy errors, as the residual pulls at them.
         roots: Root r of the moving average of every group of modes, shape (G,).
         groups: Modes of every group.
+        inverse: Mean inverse variance of every mode in every band, shape (B, n).
+        weights: 1/(q + λ) of every mode at every frequency, shape (T, n).
+        members: Frequencies of every band.
+        kept: What patterns see, by their identity.
+        nearby: Errors of the devices of a kind, by the kind.
     """
 
     space: Workspace
@@ -33,6 +45,11 @@ class Scorer:
     errors: NormalTerms
     roots: Vector
     groups: tuple[Indices, ...]
+    inverse: Single
+    weights: Single
+    members: tuple[Indices, ...]
+    kept: "dict[int, Seen]" = field(default_factory=dict)
+    nearby: "dict[str, Beside | None]" = field(default_factory=dict)
 
     @classmethod
     def of(cls, space: Workspace) -> "Scorer":
@@ -43,11 +60,16 @@ class Scorer:
         ratio = space.noise.ratio
         groups = tuple(np.array_split(np.argsort(ratio), _GROUPS))
         typical = np.array([np.exp(np.mean(np.log(ratio[one] + 1e-6))) for one in groups])
+        transform = space.transform
+        late = transform.turn(space.noise.pull(left, transform.exact()))
         return cls(
-            space, pulled, space.transform.turn(pulled), errors, moving_root(typical), groups
-        )
+            space, pulled, late, errors, moving_root(typical), groups,
+            space.noise.inverse_variance(transform).astype(np.float32),
+            (1.0 / space.noise.variance(transform)).astype(np.float32),
+            tuple(transform.members(band) for band in range(len(transform.count))),
+        )  # fmt: skip
 
-    def evaluate(self, fields: "list[Matrix]") -> tuple[Vector, Matrix]:
+    def evaluate(self, fields: "Sequence[Matrix | Single]") -> tuple[Vector, Matrix]:
         """Pull and information of whole fields, healthy errors marginalised.
 
         Args:
@@ -56,42 +78,130 @@ class Scorer:
         Returns:
             a, shape (k,), and H, shape (k, k).
         """
-        noise, transform = self.space.noise, self.space.transform
-        weighed = [noise.pull(one, transform) for one in fields]
+        modes = self.space.noise.modes.astype(np.float32)
+        single = [one.astype(np.float32) for one in fields]
+        weighed = [((one @ modes) * self.weights) @ modes.T for one in single]
         pull = np.array([float(np.sum(self.pulled * one)) for one in fields])
-        information = np.array([[float(np.sum(a * b)) for b in fields] for a in weighed])
+        information = np.array(
+            [[float(np.sum(a * b, dtype=np.float64)) for b in single] for a in weighed]
+        )
         if not len(self.errors.used):
             return pull, information
-        cross = np.stack([self.space.terms.pull(one) for one in weighed], axis=1)
+        used = self.errors.variance > 0.0
+        cross = np.stack([self.space.terms.pull(one, used) for one in weighed], axis=1)
         _, beyond = self.errors.beyond(np.zeros(len(fields)), information, cross)
-        return pull, beyond
+        return pull, _positive(beyond)
+
+    def seen(self, patterns: Matrix) -> "Seen":
+        """What patterns see of the residual; kept, as many values of a law share their patterns."""
+        known = self.kept.get(id(patterns))
+        if known is None:
+            known = self.kept[id(patterns)] = Seen.of(self, patterns)
+        return known
 
     def score(
-        self, patterns: tuple[Matrix, ...], courses: tuple[Matrix, ...]
+        self, patterns: tuple[Matrix, ...], spectra: Sequence[Single]
     ) -> tuple[Vector, Matrix]:
         """Pull (D,) and information (D, D) of devices; healthy errors are not taken off the latter.
 
         Args:
             patterns: Blocks of shape (n, D) [m].
-            courses: Blocks of shape (N, D) or (N, 1).
+            spectra: Transformed steps of their courses, blocks of shape (T, D) or (T, 1).
         """
-        transform, noise = self.space.transform, self.space.noise
-        inverse = noise.inverse_variance(transform)
-        seen = [(one.T @ noise.modes).astype(np.float32) for one in patterns]
-        spectra = [transform.quick_spectrum(course) for course in courses]
+        seen = [self.seen(one) for one in patterns]
         count = patterns[0].shape[1]
         pull, information = np.zeros(count), np.zeros((count, count))
-        members = [transform.members(band) for band in range(len(transform.count))]
-        for one, pattern, spectrum in zip(seen, patterns, spectra, strict=True):
-            along = self.pulled @ pattern
-            pull += np.einsum("fd,fd->d", along, np.broadcast_to(spectrum, along.shape))
-            for other, across in zip(seen, spectra, strict=True):
-                for weight, rows in zip(inverse, members, strict=True):
-                    precision = (one * weight.astype(np.float32)) @ other.T
-                    information += precision * (spectrum[rows].T @ across[rows])
+        parts = [[spectrum[rows] for rows in self.members] for spectrum in spectra]
+        for one, spectrum, mine in zip(seen, spectra, parts, strict=True):
+            pull += np.einsum("fd,fd->d", one.pulled, np.broadcast_to(spectrum, one.pulled.shape))
+            for other, theirs in zip(seen, parts, strict=True):
+                precision = one.precision if other is one else self._across(one, other)
+                for weight, left, right in zip(precision, mine, theirs, strict=True):
+                    information += weight * (left.T @ right)
         return pull, information
 
-    def since(self, pattern: Matrix, course: Matrix, every: int) -> tuple[Vector, Vector, Indices]:
+    def marginal(
+        self,
+        kind: EffectKind,
+        patterns: tuple[Matrix, ...],
+        spectra: Sequence[Single],
+        information: Matrix,
+    ) -> Matrix:
+        """Information of devices with the errors of the same devices marginalised, shape (D, D).
+
+        Args:
+            kind: Whose devices they are.
+            patterns: Blocks of shape (n, D) [m].
+            spectra: As for `score`.
+            information: That `score` gave.
+        """
+        own = self.beside_of(kind.target)
+        if own is None:
+            return information
+        cross = np.zeros((len(own.scale), len(information)))
+        for pattern, spectrum in zip(patterns, spectra, strict=True):
+            seen = self.seen(pattern)
+            for number, rows in enumerate(self.members):
+                weight = (own.modes * self.inverse[number]) @ seen.modes.T
+                cross += weight * (own.spectrum[rows].T @ spectrum[rows])
+        solved = cho_solve(own.factor, own.scale[:, None] * cross)
+        return information - (own.scale[:, None] * cross).T @ solved
+
+    def beside_of(self, target: str) -> "Beside | None":
+        """The healthy errors, and values of accepted causes, of devices of a kind; kept."""
+        if target not in self.nearby:
+            columns = [
+                np.arange(block.columns.start, block.columns.stop)
+                for block in self.space.blocks
+                if block.kind.target == target
+            ]
+            chosen = np.concatenate(columns) if columns else np.zeros(0, np.intp)
+            chosen = chosen[self.errors.variance[chosen] > 0.0]
+            self.nearby[target] = Beside.of(self, chosen) if len(chosen) else None
+        return self.nearby[target]
+
+    def all_together(self, patterns: Matrix, spectrum: Single) -> float:
+        """Information of all devices with one common value, from every fourth frequency."""
+        if spectrum.shape[1] == 1:
+            spectrum = np.broadcast_to(spectrum, (len(spectrum), patterns.shape[1]))
+        seen = spectrum[::_FOURTH] @ self.seen(patterns).modes
+        return float(_FOURTH * np.sum(seen * seen * self.weights[::_FOURTH], dtype=np.float64))
+
+    def drive_pull(self) -> Matrix:
+        """∂log L/∂current of every corrector at every row, shape (N, m) [1/A]."""
+        transform = self.space.transform
+        along = self.late @ self.space.signals.record.layout.response
+        rows = transform.step_rows()
+        pull = np.zeros((transform.rows, along.shape[1]))
+        pull[rows] += along
+        pull[rows - 1] -= along
+        return pull
+
+    def _across(self, one: "Seen", other: "Seen") -> "list[Single]":
+        return [(one.modes * weight) @ other.modes.T for weight in self.inverse]
+
+    def own_error(self, kind: EffectKind, devices: Indices) -> "OwnError | None":
+        """The healthy error of the same devices; None where they have none.
+
+        Args:
+            kind: Whose devices they are.
+            devices: Numbers of k of them.
+        """
+        for block in self.space.blocks:
+            if block.kind.target != kind.target or block.accepted:
+                continue
+            columns = block.columns.start + devices
+            variance = self.errors.variance[columns]
+            if not np.any(variance):
+                continue
+            spectrum = self.space.terms.spectrum[:, columns]
+            steps = self.space.transform.turn(spectrum)
+            return OwnError(spectrum, steps, variance, np.diag(self.errors.information)[columns])
+        return None
+
+    def since(
+        self, pattern: Matrix, steps: Matrix, every: int, own: "OwnError | None"
+    ) -> tuple[Vector, Vector, Indices]:
         """Pull and information of what is left of courses that begin late.
 
         A course that begins at a row has the steps after it. Its information is that of the
@@ -99,58 +209,156 @@ class Scorer:
 
         Args:
             pattern: Shape (n, D) [m].
-            course: Shape (N, D) or (N, 1).
+            steps: Of the courses, shape (T, D).
             every: Distance of the onsets, in steps.
+            own: Healthy error of the devices, which is marginalised.
 
         Returns:
             Pull (O, D), information (O, D), and the steps O at which the courses begin.
         """
-        transform, noise = self.space.transform, self.space.noise
-        steps = transform.steps(course)
         onsets = np.arange(0, len(steps), every)
-        along = (self.late @ pattern) * steps
-        pull = _suffix(along, onsets)
-        seen = (pattern.T @ noise.modes) ** 2
-        information = np.zeros_like(pull)
+        pull = _suffix((self.late @ pattern) * steps, onsets)
+        seen = (pattern.T @ self.space.noise.modes) ** 2
+        information, cross = np.zeros_like(pull), np.zeros_like(pull)
         for root, group in zip(self.roots, self.groups, strict=True):
+            weight = root * seen[:, group].sum(axis=1)
             whitened = _whitened(steps, float(root))
-            information += root * seen[:, group].sum(axis=1) * _suffix(whitened**2, onsets)
-        return pull, information, onsets
+            information += weight * _suffix(whitened**2, onsets)
+            if own is not None:
+                beside = whitened * _whitened(own.steps, float(root))
+                cross += weight * _suffix(beside, onsets)
+        return pull, information if own is None else own.marginal(information, cross), onsets
 
-    def apart(self, patterns: Matrix, course: Matrix) -> tuple[Vector, Vector]:
-        """Pull and information of every device for itself, in the whitening of its modes together.
+    def apart(
+        self, patterns: Matrix, spectrum: Single, own: "OwnError | None"
+    ) -> tuple[Vector, Vector]:
+        """Pull and information of every device for itself.
 
         Args:
             patterns: Shape (n, D) [m].
-            course: Shape (N, D) or (N, 1).
+            spectrum: Transformed steps of the courses, shape (T, D) or (T, 1).
+            own: Healthy error of the devices, which is marginalised.
         """
-        steps = self.space.transform.steps(course)
-        pull = np.einsum(
-            "td,td->d",
-            self.late @ patterns,
-            np.broadcast_to(steps, (len(steps), patterns.shape[1])),
-        )
-        seen = (patterns.T @ self.space.noise.modes) ** 2
-        weight = np.stack([seen[:, group].sum(axis=1) for group in self.groups])
-        root = float(np.sum(weight.sum(axis=1) * self.roots) / np.sum(weight))
-        whitened = _whitened(steps, float(root))
-        return pull, root * weight.sum(axis=0) * np.sum(whitened**2, axis=0)
+        seen, transform = self.seen(patterns), self.space.transform
+        wide = np.broadcast_to(spectrum, seen.pulled.shape)
+        pull = np.einsum("td,td->d", seen.pulled, wide)
+        information = np.einsum("bd,bd->d", seen.own, transform.by_band(wide * wide))
+        if own is None:
+            return pull, information
+        cross = np.einsum("bd,bd->d", seen.own, transform.by_band(wide * own.spectrum))
+        return pull, own.marginal(information, cross)
 
-    def quick(self, pattern: Matrix, course: Matrix) -> tuple[Vector, Vector]:
+    def quick(
+        self, pattern: Vector, course: Matrix, own: "OwnError | None"
+    ) -> tuple[Vector, Vector]:
         """Pull and information of several courses of one pattern, each for itself.
 
         Args:
             pattern: Shape (n,) [m].
             course: Shape (N, k).
+            own: Healthy error of the device, which is marginalised.
         """
         steps = self.space.transform.steps(course)
         pull = (self.late @ pattern) @ steps
         seen = (pattern @ self.space.noise.modes) ** 2
-        information = np.zeros(len(pull))
+        information, cross = np.zeros(len(pull)), np.zeros(len(pull))
         for root, group in zip(self.roots, self.groups, strict=True):
+            weight = root * float(seen[group].sum())
             whitened = _whitened(steps, float(root))
-            information += root * float(seen[group].sum()) * np.sum(whitened**2, axis=0)
-        return pull, information
+            information += weight * np.sum(whitened**2, axis=0)
+            if own is not None:
+                cross += weight * np.sum(whitened * _whitened(own.steps, float(root)), axis=0)
+        return pull, information if own is None else own.marginal(information, cross)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnError:
+    """The healthy error of some devices, each for itself.
+
+    Args:
+        spectrum: Transformed steps of its courses, shape (T, k).
+        steps: The same from row to row, shape (T, k).
+        variance: Of its size before the record is seen, shape (k,).
+        information: Of its size, shape (k,).
+    """
+
+    spectrum: Single
+    steps: Matrix
+    variance: Vector
+    information: Vector
+
+    def marginal(self, information: Vector, cross: Vector) -> Vector:
+        """Information of other courses of the devices with the error marginalised."""
+        known = np.where(self.variance > 0.0, 1.0 / np.maximum(self.variance, 1e-300), np.inf)
+        return np.maximum(information - cross**2 / (known + self.information), 0.0)
+
+
+def _positive(information: Matrix) -> Matrix:
+    """Keep what rounding leaves of no information from being less than none."""
+    least = np.zeros_like(information)
+    least[np.diag_indices_from(least)] = np.maximum(-np.diag(information), 0.0)
+    return information + least
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beside:
+    """Errors of some devices, for marginalising them.
+
+    Args:
+        modes: Patterns of the columns in the modes of the noise, shape (e, n).
+        spectrum: Of their courses, shape (T, e).
+        scale: Their prior standard deviations, shape (e,).
+        factor: Cholesky factor of 1 + scale · information · scale.
+    """
+
+    modes: Single
+    spectrum: Single
+    scale: Vector
+    factor: tuple[Matrix, bool]
+
+    @classmethod
+    def of(cls, scorer: Scorer, columns: Indices) -> "Beside":
+        """Gather columns."""
+        terms, errors = scorer.space.terms, scorer.errors
+        patterns = terms.patterns[:, terms.pattern[columns]]
+        scale = np.sqrt(errors.variance[columns])
+        inner = scale[:, None] * errors.information[np.ix_(columns, columns)] * scale
+        inner[np.diag_indices_from(inner)] += 1.0
+        return cls(
+            (patterns.T @ scorer.space.noise.modes).astype(np.float32),
+            terms.spectrum[:, columns], scale, cho_factor(inner, lower=True),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What D patterns see of the residual, in single precision.
+
+    Args:
+        source: The patterns, shape (n, D) [m].
+        modes: In the modes of the noise, shape (D, n).
+        pulled: Ω z along them, by frequency, shape (T, D).
+        precision: Pᵀ Ω P of every band, B of shape (D, D).
+        own: Pᵀ Ω P of every pattern for itself in every band, shape (B, D).
+    """
+
+    source: Matrix
+    modes: Single
+    pulled: Single
+    precision: list[Single]
+    own: Single
+
+    @classmethod
+    def of(cls, scorer: Scorer, patterns: Matrix) -> "Seen":
+        """Look along patterns."""
+        modes = (patterns.T @ scorer.space.noise.modes).astype(np.float32)
+        precision = [(modes * weight) @ modes.T for weight in scorer.inverse]
+        single = patterns.astype(np.float32)
+        return cls(
+            patterns, modes,
+            scorer.pulled.astype(np.float32) @ single, precision,
+            np.stack([np.diag(one) for one in precision]),
+        )  # fmt: skip
 
 
 def _whitened(steps: Matrix, root: float) -> Matrix:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.hypotheses.priors import MORE, MOST_DEVICES
+from orbitfb.diagnose.hypotheses.priors import MORE
 from orbitfb.estimation.transform import Indices, Matrix
 
 Worth = Callable[[Vector, Vector], Vector]
@@ -79,7 +79,7 @@ def _grown(
     chosen: list[int] = []
     total = along = 0.0
     best = -np.inf
-    while len(chosen) < min(MOST_DEVICES, len(units)):
+    while len(chosen) < len(units):
         beside = shared[:, chosen].sum(axis=1) if chosen else np.zeros(len(units))
         pulls, informations = total + own, along + 2.0 * beside + diagonal
         gain = worth(pulls, informations) - cost * (len(chosen) + 1)

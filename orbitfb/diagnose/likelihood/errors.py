@@ -26,6 +26,7 @@ class ErrorBlock:
         columns: Among the terms: one per device.
         delayed: Further columns, the same courses some rows late, less the course itself.
         limit: Standard deviation up to which a healthy ring has it, by device, shape (D,).
+        accepted: Whether these are deviations of a cause that was accepted, not healthy errors.
     """
 
     kind: EffectKind
@@ -33,6 +34,7 @@ class ErrorBlock:
     columns: slice
     delayed: slice
     limit: Vector
+    accepted: bool = False
 
 
 def healthy_errors(
@@ -109,7 +111,7 @@ def fitted_scales(
         for place, given in enumerate(least):
             if given > 1.0:
                 continue
-            for share in SHARES:
+            for share in SHARES[1:] if blocks[place].accepted else SHARES:
                 tried = [*shares[:place], share, *shares[place + 1 :]]
                 variance = variances(blocks, tried, len(terms.pull))
                 found = NormalTerms(terms.pull, terms.information, variance).evidence()
@@ -130,7 +132,8 @@ def saturated(blocks: Sequence[ErrorBlock], count: int, times: float) -> Vector:
     """Prior variance of every column, wide enough for any linear law of any device."""
     variance = np.zeros(count)
     for block in blocks:
-        variance[block.columns] = (times * block.limit) ** 2
+        own = 1.0 if block.accepted else times
+        variance[block.columns] = (own * block.limit) ** 2
         copies = block.delayed.stop - block.delayed.start
         if copies:
             repeat = copies // len(block.limit)

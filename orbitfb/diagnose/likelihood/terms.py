@@ -1,11 +1,12 @@
 """Terms that add to the readings: patterns over the BPMs times courses in time."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.transform import Indices, Matrix, StepTransform
 
@@ -40,14 +41,41 @@ class Terms:
     def __len__(self) -> int:
         return len(self.pattern)
 
-    def pull(self, pulled: Matrix) -> Vector:
+    def beside(
+        self, patterns: Matrix, pattern: Indices, courses: Matrix, transform: StepTransform
+    ) -> "Terms":
+        """These columns and others behind them."""
+        spectrum = np.hstack([self.spectrum, transform.quick_spectrum(courses)])
+        parts = [spectrum[transform.members(band)] for band in range(len(transform.count))]
+        return Terms(
+            np.hstack([self.patterns, patterns]),
+            np.concatenate([self.pattern, self.patterns.shape[1] + pattern]),
+            spectrum,
+            np.stack([part.T @ part for part in parts]),
+        )
+
+    def pull(self, pulled: Matrix, used: Mask | None = None) -> Vector:
         """Σ_f (pattern · Ω z)_f course_f of every column, shape (k,).
 
         Args:
             pulled: Ω_f z_f, shape (T, n) [1/m].
+            used: Columns that are asked for, shape (k,); the others are zero. None: all.
         """
-        along = (pulled @ self.patterns).astype(np.float32)
-        return np.einsum("fc,fc->c", along[:, self.pattern], self.spectrum).astype(np.float64)
+        along = pulled.astype(np.float32) @ self.patterns.astype(np.float32)
+        found = np.zeros(len(self))
+        for part in self._runs():
+            if used is not None and not np.any(used[part]):
+                continue
+            first = int(self.pattern[part.start])
+            seen = along[:, first : first + part.stop - part.start]
+            found[part] = np.einsum("fc,fc->c", seen, self.spectrum[:, part])
+        return found
+
+    def _runs(self) -> list[slice]:
+        """Columns whose patterns follow one another."""
+        cuts = np.flatnonzero(np.diff(self.pattern) != 1) + 1
+        edges = [0, *cuts.tolist(), len(self)] if len(self) else [0]
+        return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
     def information(self, noise: StepNoise, transform: StepTransform) -> Matrix:
         """Σ_b (Pᵀ Ω_b P) ∘ (courseᵀ course)_b, shape (k, k)."""

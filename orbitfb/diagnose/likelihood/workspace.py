@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.core.signals import Vector
+from orbitfb.diagnose.likelihood.courses import Courses
 from orbitfb.diagnose.likelihood.errors import (
     ErrorBlock,
     fitted_scales,
@@ -13,20 +14,23 @@ from orbitfb.diagnose.likelihood.errors import (
     saturated,
     variances,
 )
-from orbitfb.diagnose.likelihood.ground import ground_families
+from orbitfb.diagnose.likelihood.ground import ground_shapes
 from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.laws import Signals
+from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.effects.record import Record
 from orbitfb.estimation.evidence import NormalTerms
-from orbitfb.estimation.floor import Moments, first_noise, fit_families, improve
+from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
-from orbitfb.estimation.transform import Matrix, StepTransform
+from orbitfb.estimation.transform import Indices, Matrix, StepTransform
 
 MATERIAL = 0.1
 """Rms of what a refinement of the model adds to a step, over that of the reading noise, from which
 it is named: below it the one-step error changes by half a per cent, and nobody would act on it."""
+
+LEAST_SHARE = 0.1
+"""Least scatter of an accepted cause's values, of its limit: 5 %, as good as any value is known."""
 
 WIDE = 10.0
 """How many times the healthy scatter the saturated model gives to every device: 10 % of gain, and
@@ -50,6 +54,9 @@ class Workspace:
         information: Of the columns under the floor, shape (k, k).
         shares: Of each healthy scatter, by block; above 1 where a cause raised it.
         single: Prior variances of single columns that a cause raised, shape (k,).
+        courses: Of the laws.
+        ground: Shapes that the walk may have.
+        weights: Of them in the walk, shape (F,); empty before the first fit.
     """
 
     signals: Signals
@@ -64,6 +71,9 @@ class Workspace:
     information: Matrix
     shares: tuple[float, ...]
     single: Vector
+    courses: Courses
+    ground: Shapes
+    weights: Vector
 
     @classmethod
     def of(
@@ -88,18 +98,21 @@ class Workspace:
         transform = StepTransform.of(record.starts, bands, exact)
         modelled = record.setpoints @ record.layout.response.T
         residual = record.readings - modelled
-        families = ground_families(record.layout)
-        noise = first_noise(transform.steps(residual), families[0])
+        ground = ground_shapes(record.layout)
+        noise = first_noise(transform.steps(residual), ground.broad[0])
         orbit = predicted(residual, noise, transform) + modelled
         signals = Signals(record, record.setpoints, orbit)
         terms, blocks = healthy_errors(kinds, signals, transform)
         plain = transform.spectrum(residual)
+        first, weights = fit_shapes(
+            noise, Moments.of(plain, transform), ground, np.zeros_like(noise.walk)
+        )
         space = cls(
             signals,
             transform,
             plain,
             np.zeros_like(plain),
-            fit_families(noise, Moments.of(plain, transform), families, np.zeros_like(noise.walk)),
+            first,
             noise.walk,
             np.zeros_like(noise.walk),
             terms,
@@ -107,6 +120,9 @@ class Workspace:
             np.zeros((len(terms), len(terms))),
             (0.0,) * len(blocks),
             np.zeros(len(terms)),
+            Courses(signals, transform),
+            ground,
+            weights,
         )
         return space.with_floor().refined(kinds).with_floor()
 
@@ -149,8 +165,7 @@ class Workspace:
 
     def with_floor(self, rounds: int = 1) -> "Workspace":
         """Estimate the floor anew, on what a saturated linear model leaves; then the errors."""
-        noise, shape = self.noise, self.shape
-        families = ground_families(self.signals.record.layout)
+        noise, shape, weights = self.noise, self.shape, self.weights
         wide = np.maximum(saturated(self.blocks, len(self.terms), WIDE), self.single)
         residual = self.residual
         information = self.terms.information(noise, self.transform)
@@ -159,16 +174,19 @@ class Workspace:
             mean = NormalTerms(pull, information, wide).mean()
             left = residual - self.terms.contribution(mean)
             moments = Moments.of(left, self.transform)
-            mixed = fit_families(noise, moments, families, self.held)
+            mixed, weights = fit_shapes(noise, moments, self.ground, self.held, weights)
             shape = mixed.walk - self.held
             noise = improve(mixed, moments, mixed.walk, 4)
             information = self.terms.information(noise, self.transform)
-        fresh = replace(self, noise=noise, shape=shape, information=information)
+        fresh = replace(self, noise=noise, shape=shape, information=information, weights=weights)
         return fresh.with_errors()
 
     def with_errors(self) -> "Workspace":
         """Fit the sizes of the healthy errors, within their limits."""
-        given = [share if share > 1.0 else 0.0 for share in self.shares]
+        given = [
+            share if share > 1.0 else LEAST_SHARE if block.accepted else 0.0
+            for share, block in zip(self.shares, self.blocks, strict=True)
+        ]
         pulled = self.noise.pull(self.residual, self.transform)
         terms = NormalTerms(self.terms.pull(pulled), self.information, self.single)
         shares, _ = fitted_scales(self.blocks, terms, given)
@@ -177,6 +195,38 @@ class Workspace:
     def explaining(self, spectrum: Matrix) -> "Workspace":
         """Accept what a cause adds to the readings."""
         return replace(self, explained=self.explained + spectrum)
+
+    def beside(
+        self,
+        kind: EffectKind,
+        law: DeviceLaw,
+        patterns: Matrix,
+        pattern: Indices,
+        courses: Matrix,
+        limit: float,
+    ) -> "Workspace":
+        """Let the values of an accepted cause differ a little from device to device.
+
+        Args:
+            kind: Of the cause.
+            law: Of it.
+            patterns: Of the columns, shape (n, P) [m].
+            pattern: Which of them a column has, shape (k,).
+            courses: Of the columns, shape (N, k).
+            limit: Largest standard deviation of their sizes.
+        """
+        terms = self.terms.beside(patterns, pattern, courses, self.transform)
+        count = len(pattern)
+        columns = slice(len(self.terms), len(terms))
+        none = slice(len(terms), len(terms))
+        block = ErrorBlock(kind, law, columns, none, np.full(count, limit), accepted=True)
+        return replace(
+            self,
+            terms=terms,
+            blocks=(*self.blocks, block),
+            shares=(*self.shares, LEAST_SHARE),
+            single=np.concatenate([self.single, np.zeros(count)]),
+        )
 
     def pulled(self) -> Matrix:
         """Ω z with the healthy errors marginalised, shape (T, n) [1/m]."""

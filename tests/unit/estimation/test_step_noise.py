@@ -5,7 +5,7 @@ import pytest
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.estimation.evidence import NormalTerms, normal_size
-from orbitfb.estimation.floor import Moments, first_noise, fit_families, improve
+from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.transform import StepTransform
@@ -127,7 +127,9 @@ def test_the_floor_is_found_where_the_walk_is_small() -> None:
     families = [root @ root.T, np.eye(count)]
     begin = first_noise(transform.steps(readings), families[0])
     moments = Moments.of(transform.spectrum(readings), transform)
-    found = fit_families(begin, moments, families, np.zeros_like(walk))
+    found, _ = fit_shapes(
+        begin, moments, Shapes(tuple(families), np.zeros((len(walk), 0))), np.zeros_like(walk)
+    )
     assert np.sqrt(np.diag(found.white)) == pytest.approx(sigma, rel=0.08)
     assert np.sqrt(np.trace(found.walk)) == pytest.approx(np.sqrt(np.trace(walk)), rel=0.15)
     freer = improve(found, moments, found.walk, 4)

@@ -1,0 +1,183 @@
+"""Some devices with the same law and values of each one's own."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import fminbound
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.device_laws import field_of
+from orbitfb.diagnose.hypotheses.priors import (
+    HOPE,
+    MORE,
+    MOST_DEVICES,
+    MOST_REFINED,
+    SIZE_WIDTH,
+    VALUE_COST,
+)
+from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales
+from orbitfb.diagnose.hypotheses.refit import Course
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.laws import DeviceLaw
+from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
+from orbitfb.estimation.transform import Matrix
+
+_AROUND = 0.25
+"""Logarithm of the ratio within which a device's own value is searched: half a step of a grid."""
+
+
+def scan_each_own(
+    kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked
+) -> list[Candidate]:
+    """Grow a set of devices, each at the value of the grid that suits it best.
+
+    Args:
+        kind: The effect.
+        law: One of its laws.
+        scorer: Of what is left to explain.
+        rank: Of the values of its grid.
+
+    Returns:
+        The best set of two devices or more, if there is one.
+    """
+    usual = any(block.kind is kind and not block.accepted for block in scorer.space.blocks)
+    free = scales(kind)
+    if law.whole or usual or not kind.collective or rank.alone.max() < HOPE:
+        return []
+    if len(rank.alone) == 1 and not free:
+        return []
+    number = np.argmax(rank.alone, axis=0)
+    chosen = _grown(kind, law, scorer, rank, number, free)
+    if len(chosen) < (1 if rank.own else 2):
+        return []
+    return [_candidate(kind, law, scorer, rank, number, sorted(chosen), free)]
+
+
+def _grown(
+    kind: EffectKind,
+    law: DeviceLaw,
+    scorer: Scorer,
+    rank: Ranked,
+    number: np.ndarray,
+    free: bool,
+) -> list[int]:
+    """Devices that explain more than they cost, the strongest first."""
+    spectra = [
+        np.zeros((len(scorer.space.transform), len(number)), dtype=np.float32) for _ in law.patterns
+    ]
+    for value in np.unique(number):
+        mine = np.flatnonzero(number == value)
+        values = (*rank.grid, *rank.own)[value]
+        for total, part in zip(spectra, scorer.space.courses.spectra(law, values), strict=True):
+            total[:, mine] = part if part.shape[1] == 1 else part[:, mine]
+    pull, information = scorer.score(law.patterns, spectra)
+    information = scorer.marginal(kind, law.patterns, spectra, information)
+    cost = _cost(len(number), len(rank.alone))
+    chosen: list[int] = []
+    for _ in range(MOST_DEVICES):
+        gain = _gain(pull, information, chosen, free)
+        gain[chosen] = -np.inf
+        device = int(np.argmax(gain))
+        if gain[device] < cost + MORE:
+            break
+        chosen.append(device)
+    return chosen
+
+
+def _gain(pull: Vector, information: Matrix, chosen: list[int], free: bool) -> Vector:
+    """Log evidence of one more device beside those chosen, shape (D,)."""
+    own = np.diag(information)
+    if not free:
+        beside = information[:, chosen].sum(axis=1)
+        return pull - beside - 0.5 * own
+    if not chosen:
+        return normal_size(pull, np.maximum(own, 0.0), SIZE_WIDTH**2)
+    inner = information[np.ix_(chosen, chosen)] + np.eye(len(chosen)) / SIZE_WIDTH**2
+    solved = np.linalg.solve(inner, information[chosen])
+    left = pull - solved.T @ pull[chosen]
+    rest = own - np.einsum("kd,kd->d", solved, information[chosen])
+    return normal_size(left, np.maximum(rest, 0.0), SIZE_WIDTH**2)
+
+
+def _cost(devices: int, values: int) -> float:
+    """What choosing a device and its value costs [nats]."""
+    return float(np.log(devices)) + (VALUE_COST if values > 1 else 0.0)
+
+
+def _candidate(
+    kind: EffectKind,
+    law: DeviceLaw,
+    scorer: Scorer,
+    rank: Ranked,
+    number: np.ndarray,
+    chosen: list[int],
+    free: bool,
+) -> Candidate:
+    """Evaluate the set exactly."""
+    signals = scorer.space.signals
+    sources = [
+        Course(law, (place,), rank.values(int(number[place]), place), np.ones(1))
+        for place in chosen
+    ]
+    if len(rank.alone) > 1:
+        refined = [_nearer(kind, law, scorer, one) for one in sources[:MOST_REFINED]]
+        sources = [*refined, *sources[MOST_REFINED:]]
+    fields = [
+        field_of(law, scorer, one.of(signals, one.values), one.places, one.size) for one in sources
+    ]
+    pull, information = scorer.evaluate(fields)
+    if free:
+        terms = NormalTerms(pull, information, np.full(len(chosen), SIZE_WIDTH**2))
+        sizes, evidence = terms.mean(), terms.evidence()
+    else:
+        sizes = np.ones(len(chosen))
+        evidence = float(pull.sum() - 0.5 * information.sum())
+    field = np.asarray(sum(size * one for size, one in zip(sizes, fields, strict=True)))
+    largest = int(np.argmax(np.abs(sizes) * np.sqrt(np.maximum(np.diag(information), 0.0))))
+    scaled = dict(sources[largest].values)
+    for parameter in kind.sizes:
+        scaled[parameter.name] *= float(sizes[largest])
+    unit = sources[largest].values[kind.linear] if kind.linear else 1.0
+    return Candidate(
+        kind,
+        tuple(chosen),
+        tuple(law.names[place] for place in chosen),
+        scaled,
+        evidence - _cost(len(number), len(rank.alone)) * len(chosen),
+        sizes=tuple(float(size * unit) for size in sizes) if free else (),
+        field=field,
+        sources=tuple(
+            replace(one, size=np.array([size])) for one, size in zip(sources, sizes, strict=True)
+        ),
+    )
+
+
+def _nearer(kind: EffectKind, law: DeviceLaw, scorer: Scorer, source: Course) -> Course:
+    """Search the value of one device around that of the grid, the others left out of account."""
+    name = next((p.name for p in kind.parameters if p.log and p.name in source.values), None)
+    if name is None or source.values[name] <= 0.0:
+        return source
+    signals = scorer.space.signals
+    pattern = [block[:, source.places[0]] for block in law.patterns]
+    error = scorer.own_error(kind, np.array(source.places))
+    worth = any_size if scales(kind) else given_size
+
+    def loss(bent: float) -> float:
+        values = {**source.values, name: float(np.exp(bent))}
+        pull, information = np.zeros(1), np.zeros(1)
+        for block, course in zip(pattern, source.of(signals, values), strict=True):
+            part, weight = scorer.quick(block, course, error)
+            pull, information = pull + part, information + weight
+        return -float(worth(pull, information)[0])
+
+    middle = float(np.log(source.values[name]))
+    best = float(
+        np.asarray(
+            fminbound(loss, middle - _AROUND, middle + _AROUND, xtol=1e-3, full_output=False)
+        )
+    )
+    if loss(best) >= loss(middle):
+        return source
+    return replace(source, values={**source.values, name: float(np.exp(best))})

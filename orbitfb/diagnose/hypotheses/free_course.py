@@ -1,0 +1,101 @@
+"""An unknown law of one device: any course that its own past, its square, and time can make.
+
+The course of a device is a free sum of its own motion now and some rows ago, of its powers, and of
+its motion that grows, fades or swings slowly: a model that knows no law by name. Its sizes have a
+prior whose width the record tells. Where it explains more than every law of the library, what the
+device does is in no library; where it finds more beside a law that was accepted, the device does
+something else besides.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.priors import VALUE_COST
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.estimation.transform import Matrix, StepTransform
+
+_LAGS = 5
+"""Rows back to which a device's past acts freely: half a second at 10 Hz, longer than supplies and
+BPMs of a slow feedback remember."""
+
+_WAVES = 2
+"""Half waves over the record by which the size of a device may grow, fade and come back."""
+
+_WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0)
+"""Standard deviations of the sizes that are tried, over what the device moves."""
+
+
+@dataclass(frozen=True, slots=True)
+class FreeCourse:
+    """What a free course of a device explains.
+
+    Args:
+        target: `bpm` or `corrector`.
+        place: Its number.
+        name: Of the device.
+        evidence: Log evidence less the choice of device and width [nats].
+    """
+
+    target: str
+    place: int
+    name: str
+    evidence: float
+
+
+def scan_free(scorer: Scorer) -> list[FreeCourse]:
+    """Weigh a free course of every BPM and every corrector, the most telling first."""
+    signals = scorer.space.signals
+    layout = signals.record.layout
+    found: list[FreeCourse] = []
+    for target, devices, patterns, motion in (
+        ("bpm", layout.bpms, np.eye(len(layout.bpms)), signals.orbit),
+        ("corrector", layout.correctors, layout.response, signals.currents),
+    ):
+        worth = _worth(scorer, patterns, motion)
+        cost = float(np.log(len(worth))) + VALUE_COST
+        found += [
+            FreeCourse(target, place, devices.label(place), float(worth[place]) - cost)
+            for place in range(len(worth))
+        ]
+    return sorted(found, key=lambda one: -one.evidence)
+
+
+def _worth(scorer: Scorer, patterns: Matrix, motion: Matrix) -> Vector:
+    """Log evidence of the free course of every device, shape (D,)."""
+    transform = scorer.space.transform
+    seen = scorer.seen(patterns)
+    basis = _basis(motion, transform)
+    spectra = np.stack([transform.quick_spectrum(one) for one in basis], axis=2)
+    pull = np.einsum("fd,fdk->dk", seen.pulled, spectra).astype(np.float64)
+    information = np.zeros((len(pull), len(basis), len(basis)))
+    for rows, own in zip(scorer.members, seen.own, strict=True):
+        part = spectra[rows].transpose(1, 2, 0)
+        information += own[:, None, None] * (part @ part.transpose(0, 2, 1))
+    best = np.full(len(pull), -np.inf)
+    eye = np.eye(len(basis))
+    for width in _WIDTHS:
+        inner = eye + width**2 * information
+        solved = np.linalg.solve(inner, pull[:, :, None])[:, :, 0]
+        gain = 0.5 * width**2 * np.einsum("dk,dk->d", pull, solved)
+        best = np.maximum(best, gain - 0.5 * np.linalg.slogdet(inner)[1])
+    return best
+
+
+def _basis(motion: Matrix, transform: StepTransform) -> Sequence[Matrix]:
+    """Courses of all devices that a free one is made of, each (N, D), as large as the motion."""
+    about = motion - motion.mean(axis=0)
+    scale = np.maximum(np.sqrt(np.mean(about**2, axis=0)), 1e-300)
+    courses = [about]
+    for lag in range(1, _LAGS + 1):
+        late = about.copy()
+        for part in transform.stretches:
+            late[part] = about[np.maximum(np.arange(part.start, part.stop) - lag, part.start)]
+        courses.append(late - courses[0])
+    courses += [about * about / scale, about**3 / scale**2]
+    course = np.arange(len(about)) / max(len(about) - 1, 1)
+    for half in range(1, _WAVES + 1):
+        courses.append(about * np.cos(np.pi * half * course)[:, None])
+    return courses

@@ -1,0 +1,103 @@
+"""Values of a law's grid, ranked by what they explain of the residual."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.priors import HOPE, SIZE_WIDTH
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.hypotheses.sets import Worth
+from orbitfb.effects.kinds import EffectKind, OwnValues, Values
+from orbitfb.effects.laws import DeviceLaw
+from orbitfb.estimation.evidence import given_size, normal_size
+from orbitfb.estimation.transform import Matrix
+
+_FINALISTS = 3
+"""Values of a grid that are scored for all sets of devices, by each of two marks."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ranked:
+    """A grid of values, ranked.
+
+    Args:
+        grid: The values, one for all devices.
+        own: Values of every device's own, each parameter a number or of shape (D,).
+        alone: Log evidence of every device for itself, of the grid and then of `own`, (V, D).
+        promising: The values that explain most, by device and by all devices together.
+    """
+
+    grid: Sequence[Values]
+    own: Sequence[OwnValues]
+    alone: Matrix
+    promising: list[Values]
+
+    def values(self, number: int, device: int) -> Values:
+        """Values number `number` as device `device` has them."""
+        if number < len(self.grid):
+            return self.grid[number]
+        own = self.own[number - len(self.grid)]
+        return {
+            name: float(np.broadcast_to(value, self.alone.shape[1])[device])
+            for name, value in own.items()
+        }
+
+
+def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
+    """Rank the values of a law's grid, and of what the residual itself proposes."""
+    grid = _grid(kind, law, scorer)
+    scorer.space.courses.ahead(law, grid)
+    own = kind.own_grid(scorer.space.signals.record)
+    devices = law.patterns[0].shape[1]
+    error = scorer.own_error(kind, np.arange(devices))
+    alone = np.full((len(grid) + len(own), devices), -np.inf)
+    together = np.full(len(grid), -np.inf)
+    for number, values in enumerate((*grid, *own)):
+        spectra = scorer.space.courses.spectra(law, values)
+        if not any(np.any(one) for one in spectra):
+            continue
+        pull, information = np.zeros(devices), np.zeros(devices)
+        for pattern, spectrum in zip(law.patterns, spectra, strict=True):
+            part, weight = scorer.apart(pattern, spectrum, error)
+            pull, information = pull + part, information + weight
+        worths = [worth for worth, _ in worths_of(kind)]
+        alone[number] = np.max([worth(pull, information) for worth in worths], axis=0)
+        if number >= len(grid):
+            continue
+        whole = sum(map(scorer.all_together, law.patterns, spectra))
+        total = np.array([np.sum(pull)])
+        together[number] = max(float(worth(total, np.array([whole]))[0]) for worth in worths)
+    top = alone[: len(grid)].max(axis=1)
+    best = {*np.argsort(-top)[:_FINALISTS], *np.argsort(-together)[:_FINALISTS]}
+    hopeful = np.maximum(top - HOPE, together) > 0.0
+    return Ranked(grid, own, alone, [grid[number] for number in sorted(best) if hopeful[number]])
+
+
+def _grid(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Sequence[Values]:
+    """Values to scan: those of the grid, and those that the residual itself proposes."""
+    grid = scorer.space.courses.grid(kind)
+    signals = scorer.space.signals
+    more = kind.proposed(signals.currents, scorer.drive_pull, signals.record)
+    return (*grid, *more)
+
+
+def worths_of(kind: EffectKind) -> list[tuple[Worth, bool]]:
+    """How sets of the law are weighed: with the size that its values say, or with any."""
+    choices: list[tuple[Worth, bool]] = []
+    if scales(kind):
+        choices.append((any_size, True))
+    if not scales(kind) or (kind.linear and len(kind.parameters) > 1):
+        choices.append((given_size, False))
+    return choices
+
+
+def scales(kind: EffectKind) -> bool:
+    """Whether a course may have any size: one that runs over a grid of its sizes has them there."""
+    return bool(kind.linear) or len(kind.sizes) > 1
+
+
+def any_size(pull: Vector, information: Vector) -> Vector:
+    """Log evidence of terms of any size."""
+    return normal_size(pull, information, SIZE_WIDTH**2)

@@ -1,0 +1,85 @@
+"""Causes that were accepted stay free: the values of every device may differ a little.
+
+To first order another value θ (1 + δ) of a device adds δ · θ ∂course/∂θ to what it does. These
+columns join the healthy errors: the scatter of δ is a variance component of its own, and whatever
+is tried later is weighed with all δ marginalised (a joint refit).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.laws import DeviceLaw, Signals
+from orbitfb.estimation.transform import Indices, Matrix
+
+SCATTER = 0.5
+"""Largest scatter of a value from device to device, of the value [1]: a half."""
+
+_STEP = 0.02
+"""Step of a value by which its derivative is taken, of the value [1]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """Where the courses of a candidate come from.
+
+    Args:
+        law: Of its devices.
+        places: Devices; empty: all.
+        values: Of the parameters, as found for all devices together.
+        size: By which the courses are multiplied, of every device, shape (k,).
+        onset: Row at which it begins.
+        kick: Whether what it has reached by then comes at once.
+    """
+
+    law: DeviceLaw
+    places: tuple[int, ...]
+    values: Values
+    size: Vector
+    onset: int = 0
+    kick: bool = False
+
+    def of(self, signals: Signals, values: Values) -> tuple[Matrix, ...]:
+        """Courses of the devices for given values, nothing before the onset, (N, k) or (N, 1)."""
+        chosen = list(self.places) if self.places else slice(None)
+        found = []
+        for course in self.law.course(values, signals):
+            part = course if course.shape[1] == 1 else course[:, chosen]
+            if self.onset:
+                base = part[0] if self.kick else part[self.onset]
+                late = (np.arange(len(part)) >= self.onset)[:, None]
+                part = np.where(late, part - base, 0.0)
+            found.append(part)
+        return tuple(found)
+
+    def columns(self, kind: EffectKind, signals: Signals) -> Iterator[tuple[str, Matrix, Matrix]]:
+        """Parameter, patterns (n, k), courses (N, k) of a relative change of each by 1."""
+        chosen = list(self.places) if self.places else slice(None)
+        now = self.of(signals, self.values)
+        scaled = {parameter.name for parameter in kind.sizes}
+        changes: list[tuple[str, tuple[Matrix, ...]]] = []
+        if scaled:
+            changes.append((next(iter(sorted(scaled))), now))
+        for parameter in kind.parameters:
+            value = self.values.get(parameter.name, 0.0)
+            free = parameter in kind.fitted(signals.record) and not parameter.meanings
+            if parameter.name in scaled or not free or parameter.whole or value == 0.0:
+                continue
+            moved = self.of(signals, {**self.values, parameter.name: value * (1.0 + _STEP)})
+            slope = tuple((new - old) / _STEP for new, old in zip(moved, now, strict=True))
+            changes.append((parameter.name, slope))
+        for name, change in changes:
+            for block, course in zip(self.law.patterns, change, strict=True):
+                pattern = block[:, chosen]
+                if np.any(pattern) and np.any(course):
+                    wide = np.broadcast_to(course, (len(course), pattern.shape[1]))
+                    yield name, pattern, wide * self.size
+
+
+def joined(parts: list[tuple[str, Matrix, Matrix]]) -> tuple[Matrix, Indices, Matrix]:
+    """Columns of several parts: patterns (n, P), their numbers (P,), courses (N, P)."""
+    patterns = np.hstack([pattern for _, pattern, _ in parts])
+    return patterns, np.arange(patterns.shape[1]), np.hstack([course for _, _, course in parts])
