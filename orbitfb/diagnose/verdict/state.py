@@ -1,0 +1,51 @@
+"""Which of the five states a record is in."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from orbitfb.diagnose.answer import State
+from orbitfb.diagnose.hypotheses.free_course import FreeCourse
+from orbitfb.diagnose.hypotheses.priors import REMAINDER, SURE
+from orbitfb.diagnose.hypotheses.run import Round
+from orbitfb.diagnose.verdict.named import Named
+
+_CERTAIN = 0.9
+"""Probability of one effect alone from which it is named without an alternative."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """The state, and what no effect of the library explains.
+
+    Args:
+        state: Of the five.
+        left: Devices whose free course still explains something, the most telling first.
+        nats: What the best of them explains [nats].
+    """
+
+    state: State
+    left: tuple[FreeCourse, ...]
+    nats: float
+
+
+def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
+    """Judge what was found, and what is left.
+
+    Args:
+        causes: In the order in which they were found.
+        rounds: Of the tournament; the last one shows what is left.
+    """
+    left = tuple(one for one in rounds[-1].free if one.evidence > SURE)
+    nats = left[0].evidence if left else 0.0
+    if not causes:
+        return Judged("unknown" if left else "no_gap", left, nats)
+    first = causes[0]
+    told = sum(one.evidence for one in causes)
+    freely = rounds[0].free[0].evidence if rounds[0].free else 0.0
+    if freely > first.evidence and freely > SURE:
+        return Judged("unknown", rounds[0].free[:1], freely)
+    if nats > REMAINDER * told:
+        return Judged("named_plus_remainder", left, nats)
+    alone = first.chances[first.kind.id]
+    state: State = "named" if alone > _CERTAIN or not first.rivals else "ambiguous"
+    return Judged(state, (), 0.0)

@@ -1,0 +1,110 @@
+"""Answers to small records whose cause is known, from the record to the words."""
+
+import numpy as np
+import pytest
+
+from orbitfb.diagnose.answer import Diagnosis
+from orbitfb.diagnose.verdict.engine import diagnose
+from orbitfb.effects.record import Record
+from orbitfb.physics.optics import Matrix
+from tests.unit.hypotheses.small_records import Bent, make_record
+
+
+def answer(record: Record) -> Diagnosis:
+    return diagnose(record, seed=0, progress=lambda what, share: None)
+
+
+def last_row(bend: Bent) -> Bent:
+    """A memoryless law of the currents of one row."""
+    return lambda currents: bend(currents[-1:].copy())
+
+
+def reversed_fourth(currents: Matrix) -> Matrix:
+    currents[:, 4] *= -1.0
+    return currents
+
+
+def clipped(currents: Matrix) -> Matrix:
+    """Correctors 2 and 7 end at limits of their own."""
+    currents[:, 2] = np.clip(currents[:, 2], -0.03, 0.03)
+    currents[:, 7] = np.clip(currents[:, 7], -0.05, 0.05)
+    return currents
+
+
+def lagging(currents: Matrix) -> Matrix:
+    """Every corrector behind a time constant of half a period, from the definition."""
+    kept, state = np.exp(-2.0), currents[0].copy()
+    for row in currents:
+        state = state + (1.0 - kept) * (row - state)
+    return state[None]
+
+
+def creeping(currents: Matrix) -> Matrix:
+    """Corrector 6 goes on by a third of what it moved three and four rows ago: in no library."""
+    kicked = currents[-1:].copy()
+    if len(currents) > 5:
+        kicked[0, 6] += 0.8 * (currents[-4, 6] - currents[-5, 6])
+    return kicked
+
+
+def stuck_late(currents: Matrix) -> Matrix:
+    """Corrector 9 stays where it is from row 400 on."""
+    kicked = currents[-1:].copy()
+    if len(currents) > 400:
+        kicked[0, 9] = currents[400, 9]
+    return kicked
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+def test_a_healthy_record_has_no_gap(seed: int) -> None:
+    found = answer(make_record(seed))
+    assert (found.state, found.causes) == ("no_gap", ())
+    assert "No gap is resolved" in found.headline
+
+
+def test_a_reversed_corrector_is_named_and_the_gap_is_gone() -> None:
+    found = answer(make_record(23, currents=last_row(reversed_fourth), gain=0.0))
+    assert found.state in ("named", "ambiguous")  # a gain of -2 is the same fault in other words
+    assert [one.effect for one in found.causes] == ["corrector-polarity"]
+    assert found.causes[0].places == ("C4",)
+    assert (found.causes[0].probability or 0.0) > 0.9
+    assert found.shrink is not None
+    assert (found.shrink.um or 0.0) > 0.8  # the floor of 900 rows is known to a tenth
+
+
+def test_correctors_that_end_at_limits_of_their_own_are_one_cause() -> None:
+    found = answer(make_record(24, currents=last_row(clipped)))
+    assert found.causes[0].effect == "corrector-saturation"
+    assert set(found.causes[0].places) == {"C2", "C7"}
+
+
+def test_a_lag_has_its_time_constant_in_the_interval() -> None:
+    found = answer(make_record(25, currents=lagging))
+    tau = found.causes[0].parameters["tau"]
+    assert found.causes[0].effect == "corrector-lag"
+    assert tau.low is not None
+    assert tau.high is not None
+    assert tau.low < 0.05 < tau.high
+    assert tau.high - tau.low < 0.02
+
+
+def test_what_no_library_has_is_unknown_at_its_device() -> None:
+    found = answer(make_record(26, currents=creeping))
+    assert found.state in ("unknown", "named_plus_remainder")
+    assert found.unknown is not None
+    assert found.unknown.places[0] == "C6 (x)"
+
+
+def test_a_corrector_that_sticks_late_is_told_with_the_time() -> None:
+    found = answer(make_record(27, currents=stuck_late))
+    first = found.causes[0]
+    assert first.places == ("C9",)
+    assert first.effect == "corrector-stuck" or "corrector-stuck" in first.alternatives
+    assert first.onset_s == pytest.approx(40.0, abs=2.0)
+
+
+def test_probabilities_of_effects_and_of_none_are_one_together() -> None:
+    found = answer(make_record(28, currents=last_row(reversed_fourth), gain=0.0))
+    assert found.tournament is not None
+    told = [one.probability or 0.0 for one in found.tournament.rows]
+    assert 0.98 < sum(told) <= 1.0 + 1e-6
