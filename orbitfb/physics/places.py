@@ -20,6 +20,9 @@ Planes = Literal["x", "y", "xy"]
 Kind = Literal["BPM", "COR", "QUAD", "SEXT"]
 Indices = NDArray[np.intp]
 
+_DRIFT = 0.5
+"""Largest phase advance of a space without focusing, a waist between two far ends [2π]."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ring:
@@ -50,6 +53,7 @@ class Ring:
         table = parse_places(places_text, places_file, ring_parameters.circumference)
         ring = cls(table, ring_parameters)
         ring._check_counts(places_file, ring_file)
+        ring._check_tunes(places_file, ring_file)
         return ring
 
     def _check_counts(self, places_file: str, ring_file: str) -> None:
@@ -61,6 +65,27 @@ class Ring:
                     f"ring has {wanted}; restore the missing rows, or "
                     "give the ring its own file of parameters with its `counts` (ring.parameters)"
                 )
+
+    def _check_tunes(self, places_file: str, ring_file: str) -> None:
+        """Refuse a tune that the phases of the table do not lead up to.
+
+        Between the last place and the first one, past s = 0, the phase grows by no more than half
+        a turn if nothing focuses there; a table that leaves quadrupoles out may have more, but not
+        much more than between other neighbours.
+        """
+        planes: tuple[Plane, ...] = ("x", "y")
+        for plane in planes:
+            tune = self.tune(plane)
+            phase = self.table.phase[plane_row(plane)] / (2 * np.pi)
+            seam = tune - phase[-1] + phase[0]
+            most = max(_DRIFT, 2.0 * float(np.diff(phase).max(initial=0.0)))
+            if phase[-1] <= tune and seam <= most:
+                continue
+            raise RingError(
+                f"{ring_file}: nu_{plane} = {tune} does not fit {places_file}: mu_{plane}_2pi ends "
+                f"at {phase[-1]:.4g} there, so the tune lies between {phase[-1]:.4g} and "
+                f"{phase[-1] - phase[0] + most:.4g}; correct the one that is mistyped"
+            )
 
     def places(self, kind: Kind) -> Indices:
         """Indices of the places of one kind, in ring order, shape (k,)."""
