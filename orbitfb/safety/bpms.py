@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.repeating import Habit
 from orbitfb.safety.verdict import FINE, Action, Verdict
 
 Flaws = NDArray[np.int8]
@@ -54,6 +55,7 @@ class BpmMemory:
         base: Orbit error when the BPM was last believed, shape (n,) [m]; NaN: not known.
         repeats: How often in a row each brought the same reading again, shape (n,).
         good: Good readings in a row, counted up to the proving, shape (n,).
+        habit: How often each repeats itself when it is well; None: nothing is known yet.
         then: `base` of all BPMs when one that is not believed now was believed last, by its
             index, each of shape (n,) [m].
     """
@@ -63,6 +65,7 @@ class BpmMemory:
     repeats: NDArray[np.int64]
     good: NDArray[np.int64]
     then: Mapping[int, Vector] = field(default_factory=dict[int, Vector])
+    habit: Habit | None = None
 
     @classmethod
     def first(cls, size: int, settings: InterlockSettings) -> "BpmMemory":
@@ -105,12 +108,15 @@ def screen(
     known = valid & np.isfinite(position)
     zero = known & (position == 0.0) if settings.bpm_zero else np.zeros_like(known)
     same = known & (position == memory.last)
-    repeats = memory.repeats
+    repeats, habit = memory.repeats, memory.habit or Habit.none(len(position))
+    limit = habit.frozen_from(settings.bpm_frozen_ticks)
     if not np.array_equal(same, known):  # an orbit that repeats itself as a whole: `repeated`
+        changed = known & ~same & np.isfinite(memory.last)
+        habit = habit.learn(changed, repeats, limit)
         repeats = np.where(same, repeats + 1, 0)
     frozen = np.zeros_like(known)
     if settings.frozen_ticks and settings.bpm_frozen_ticks:
-        frozen = known & (repeats >= settings.bpm_frozen_ticks)
+        frozen = known & (repeats >= limit)
     jump = np.zeros_like(known)
     if latching:
         jump = known & _jumped(error, memory, settings.bpm_jump, planes)
@@ -127,7 +133,7 @@ def screen(
     flaws[~bad & (good < settings.bpm_proving)] = Flaw.PROVING
     base = np.where(bad, memory.base, error)
     then = {index: memory.then.get(index, memory.base) for index in np.flatnonzero(bad).tolist()}
-    return flaws, BpmMemory(position, base, repeats, good, then)
+    return flaws, BpmMemory(position, base, repeats, good, then, habit)
 
 
 def _jumped(error: Vector, memory: BpmMemory, limit: float, planes: int) -> Mask:
@@ -195,6 +201,8 @@ def bpm_quota(
     counted = np.ones_like(valid) if counting is None else counting
     wanted = int(np.count_nonzero(counted))
     reason = f"{invalid} of {wanted} BPMs are invalid: {_name_flaws(bad, names, flaws, told or {})}"
+    if flaws is not None and (flaws[bad] == Flaw.FROZEN).any():
+        reason += "; frozen: longer than usual at one reading (interlocks.bpm_frozen_ticks)"
     if invalid > settings.max_invalid_bpms or invalid == wanted:
         return Verdict(Action.HOLD, "bpm_quota", f"{reason}; allowed: {settings.max_invalid_bpms}")
     rows = zip(bad.reshape(planes, -1), counted.reshape(planes, -1), strict=True)
