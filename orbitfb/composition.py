@@ -38,6 +38,7 @@ from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
 from orbitfb.observe.logs import configure_logs
 from orbitfb.observe.metrics import metrics_registry
+from orbitfb.observe.server_news import ServerNews
 from orbitfb.observe.statistics import LoopStatistics
 from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import Surroundings
@@ -155,7 +156,8 @@ class Service:
         latest, clocks = Latest(), ClockWatch(clock, self._reports.clock_set)
         trips = TripNotes(self.store, config.interlocks)
         stack.callback(trips.close)
-        told = (self.events, latest, clocks, trips, *recorders)
+        news = ServerNews(lambda: self.machine.doubled, self._reports.servers_told)
+        told = (self.events, latest, clocks, trips, news, *recorders)
         self.runner = Runner(
             machine,
             self.slot,
@@ -251,6 +253,7 @@ class Service:
             "ioc": ioc,
             "addresses": epics.address_list,
             "port": epics.server_port,
+            "servers": self.machine.servers(),
             "metrics": http.address,
             "metrics_problem": http.problem,
             "policy": first.policy_id,
@@ -269,8 +272,8 @@ class Service:
         """Say what was started where."""
         for line in announcement(self._where, self._own_ring is not None):
             say(line)
-        if self._astray:
-            say(f"attention: {self._astray}")
+        for attention in filter(None, (self._astray, self.machine.doubled)):
+            say(f"attention: {attention}")
 
     @property
     def ring_failure(self) -> str:

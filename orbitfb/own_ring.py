@@ -55,6 +55,7 @@ class OwnRing:
         return config.epics.model_copy(
             update={
                 "address_list": config.sim.interface,
+                "name_servers": "",
                 "auto_address_list": False,
                 "server_port": self._port,
                 "auxiliary": {**config.epics.auxiliary, TRUE_RMS: true_rms},

@@ -78,6 +78,11 @@ class Reports:
         _log.warning("clock_set", problem=text)
         self._statistics.happened("clock", text)
 
+    def servers_told(self, text: str) -> None:
+        """Take what is to know of the servers of the PVs."""
+        _log.warning("servers_of_pvs", problem=text)
+        self._statistics.happened("ring", text)
+
     def postmortem_written(self, path: Path, frozen: Frozen) -> None:
         """Take that the last seconds are on disk."""
         cause = frozen.cause

@@ -147,12 +147,19 @@ def find_ring(config: AppConfig, ioc: str) -> EpicsSettings:
         if not host or any(c.isspace() for c in host) or (colon and not port):
             raise ConfigError(f"--ioc {ioc}: give sim, env, config, HOST or HOST:PORT")
         number = _port(port, f"--ioc {ioc}") if port else config.sim.port
-        update = {"address_list": host, "auto_address_list": False, "server_port": number}
+        update = {
+            "address_list": host,
+            "name_servers": "",
+            "auto_address_list": False,
+            "server_port": number,
+        }
     settings = config.epics.model_copy(update=update)
-    if not settings.address_list.split() and not settings.auto_address_list:
+    named = settings.address_list.split() or settings.name_servers.split()
+    if not named and not settings.auto_address_list:
         raise ConfigError(
-            f"--ioc {ioc}: there is nowhere to search for PVs: the address list is empty and "
-            "EPICS_CA_AUTO_ADDR_LIST is NO; set EPICS_CA_ADDR_LIST or epics.address_list"
+            f"--ioc {ioc}: there is nowhere to search for PVs: the address list and the name "
+            "servers are empty and EPICS_CA_AUTO_ADDR_LIST is NO; set EPICS_CA_ADDR_LIST, "
+            "EPICS_CA_NAME_SERVERS, epics.address_list or epics.name_servers"
         )
     servers_of(settings)
     return settings
@@ -163,6 +170,7 @@ def _from_environment(environment: Mapping[str, str]) -> dict[str, object]:
     name = "EPICS_CA_SERVER_PORT"
     return {
         "address_list": environment.get("EPICS_CA_ADDR_LIST", ""),
+        "name_servers": environment.get("EPICS_CA_NAME_SERVERS", ""),
         "auto_address_list": environment.get("EPICS_CA_AUTO_ADDR_LIST", "YES").upper() != "NO",
         "server_port": _port(
             environment.get(name, str(PRODUCTION_PORT)), f"environment variable {name}"
@@ -186,8 +194,13 @@ def servers_of(settings: EpicsSettings) -> list[str]:
         ConfigError: A host is not known; libca would go on without it.
     """
     servers = [f"any:{settings.server_port}"] if settings.auto_address_list else []
-    for word in settings.address_list.split():
+    for word in (*settings.address_list.split(), *settings.name_servers.split()):
         host, _, port = word.partition(":")
+        if port and not port.isdigit():
+            raise ConfigError(
+                f"{word!r} is no address to search for PVs; give HOST or HOST:PORT, and separate "
+                "several by blanks"
+            )
         try:
             address = socket.gethostbyname(host)
         except (OSError, UnicodeError):

@@ -63,6 +63,9 @@ class Reading:
         behind: Correctors whose readback was taken before the orbit, shape (m,); None: none.
         left_out: Why connected BPMs are not in the orbit, by index.
         refused: Why correctors did not take what was put to them since the last read, by index.
+        unknown: Why slow channels are not known, by name, for those that are not.
+        moves: How often a PV came back from another server than before.
+        moved: The last of these moves, in words.
     """
 
     orbit: Orbit
@@ -73,6 +76,9 @@ class Reading:
     behind: Mask | None = None
     left_out: Mapping[int, str] = field(default_factory=dict[int, str])
     refused: Mapping[int, str] = field(default_factory=dict[int, str])
+    unknown: Mapping[str, str] = field(default_factory=dict[str, str])
+    moves: int = 0
+    moved: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,11 +30,6 @@ def look_at_environment(environment: Mapping[str, str] | None = None) -> Iterato
 
 def _problem(name: str, value: str) -> tuple[str, str]:
     """Say what is wrong with a variable and what to do; nothing where nothing is."""
-    if name == "EPICS_CA_NAME_SERVERS" and value:
-        return (
-            "is not used",
-            "orbitfb searches epics.address_list alone; unset it, or name it there",
-        )
     if name == "EPICS_CA_AUTO_ADDR_LIST" and value.upper() not in ("YES", "NO"):
         return "neither YES nor NO", "libca takes anything but NO for YES; write YES or NO"
     if name.endswith("_SERVER_PORT") and not (

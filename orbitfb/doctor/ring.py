@@ -1,19 +1,22 @@
 """The PVs of the ring: does each answer, how fresh, may the setpoints be written. Only read."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from orbitfb.config import AppConfig
-from orbitfb.core.errors import ConfigError
+from orbitfb.core.errors import ConfigError, MachineError
 from orbitfb.core.signals import Channels
 from orbitfb.doctor.finding import Finding, Verdict
+from orbitfb.doctor.orbits import ENOUGH, Listener, judge
 from orbitfb.epics.channels import ChannelGroup, Monitor
+from orbitfb.epics.connecting import check_units
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
-from orbitfb.epics.records import blank_records, stamps_of, usable, wall_time
+from orbitfb.epics.records import stamps_of, usable, wall_time
 from orbitfb.epics.requests import Getter
+from orbitfb.epics.servers import Doubles, ServerWatch
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.live import check_live
 from orbitfb.physics.places import Ring
@@ -23,7 +26,10 @@ from orbitfb.startup import SIMULATED, find_ring, servers_of
 _PART = "ring"
 _LOOK_EVERY = 0.02
 _SETTLE = 0.5
-"""How long values are waited for once every PV is connected [s]."""
+"""How long values and second answers are waited for once every PV is connected [s]."""
+
+_TICKS = 6
+"""Periods of the loop that are listened for, unless enough came before."""
 
 _MOST_NAMED = 5
 
@@ -58,7 +64,7 @@ def look_at_ring(
             "name the addresses of the IOCs, and set epics.auto_address_list = false "
             "(EPICS_CA_AUTO_ADDR_LIST=NO)",
         )
-    if not settings.address_list.split():
+    if not settings.address_list.split() and not settings.name_servers.split():
         yield Finding(_PART, "PVs", Verdict.SKIPPED, "no address is named to search",
                       "set epics.address_list or EPICS_CA_ADDR_LIST")  # fmt: skip
         return
@@ -80,19 +86,25 @@ def _search(
     deadline: float,
     servers: Sequence[str],
 ) -> Iterator[Finding]:
-    slow = [each.pv for each in config.epics.auxiliary.values()]
+    slow = {each.pv: name for name, each in config.epics.auxiliary.items()}
     kinds = {
         "BPMs": channels.orbit_pvs,
         "setpoints": channels.setpoint_pvs,
         "readbacks": channels.readback_pvs,
-        "slow channels": slow,
+        "slow channels": tuple(slow),
     }
-    records = blank_records(len(channels.orbit_pvs))
+    listener, doubles = Listener(len(channels.orbit_pvs), settings), Doubles()
+    assembler = listener.assembler
+    records = assembler.records
     with environment_lock:
         use_network(settings)
         context = Context()
+        context.listeners.append(doubles.hear)
+        heard = Monitor(records, listener.arrived, listener.complete)
         groups = {
-            kind: ChannelGroup(context, names, Monitor(records) if kind == "BPMs" else None)
+            kind: ChannelGroup(context, names, heard, assembler.set_connected)
+            if kind == "BPMs"
+            else ChannelGroup(context, names)
             for kind, names in kinds.items()
         }
         for group in groups.values():
@@ -104,14 +116,20 @@ def _search(
                 break
             time.sleep(_LOOK_EVERY)
         waited = time.monotonic() - began
-        settled = time.monotonic() + min(_SETTLE, deadline)
         bpms = groups["BPMs"]
-        while time.monotonic() < settled and not records["seconds"][bpms.connected].all():
+        settled = time.monotonic() + min(_SETTLE, deadline)
+        until = time.monotonic() + min(max(_SETTLE, _TICKS * config.loop.period), deadline)
+        while bpms.connected.any() and (now := time.monotonic()) < until:
+            if listener.fewest > ENOUGH and now >= settled:
+                break
             time.sleep(_LOOK_EVERY)
         where = f"{', '.join(servers)}, {waited:.1f} s"
-        found = [_reached(kind, group, where) for kind, group in groups.items()]
+        found = [_reached(kind, group, where, slow) for kind, group in groups.items()]
+        found += _servers(ServerWatch(tuple(groups.values())), doubles)
         if bpms.connected.any():
+            found += _units(context, groups, settings)
             found.append(_fresh(records[bpms.connected].copy(), settings))
+            found += judge(listener, bpms.names, settings, config.loop)
         found += [_writable(groups["setpoints"]), _real(groups["setpoints"])]
         if groups["setpoints"].connected.any():
             found.append(_drive_limits(context, groups["setpoints"], config))
@@ -122,20 +140,53 @@ def _search(
     yield from found
 
 
-def _reached(kind: str, group: ChannelGroup, where: str) -> Finding:
+def _servers(watch: ServerWatch, doubles: Doubles) -> Iterator[Finding]:
+    """Tell which servers answer, and PVs that several of them have."""
+    servers = watch.servers()
+    told = ", ".join(f"{count} PVs from {server}" for server, count in servers.items())
+    double = doubles.describe()
+    if servers:
+        yield Finding(
+            _PART,
+            "servers",
+            Verdict.WARNING if double else Verdict.OK,
+            f"{told}; {double}" if double else told,
+            "stop the server that is not the machine, or leave its address out" if double else "",
+            {"servers": servers},
+        )
+
+
+def _units(
+    context: Context, groups: Mapping[str, ChannelGroup], settings: EpicsSettings
+) -> Iterator[Finding]:
+    """Compare the units that the records state with those of the configuration."""
+    kinds = [groups[kind] for kind in ("BPMs", "setpoints", "readbacks")]
+    try:
+        check_units(context, kinds, settings)
+    except MachineError as error:
+        yield Finding(_PART, "units", Verdict.FAILED, str(error), "the values would be taken for "
+                      "others by powers of ten")  # fmt: skip
+    else:
+        yield Finding(_PART, "units", Verdict.OK, f"none states another than {settings.bpm_unit} "
+                      "and A")  # fmt: skip
+
+
+def _reached(kind: str, group: ChannelGroup, where: str, slow: Mapping[str, str]) -> Finding:
     away, total = group.disconnected, len(group)
     names = ", ".join(away[:_MOST_NAMED]) + (" …" if len(away) > _MOST_NAMED else "")
     told = f"{total - len(away)} of {total} answer ({where})" + (f"; not {names}" if away else "")
-    slow = kind == "slow channels"
+    keys = " and ".join(f"epics.auxiliary.{slow[name]}" for name in away if name in slow)
     return Finding(
         _PART,
         kind,
-        Verdict.OK if not away else Verdict.WARNING if slow else Verdict.FAILED,
+        Verdict.FAILED if away else Verdict.OK,
         told,
-        ""
-        if not away
-        else "is the IOC running there, are the names those of the places table? "
-        "A longer --deadline helps where gateways are slow",
+        "is the IOC running there, are the names those of the places table? "
+        "A longer --deadline helps where gateways are slow"
+        if away and not keys
+        else f"is the IOC running there? Let {keys} name a PV that is there, or leave it out"
+        if away
+        else "",
         {"total": total, "away": list(away)},
     )
 

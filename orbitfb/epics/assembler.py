@@ -110,6 +110,21 @@ class Assembler:
         """
         self._anew = stamps_of(self.records)
 
+    @property
+    def apart(self) -> float | None:
+        """How far the stamps of new readings lie apart [s], if that is why no vector comes.
+
+        Few that are apart from the others are named by `describe`; here there are no others.
+        """
+        stamps, here = stamps_of(self.records), self._expected
+        new = stamps[here]
+        if not new.size or not (new > self._used[here]).all():
+            return None
+        odd = outside(new, common_stamp(new, self._window), self._window)
+        if 2 * np.count_nonzero(odd) < new.size:
+            return None
+        return int(new.max() - new.min()) / NANOSECONDS
+
     def set_connected(self, index: int, up: bool) -> None:
         """Expect a channel from now on, or expect it no more.
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.epics.channels import ChannelGroup, Monitor
 from orbitfb.epics.libca import Context
 from orbitfb.epics.records import INVALID, blank_records, stamps_of, usable, wall_time
@@ -48,10 +48,42 @@ class AuxiliaryChannels:
         Args:
             clock: That of the stamps.
         """
-        ages = self._ages_by(clock)
-        known = self.group.connected & usable(self._records) & (ages <= self._limits)
+        known = self.group.connected & usable(self._records) & self._fresh(clock)
         values = np.where(known, self._records["value"], np.nan) * self._scales
         return dict(zip(self._names, values.tolist(), strict=True))
+
+    def unknown(self, clock: Timekeeper) -> dict[str, str]:
+        """Say why values are not known, by name.
+
+        Args:
+            clock: That of the stamps.
+        """
+        fresh, usual, ages = self._fresh(clock), usable(self._records), self._ages_by(clock)
+        if (self.group.connected & usual & fresh).all():
+            return {}
+        told: dict[str, str] = {}
+        for index, name in enumerate(self._names):
+            pv, key = self.group.names[index], f"epics.auxiliary.{name}.stale_after"
+            if not self.group.connected[index]:
+                told[name] = f"{pv} is away"
+            elif not usual[index]:
+                told[name] = f"{pv} has no valid value"
+            elif not fresh[index] and np.isnan(ages[index]):
+                told[name] = (
+                    f"{pv} has no time stamp, so nobody can tell its age; leave {key} out if it "
+                    "may count all the same"
+                )
+            elif not fresh[index]:
+                told[name] = (
+                    f"{pv} has had no new value for {ages[index]:.1f} s, more than {key} = "
+                    f"{self._limits[index]:g} s; a PV that is posted on change only needs {key} = "
+                    "false"
+                )
+        return told
+
+    def _fresh(self, clock: Timekeeper) -> Mask:
+        """Tell which values are young enough; one that may be of any age needs no stamp."""
+        return np.isinf(self._limits) | (self._ages_by(clock) <= self._limits)
 
     def ages(self, clock: Timekeeper) -> dict[str, float]:
         """Return the age of each value by name [s]; NaN where never seen.

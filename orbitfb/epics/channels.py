@@ -77,6 +77,10 @@ class ChannelGroup:
         self.handles = (ctypes.c_void_p * size)()
         self.generation = 0
         """Grows when handles have changed."""
+        self.servers = [""] * size
+        """Where each channel was connected to last, `host:port`."""
+        self.arrivals = 0
+        """How often a channel came."""
         self.losses = 0
         """How often a channel went away."""
         self.lock = threading.Lock()
@@ -195,6 +199,8 @@ class ChannelGroup:
             # A circuit that answers again after a silence brings its channels back without an
             # access event, though it took their rights away by one.
             self.writable[index] = bool(self._library.ca_write_access(arguments.channel))
+            self.servers[index] = self._context.host_of(arguments.channel)
+            self.arrivals += 1
         self._set_connected(index, up)
 
     def _on_access(self, arguments: AccessArguments) -> None:

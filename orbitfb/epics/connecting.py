@@ -6,7 +6,10 @@ from collections.abc import Collection, Sequence
 from orbitfb.core.errors import ConnectError, MachineError, few
 from orbitfb.core.ports import Clock
 from orbitfb.epics.channels import ChannelGroup
+from orbitfb.epics.libca import Context
+from orbitfb.epics.requests import Getter
 from orbitfb.epics.settings import EpicsSettings
+from orbitfb.epics.units import bpm_contradiction, corrector_contradiction
 
 LOOK_EVERY = 0.01
 
@@ -40,9 +43,10 @@ def wait_for_channels(
     missing = _missing(groups, setpoints, waived)
     if missing:
         total = sum(len(group) for group in groups)
+        places = " ".join(filter(None, (settings.address_list, settings.name_servers)))
         advice = (
-            f"Is the IOC running, and reachable at '{settings.address_list}' port "
-            f"{settings.server_port}? Are the names right ({_origin(missing, settings)})? "
+            f"Is the IOC running, and reachable at '{places}' port {settings.server_port}? "
+            f"Are the names right ({_origin(missing, settings)})? "
             "`orbitfb doctor` with the same --ioc and --config counts them by kind."
         )
         raise ConnectError(missing, total, settings.connect_timeout, advice)
@@ -77,3 +81,25 @@ def _missing(
         for name in group.disconnected
         if group is setpoints or name not in waived
     ]
+
+
+def check_units(context: Context, groups: Sequence[ChannelGroup], settings: EpicsSettings) -> None:
+    """Refuse PVs that state another unit than the configuration.
+
+    Args:
+        context: Of the groups.
+        groups: BPMs, setpoints and readbacks, connected; what follows is not looked at.
+        settings: Has the unit of the BPMs.
+
+    Raises:
+        MachineError: Some do; the first are named.
+    """
+    bpms, setpoints, readbacks, *_ = groups
+    stated = {
+        group: Getter(context, group, settings.answer_timeout).units()
+        for group in (bpms, setpoints, readbacks)
+    }
+    wrong = [bpm_contradiction(bpms.names, stated[bpms], settings.bpm_unit)]
+    wrong += [corrector_contradiction(its.names, stated[its]) for its in (setpoints, readbacks)]
+    if told := "\n".join(filter(None, wrong)):
+        raise MachineError(told)

@@ -17,18 +17,19 @@ from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
 from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.channels import ChannelGroup, Monitor
-from orbitfb.epics.connecting import wait_for_channels
+from orbitfb.epics.connecting import check_units, wait_for_channels
 from orbitfb.epics.inbox import Inbox
 from orbitfb.epics.keeper import Keeper
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.put_errors import PutErrors
 from orbitfb.epics.requests import Getter, Putter
+from orbitfb.epics.servers import Doubles, ServerWatch
 from orbitfb.epics.settings import EpicsSettings
+from orbitfb.epics.units import LENGTHS
 from orbitfb.safety.bounds import ROUNDING
 from orbitfb.safety.verdict import name_some
 
-MILLIMETRE = 1e-3
 KINDS = ("bpm", "setpoint", "readback", "auxiliary")
 """Kinds of channels, in the order in which they are opened."""
 
@@ -55,7 +56,8 @@ class EpicsMachine:
 
     Raises:
         ConnectError: PVs that cannot be reached within `connect_timeout`, all of them.
-        MachineError: Setpoints that may not be written, all of them; or libca fails.
+        MachineError: Setpoints that may not be written, all of them; PVs that state another unit
+            than the configuration; or libca fails.
     """
 
     def __init__(
@@ -68,6 +70,7 @@ class EpicsMachine:
     ) -> None:
         self._channels = channels
         self._settings = settings
+        self._metres = LENGTHS[settings.bpm_unit]
         self._clock: Clock = clock or SystemClock()
         self._closed = False
         self._limits_due = True
@@ -101,6 +104,7 @@ class EpicsMachine:
         try:
             wait_for_channels(self._groups, self._setpoints, settings, self._clock, waived)
             self.setpoints()
+            check_units(self._context, self._groups, settings)
         except MachineError:
             self.close()
             raise
@@ -122,6 +126,15 @@ class EpicsMachine:
     def disconnected(self) -> tuple[str, ...]:
         """PVs that are away now."""
         return tuple(name for group in self._groups for name in group.disconnected)
+
+    @property
+    def doubled(self) -> str:
+        """PVs that more than one server has, in words; empty as long as none was seen."""
+        return self._doubles.describe()
+
+    def servers(self) -> dict[str, int]:
+        """Count the PVs of each server, `host:port`, where they were connected to last."""
+        return self._servers.servers()
 
     def channel_counts(self) -> tuple[ChannelCounts, ...]:
         """Count the channels of each kind, those that are connected, and those that were lost."""
@@ -155,8 +168,10 @@ class EpicsMachine:
             raise NoOrbitError("the machine is closed")
         frame = self._inbox.take(timeout)
         snapshot = frame.arrival.snapshot
-        orbit = Orbit(snapshot.values * MILLIMETRE, snapshot.valid, snapshot.time)
+        orbit = Orbit(snapshot.values * self._metres, snapshot.valid, snapshot.time)
         auxiliary = self._auxiliary.values(self._inbox.time)
+        unknown = self._auxiliary.unknown(self._inbox.time)
+        self._servers.look()
         away = ~(self._setpoints.connected & self._setpoints.writable)
         received = frame.arrival.received
         gone = away if away.any() else None
@@ -169,6 +184,9 @@ class EpicsMachine:
             frame.behind,
             snapshot.left_out,
             self._put_errors.take(),
+            unknown,
+            self._servers.changes,
+            self._servers.told,
         )
 
     def setpoints(self) -> Vector:
@@ -275,6 +293,8 @@ class EpicsMachine:
             ),
             self._auxiliary.group,
         )
+        self._servers, self._doubles = ServerWatch(self._groups), Doubles()
+        context.listeners.append(self._doubles.hear)
         self._getter = Getter(context, self._setpoints, self._settings.answer_timeout)
         self._putter = Putter(context, self._setpoints)
         self._put_errors = PutErrors(context, self._setpoints)
@@ -331,6 +351,12 @@ class EpicsMachine:
             return "the machine is closed"
         if len(self.disconnected) == total:
             text = f"all {total} channels are disconnected"
+        elif (apart := self._orbit_assembler.apart) is not None:
+            window = self._settings.stamp_window
+            text = (
+                f"the BPMs stamp themselves: their stamps lie {apart:.3g} s apart, "
+                f"epics.stamp_window = {window:g} s allows less; set it as `orbitfb doctor` says"
+            )
         else:
             text = self._orbit_assembler.describe(self._channels.orbit_pvs)
         return f"{text}; {self._keeper.trouble}" if self._keeper.trouble else text

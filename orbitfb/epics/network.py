@@ -93,3 +93,5 @@ def use_network(settings: EpicsSettings) -> None:
         os.environ["EPICS_CA_REPEATER_PORT"] = str(repeater_stand_in().port)
         # The settings say where to look; a name server left over from the shell would add to it.
         os.environ.pop("EPICS_CA_NAME_SERVERS", None)
+        if settings.name_servers:
+            os.environ["EPICS_CA_NAME_SERVERS"] = settings.name_servers

@@ -65,6 +65,11 @@ class Getter:
         limits[~(limits[:, 0] < limits[:, 1])] = np.nan
         return limits
 
+    def units(self) -> list[str]:
+        """Return the units that the records state (EGU); empty where none or no answer."""
+        records = self._fetch(DBR_CTRL_DOUBLE, np.zeros(len(self._group), dtype=CONTROL_RECORD))
+        return [unit.decode("latin-1") for unit in records["units"].tolist()]
+
     def _fetch(self, kind: int, answers: NDArray[Any]) -> NDArray[Any]:
         group, get = self._group, self._context.library.ca_array_get
         with group.lock:

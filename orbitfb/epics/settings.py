@@ -1,13 +1,27 @@
 """How to reach the machine over Channel Access."""
 
-from pydantic import Field
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
 
 from orbitfb.core.names import CURRENT_PV, RF_PV
 from orbitfb.core.settings import Settings
+from orbitfb.epics.units import LengthUnit
 
 MILLIAMPERE = 1e-3
 LOWEST_PORT = 5001
 """libca takes 5064 instead of a lower port, and says so on stderr alone."""
+
+
+def _separated_by_blanks(addresses: str) -> str:
+    """Refuse what libca takes for one malformed address, and says so on stderr alone."""
+    for sign in (",", ";"):
+        if sign in addresses:
+            raise ValueError(f"separate addresses by blanks, not by {sign!r}")
+    return addresses
+
+
+AddressList = Annotated[str, AfterValidator(_separated_by_blanks)]
 
 
 class AuxiliarySettings(Settings):
@@ -33,9 +47,14 @@ def _default_auxiliary() -> dict[str, AuxiliarySettings]:
 class EpicsSettings(Settings):
     """Network, time limits and slow channels of the machine behind Channel Access."""
 
-    address_list: str = Field(
+    address_list: AddressList = Field(
         default="127.0.0.1",
         description="Where to search for PVs: addresses separated by blanks (EPICS_CA_ADDR_LIST).",
+    )
+    name_servers: AddressList = Field(
+        default="",
+        description="Name servers or gateways to ask over TCP, separated by blanks "
+        "(EPICS_CA_NAME_SERVERS).",
     )
     auto_address_list: bool = Field(
         default=False,
@@ -52,6 +71,11 @@ class EpicsSettings(Settings):
     )
     answer_timeout: float = Field(
         default=1.0, gt=0, description="How long to wait for the answers to one request [s]."
+    )
+    bpm_unit: LengthUnit = Field(
+        default="mm",
+        description="Unit of the BPM PVs, of all of them; PVs that state another one (EGU) are "
+        "refused.",
     )
     stamp_window: float = Field(
         default=0.0,

@@ -197,8 +197,21 @@ class Engine:
             self.memory = comeback.set_out(self.memory, before, verdict, self._rules)
         else:
             self.memory = remember.note(self.memory, happening.reason, verdict.may_act)
+        self._heed_move(reading)
         if verdict.may_act:
             self.memory = replace(self.memory, fresh=reading.received)
+
+    def _heed_move(self, reading: Reading) -> None:
+        """Hold a closed loop whose PVs come from another server, until an operator closes it."""
+        if reading.moves > self.memory.moves:
+            if self.memory.state is LoopState.CLOSED:
+                self.move(Event.HOLD, reading.moved)
+            if self.memory.state is LoopState.HELD:
+                self.memory = replace(self.memory, recloses=False, moved=reading.moved)
+            self.memory = comeback.stop(self.memory, reading.moved)
+            self.memory = replace(self.memory, moves=reading.moves)
+        if self.memory.moved and self.memory.good:  # else the reason is what else is wrong
+            self.memory = replace(self.memory, reason=self.memory.moved)
 
     def act(self, work: Work, reading: Reading, checked: Checked) -> None:
         """Decide and limit; write if CLOSED.

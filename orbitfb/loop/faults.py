@@ -38,6 +38,18 @@ FAULTS = (
         ("test_a_slow_policy_is_put_aside_after_three_strikes",),
     ),
     Fault(
+        "PVs come from another server than before, such as a test IOC with the same names",
+        "nothing is written; another server is another machine, so HELD does not end by itself: "
+        "an operator closes the loop. PVs that two servers have are told at start",
+        (_HELD,),
+        ("epics.address_list", "epics.name_servers"),
+        (
+            "test_a_move_while_closed_holds_until_an_operator_closes",
+            "test_a_move_during_an_outage_keeps_the_loop_from_closing_by_itself",
+            "test_what_libca_says_of_doubled_pvs_is_put_into_words",
+        ),
+    ),
+    Fault(
         "the stored current is too low, drops, is not known or old",
         "TRIPPED in the same tick, setpoints stay, post-mortem; a drop trips while HELD too",
         (_TRIPPED,),

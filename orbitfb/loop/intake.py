@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from orbitfb.core.errors import MachineError
 from orbitfb.core.ports import Clock, Machine
 from orbitfb.core.signals import Reading
-from orbitfb.loop.pacing import Pace, see
+from orbitfb.loop.pacing import Pace, see, slower
 
 _SLICE = 0.5
 _LEAST = 0.1
@@ -60,7 +60,8 @@ def await_orbit(
                 return Intake(None, "", pace)  # none was due yet
             if left > _SLICE and slices > 0:
                 continue
-            return Intake(None, str(error) or type(error).__name__, pace)
+            told = filter(None, (str(error) or type(error).__name__, slower(pace, period)))
+            return Intake(None, "; ".join(told), pace)
         is_due, pace = see(reading.orbit.time, pace, period)
         if is_due:
             return Intake(reading, "", pace)

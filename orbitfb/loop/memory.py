@@ -88,6 +88,8 @@ class LoopMemory:
         way: The way back to them after a trip; None: there is none.
         good: Good orbits in a row while HELD.
         recloses: Whether HELD ends by itself.
+        moves: Moves of PVs to other servers that the loop knows of.
+        moved: Why HELD does not end by itself: the last of these moves; else empty.
         mine: Correctors that the loop moves and whose setpoint it was told, shape (m,); None:
             not looked at yet. The others belong to whoever sets them.
         seen: Readback of each of the others when its setpoint was last asked for, shape (m,)
@@ -118,6 +120,8 @@ class LoopMemory:
     way: "Way | None" = None
     good: int = 0
     recloses: bool = True
+    moves: int = 0
+    moved: str = ""
     mine: Mask | None = None
     seen: Vector | None = None
     refusals: Refusals = field(default_factory=Refusals)
@@ -212,7 +216,7 @@ def move(memory: LoopMemory, event: Event, reason: str, now: float, recloses: bo
     if after is memory.state:
         latched = after in (LoopState.TRIPPED, LoopState.FAULT)
         return memory if latched else replace(memory, reason=reason, good=0)
-    memory = replace(memory, state=after, reason=reason, since=now, good=0)
+    memory = replace(memory, state=after, reason=reason, since=now, good=0, moved="")
     if after in (LoopState.OPEN, LoopState.SHADOW):
         sent = replace(memory.sent, change=None)
         memory = replace(memory, lost=np.zeros_like(memory.lost), well=None, way=None, sent=sent)

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 
 _SMOOTHING = 0.1
 _UNKNOWN = float("nan")
+SLOWER = 1.5
+"""Intervals of so many periods are another rate: one lost orbit in two ticks makes no more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,18 @@ def see(stamp: float, pace: Pace, period: float) -> tuple[bool, Pace]:
     is_due = not stamp > pace.acted or stamp >= pace.due - tolerance
     seen = Pace(pace.acted, pace.due, stamp, interval, pace.received, pace.counted)
     return is_due, seen
+
+
+def slower(pace: Pace, period: float) -> str:
+    """Say that orbits come less often than the loop ticks; empty when they do not.
+
+    Args:
+        pace: So far.
+        period: Of the loop [s].
+    """
+    if not pace.interval >= SLOWER * period:
+        return ""
+    return f"orbits come at {1 / pace.interval:.2g} Hz, loop.rate_hz is {1 / period:.4g}"
 
 
 def take(stamp: float, received: float, pace: Pace, period: float) -> tuple[int, Pace]:

@@ -101,7 +101,8 @@ def check(
     active = closed or memory.state is LoopState.HELD
     before = memory.current if active else float("nan")
     now = reading.auxiliary.get(settings.current_channel, float("nan"))
-    current = interlocks.stored_current(reading.auxiliary, settings, unknown, before)
+    why = reading.unknown
+    current = interlocks.stored_current(reading.auxiliary, settings, unknown, before, why)
     verdicts: list[Verdict] = []
     growth, answers, rise = memory.growth, memory.answers, memory.rise
     if fresh.may_act and quota.may_act:

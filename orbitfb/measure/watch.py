@@ -96,7 +96,7 @@ class Watch:
         return ""
 
     def _check(self, reading: Reading) -> None:
-        current = stored_current(reading.auxiliary, self._interlocks)
+        current = stored_current(reading.auxiliary, self._interlocks, why=reading.unknown)
         if not current.may_act:
             raise MeasurementError(current.reason)
         if self._origin is None:

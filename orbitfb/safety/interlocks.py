@@ -54,7 +54,8 @@ class InterlockSettings(Settings):
         default=2,
         ge=0,
         description="Repeats of one BPM's reading in a row, while others change, from which that "
-        "BPM is left out; 0 = never. Looked at only if `frozen_ticks` is not 0.",
+        "BPM is left out; more for a BPM that often repeats itself, its last digit being as "
+        "large as its noise; 0 = never. Looked at only if `frozen_ticks` is not 0.",
     )
     bpm_jump: float = Field(
         default=250e-6,
@@ -149,6 +150,7 @@ def stored_current(
     settings: InterlockSettings,
     unknown: Action = Action.TRIP,
     before: float = float("nan"),
+    why: Mapping[str, str] | None = None,
 ) -> Verdict:
     """Ask for enough stored current, and that it does not drop.
 
@@ -158,6 +160,7 @@ def stored_current(
         unknown: What to ask for when the current is not known (a machine that is coming back
             has not told it yet, which is no reason to latch).
         before: Stored current at the orbit before [A]; NaN: not known.
+        why: Why slow channels are not known, by name.
     """
     if settings.current_min is None:
         return FINE
@@ -168,7 +171,9 @@ def stored_current(
             return Verdict(Action.TRIP, "stored_current", reason)
         return FINE
     if not np.isfinite(current):
+        cause = (why or {}).get(settings.current_channel, "")
         reason = f"the stored current ({settings.current_channel}) is not known"
+        reason += f": {cause}" if cause else ""
         return Verdict(unknown, "stored_current", reason)
     reason = (
         f"stored current {current * 1e3:.3g} mA is below the {settings.current_min * 1e3:.3g} mA "

@@ -138,6 +138,19 @@ def test_two_halves_with_stamps_of_their_own_are_no_orbit():
     assert bpms.tick(10) == [[]] * 10
 
 
+def test_stamps_that_all_differ_are_told_with_how_far_they_lie_apart():
+    bpms = Bpms()
+    bpms.tick(3)
+    assert bpms.assembler.apart is None
+    bpms.offset = {index: index * MS for index in range(SIZE)}
+    assert bpms.tick() == [[]]
+    assert bpms.assembler.apart == pytest.approx((SIZE - 1) * 1e-3)
+    few = Bpms(most=0)
+    few.offset[3] = few.offset[5] = MS
+    assert few.tick(3) == [[], [], []]
+    assert few.assembler.apart is None  # `describe` names these
+
+
 def test_the_common_stamp_is_that_of_the_largest_group():
     assert common_stamp(np.array([5, 5, 9, 5, 1]), 0) == 5
     assert common_stamp(np.array([5, 6, 9, 4, 1]), 2) == 6
