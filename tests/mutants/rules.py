@@ -143,7 +143,7 @@ MUTANTS = (
     Mutant(
         "a BPM that repeats itself while others change is left out",
         BPMS,
-        "known & (repeats >= settings.bpm_frozen_ticks)",
+        "known & (repeats >= limit)",
         "known & (repeats >= 1000)",
         ("safety/test_bpms.py",),
     ),
