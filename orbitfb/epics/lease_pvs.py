@@ -8,7 +8,7 @@ from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import MachineError
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.lease import LONGEST
-from orbitfb.epics.libca import ECA_NORMAL, Context
+from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.settings import EpicsSettings
 
@@ -37,8 +37,6 @@ class LeasePvs:
         self._context.detach()
         # A function object of its own, without prototype: its arguments are converted beforehand.
         self._put: Callable[..., int] = self._context.library["ca_array_put"]
-        # An answer that comes too late is still written here by libca: it must not be freed.
-        self._abandoned: list[ctypes.Array[ctypes.c_char]] = []
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -54,6 +52,17 @@ class LeasePvs:
         self._reach()
         size = len(self._group)
         answers = ctypes.create_string_buffer(_SIZE * size)
+        try:
+            self._ask(answers)
+        except MachineError:
+            # An answer that comes after all is still written there by libca: it must not be freed.
+            self._context.abandoned.append(answers)
+            raise
+        pieces = (answers.raw[start : start + _SIZE] for start in range(0, size * _SIZE, _SIZE))
+        return tuple(piece.partition(b"\0")[0].decode("latin-1") for piece in pieces)
+
+    def _ask(self, answers: ctypes.Array[ctypes.c_char]) -> None:
+        """Have all values written to memory, one after the other."""
         with self._group.lock:
             self._context.attach()
             library = self._context.library
@@ -64,11 +73,7 @@ class LeasePvs:
                     f"reading {name}", library.ca_array_get(DBR_STRING, 1, handle, address)
                 )
             status = library.ca_pend_io(self._timeout)
-        if status != ECA_NORMAL:
-            self._abandoned.append(answers)
-            self._context.check("reading the lease", status)
-        pieces = (answers.raw[start : start + _SIZE] for start in range(0, size * _SIZE, _SIZE))
-        return tuple(piece.partition(b"\0")[0].decode("latin-1") for piece in pieces)
+        self._context.check("reading the lease", status)
 
     def write(self, text: str) -> None:
         """Write the same to all of them.

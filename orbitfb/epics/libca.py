@@ -166,6 +166,9 @@ class Context:
         self.library.ca_replace_printf_handler(_print_nothing)
         # A circuit that breaks is told past that handler, to the terminal; the loop says it itself.
         self.library.eltc(0)
+        self.abandoned: list[object] = []
+        """Memory that libca may still write an answer to, after nobody waits for it any more: it
+        must outlive whoever asked, and is freed with the context."""
         self.listeners: list[Callable[[ExceptionArguments], None]] = []
         """Called with what libca says beside the calls, on its threads."""
         self._exception_handler = EXCEPTION_HANDLER(self._on_exception)

@@ -37,7 +37,6 @@ class Getter:
         self._context = context
         self._group = group
         self._timeout = timeout
-        self._abandoned: list[NDArray[Any]] = []
 
     def values(self) -> Vector:
         """Return the values of the group, shape (m,), in the unit of the PVs; NaN: no answer."""
@@ -85,7 +84,7 @@ class Getter:
         if status == ECA_NORMAL:
             return answers
         # An answer that comes after all is still written there by libca: it must not be freed.
-        self._abandoned.append(answers)
+        self._context.abandoned.append(answers)
         if status != ECA_TIMEOUT:
             self._context.check("ca_pend_io", status)
         return answers.copy()

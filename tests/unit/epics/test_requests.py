@@ -1,0 +1,81 @@
+"""Memory of answers that come after nobody waits for them any more."""
+
+import ctypes
+from collections.abc import Callable
+from contextlib import nullcontext
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from orbitfb.core.errors import MachineError
+from orbitfb.epics.lease_pvs import LeasePvs
+from orbitfb.epics.libca import ECA_NORMAL, ECA_TIMEOUT
+from orbitfb.epics.requests import Getter
+
+NAMES = ("A", "B", "C")
+
+
+class Late:
+    """A libca that answers when nobody waits any more."""
+
+    def __init__(self) -> None:
+        self.addresses: list[int] = []
+
+    def ca_array_get(self, _kind: int, _count: int, _handle: int, address: int) -> int:
+        self.addresses.append(address)
+        return ECA_NORMAL
+
+    def ca_pend_io(self, _timeout: float) -> int:
+        return ECA_TIMEOUT
+
+
+class Group:
+    """As much of a group of channels as is asked."""
+
+    names, lock, handles = NAMES, nullcontext(), tuple(range(len(NAMES)))
+    connected = np.ones(len(NAMES), dtype=bool)
+
+    def __len__(self) -> int:
+        return len(NAMES)
+
+
+def check(call: str, status: int) -> None:
+    if status != ECA_NORMAL:
+        raise MachineError(call)
+
+
+def late_context() -> Any:
+    return SimpleNamespace(library=Late(), abandoned=[], attach=lambda: None, check=check)
+
+
+def owned(kept: list[Any], address: int) -> bool:
+    """Whether memory that is kept has this address."""
+    for memory in kept:
+        is_array = isinstance(memory, np.ndarray)
+        start = memory.ctypes.data if is_array else ctypes.addressof(memory)
+        size = memory.nbytes if is_array else ctypes.sizeof(memory)
+        if start <= address < start + size:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("ask", [Getter.values, Getter.limits, Getter.units])
+def test_answers_that_come_late_are_written_to_memory_that_outlives_who_asked(
+    ask: Callable[[Getter], object],
+):
+    context, group = late_context(), cast(Any, Group())
+    ask(Getter(context, group, 0.1))  # and nobody keeps the getter
+    assert len(context.library.addresses) == len(NAMES)
+    assert all(owned(context.abandoned, address) for address in context.library.addresses)
+
+
+def test_so_are_those_of_the_lease():
+    context, group = late_context(), cast(Any, Group())
+    lease = LeasePvs.__new__(LeasePvs)
+    lease._context, lease._group, lease._timeout = context, group, 0.1
+    lease._reach = lambda: None
+    with pytest.raises(MachineError):
+        lease.read()
+    assert all(owned(context.abandoned, address) for address in context.library.addresses)
