@@ -49,6 +49,7 @@ class DeviceLaw:
         groups: Devices that are commonly struck together, by name.
         whole: Whether only all devices together can be struck.
         periodic: Whether the course is a wave whose frequency is to be found.
+        driven: Whether the courses follow from the currents alone, whatever the orbit is.
         many: Courses of all devices for several sets of values at once, shape (N, V · D); None
             where that is no quicker than one after the other.
     """
@@ -59,6 +60,7 @@ class DeviceLaw:
     groups: Mapping[str, Indices] = field(default_factory=dict)
     whole: bool = False
     periodic: bool = False
+    driven: bool = False
     many: Callable[[Sequence[Values], Signals], Matrix] | None = None
 
 

@@ -124,6 +124,15 @@ class StepTransform:
             turned[part] = np.asarray(dst(steps[part], type=1, axis=0, norm="ortho"))
         return turned
 
+    def summed(self, spectrum: Matrix) -> Matrix:
+        """Courses of which a spectrum is that of the steps, zero where a stretch begins, (N, k)."""
+        steps = self.turn(spectrum)
+        courses = np.zeros((self.rows, steps.shape[1]))
+        courses[self.step_rows()] = steps
+        for part in self.stretches:
+            courses[part] = np.cumsum(courses[part], axis=0)
+        return courses
+
     def quick_spectrum(self, courses: Matrix) -> NDArray[np.float32]:
         """`spectrum` in single precision, for scans: half the time, right to six digits."""
         steps = self.steps(courses).astype(np.float32)

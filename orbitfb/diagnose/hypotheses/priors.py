@@ -52,3 +52,6 @@ best of 180 devices of a healthy record reaches 4."""
 
 MOST_REFINED = 6
 """Devices of a set whose own values are searched between those of the grid; others keep it."""
+
+STROKES = 0.05
+"""Share of the rows in which single strokes are sought [1]: more of them are a walk."""

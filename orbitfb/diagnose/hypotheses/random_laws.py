@@ -8,7 +8,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.lines import strongest_line
 from orbitfb.diagnose.hypotheses.noise_laws import scan_colour, scan_level
-from orbitfb.diagnose.hypotheses.priors import MORE, MOST_DEVICES, SHAPE_COUNTS, VALUE_COST
+from orbitfb.diagnose.hypotheses.priors import MORE, SHAPE_COUNTS, STROKES, VALUE_COST
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
@@ -50,7 +50,7 @@ def scan_random(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
     steady = _steady(kind, law, space, weighed)
     if not law.walk:
         return [steady]
-    found = [steady, _strokes(kind, law, space, weighed)]
+    found = [steady, _strokes(kind, law, scorer)]
     if law.together:
         line = strongest_line(scorer, law.patterns, shaped=False)
         size = float(np.hypot(line.cosine, line.sine)) * 2.0 * np.sin(np.pi * line.cycles)
@@ -88,17 +88,19 @@ def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighe
     return _candidate(kind, law, space, place, float(size[place]), gain)
 
 
-def _strokes(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighed) -> Candidate:
+def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> Candidate:
     """Amplitudes that come in a few rows only, one after the other: matching pursuit.
 
     S. Mallat and Z. Zhang, IEEE Trans. Signal Process. 41 (1993) 3397, with the row that is most
     likely struck instead of the largest projection, until none is worth its choice among all rows.
+    Few strokes are far above the walk that they are on average, so the floor may have any shape.
     """
+    space = scorer.space
     transform = space.transform.exact()
-    seen = (law.patterns.T @ weighed.noise.modes) ** 2
-    weights = (1.0 / weighed.noise.variance(transform)) @ seen.T
+    seen = (law.patterns.T @ space.noise.modes) ** 2
+    weights = (1.0 / space.noise.variance(transform)) @ seen.T
     own = weights.mean(axis=0)
-    along = weighed.late @ law.patterns
+    along = scorer.late @ law.patterns
     hopeful = np.argsort(-np.max(along**2, axis=0) / own)[:_PLACES]
     best: tuple[float, int, Vector] = (-np.inf, int(hopeful[0]), np.zeros(len(along)))
     for place in map(int, hopeful):
@@ -123,7 +125,7 @@ def _pursued(pull: Vector, weights: Vector, transform: StepTransform) -> tuple[f
     own, cost = float(weights.mean()), float(np.log(len(pull)))
     left, strokes = pull.copy(), np.zeros(len(pull))
     gains: list[float] = []
-    while len(gains) < MOST_DEVICES:
+    while len(gains) < STROKES * len(pull):
         row = int(np.argmax(np.abs(left)))
         gain = 0.5 * left[row] ** 2 / own - cost - 0.5 * float(np.log(1.0 + left[row] ** 2 / own))
         if gain < MORE:

@@ -39,6 +39,20 @@ class Courses:
     _spectra: dict[_Key, tuple[Single, ...]] = field(default_factory=dict)
     _bytes: int = 0
 
+    def hearing(self, signals: Signals) -> "Courses":
+        """The same for another predicted orbit: what follows from the setpoints alone is kept."""
+        kept = Courses(signals, self.transform, self._laws, self._grids)
+        driven = {
+            id(law)
+            for laws in self._laws.values()
+            for law in laws
+            if isinstance(law, DeviceLaw) and law.driven
+        }
+        for key, spectra in self._spectra.items():
+            if key[0] in driven:
+                kept._keep(key, spectra)
+        return kept
+
     def laws(self, kind: EffectKind) -> Sequence[Law]:
         """The laws of an effect."""
         if kind.id not in self._laws:

@@ -192,6 +192,20 @@ class Workspace:
         shares, _ = fitted_scales(self.blocks, terms, given)
         return replace(self, shares=tuple(shares))
 
+    def hearing(self, field: Matrix) -> "Workspace":
+        """Predict the orbit anew, readings being wrong by a field, and forget what laws made of it.
+
+        Args:
+            field: Spectrum of what BPMs add to the readings, shape (T, n) [m].
+        """
+        record = self.signals.record
+        modelled = record.setpoints @ record.layout.response.T
+        added = self.transform.summed(field)
+        residual = record.readings - modelled - added
+        orbit = predicted(residual, self.noise, self.transform) + modelled
+        signals = replace(self.signals, orbit=orbit)
+        return replace(self, signals=signals, courses=self.courses.hearing(signals))
+
     def explaining(self, spectrum: Matrix) -> "Workspace":
         """Accept what a cause adds to the readings."""
         return replace(self, explained=self.explained + spectrum)

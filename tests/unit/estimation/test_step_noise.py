@@ -147,3 +147,14 @@ def test_the_floor_is_found_where_the_walk_is_small() -> None:
 def test_a_floor_that_cannot_be_told_says_why(steps: np.ndarray, said: str) -> None:
     with pytest.raises(EstimationError, match=said):
         first_noise(steps, np.eye(3))
+
+
+def test_courses_come_back_from_their_spectrum() -> None:
+    rng = np.random.default_rng(9)
+    starts = np.zeros(90, dtype=np.bool_)
+    starts[[0, 40]] = True
+    transform = StepTransform.of(starts)
+    courses = rng.standard_normal((90, 2)).cumsum(axis=0)
+    back = transform.summed(transform.spectrum(courses))
+    assert back[:40] == pytest.approx(courses[:40] - courses[0])
+    assert back[40:] == pytest.approx(courses[40:] - courses[40])

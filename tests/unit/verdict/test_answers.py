@@ -55,6 +55,11 @@ def stuck_late(currents: Matrix) -> Matrix:
     return kicked
 
 
+def cubic(orbit: Matrix) -> Matrix:
+    """Every BPM reads the less, the further out the beam is."""
+    return 4e-6 * np.tanh(orbit / 4e-6)
+
+
 @pytest.mark.parametrize("seed", [21, 22])
 def test_a_healthy_record_has_no_gap(seed: int) -> None:
     found = answer(make_record(seed))
@@ -101,6 +106,15 @@ def test_a_corrector_that_sticks_late_is_told_with_the_time() -> None:
     assert first.places == ("C9",)
     assert first.effect == "corrector-stuck" or "corrector-stuck" in first.alternatives
     assert first.onset_s == pytest.approx(40.0, abs=2.0)
+
+
+def test_bpms_that_are_not_linear_are_one_cause_and_hardly_anything_is_left() -> None:
+    """What the BPMs make of the orbit is told from the orbit, not from what they read."""
+    found = answer(make_record(29, sensed=cubic, gain=0.1))
+    first, *others = found.causes
+    assert first.effect == "bpm-nonlinearity"
+    rest = sum(one.drop_one_nats or 0.0 for one in others)
+    assert rest < 0.05 * (first.drop_one_nats or 0.0)  # a tangent is not quite a cubic
 
 
 def test_probabilities_of_effects_and_of_none_are_one_together() -> None:
