@@ -123,7 +123,7 @@ class Dither:
             aim = amplitude * self._random.standard_normal(m)
         else:
             aim = amplitude * (2.0 * self._random.integers(0, 2, m) - 1.0)
-        return self._movable * aim
+        return np.asarray(self._movable * aim, dtype=np.float64)
 
     def settle(self, change: Vector) -> None:
         """Note the part of a proposed change that was written, shape (m,) [A].

@@ -81,7 +81,8 @@ class Inquiry:
         if size == 0 or answering.ring is None or answering.expected is None:
             return None
         ring = answering.ring
-        signs: Vector = 2.0 * self._random.integers(0, 2, ring.patterns.shape[1]) - 1.0
+        drawn = self._random.integers(0, 2, len(ring.patterns.T))
+        signs = np.asarray(2.0 * drawn - 1.0, dtype=np.float64)
         excursion: Vector = ring.patterns @ (size * signs)
         still = answering.expected.still
         self._asked = Question(size, excursion, ring.response @ excursion, still)

@@ -205,7 +205,7 @@ def look(seen: Seen, memory: Answering, settings: InterlockSettings) -> tuple[Fo
     """
     memory, ring = _prepared(seen, memory)
     expected = memory.expected
-    n, m = seen.response.shape
+    n, m = len(seen.position), len(seen.response.T)
     valid = seen.valid & np.isfinite(seen.position)
     if expected is None:
         position = np.where(valid, seen.position, 0.0)
@@ -280,7 +280,7 @@ def _prepared(seen: Seen, memory: Answering) -> tuple[Answering, Ring]:
     expected = memory.expected
     if expected is not None and expected.model.shape != seen.position.shape:
         memory = Answering(found=memory.found)
-    n, m = seen.response.shape
+    n, m = len(seen.position), len(seen.response.T)
     session = None
     if memory.session is not None:
         session = memory.session.anew(n, m)
