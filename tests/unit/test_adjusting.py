@@ -1,7 +1,7 @@
 """Commands that adjust the loop, and what of it is there after a restart."""
 
 import json
-import threading
+import time
 from pathlib import Path
 from typing import Any, cast
 
@@ -51,9 +51,8 @@ class Bench:
         self.counting, self.movable = np.ones(N, dtype=bool), np.ones(M, dtype=bool)
         self.counting[5] = self.movable[6] = False
         base = Base(CHANNELS, self.counting, self.movable, PanelSettings(), directory)
-        self.late = threading.Event()
         self.adjuster = Adjuster(
-            base, cast(Any, self.runner), self.slot, self.dither, self.late.set, every=0.01
+            base, cast(Any, self.runner), self.slot, self.dither, lambda: None, every=0.01
         )
 
     def __call__(self, command: str, **arguments: object) -> Any:
@@ -223,7 +222,9 @@ def test_what_was_set_while_the_disk_was_full_is_saved_as_soon_as_there_is_room(
     bench("gain", plane="x", value=0.5)
     bench("enable-correctors", enabled=disabled)
     (tmp_path / f".{FILE}.part").rmdir()  # there is room; no further command comes
-    assert bench.late.wait(10)
+    patience = time.monotonic() + 10.0
+    while bench.adjuster.unsaved and time.monotonic() < patience:
+        time.sleep(0.01)
     assert not bench.adjuster.unsaved
     after = Bench(tmp_path)
     assert after.adjuster.restore()
