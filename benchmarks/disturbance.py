@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from orbitfb.config import AppConfig
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.signals import LoopState
 from orbitfb.core.transitions import Transitions

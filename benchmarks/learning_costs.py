@@ -23,15 +23,15 @@ from orbitfb.learn.learner import Learner  # noqa: E402
 from orbitfb.learn.settings import LearnSettings  # noqa: E402
 from orbitfb.models.identify import Identifier  # noqa: E402
 from orbitfb.models.naive import naive_least_squares  # noqa: E402
-from orbitfb.models.recursive import RecursiveResponse  # noqa: E402
-from orbitfb.models.recursive_settings import RecursiveSettings  # noqa: E402
+from orbitfb.models.recursive.estimate import RecursiveResponse  # noqa: E402
+from orbitfb.models.recursive.settings import RecursiveSettings  # noqa: E402
 from orbitfb.models.rows import select_rows  # noqa: E402
 from orbitfb.physics.places import Ring  # noqa: E402
 from orbitfb.physics.plant import Plant, PlantSettings  # noqa: E402
 from orbitfb.policies.embedding import embed, reembed  # noqa: E402
-from orbitfb.policies.fine_tune import fine_tune  # noqa: E402
 from orbitfb.policies.modal import ModalPolicy, ModalSettings  # noqa: E402
 from orbitfb.policies.settings import PolicySettings  # noqa: E402
+from orbitfb.policies.training.fine_tune import fine_tune  # noqa: E402
 
 
 def median_of(work: Callable[[], object], repeats: int) -> float:

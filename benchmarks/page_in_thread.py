@@ -6,9 +6,9 @@ import threading
 from contextlib import ExitStack
 from typing import Any
 
-import orbitfb.doors
+import orbitfb.app.service.interfaces
 from orbitfb.cli.app import main
-from orbitfb.config import AppConfig
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.signals import Channels
 from orbitfb.page.job import PageJob, PageLayout
 from orbitfb.page.server import serve
@@ -39,5 +39,5 @@ class PageInThread:
 
 
 if __name__ == "__main__":
-    setattr(orbitfb.doors, "OwnPage", PageInThread)  # noqa: B010 - another class on purpose
+    setattr(orbitfb.app.service.interfaces, "PageProcess", PageInThread)  # noqa: B010 - another class on purpose
     sys.exit(main())

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from orbitfb.config import TrainSettings
+from orbitfb.config.tree import TrainSettings
 from orbitfb.evaluate.compare import NEAR
 from orbitfb.evaluate.simulate import ClosedLoop
 from orbitfb.physics.places import Ring
@@ -23,10 +23,10 @@ from orbitfb.physics.plant import Plant, PlantSettings
 from orbitfb.physics.response import response
 from orbitfb.policies.embedding import embed
 from orbitfb.policies.modal import ModalPolicy, ModalSettings
-from orbitfb.policies.supervised import train_supervised
-from orbitfb.policies.supervised_settings import SupervisedSettings
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
-from orbitfb.policies.trajectory import train_trajectory
+from orbitfb.policies.training.supervised import train_supervised
+from orbitfb.policies.training.supervised_settings import SupervisedSettings
+from orbitfb.policies.training.trajectory import train_trajectory
 
 ROOT = Path(__file__).parents[1]
 PAGES = ROOT / "docs/explanations/policies"

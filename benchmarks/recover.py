@@ -24,17 +24,17 @@ from orbitfb.diagnose.scan import Scanner
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.strike_scan import latent_candidates
 from orbitfb.diagnose.tournament import tournament
-from orbitfb.effects.bpm_current import CHANNEL, top_up_current
 from orbitfb.effects.build import Since, layout_of
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind, Values
-from orbitfb.effects.layout import Layout
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
+from orbitfb.effects.sensors.bpm_current import CHANNEL, top_up_current
 from orbitfb.physics.effect import generator
 from orbitfb.physics.places import Indices, Planes, Ring
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 SETTLE = 200
 PERIOD = 0.1

@@ -105,7 +105,7 @@ def _base_environment(port: int) -> dict[str, str]:
 
 
 def _free_port() -> int:
-    from orbitfb.sim.listening import claim
+    from orbitfb.sim.access.listening import claim
 
     sockets = claim("127.0.0.1", 0)
     sockets.close()

@@ -5,19 +5,19 @@ from pathlib import Path
 
 import numpy as np
 
-from orbitfb.config import AppConfig
+from orbitfb.app.setup.stored_policies import trainer
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.ports import Clock, Subscriber
 from orbitfb.core.signals import Channels
 from orbitfb.history.archive import ArchiveWriter
 from orbitfb.history.buffer import History
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.maintenance import trainer
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
 from orbitfb.observe.logs import configure_logs
-from orbitfb.observe.metrics import metrics_registry
-from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.observe.metrics.collector import metrics_registry
+from orbitfb.observe.statistics.running import LoopStatistics
 
 
 class Surroundings:

@@ -16,16 +16,16 @@ import typer
 from pydantic.fields import FieldInfo
 
 from orbitfb.cli.app import app
-from orbitfb.config import AppConfig
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState
 from orbitfb.diagnose.answer import schema as diagnosis_schema
 from orbitfb.diagnose.answer_page import answer_page
 from orbitfb.effects.pages import effect_page, effects_index
 from orbitfb.effects.registry import all_effects
-from orbitfb.loop.faults import faults_markdown
+from orbitfb.loop.fault_table.table import faults_markdown
 from orbitfb.loop.states import COMMANDS, TABLE, Event
-from orbitfb.observe.metrics_table import metrics_table_markdown
+from orbitfb.observe.metrics.reference import metrics_table_markdown
 from orbitfb.panel.pv_docs import panel_table_markdown
 from orbitfb.panel.pv_table import Extent
 from orbitfb.panel.settings import PanelSettings

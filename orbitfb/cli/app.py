@@ -8,17 +8,17 @@ from typing import Annotated
 import typer
 
 from orbitfb import __version__
-from orbitfb.cli.agent import evaluate_agent_command
 from orbitfb.cli.config import config
-from orbitfb.cli.diagnose import diagnose
-from orbitfb.cli.diagnose_plan import diagnose_plan
+from orbitfb.cli.diagnosis.diagnose import diagnose
+from orbitfb.cli.diagnosis.plan import diagnose_plan
 from orbitfb.cli.doctor import doctor
 from orbitfb.cli.effects import effects
-from orbitfb.cli.evaluate import evaluate
+from orbitfb.cli.evaluation.agent import evaluate_agent_command
+from orbitfb.cli.evaluation.evaluate import evaluate
+from orbitfb.cli.evaluation.kick import evaluate_kick_command
 from orbitfb.cli.exporting import exporting
 from orbitfb.cli.health import health
 from orbitfb.cli.importing import importing
-from orbitfb.cli.kick import evaluate_kick_command
 from orbitfb.cli.measure import measure_response_command
 from orbitfb.cli.policies import policies
 from orbitfb.cli.postmortem import postmortem

@@ -17,7 +17,7 @@ config = typer.Typer(help="Print and check the configuration.", no_args_is_help=
 @config.command("show")
 def configshow(config_file: ConfigFile = None) -> None:
     """Print the configuration in force as TOML, each key with its meaning."""
-    from orbitfb.config_text import to_toml
+    from orbitfb.config.text import to_toml
 
     print(to_toml(configure(config_file)))
 
@@ -25,8 +25,8 @@ def configshow(config_file: ConfigFile = None) -> None:
 @config.command("check")
 def config_check(path: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
     """Say whether a configuration file is good, with the files that it names."""
-    from orbitfb.doors import check_panel
-    from orbitfb.maintenance import baseline, check_policy
+    from orbitfb.app.service.interfaces import check_panel
+    from orbitfb.app.setup.stored_policies import baseline, check_policy
     from orbitfb.measure.response_file import nominal_response
     from orbitfb.policies.masking import mask_of
 
@@ -43,6 +43,6 @@ def config_check(path: Annotated[Path, typer.Argument(help="Configuration file (
 @config.command("schema")
 def config_schema() -> None:
     """Print the JSON schema of the configuration."""
-    from orbitfb.config import AppConfig
+    from orbitfb.config.tree import AppConfig
 
     print(json.dumps(AppConfig.model_json_schema(), indent=2))

@@ -34,15 +34,15 @@ def doctor(
 
     Nothing is written to any PV.
     """
-    from orbitfb import tabulate
+    from orbitfb.app.doctor.examine import examine
+    from orbitfb.app.doctor.finding import as_answer, as_text, healthy
+    from orbitfb.cli import text
     from orbitfb.core.errors import ConfigError
-    from orbitfb.doctor.examine import examine
-    from orbitfb.doctor.finding import as_answer, as_text, healthy
 
     if not 0 < deadline <= 3600:
         raise ConfigError(f"--deadline {deadline:g}: give seconds above 0, at most 3600")
     options = {"data_directory": data, "ring.planes": planes}
     found = examine(config_file, options, ioc, live, deadline)
-    print(tabulate.as_json(as_answer(found)) if as_json else as_text(found))
+    print(text.as_json(as_answer(found)) if as_json else as_text(found))
     if not healthy(found):
         raise typer.Exit(1)

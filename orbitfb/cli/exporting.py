@@ -31,8 +31,8 @@ def export_response_command(
     as_json: AsJson = False,
 ) -> None:
     """Write a response matrix, its names and its unit for other programs."""
-    from orbitfb import maintenance
-    from orbitfb.exchange.response_out import (
+    from orbitfb.app.setup import stored_policies
+    from orbitfb.exchange.response.export import (
         export_response,
         response_of_file,
         response_of_policy,
@@ -43,7 +43,7 @@ def export_response_command(
     if origin is not None and (origin.endswith(".safetensors") or Path(origin).is_file()):
         exported = response_of_file(Path(origin), channels)
     else:
-        exported = response_of_policy(maintenance.open_store(settings), origin, channels)
+        exported = response_of_policy(stored_policies.open_store(settings), origin, channels)
     show(export_response(exported, channels, out), as_json)
 
 
@@ -70,7 +70,7 @@ def export_archive_command(
 
     if find_spec("pyarrow") is None:
         raise ConfigError("Parquet needs the extra 'parquet': pip install 'orbitfb[parquet]'")
-    from orbitfb.exchange.archive_out import export_archive
+    from orbitfb.exchange.orbits.parquet import export_archive
 
     settings = configure(config_file, data_directory=data)
     source = archive or settings.data_directory / "archive"

@@ -77,8 +77,8 @@ def import_response_command(
     as_json: AsJson = False,
 ) -> None:
     """Take a response matrix that was measured elsewhere; exit code 1: something in it is bad."""
-    from orbitfb.exchange.response_in import import_response
-    from orbitfb.exchange.response_parts import ResponseRequest
+    from orbitfb.exchange.response.parts import ResponseRequest
+    from orbitfb.exchange.response.reading import import_response
 
     settings = configure(
         config_file, ring__planes=planes, ring__places=places, ring__parameters=ring
@@ -151,8 +151,8 @@ def import_history_command(
 ) -> None:
     """Take an orbit history from elsewhere, as a record for `orbitfb diagnose`."""
     from orbitfb.core.errors import ConfigError
-    from orbitfb.exchange.history import write_history
-    from orbitfb.exchange.history_in import HistoryRequest, read_history
+    from orbitfb.exchange.orbits.history import write_history
+    from orbitfb.exchange.orbits.reading import HistoryRequest, read_history
 
     for option, value in (("tolerance", tolerance), ("hold", hold), ("period", period)):
         if value is not None and not 0 < value < 1e9:

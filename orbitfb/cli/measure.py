@@ -86,9 +86,9 @@ def measure_response_command(
     as_json: AsJson = False,
 ) -> None:
     """Measure the response matrix around the present setpoints, and put them back."""
+    from orbitfb.app.measure.command import MeasureRequest, measure_response
+    from orbitfb.app.measure.stopping import StopRequests
     from orbitfb.core.errors import ConfigError, StoppedError
-    from orbitfb.measuring.command import MeasureRequest, measure_response
-    from orbitfb.measuring.stopping import StopRequests
 
     if restore and leave:
         raise ConfigError(

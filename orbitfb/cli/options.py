@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 if TYPE_CHECKING:
-    from orbitfb.config import AppConfig
+    from orbitfb.config.tree import AppConfig
     from orbitfb.core.settings import Settings
     from orbitfb.physics import places as physics_places
 
@@ -85,7 +85,7 @@ def configure(path: Path | None, effects_file: Path | None = None, **options: An
     Raises:
         ConfigError: The configuration is wrong, or the effects of the file are not of its ring.
     """
-    from orbitfb.config import load_config
+    from orbitfb.config.tree import load_config
 
     settings = load_config(
         path, {name.replace("__", "."): value for name, value in options.items()}
@@ -217,6 +217,6 @@ def pairs(values: list[str]) -> dict[str, Any]:
 
 def show(answer: dict[str, Any], as_json: bool) -> None:
     """Print an answer, for people or as JSON."""
-    from orbitfb import tabulate
+    from orbitfb.cli import text as tabulate
 
     print(tabulate.as_json(answer) if as_json else tabulate.as_text(answer))

@@ -36,7 +36,7 @@ def policies_list(
     config_file: ConfigFile = None, data: DataDirectory = None, as_json: AsJson = False
 ) -> None:
     """List the stored policies; the active one is starred."""
-    from orbitfb.maintenance import list_policies
+    from orbitfb.app.setup.stored_policies import list_policies
 
     rows = list_policies(configure(config_file, data_directory=data))
     if as_json:
@@ -62,7 +62,7 @@ def policiesshow(
     data: DataDirectory = None,
 ) -> None:
     """Print the card of a policy."""
-    from orbitfb.maintenance import show_policy
+    from orbitfb.app.setup.stored_policies import show_policy
 
     print(json.dumps(show_policy(configure(config_file, data_directory=data), policy), indent=2))
 
@@ -76,7 +76,7 @@ def policies_activate(
     force: Force = False,
 ) -> None:
     """Make a policy the active one, in the running service too if there is one."""
-    from orbitfb.maintenance import activate_policy
+    from orbitfb.app.setup.stored_policies import activate_policy
 
     settings = configure(config_file, data_directory=data, ring__planes=planes)
     show(activate_policy(settings, policy, force), as_json=False)
@@ -90,7 +90,7 @@ def policies_rollback(
     force: Force = False,
 ) -> None:
     """Go back to the policy that was active before; those that failed are passed over."""
-    from orbitfb.maintenance import activate_policy
+    from orbitfb.app.setup.stored_policies import activate_policy
 
     settings = configure(config_file, data_directory=data, ring__planes=planes)
     show(activate_policy(settings, None, force), as_json=False)
@@ -119,7 +119,7 @@ def policies_compare(
 
     The simulated ring is that of the configuration (`plant`); a drift takes the whole run.
     """
-    from orbitfb import maintenance
+    from orbitfb.app.setup import stored_policies
     from orbitfb.core.ports import Policy
     from orbitfb.evaluate.compare import CompareSettings, as_rows, as_table, compare
     from orbitfb.policies.masking import MaskedPolicy, mask_of
@@ -148,7 +148,7 @@ def policies_compare(
     ring = config.ring.load()
     channels = ring.channels(config.ring.planes)
     valid, movable = mask_of(channels, config.masks)
-    store = maintenance.open_store(config)
+    store = stored_policies.open_store(config)
     active = store.active()
     compared: dict[str, Policy] = {}
     for policy_id in ids or ([active] if active else []):
@@ -157,7 +157,7 @@ def policies_compare(
             policy if movable.all() else MaskedPolicy(policy, policy.response, movable)
         )
     if not no_baseline:
-        first = maintenance.baseline(config, ring, lambda line: print(line, file=sys.stderr))
+        first = stored_policies.baseline(config, ring, lambda line: print(line, file=sys.stderr))
         compared.setdefault(first.policy_id, first)
     rows = compare(compared, settings, ring, valid, lambda line: print(line, file=sys.stderr))
     print(json.dumps(as_rows(rows), indent=2) if as_json else as_table(rows))

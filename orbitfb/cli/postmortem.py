@@ -38,10 +38,10 @@ def postmortem(
     if file is None:
         _list(directory, as_json)
         return
+    from orbitfb.cli.text import as_json as json_of
     from orbitfb.postmortem.page import write_page
     from orbitfb.postmortem.reading import read_postmortem
     from orbitfb.postmortem.story import lines, story_of, values
-    from orbitfb.tabulate import as_json as json_of
 
     story = story_of(read_postmortem(_chosen(file, directory)), last)
     target = out or Path(f"{story.its.path.stem}.html")
@@ -70,11 +70,11 @@ def _chosen(file: Path, directory: Path) -> Path:
 
 
 def _list(directory: Path, as_json: bool) -> None:
+    from orbitfb.cli.text import as_json as json_of
     from orbitfb.core.errors import RecordError
     from orbitfb.postmortem.opening import number_of, read_about, text_of
     from orbitfb.postmortem.shelf import stored
     from orbitfb.postmortem.story import time_text
-    from orbitfb.tabulate import as_json as json_of
 
     entries: list[dict[str, Any]] = []
     for path in stored(directory):

@@ -71,9 +71,9 @@ def run(
     ] = False,
 ) -> None:
     """Close the loop: read the orbit, correct it, learn from it."""
+    from orbitfb.app.service.run import run_service
+    from orbitfb.app.setup.startup import SIMULATED
     from orbitfb.core.errors import ConfigError
-    from orbitfb.service import run_service
-    from orbitfb.startup import SIMULATED
 
     chosen = chosen_effects(effect, effects)
     if chosen is not None and ioc != SIMULATED:
@@ -135,7 +135,7 @@ def ioc(
     ] = None,
 ) -> None:
     """Serve the simulated ring as a soft IOC until Ctrl-C."""
-    from orbitfb.maintenance import sim_job
+    from orbitfb.app.setup.stored_policies import sim_job
     from orbitfb.sim.process import run_job
 
     settings = configure(
@@ -177,7 +177,7 @@ def refit(
     as_json: AsJson = False,
 ) -> None:
     """Identify the response matrix anew, judge the policy built on it, print the decision."""
-    from orbitfb.maintenance import refit_offline, refit_online
+    from orbitfb.app.setup.stored_policies import refit_offline, refit_online
 
     settings = configure(config_file, data_directory=data, ring__planes=planes, policy__kind=policy)
     report = (
@@ -210,8 +210,8 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Command the running service."""
-    from orbitfb.commands import check_request
-    from orbitfb.control import ask
+    from orbitfb.app.commands.dispatch import check_request
+    from orbitfb.control.socket import ask
 
     request = {**pairs(values or []), "command": name}
     check_request(request)

@@ -20,7 +20,7 @@ from orbitfb.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from orbitfb.training.request import Progress
+    from orbitfb.app.train.request import Progress
 
 
 def train(
@@ -77,9 +77,9 @@ def train(
     as_json: AsJson = False,
 ) -> None:
     """Train a policy or a model and store it; Ctrl-C keeps what is done for the next time."""
-    from orbitfb.training.model import train_model
-    from orbitfb.training.policy import train_policy
-    from orbitfb.training.request import FORWARD, TrainingRequest
+    from orbitfb.app.train.forward_model import train_model
+    from orbitfb.app.train.policy import train_policy
+    from orbitfb.app.train.request import FORWARD, TrainingRequest
 
     settings = configure(
         config_file,

@@ -10,7 +10,7 @@ from orbitfb.core.gap import GapSight
 from orbitfb.core.transitions import Transitions
 from orbitfb.diagnose.live import Look
 from orbitfb.diagnose.watch import look, record_of
-from orbitfb.effects.layout import Layout
+from orbitfb.records.layout import Layout
 
 _NICE = 19
 

@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
-from orbitfb.core.bounded import LARGEST_DIAGNOSIS, read_bytes
 from orbitfb.core.errors import RecordError
+from orbitfb.core.files.bounded import LARGEST_DIAGNOSIS, read_bytes
 from orbitfb.diagnose.answer_blocks import (
     AmbiguousSet,
     Audit,

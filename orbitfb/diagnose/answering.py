@@ -21,9 +21,9 @@ from orbitfb.diagnose.search import Outcome
 from orbitfb.diagnose.worth import Worths
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.layout import Layout
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import NoiseKind
+from orbitfb.records.layout import Layout
 
 
 def named_causes(

@@ -17,9 +17,9 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.bent import Bent
 from orbitfb.diagnose.healing import Errors, Preconditioner, Single
 from orbitfb.diagnose.innovation import NoiseFloor
-from orbitfb.effects.layout import ChannelPlane, Layout
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import plane_row
+from orbitfb.records.layout import ChannelPlane, Layout
 
 GAIN_RMS = 0.01
 """Scatter of the gains of BPMs and correctors that is taken as healthy [1]."""

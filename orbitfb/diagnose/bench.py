@@ -22,8 +22,8 @@ from orbitfb.diagnose.quick import Quick, Single
 from orbitfb.diagnose.standing import FreeSteps, stretches_across
 from orbitfb.diagnose.uneven import uneven
 from orbitfb.diagnose.unread import owed_for_unread
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 _PASSES = 2
 _FEW_LEVELS = 4

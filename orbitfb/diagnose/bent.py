@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from orbitfb.effects.layout import ChannelPlane, HealthyErrors, Layout
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix, green
+from orbitfb.records.layout import ChannelPlane, HealthyErrors, Layout
+from orbitfb.records.record import Record
 
 
 class Bent:

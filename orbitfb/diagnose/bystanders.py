@@ -10,7 +10,7 @@ from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.device_groups import groups_of
 from orbitfb.diagnose.explain import Cause, actuated, restored
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
-from orbitfb.effects.layout import Devices, Layout
+from orbitfb.records.layout import Devices, Layout
 
 _MOST = 40
 """Members up to which each is left out in turn: of a longer run a few more say little."""

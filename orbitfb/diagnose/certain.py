@@ -12,12 +12,12 @@ from orbitfb.diagnose.integrity_repeats import HELD, shared_repeats
 from orbitfb.diagnose.naming import devices_and_planes
 from orbitfb.diagnose.tournament import Shown
 from orbitfb.effects.device_kinds import PairKind
-from orbitfb.effects.insertion_device import gaps_of, is_gap
+from orbitfb.effects.disturbances.insertion_device import gaps_of, is_gap
 from orbitfb.effects.kinds import Stage
-from orbitfb.effects.layout import Layout
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 _CERTAIN = ("bpm-stuck", "missed-read")
 """Taken out of the record."""

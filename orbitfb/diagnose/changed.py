@@ -9,9 +9,9 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.explain import Cause, actuated, added, adds, explain, restored
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)

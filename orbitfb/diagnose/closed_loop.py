@@ -23,8 +23,8 @@ from orbitfb.diagnose.loop_law import linear_law, reference_of
 from orbitfb.diagnose.loop_run import Runs, effects_of, run_loop
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.random_kinds import NoiseKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 _RUNS = 4
 _NINETY = 0.95

@@ -8,7 +8,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.effects.random_kinds import NoiseKind
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 
 _MOST = 0.25
 """Share of the BPMs beyond which what is left is no record."""

@@ -9,7 +9,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.detectable_random import ENOUGH
 from orbitfb.effects.kinds import EffectKind, Parameter, Values
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 
 _STEPS = 14
 _STEPS_OF_RING = 5

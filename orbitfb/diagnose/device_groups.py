@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbitfb.effects.layout import Devices
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Devices
 
 _RACK = 8
 """Neighbouring devices that may share a rack which does not begin with a cell."""

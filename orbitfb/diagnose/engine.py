@@ -25,8 +25,8 @@ from orbitfb.diagnose.rounds import CLOSE, LIKELY, SURE
 from orbitfb.diagnose.search import Outcome, search
 from orbitfb.diagnose.shrink import put_aside
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
+from orbitfb.records.record import Record
 
 _SCREENED = ("bpm-stuck", "missed-read")
 """Effects that leave exact repeats: the integrity screen is certain of them, or they are not."""

@@ -10,8 +10,8 @@ from orbitfb.effects.change import source_change
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,9 +10,9 @@ from orbitfb.diagnose.gap_parts import band_edges
 from orbitfb.diagnose.ladder import Ladder
 from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.surplus import Surplus
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.record import Record
 
 _LAGS = 8
 _NINETY = 1.645

@@ -8,7 +8,7 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.answer_parts import Binning, GapPiece
 from orbitfb.diagnose.blocks import Draws, interval
 from orbitfb.diagnose.surplus import Surplus
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 
 _WINDOWS = 10
 _SLOWEST = 1.0 / 256.0

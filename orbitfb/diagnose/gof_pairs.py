@@ -9,8 +9,8 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.answer_blocks import GoodnessTest
 from orbitfb.diagnose.device_groups import Group, groups_of
 from orbitfb.diagnose.naming import column_names
-from orbitfb.effects.layout import Devices
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.layout import Devices
 
 NAME = "correlation of BPMs"
 _TOLERATED = 0.02

@@ -8,7 +8,7 @@ from scipy import stats
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.answer_blocks import GoodnessTest
 from orbitfb.diagnose.bench import Bench
-from orbitfb.effects.bpm_current import CHANNEL
+from orbitfb.effects.sensors.bpm_current import CHANNEL
 
 CURRENT = "orbit that follows the stored current"
 CHANNELS = "orbit that follows a slow channel"

@@ -18,8 +18,8 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.floor import estimate_floor
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.noise_modes import GROUNDS, NoiseModes
-from orbitfb.effects.layout import Layout
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.layout import Layout
 
 _BANDS = 24
 """Bands of the spectrum, alike in the logarithm of the frequency."""

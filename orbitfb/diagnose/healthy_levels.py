@@ -14,8 +14,8 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.device_kinds import SensorKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 WITHIN, BETWEEN = 0.05, 0.1
 """Scatter of the logarithm of a healthy variance between times of a record, and between records."""

@@ -10,7 +10,7 @@ from orbitfb.diagnose.integrity_model import check_model, check_units
 from orbitfb.diagnose.integrity_readback import check_readback
 from orbitfb.diagnose.integrity_repeats import check_rails, check_repeats
 from orbitfb.diagnose.integrity_writes import check_clock, check_writes
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 
 
 def screen(record: Record) -> list[Finding]:

@@ -15,9 +15,9 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.integrity_order import check_order
 from orbitfb.diagnose.integrity_steps import SURE, Steps, few_turned, likelier, one_way, steps_of
-from orbitfb.effects.layout import Devices
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.layout import Devices
+from orbitfb.records.record import Record
 
 _EXPLAINED = 0.7
 _MOST = 0.8

@@ -5,9 +5,9 @@ import numpy as np
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.integrity_steps import Steps, steps_of
 from orbitfb.diagnose.load_names import Named, correlation, ring_block
-from orbitfb.effects.layout import ChannelPlane
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.layout import ChannelPlane
+from orbitfb.records.record import Record
 
 LARGEST_ORBIT = 0.05
 """No beam pipe lets an orbit of this rms pass [m]."""

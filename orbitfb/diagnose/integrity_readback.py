@@ -5,8 +5,8 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.finding import Finding, counted, listed
 from orbitfb.diagnose.integrity_steps import inner, runs
-from orbitfb.effects.record import Record
 from orbitfb.physics.places import Indices
+from orbitfb.records.record import Record
 
 _WINDOW = 50
 _STILL = 0.1

@@ -12,7 +12,7 @@ import numpy as np
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.finding import Finding, Severity, counted, listed
 from orbitfb.diagnose.integrity_steps import inner, runs
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 
 HELD = "held-readings"
 """Check that finds BPMs of which not every reading was recorded."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.record import Record
 
 SURE = 50.0
 """Log likelihood by which another sign, name or order must win."""

@@ -6,8 +6,8 @@ from orbitfb.core.signals import Mask
 from orbitfb.diagnose.finding import Finding, counted, listed
 from orbitfb.diagnose.integrity_actions import other_actions
 from orbitfb.diagnose.integrity_steps import inner
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 _RELATIVE = 1e-6
 _ABSOLUTE = 1e-10

@@ -19,7 +19,7 @@ from orbitfb.core.gap import GapSight
 from orbitfb.core.transitions import Transitions
 from orbitfb.diagnose.broken import Broken, Source, broken_at_sight
 from orbitfb.diagnose.settings import LiveSettings
-from orbitfb.effects.layout import Layout
+from orbitfb.records.layout import Layout
 
 SINGLE_THREADED = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"

@@ -12,9 +12,9 @@ from orbitfb.diagnose.load_hdf5 import is_segment, read_hdf5
 from orbitfb.diagnose.load_npz import read_npz
 from orbitfb.diagnose.load_raw import LARGEST_RECORD
 from orbitfb.diagnose.load_whole import Loaded, from_archive, from_arrays
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Planes, Ring
+from orbitfb.records.record import Record
 
 _HDF5 = (".h5", ".hdf5", ".hdf")
 

@@ -10,10 +10,10 @@ from orbitfb.core.errors import RecordError
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.digest import digest_of
 from orbitfb.diagnose.finding import Finding, counted
-from orbitfb.effects.layout import Layout
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 FEWEST_ROWS = 30
 """Fewest transitions of which anything can be said."""

@@ -21,10 +21,10 @@ from orbitfb.diagnose.load_names import (
 )
 from orbitfb.diagnose.load_raw import Raw
 from orbitfb.diagnose.load_rows import Transition, join
-from orbitfb.effects.layout import ChannelPlane, Layout
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Planes, Ring
+from orbitfb.records.layout import ChannelPlane, Layout
+from orbitfb.records.record import Record
 
 MOST_INVALID = 0.05
 """Share of its readings that a BPM may lack; with more it is left out [1]."""

@@ -3,8 +3,8 @@
 import numpy as np
 
 from orbitfb.core.signals import Mask
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 _FOLLOWS = 0.98
 """Share of the variance of the requested changes that a linear law must explain."""

@@ -13,11 +13,11 @@ from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.loop_law import reference_of
 from orbitfb.effects.build import Since
 from orbitfb.effects.device_kinds import PairKind
-from orbitfb.effects.layout import Layout
-from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect, generator
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 _BROKEN = 1e-2
 """Orbit at which a simulated loop counts as lost [m]."""

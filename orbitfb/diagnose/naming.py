@@ -6,9 +6,9 @@ import numpy as np
 
 from orbitfb.diagnose.answer_blocks import Geometry
 from orbitfb.diagnose.answer_parts import Cause
-from orbitfb.effects.layout import Devices, Layout
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Planes
+from orbitfb.records.layout import Devices, Layout
 
 
 def column_names(devices: Devices) -> tuple[str, ...]:

@@ -1,11 +1,11 @@
 """The other competitor of every cause: the forward net, fitted to the same ticks.
 
 The net adds to R what it finds in the readings and changes of the ticks of the fit, whatever it
-is: a black box that may be nonlinear (`orbitfb.models.forward`). It learns innovations, so it is
-consistent in closed loop; it is judged on a later record like the causes. It learns from the first
-four fifths of these ticks; the last fifth tells how much of its answer is to be believed, so that
-one that has learnt the noise is taken for what it is worth. Its size and the steps of its training
-are fixed by the size of the record: the same record gives the same net.
+is: a black box that may be nonlinear (`orbitfb.models.forward.fit`). It learns innovations, so it
+is consistent in closed loop; it is judged on a later record like the causes. It learns from the
+first four fifths of these ticks; the last fifth tells how much of its answer is to be believed, so
+that one that has learnt the noise is taken for what it is worth. Its size and the steps of its
+training are fixed by the size of the record: the same record gives the same net.
 """
 
 from dataclasses import dataclass, replace
@@ -16,11 +16,11 @@ import numpy as np
 from orbitfb.core.errors import EstimationError, TrainingError
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.replay import NOMINAL, Model, Replay
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 if TYPE_CHECKING:
-    from orbitfb.models.forward_net import ForwardNet
+    from orbitfb.models.forward.net import ForwardNet
     from orbitfb.models.rows import Rows
 
 _WINDOW = 64
@@ -84,8 +84,8 @@ def fitted_net(bench: Bench, seed: int = 0) -> NetCompetitor:
     if rows < _LEAST_ROWS:
         return NetCompetitor(None, f"not fitted: {rows} ticks to learn from, {_LEAST_ROWS} needed")
     try:
-        from orbitfb.models.forward import train_forward
-        from orbitfb.models.forward_settings import ForwardSettings
+        from orbitfb.models.forward.fit import train_forward
+        from orbitfb.models.forward.settings import ForwardSettings
     except ImportError as error:
         return NetCompetitor(None, f"not fitted: {error}")
     n, m = whole.layout.response.shape

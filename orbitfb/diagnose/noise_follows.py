@@ -18,10 +18,10 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.noise_spectra import places_struck
-from orbitfb.effects.layout import Devices
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Devices
 
 _FEW_BPMS = 6
 """BPMs that are looked at, at most."""

@@ -7,9 +7,9 @@ from typing import Literal, get_args
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.layout import Layout
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Ring
+from orbitfb.records.layout import Layout
 
 Ground = Literal["alone", "girders", "cells", "diffusion", "from the first place", "round"]
 """How quadrupoles move: each alone, with those within some metres, or as the ground diffuses along

@@ -13,8 +13,8 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.free import beyond
 from orbitfb.diagnose.healthy_search import HealthySearch
 from orbitfb.diagnose.quick import Quick
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 _SOLVED = 0.1
 """Gain of a step of the errors below which they are the best [nats]."""

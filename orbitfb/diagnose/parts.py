@@ -28,7 +28,7 @@ from orbitfb.diagnose.wording import headline
 from orbitfb.diagnose.worth import Gains, Worths, waterfall
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 
 _RIVALS = 4
 _PLANNED = 3

@@ -32,7 +32,7 @@ from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 from orbitfb.safety.limits import LimitSettings
 
 DEFAULT_MINUTES = 10.0

@@ -11,7 +11,7 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.plan_candidates import Limits, Proposal
 from orbitfb.diagnose.plan_file import Plan
 from orbitfb.diagnose.wording import quantity
-from orbitfb.effects.layout import Layout
+from orbitfb.records.layout import Layout
 
 ENOUGH = 30.0
 """Expected separation [nats]: its scatter is √(2 · 30), so 99 runs in 100 end above 12 nats, of

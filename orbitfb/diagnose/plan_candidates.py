@@ -13,11 +13,11 @@ import numpy as np
 from orbitfb.core.signals import Channels, Vector
 from orbitfb.diagnose.explain import Cause
 from orbitfb.effects.device_kinds import PairKind
-from orbitfb.effects.layout import Layout
 from orbitfb.effects.random_kinds import NoiseKind
-from orbitfb.loop.excitation_design import ExcitationPart, ExcitationSettings, design
+from orbitfb.loop.excitation.design import ExcitationPart, ExcitationSettings, design
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
 from orbitfb.safety.limits import LimitSettings
 
 ORBIT_LIMIT = {"x": 10e-6, "y": 1e-6}

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from orbitfb.core.errors import EstimationError, RecordError
-from orbitfb.core.state_files import AS_USUAL
+from orbitfb.core.files.state import AS_USUAL
+from orbitfb.core.files.whole import replace_file
 from orbitfb.diagnose.answer_parts import Experiment
 from orbitfb.diagnose.plan_candidates import channels_of
-from orbitfb.effects.layout import Layout
-from orbitfb.loop.excitation import Waveform
-from orbitfb.loop.excitation_design import ExcitationSettings, design
-from orbitfb.policies.files import replace_file
+from orbitfb.loop.excitation.design import ExcitationSettings, design
+from orbitfb.loop.excitation.movement import Waveform
+from orbitfb.records.layout import Layout
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,8 +17,8 @@ from orbitfb.diagnose.healthy_search import HealthySearch
 from orbitfb.diagnose.quick import Quick
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 ROWS = 400
 """Rows that are simulated for a candidate."""

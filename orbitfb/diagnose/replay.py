@@ -16,8 +16,8 @@ from orbitfb.diagnose.fading import likeliest_steps
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.standing import first_kicks
 from orbitfb.effects.device_kinds import PairKind, SensorKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 _PASSES = 2
 _HEALTHY = 3.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.entry import Entry, profiled, refitted
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 
 _SCATTERS = (1.5, 2.0, 3.0)
 """Scatters that are tried, over the usual one."""

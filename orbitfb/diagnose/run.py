@@ -18,9 +18,9 @@ from orbitfb.diagnose.planes import check_planes
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
 from orbitfb.diagnose.wording import headline
-from orbitfb.effects.layout import Devices
-from orbitfb.effects.record import Record
 from orbitfb.physics.places import Planes, Ring
+from orbitfb.records.layout import Devices
+from orbitfb.records.record import Record
 
 _SAME_PERIOD = 0.1
 """Share by which the periods of two records may differ: what moves per tick goes with it."""

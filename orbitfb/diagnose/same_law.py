@@ -9,7 +9,7 @@ from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit
 from orbitfb.effects.device_kinds import ActuatorKind
-from orbitfb.effects.layout import Layout
+from orbitfb.records.layout import Layout
 
 _SAME = 0.02
 """Two fits leave the same when what they leave differs by less than this share of the gain."""

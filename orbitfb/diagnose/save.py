@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 
 _MM = 1e3
 _NAMES_OF_CHANNELS = {"current": "current", "rf_frequency": "rf"}

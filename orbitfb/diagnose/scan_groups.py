@@ -21,9 +21,9 @@ from orbitfb.diagnose.scan_changes import Changes
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind, Values
-from orbitfb.effects.layout import Layout
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
 
 PART = 64
 """Rows within which devices of a group hide as much of each other, whatever moves them."""

@@ -11,9 +11,9 @@ from orbitfb.diagnose.explain import Cause, restored
 from orbitfb.diagnose.scan_pair_onsets import leak_onsets, leaks, mixing_onsets, pair_onsets
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.effects.device_kinds import PairKind
-from orbitfb.effects.layout import Layout
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
 
 _LOOKED_AT = 24
 """Currents, and then pairs, of which it is found out what healthy errors leave."""

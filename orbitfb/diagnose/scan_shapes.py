@@ -18,10 +18,10 @@ from orbitfb.diagnose.quick import Single
 from orbitfb.diagnose.scan_changes import Changes, Shapes
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
 from orbitfb.effects.kinds import EffectKind, Values
-from orbitfb.effects.layout import ChannelPlane, Layout
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import ChannelPlane, Layout
 
 _PLANES: tuple[ChannelPlane, ...] = ("x", "y")
 _ROUGH = 4

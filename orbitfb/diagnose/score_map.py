@@ -23,10 +23,10 @@ from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.diagnose.search import Outcome
 from orbitfb.effects.device_kinds import ActuatorKind, SensorKind
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.layout import Layout
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.registry import effect
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.layout import Layout
 
 _STAGES = ("actuator", "sensor", "optics", "disturbance", "timing")
 _PLAINEST = {"actuator": "corrector-gain", "sensor": "bpm-gain", "optics": "quadrupole-gradient"}

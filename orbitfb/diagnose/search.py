@@ -25,7 +25,7 @@ from orbitfb.diagnose.together import looked_at_again, same, without_void
 from orbitfb.diagnose.tournament import Shown, tournament
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 
 MOST_CAUSES = 3
 

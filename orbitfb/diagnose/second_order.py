@@ -4,7 +4,7 @@ import numpy as np
 
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.bent import straightened
-from orbitfb.effects.layout import HealthyErrors
+from orbitfb.records.layout import HealthyErrors
 
 _HEALTHY = 1.0
 """Mean square of the sizes of errors, in units of their scatter, beyond which they are none: they

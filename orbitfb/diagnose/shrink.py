@@ -23,7 +23,7 @@ from orbitfb.diagnose.net_competitor import NetCompetitor
 from orbitfb.diagnose.open_errors import OpenErrors
 from orbitfb.diagnose.replay import Model, Replay
 from orbitfb.effects.orbit_kinds import SourceKind
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 
 STEPS = (1, 2, 5, 10, 50)
 _LEAST_TO_SPLIT = 500

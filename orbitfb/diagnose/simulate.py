@@ -8,13 +8,13 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.digest import digest_of
 from orbitfb.effects.build import layout_of
-from orbitfb.effects.layout import Layout
-from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect, generator
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import Plant, PlantSettings
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 RUNAWAY = 5e-3
 """Orbit at which a simulated run ends, as an interlock would end it, rms [m]."""

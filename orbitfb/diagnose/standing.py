@@ -20,13 +20,13 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fading import Steps
 from orbitfb.diagnose.free import Directions, Few
 from orbitfb.diagnose.innovation import NoiseFloor
-from orbitfb.effects.corrector_gain import CorrectorGain
+from orbitfb.effects.actuators.corrector_gain import CorrectorGain
 from orbitfb.effects.device_kinds import PairKind
-from orbitfb.effects.layout import Layout
 from orbitfb.effects.orbit_kinds import SourceKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 _KICK = 0.5e-6
 """Scatter of such a first kick before the data: an error of 0.005 1/m times 100 µm [rad]."""

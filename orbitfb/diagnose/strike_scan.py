@@ -17,8 +17,8 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import LatentKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 _RARE = np.geomspace(0.0005, 0.5, 25)
 _LEAST_SPIKE = 2.0

@@ -9,7 +9,7 @@ from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.strike_scan import latent_odds
 from orbitfb.effects.random_kinds import LatentKind
-from orbitfb.effects.record import Record
+from orbitfb.records.record import Record
 
 _LIKELY = 0.5
 _MOST = 0.3

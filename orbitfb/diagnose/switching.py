@@ -22,9 +22,9 @@ from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.random_kinds import NoiseKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.record import Record
 
 _PLACES = 4
 """Sources whose course is followed."""

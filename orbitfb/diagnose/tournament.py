@@ -29,8 +29,8 @@ from orbitfb.diagnose.same_law import alike_alike, devices, limits, says_little
 from orbitfb.diagnose.scan import Scanner
 from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.layout import Layout
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
+from orbitfb.records.layout import Layout
 
 _SURE_NOISE = 10.0
 """Weight of a noise that is there for sure [nats]."""

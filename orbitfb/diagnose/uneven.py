@@ -11,8 +11,8 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.floor import estimate_floor
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.diagnose.noise_modes import NoiseModes
-from orbitfb.effects.layout import Layout
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.layout import Layout
 
 _EVEN = 0.15
 """Scatter of the logarithm of a variance up to which all BPMs are taken as alike."""

@@ -12,8 +12,8 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.innovation import NoiseFloor
 from orbitfb.effects.device_kinds import SensorKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 _ENOUGH = 300
 """Rows from which those before them are predicted."""

@@ -24,11 +24,11 @@ from orbitfb.diagnose.load_rows import Transition, join
 from orbitfb.diagnose.proposals import propose
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.layout import Devices, Layout
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
+from orbitfb.records.layout import Devices, Layout
+from orbitfb.records.record import Record
 
 FEWEST = 200
 """Ticks below which nothing is said."""

@@ -18,11 +18,11 @@ from scipy.signal import lfilter
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import Values
-from orbitfb.effects.layout import Layout
-from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 _FEW_LARGE = 0.3
 """Usual size of changes over their rms below which few large ones make the rms."""

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.cells import cells_of
-from orbitfb.effects.layout import ChannelPlane, Devices, Layout
 from orbitfb.effects.places import resolve
 from orbitfb.effects.settings import EffectSettings
 from orbitfb.physics.effect import Effect, generator
@@ -16,6 +14,8 @@ from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Planes, Ring, split
 from orbitfb.physics.plant import Plant, PlantSettings
 from orbitfb.physics.response import response as nominal_response
+from orbitfb.records.cells import cells_of
+from orbitfb.records.layout import ChannelPlane, Devices, Layout
 
 
 class Since(Effect):

@@ -5,8 +5,8 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.orbit_kinds import SourceKind
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 
 
 def source_change(

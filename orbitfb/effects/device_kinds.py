@@ -9,10 +9,10 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, Law, PairLaw, Signals
-from orbitfb.effects.layout import Layout
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 
 class ActuatorKind(EffectKind):

@@ -8,8 +8,8 @@ import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from orbitfb.core.bounded import parse_toml, read_text
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.files.bounded import parse_toml, read_text
 from orbitfb.effects.settings import EffectSettings, describe, read_effect
 
 KEY = "effect"

@@ -6,11 +6,11 @@ from functools import lru_cache
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.layout import ChannelPlane, Layout
-from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix, green
 from orbitfb.physics.places import Indices, Kind
+from orbitfb.records.layout import ChannelPlane, Layout
+from orbitfb.records.record import Record
 
 _UNRESOLVED = 1e-5
 """Share of the orbit's variance that the interpolation takes for noise."""

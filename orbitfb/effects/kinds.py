@@ -19,11 +19,11 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.laws import Law, Signals
-from orbitfb.effects.layout import Layout
-from orbitfb.effects.record import Record
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 Stage = Literal["sensor", "actuator", "optics", "disturbance", "noise", "timing"]
 Target = Literal["bpm", "corrector", "quadrupole", "sextupole", "source", "ring"]

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.record import Record
 
 Values = Mapping[str, float]
 

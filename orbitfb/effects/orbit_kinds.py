@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, FieldLaw, Law, Signals, blocks, of_planes
-from orbitfb.effects.layout import Layout
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 Courses = NDArray[np.float64]
 """Courses in time of P places: (N, P), (N, 1), or by plane (2, N, P)."""

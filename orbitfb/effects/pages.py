@@ -7,10 +7,10 @@ from typing import get_args
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind, Parameter, Stage
-from orbitfb.effects.layout import Layout
 from orbitfb.effects.places import names_for
 from orbitfb.effects.registry import all_effects, effect
 from orbitfb.physics.places import Planes, Ring
+from orbitfb.records.layout import Layout
 
 _PERIOD = 0.1
 """From one orbit to the next [s]; no place depends on it."""

@@ -8,14 +8,14 @@ import numpy as np
 
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.near_names import did_you_mean
-from orbitfb.effects.cells import cell_of
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.layout import Devices, Layout
 from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.settings import EffectSettings
 from orbitfb.physics.places import Indices, Plane
+from orbitfb.records.cells import cell_of
+from orbitfb.records.layout import Devices, Layout
 
 _WITH_PLANE = re.compile(r"(.*?)\s*\(([xy])\)")
 _RANGE = re.compile(r"([^-]+?)\s*-\s*([^-]+)")

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import EventLaw, Law, RandomLaw, Signals
-from orbitfb.effects.layout import Layout
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 
 class NoiseKind(EffectKind):

@@ -19,10 +19,10 @@ from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.channels import ChannelGroup, Monitor
 from orbitfb.epics.connecting import check_units, wait_for_channels
 from orbitfb.epics.inbox import Inbox
-from orbitfb.epics.keeper import Keeper
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.put_errors import PutErrors
+from orbitfb.epics.reconnecting import Keeper
 from orbitfb.epics.requests import Getter, Putter
 from orbitfb.epics.servers import Doubles, ServerWatch
 from orbitfb.epics.settings import EpicsSettings

@@ -19,11 +19,11 @@ from orbitfb.core.signals import Vector
 from orbitfb.policies.embedding import embed
 from orbitfb.policies.modal import ModalPolicy, ModalSettings
 from orbitfb.policies.network import NetworkPolicy
-from orbitfb.policies.rehearsal import Memoryless, Rehearsal, rehearse, spectral_radius
-from orbitfb.policies.structured import train_structured
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
-from orbitfb.policies.trajectory import train_trajectory
-from orbitfb.policies.trajectory_settings import StructuredSettings, TrajectorySettings
+from orbitfb.policies.training.rehearsal import Memoryless, Rehearsal, rehearse, spectral_radius
+from orbitfb.policies.training.structured import train_structured
+from orbitfb.policies.training.trajectory import train_trajectory
+from orbitfb.policies.training.trajectory_settings import StructuredSettings, TrajectorySettings
 
 _NEAR = 0.05e-3
 _LATE = 50

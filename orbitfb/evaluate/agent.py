@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.files.state import AS_USUAL
+from orbitfb.core.files.whole import replace_file
 from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Channels, Vector
-from orbitfb.core.state_files import AS_USUAL
 from orbitfb.evaluate.compare import CompareSettings, Comparison, as_rows, compare
 from orbitfb.gym.agent import AgentPolicy
 from orbitfb.gym.scaling import Scaling
@@ -25,7 +26,6 @@ from orbitfb.learn.builders import first_policy
 from orbitfb.measure.packed import read_packed, write_packed
 from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response
-from orbitfb.policies.files import replace_file
 from orbitfb.policies.settings import PolicySettings
 
 AGENT, REPORT = "agent.safetensors", "agent.json"

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from orbitfb.core.errors import ExchangeError
-from orbitfb.core.state_files import AS_USUAL
-from orbitfb.policies.files import replace_file
+from orbitfb.core.files.state import AS_USUAL
+from orbitfb.core.files.whole import replace_file
 
 
 def write_whole(path: Path, content: bytes) -> None:

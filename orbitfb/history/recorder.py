@@ -12,10 +12,10 @@ from typing import IO
 from pydantic import Field
 
 from orbitfb.core.errors import ArchiveError, OwnershipError
+from orbitfb.core.files.state import make_directory, open_to_append
 from orbitfb.core.ports import Clock
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Channels, TickRecord
-from orbitfb.core.state_files import make_directory, open_to_append
 from orbitfb.history.columns import allocate, fill, layout, row_bytes
 from orbitfb.history.segment import UNFINISHED, RawSegment, compressing
 

@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from orbitfb.core.state_files import NEW, OWN
+from orbitfb.core.files.state import NEW, OWN
 
 _PAGE = 4096
 

@@ -22,11 +22,11 @@ from orbitfb.learn.learner import Build
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.noise import LADDER
 from orbitfb.policies.embedding import embed, reembed
-from orbitfb.policies.kinds import TAKEN
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.modal import ModalPolicy
 from orbitfb.policies.network import NetworkPolicy
 from orbitfb.policies.settings import PolicySettings
+from orbitfb.policies.store.kinds import TAKEN
 from orbitfb.policies.svd import SvdPolicy
 
 _GROUPS = 4
@@ -64,7 +64,7 @@ def first_policy(
     if settings.kind == "modal":
         return masked(law, movable)
     if settings.kind == "supervised":
-        from orbitfb.policies.supervised import train_supervised
+        from orbitfb.policies.training.supervised import train_supervised
 
         taught = train_supervised(
             response, settings.supervised, teacher=law, device="cpu", progress=progress
@@ -179,8 +179,10 @@ class _Trajectory:
     def __call__(
         self, model: LinearModel, incumbent: Policy, settings: PolicySettings
     ) -> NetworkPolicy:
-        from orbitfb.policies.fine_tune import fine_tune  # torch: here and in no loop's process
-        from orbitfb.policies.rehearsal import Rehearsal, judge
+        from orbitfb.policies.training.fine_tune import (
+            fine_tune,  # torch: here and in no loop's process
+        )
+        from orbitfb.policies.training.rehearsal import Rehearsal, judge
 
         tuning = settings.fine_tune.model_copy(
             update={
@@ -209,7 +211,7 @@ class _Trajectory:
 
 
 def _supervised(model: LinearModel, incumbent: Policy, settings: PolicySettings) -> NetworkPolicy:
-    from orbitfb.policies.supervised import train_supervised
+    from orbitfb.policies.training.supervised import train_supervised
 
     teacher = modal_law(model, incumbent, settings)
     result = train_supervised(model.response, settings.supervised, teacher=teacher, device="cpu")

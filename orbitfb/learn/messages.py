@@ -20,8 +20,8 @@ from orbitfb.learn.builders import builder, masked, unmasked
 from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.learn.trainer import Answer
-from orbitfb.policies.kinds import kind_named, kind_of
 from orbitfb.policies.settings import PolicySettings
+from orbitfb.policies.store.kinds import kind_named, kind_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,17 +17,17 @@ from orbitfb.loop import comeback
 from orbitfb.loop import memory as remember
 from orbitfb.loop.adjustments import Adjustments, approach
 from orbitfb.loop.choice import choose
-from orbitfb.loop.dither import Dither
+from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.guard import NONE, Guard, Safeguards
 from orbitfb.loop.inquiry import WAITS, Inquiry
 from orbitfb.loop.inspection import Asker, inspect, mine_of
 from orbitfb.loop.intake import Intake, await_orbit
 from orbitfb.loop.memory import LoopMemory, Rules
-from orbitfb.loop.pacing import Pace, miss, take
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.states import Event
 from orbitfb.loop.tick import Checked, ramp_gain, screened, supervise, too_long, worse
-from orbitfb.loop.waiting import wait_for_change
+from orbitfb.loop.timing.pacing import Pace, miss, take
+from orbitfb.loop.timing.waiting import wait_for_change
 from orbitfb.loop.work import Work
 from orbitfb.safety.limits import Limited
 from orbitfb.safety.prediction import Answers, predict

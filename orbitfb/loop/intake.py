@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from orbitfb.core.errors import MachineError
 from orbitfb.core.ports import Clock, Machine
 from orbitfb.core.signals import Reading
-from orbitfb.loop.pacing import Pace, see, slower
+from orbitfb.loop.timing.pacing import Pace, see, slower
 
 _SLICE = 0.5
 _LEAST = 0.1

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Channels, LoopState, Mask, Vector
-from orbitfb.loop.pacing import Pace
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.states import Event, next_state
+from orbitfb.loop.timing.pacing import Pace
 from orbitfb.safety.answering import Answering, opened
 from orbitfb.safety.arrival import Sent
 from orbitfb.safety.bpms import BpmMemory

@@ -15,8 +15,8 @@ from orbitfb.core.ports import Clock, Machine, Subscriber
 from orbitfb.core.signals import LoopState, Mask, TickRecord, Vector
 from orbitfb.loop.adjustments import Adjustments
 from orbitfb.loop.commands import CommandQueue, Order
-from orbitfb.loop.dither import Dither
 from orbitfb.loop.engine import Engine
+from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.guard import NONE, Safeguards
 from orbitfb.loop.memory import Rules
 from orbitfb.loop.settings import LoopSettings

@@ -19,12 +19,12 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from orbitfb.core.errors import MeasurementError, StoreError
+from orbitfb.core.files.state import make_directory
+from orbitfb.core.files.whole import read_bounded, replace_file
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Channels, Vector
-from orbitfb.core.state_files import make_directory
 from orbitfb.measure.column import Table, table_shapes
 from orbitfb.measure.packed import read_packed, write_packed
-from orbitfb.policies.files import read_bounded, replace_file
 
 _KIND = "columns"
 _LARGEST = 2**22

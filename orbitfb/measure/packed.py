@@ -10,8 +10,8 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from orbitfb.core.errors import MeasurementError, OrbitFeedbackError
+from orbitfb.core.files.whole import read_bounded, replace_file
 from orbitfb.core.signals import Vector
-from orbitfb.policies.files import read_bounded, replace_file
 
 SCHEMA_VERSION = 1
 _CARD = "card"

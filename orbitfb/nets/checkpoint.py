@@ -18,9 +18,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 
-from orbitfb.core.bounded import take
 from orbitfb.core.errors import StoreError
-from orbitfb.core.state_files import make_directory, replace_file
+from orbitfb.core.files.bounded import take
+from orbitfb.core.files.state import make_directory, replace_file
 
 Modules = Mapping[str, torch.nn.Module]
 """What is trained, by name; names without a dot."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from orbitfb.core.signals import LoopState
 from orbitfb.observe.plain import plain
-from orbitfb.observe.snapshot import LoopSnapshot
+from orbitfb.observe.statistics.snapshot import LoopSnapshot
 
 READY = (LoopState.OPEN, LoopState.SHADOW, LoopState.CLOSED)
 

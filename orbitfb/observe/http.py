@@ -14,7 +14,7 @@ from orbitfb.observe.bounded_http import TEXT, Answer, BoundedServer
 from orbitfb.observe.health import Verdict, health, readiness
 from orbitfb.observe.plain import dumps
 from orbitfb.observe.settings import ObserveSettings
-from orbitfb.observe.snapshot import LoopSnapshot
+from orbitfb.observe.statistics.snapshot import LoopSnapshot
 
 INDEX = (
     "orbitfb\n\n/metrics   figures for Prometheus\n/healthz   is it alive\n/readyz    is it ready\n"

@@ -8,8 +8,8 @@ from typing import Any
 
 import structlog
 
-from orbitfb.core.bounded import LARGEST_DIAGNOSIS, parse_json, read_bytes
 from orbitfb.core.errors import RecordError
+from orbitfb.core.files.bounded import LARGEST_DIAGNOSIS, parse_json, read_bytes
 
 FILE = Path("archive.diagnosis/diagnosis.json")
 """Where `orbitfb diagnose DATA/archive` writes, below the data directory."""

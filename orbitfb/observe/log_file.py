@@ -13,7 +13,7 @@ from typing import cast
 
 import structlog
 
-from orbitfb.core.state_files import make_directory, open_to_append
+from orbitfb.core.files.state import make_directory, open_to_append
 
 _WAITING = 2000
 

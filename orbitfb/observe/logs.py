@@ -11,7 +11,7 @@ from typing import Any
 import structlog
 
 from orbitfb.core.errors import OwnershipError
-from orbitfb.core.state_files import make_directory
+from orbitfb.core.files.state import make_directory
 from orbitfb.observe.log_file import LogFile
 from orbitfb.observe.plain import dumps
 from orbitfb.observe.settings import LogSettings

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.live import Live
 
 from orbitfb.observe.settings import TerminalSettings
-from orbitfb.observe.snapshot import LoopSnapshot
+from orbitfb.observe.statistics.snapshot import LoopSnapshot
 from orbitfb.observe.view import Surroundings, line, panel
 from orbitfb.observe.wording import time_of_day
 

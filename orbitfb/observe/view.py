@@ -11,7 +11,7 @@ from rich.text import Text
 from orbitfb.core.printable import escaped
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import LoopState
-from orbitfb.observe.snapshot import LoopSnapshot
+from orbitfb.observe.statistics.snapshot import LoopSnapshot
 from orbitfb.observe.wording import (
     UNKNOWN,
     clock_time,

@@ -14,7 +14,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from orbitfb.core.bounded import LARGEST_DIAGNOSIS
+from orbitfb.core.files.bounded import LARGEST_DIAGNOSIS
 
 REPORT, ANSWER = "report.html", "diagnosis.json"
 LARGEST_REPORT = 64 << 20

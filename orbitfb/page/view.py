@@ -12,7 +12,7 @@ from orbitfb import __version__
 from orbitfb.core.ports import Clock
 from orbitfb.core.signals import LoopState, Mask, TickRecord, Vector
 from orbitfb.observe.plain import plain
-from orbitfb.observe.snapshot import Happening, LoopSnapshot
+from orbitfb.observe.statistics.snapshot import Happening, LoopSnapshot
 
 MICRO, MILLI = 1e-6, 1e-3
 GOOD, INVALID, LEFT_OUT = "0", "1", "2"

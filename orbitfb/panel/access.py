@@ -21,8 +21,8 @@ from pathlib import Path
 
 from pydantic import Field, ValidationError
 
-from orbitfb.core.bounded import parse_toml, read_text
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.files.bounded import parse_toml, read_text
 from orbitfb.core.settings import Settings
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network

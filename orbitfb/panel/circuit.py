@@ -13,9 +13,9 @@ from caproto.server.common import DisconnectedCircuit
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.connections import Connections
 from orbitfb.panel.intake import Intake
-from orbitfb.sim.circuit import DroppingQueue
-from orbitfb.sim.context import ClaimedContext
-from orbitfb.sim.listening import Sockets
+from orbitfb.sim.access.circuit import DroppingQueue
+from orbitfb.sim.access.context import ClaimedContext
+from orbitfb.sim.access.listening import Sockets
 
 MOST_CLIENTS = 128
 """Connections at a time; one more puts out the oldest of the host that has most."""

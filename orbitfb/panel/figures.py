@@ -7,7 +7,7 @@ from typing import Any
 
 from orbitfb import __version__
 from orbitfb.core.signals import LoopState
-from orbitfb.observe.snapshot import Happening, LoopSnapshot
+from orbitfb.observe.statistics.snapshot import Happening, LoopSnapshot
 from orbitfb.panel.pv_table import MICRO, MILLI, UNKNOWN_STATE
 
 _PHASES = ("read", "check", "decide", "limit", "act")

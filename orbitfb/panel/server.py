@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
-from orbitfb.control import ask
+from orbitfb.control.socket import ask
 from orbitfb.core.bursts import Bursts
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ControlError, OrbitFeedbackError
@@ -17,7 +17,7 @@ from orbitfb.panel.circuit import PanelContext
 from orbitfb.panel.job import PanelJob
 from orbitfb.panel.pv import PanelPv, request_of
 from orbitfb.panel.pv_table import panel_pvs, writable_names
-from orbitfb.sim.listening import Sockets, claim
+from orbitfb.sim.access.listening import Sockets, claim
 
 ANSWER_TIMEOUT = 60.0
 """How long the service may take for a command, a refit above all [s]."""

@@ -5,8 +5,8 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
-from orbitfb.core.bounded import parse_json
 from orbitfb.core.errors import RingError
+from orbitfb.core.files.bounded import parse_json
 from orbitfb.core.settings import Settings
 
 SPEED_OF_LIGHT = 299_792_458.0

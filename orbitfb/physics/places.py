@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.bounded import LARGEST_TEXT, read_text
 from orbitfb.core.errors import RingError
+from orbitfb.core.files.bounded import LARGEST_TEXT, read_text
 from orbitfb.core.signals import Channels, Vector
 from orbitfb.physics.parameters import RingParameters, parse_parameters
 from orbitfb.physics.table import PlacesTable, parse_places

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.delimited import read_cells
 from orbitfb.core.errors import RingError
+from orbitfb.core.files.delimited import read_cells
 from orbitfb.core.signals import Vector
 
 KINDS = ("BPM", "COR", "QUAD", "SEXT")

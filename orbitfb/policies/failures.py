@@ -11,9 +11,9 @@ from typing import Literal
 from pydantic import ValidationError
 
 from orbitfb.core.errors import StoreError
+from orbitfb.core.files.whole import SCHEMA_VERSION, read_json, replace_file
 from orbitfb.core.settings import Settings
-from orbitfb.policies.card import check_identifier
-from orbitfb.policies.files import SCHEMA_VERSION, read_json, replace_file
+from orbitfb.policies.store.card import check_identifier
 
 Cause = Literal["tripped", "rolled_back"]
 """How a policy failed: it was in force when the loop tripped, or the learner took it back."""

@@ -12,7 +12,8 @@ disturbed by that times the condition number of what the last matrix inverts, 4 
 orbit before on the default ring without regularisation (8 pm at 0.2 µm).
 
 Source: the policy network of the paper; how a network is made from a law that is known is in
-`policies.embedding`, how one is trained in `policies.supervised` and `policies.trajectory`.
+`policies.embedding`, how one is trained in `policies.training.supervised` and
+`policies.training.trajectory`.
 """
 
 from collections.abc import Sequence

@@ -6,12 +6,12 @@ from pydantic import Field, JsonValue, field_validator, model_validator
 
 from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.settings import Settings
-from orbitfb.policies.kinds import TAKEN, Kind, added_kinds
 from orbitfb.policies.modal import ModalSettings
 from orbitfb.policies.network import NetworkSettings
-from orbitfb.policies.supervised_settings import SupervisedSettings
+from orbitfb.policies.store.kinds import TAKEN, Kind, added_kinds
 from orbitfb.policies.svd import SvdSettings
-from orbitfb.policies.trajectory_settings import FineTuneSettings
+from orbitfb.policies.training.supervised_settings import SupervisedSettings
+from orbitfb.policies.training.trajectory_settings import FineTuneSettings
 
 PolicyKind = Literal["svd", "modal", "network", "supervised", "trajectory"]
 """Kinds of this package."""

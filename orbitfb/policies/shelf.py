@@ -1,12 +1,12 @@
 """A directory of policies: tensors in safetensors, a JSON card beside them.
 
     STORE/<id>/policy.safetensors     response matrix, weights and what else its kind needs
-    STORE/<id>/card.json              see `policies.card`
+    STORE/<id>/card.json              see `policies.store.card`
     STORE/.lock                       held while anything is written
 
 A policy appears by the rename of a directory that is complete and on disk: whoever reads sees it
 whole or not at all, also after a kill or a power cut. Readers take no lock. Nothing is ever
-unpickled. Which of the policies is in force is the matter of `policies.store`.
+unpickled. Which of the policies is in force is the matter of `policies.store.directory`.
 """
 
 import hashlib
@@ -17,10 +17,12 @@ from typing import Any
 
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import StoreError
+from orbitfb.core.files.whole import SCHEMA_VERSION, publish_directory, replace_file, sole_writer
 from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.ports import Clock, Policy
 from orbitfb.core.signals import Channels
-from orbitfb.policies.card import (
+from orbitfb.policies.stability import growth_of, warning_of
+from orbitfb.policies.store.card import (
     Owner,
     PolicyCard,
     check_identifier,
@@ -28,10 +30,8 @@ from orbitfb.policies.card import (
     finite,
     read_card,
 )
-from orbitfb.policies.files import SCHEMA_VERSION, publish_directory, replace_file, sole_writer
-from orbitfb.policies.kinds import StoredPolicy, kind_of
-from orbitfb.policies.stability import growth_of, warning_of
-from orbitfb.policies.tensors import decode, encode, is_same
+from orbitfb.policies.store.kinds import StoredPolicy, kind_of
+from orbitfb.policies.store.tensors import decode, encode, is_same
 
 _TENSORS = "policy.safetensors"
 

@@ -8,7 +8,7 @@ import threading
 
 from orbitfb.core.retry import EVERY, Retry
 from orbitfb.core.signals import LoopState, TickRecord
-from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.safety.interlocks import InterlockSettings, stored_current
 from orbitfb.safety.verdict import Action
 

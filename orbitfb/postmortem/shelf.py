@@ -4,7 +4,7 @@ import uuid
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from orbitfb.core.state_files import make_directory, sync_directory, write_through
+from orbitfb.core.files.state import make_directory, sync_directory, write_through
 
 PREFIX, SUFFIX = "postmortem-", ".h5"
 UNFINISHED = ".unfinished-"

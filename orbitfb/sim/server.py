@@ -6,15 +6,15 @@ from collections.abc import Callable
 import numpy as np
 
 from orbitfb.core.signals import Mask
-from orbitfb.sim.fast import FastFront
-from orbitfb.sim.frames import UPDATE_SIZE
-from orbitfb.sim.front import Front
+from orbitfb.sim.access.fast import FastFront
+from orbitfb.sim.access.frames import UPDATE_SIZE
+from orbitfb.sim.access.front import Front
+from orbitfb.sim.access.listening import claim
+from orbitfb.sim.access.plain import PlainFront
+from orbitfb.sim.access.stamp import now
 from orbitfb.sim.layout import KICK_PV, MILLI, lay_out
-from orbitfb.sim.listening import claim
-from orbitfb.sim.plain import PlainFront
 from orbitfb.sim.ring import SimulatedRing
 from orbitfb.sim.settings import SimSettings
-from orbitfb.sim.stamp import now
 from orbitfb.sim.ticker import Ticker, start_ticker
 
 _PATIENCE = 0.3

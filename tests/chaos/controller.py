@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-import orbitfb.composition as composition
+import orbitfb.app.service.assemble as composition
 from orbitfb.cli.app import main
 
 WORD = "Misbehaving"

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from orbitfb.core.names import CURRENT_PV
-from orbitfb.sim.board import INVALID, UNDEFINED, Board
-from orbitfb.sim.channels import BoardSetpoint
-from orbitfb.sim.circuit import FastContext
+from orbitfb.sim.access.board import INVALID, UNDEFINED, Board
+from orbitfb.sim.access.channels import BoardSetpoint
+from orbitfb.sim.access.circuit import FastContext
+from orbitfb.sim.access.stamp import Stamp
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.process import run_job
 from orbitfb.sim.server import RingServer
-from orbitfb.sim.stamp import Stamp
 from tests.chaos.devices import FaultyRing
 from tests.chaos.journal import Journal
 from tests.chaos.notes import Notes

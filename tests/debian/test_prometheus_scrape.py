@@ -13,7 +13,7 @@ from ioc_clients import run_client
 from service_process import orbitfb, wait_for
 
 from deploy.grafana.generate import files
-from orbitfb.observe.metrics_list import METRICS
+from orbitfb.observe.metrics.catalogue import METRICS
 from orbitfb.sim.layout import STORED_PV
 
 pytestmark = [

@@ -296,7 +296,7 @@ MUTANTS = (
     ),
     Mutant(
         "BPMs that are masked by configuration never count",
-        "orbitfb.loop.masked",
+        "orbitfb.loop.machines.masked",
         "reading.orbit.valid & self._counting",
         "reading.orbit.valid",
         ("loop/test_masked.py",),
@@ -324,14 +324,14 @@ MUTANTS = (
     ),
     Mutant(
         "a controller whose lease is not confirmed does not write",
-        "orbitfb.epics.lease",
+        "orbitfb.epics.lease.lease",
         "        if age < self._time:\n",
         "        if age < 1e9:\n",
         ("epics/test_epics_lease.py",),
     ),
     Mutant(
         "a lease whose owner lives is not taken",
-        "orbitfb.epics.lease",
+        "orbitfb.epics.lease.lease",
         "while self._sign(now) is Sign.THEIRS and",
         "while False and",
         ("epics/test_epics_lease.py",),

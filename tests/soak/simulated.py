@@ -21,7 +21,7 @@ from orbitfb.loop.guard import Safeguards
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import Plant
 from orbitfb.physics.plant_machine import PlantMachine

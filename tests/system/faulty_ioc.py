@@ -22,11 +22,11 @@ import numpy as np
 
 from orbitfb.core.names import CURRENT_PV
 from orbitfb.sim import server
-from orbitfb.sim.board import Board
+from orbitfb.sim.access.board import Board
+from orbitfb.sim.access.stamp import Stamp, now
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.process import run_job
 from orbitfb.sim.server import RingServer
-from orbitfb.sim.stamp import Stamp, now
 
 
 @dataclass

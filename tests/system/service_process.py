@@ -18,7 +18,7 @@ import psutil
 from free_ports import free_port
 from ioc_clients import run_client
 
-from orbitfb.control import ask
+from orbitfb.control.socket import ask
 from orbitfb.core.errors import ControlError
 from orbitfb.core.transitions import Transitions
 from orbitfb.history.archive import read_archive

@@ -4,9 +4,9 @@ import time
 
 import pytest
 
-from orbitfb.config import AppConfig
-from orbitfb.doctor.finding import Verdict
-from orbitfb.doctor.ring import look_at_ring
+from orbitfb.app.doctor.finding import Verdict
+from orbitfb.app.doctor.ring import look_at_ring
+from orbitfb.config.tree import AppConfig
 from orbitfb.physics.places import Ring
 
 pytestmark = pytest.mark.system

@@ -8,7 +8,7 @@ import psutil
 import pytest
 from service_process import Service, transitions, wait_for
 
-from orbitfb.control import ask
+from orbitfb.control.socket import ask
 
 pytestmark = [pytest.mark.system, pytest.mark.timing]
 

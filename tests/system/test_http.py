@@ -18,9 +18,9 @@ from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, Reading, Ti
 from orbitfb.observe import http as observe_http
 from orbitfb.observe.bounded_http import MOST_CONNECTIONS
 from orbitfb.observe.http import ObserveServer
-from orbitfb.observe.metrics import metrics_registry
+from orbitfb.observe.metrics.collector import metrics_registry
 from orbitfb.observe.settings import ObserveSettings
-from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.observe.statistics.running import LoopStatistics
 
 pytestmark = pytest.mark.system
 

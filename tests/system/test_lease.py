@@ -9,11 +9,11 @@ import pytest
 from ioc_clients import run_client
 from service_process import Ioc, Service, orbitfb, refused, wait_for
 
-from orbitfb.config import load_config
+from orbitfb.app.setup.lease import take_lease
+from orbitfb.app.setup.production_guard import check_live
+from orbitfb.app.setup.startup import find_ring
+from orbitfb.config.tree import load_config
 from orbitfb.core.errors import ConfigError, OwnershipError
-from orbitfb.live import check_live
-from orbitfb.own_lease import take_lease
-from orbitfb.startup import find_ring
 
 pytestmark = [pytest.mark.system, pytest.mark.timing]
 

@@ -25,7 +25,7 @@ from orbitfb.core.names import LEASE_PV
 from orbitfb.measure.response_file import read_response
 from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response
-from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.store.directory import PolicyStore
 
 pytestmark = pytest.mark.system
 

@@ -18,11 +18,11 @@ from service_process import CHANNELS, Service, fetch, wait_for
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from orbitfb.config import AppConfig
-from orbitfb.control import ask
+from orbitfb.app.service.page_process import PageProcess
+from orbitfb.config.tree import AppConfig
+from orbitfb.control.socket import ask
 from orbitfb.core.clock import SystemClock
-from orbitfb.observe.statistics import LoopStatistics
-from orbitfb.own_page import OwnPage
+from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.page.server import MORE_CONNECTIONS
 
 pytestmark = pytest.mark.system
@@ -238,7 +238,7 @@ def test_a_page_comes_when_its_port_is_free_and_again_when_its_process_dies(tmp_
         port = other.getsockname()[1]
         tree = {"data_directory": str(tmp_path), "web": {"port": port}}
         config = AppConfig.model_validate_json(json.dumps(tree))
-        page = OwnPage(config, CHANNELS, statistics, stack)
+        page = PageProcess(config, CHANNELS, statistics, stack)
         assert page.where == "" and f"127.0.0.1 port {port} is in use" in page.problem
         other.close()
         wait_for("page", lambda: page.where, 15.0)

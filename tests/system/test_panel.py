@@ -12,7 +12,7 @@ from ioc_clients import KICK, run_client
 from service_process import Service, refused, wait_for
 
 from orbitfb import __version__
-from orbitfb.control import ask
+from orbitfb.control.socket import ask
 from orbitfb.panel.pv_table import Extent, panel_pvs
 from orbitfb.panel.settings import PanelSettings
 

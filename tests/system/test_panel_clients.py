@@ -17,7 +17,7 @@ from orbitfb.panel import circuit
 from orbitfb.panel.job import PanelJob
 from orbitfb.panel.server import Panel
 from orbitfb.panel.settings import PanelSettings
-from orbitfb.sim.listening import claim
+from orbitfb.sim.access.listening import claim
 
 pytestmark = pytest.mark.system
 

@@ -23,7 +23,7 @@ from service_process import (
 
 from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response
-from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 pytestmark = pytest.mark.system

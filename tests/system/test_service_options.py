@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from service_process import orbitfb, refused
 
-from orbitfb.config import load_config
+from orbitfb.app.setup.startup import find_ring
+from orbitfb.config.tree import load_config
 from orbitfb.core.errors import ConfigError
-from orbitfb.startup import find_ring
 
 pytestmark = pytest.mark.system
 

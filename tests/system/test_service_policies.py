@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from service_process import START, Service, orbitfb, transitions
 
-from orbitfb import control
+from orbitfb.control import socket
 
 pytestmark = [pytest.mark.system, pytest.mark.timing]
 
@@ -39,7 +39,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     options = ("--rate", RATE_HZ, "--drift", "strong", "--drift-ticks", 100, "--config", config)
     with Service(directory / "data", "sim", *options) as running:
         running.wait_status("ticks", lambda status: status["ticks"] > 400, 2 * START)
-        control.ask(running.data, {"command": "open"})  # else the orbit leaves while we wait
+        socket.ask(running.data, {"command": "open"})  # else the orbit leaves while we wait
         yield running
 
 
@@ -82,7 +82,7 @@ def test_refit_keeps_what_the_judge_accepts_and_activates_nothing(service: Servi
 
 def test_refit_with_activate_swaps_the_policy(service: Service):
     baseline = service.where["policy"]
-    control.ask(service.data, {"command": "close"})  # a candidate is looked at on closed ticks
+    socket.ask(service.data, {"command": "close"})  # a candidate is looked at on closed ticks
     report = json.loads(ask(service, "refit", "--activate", "--json"))
     assert report["decision"] == "promoted", report["reason"]
     candidate = report["policy_id"]

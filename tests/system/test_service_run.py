@@ -25,7 +25,7 @@ from service_process import (
     wait_for,
 )
 
-from orbitfb.commands import ARGUMENTS
+from orbitfb.app.commands.dispatch import ARGUMENTS
 
 pytestmark = pytest.mark.system
 

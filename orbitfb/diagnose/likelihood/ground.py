@@ -3,9 +3,9 @@
 import numpy as np
 
 from orbitfb.effects.kicks import source_patterns
-from orbitfb.effects.layout import Layout
 from orbitfb.estimation.floor import Shapes
 from orbitfb.estimation.transform import Matrix
+from orbitfb.records.layout import Layout
 
 GIRDER = 3.0
 """Distance over which magnets of one girder move together [m]."""

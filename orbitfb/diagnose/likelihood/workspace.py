@@ -18,12 +18,12 @@ from orbitfb.diagnose.likelihood.ground import ground_shapes
 from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
-from orbitfb.effects.record import Record
 from orbitfb.estimation.evidence import NormalTerms
 from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.transform import Indices, Matrix, StepTransform
+from orbitfb.records.record import Record
 
 MATERIAL = 0.1
 """Rms of what a refinement of the model adds to a step, over that of the reading noise, from which

@@ -23,9 +23,9 @@ from orbitfb.diagnose.verdict.state import Judged, judged
 from orbitfb.diagnose.verdict.values import values_of
 from orbitfb.diagnose.wording import headline
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.layout import Layout
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 
 _SCREENED = ("bpm-stuck", "missed-read")
 """Effects that leave exact repeats: the integrity screen is certain of them, or they are not."""

@@ -22,9 +22,9 @@ from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Vector
 from orbitfb.evaluate.paper.environment import Environment
 from orbitfb.evaluate.paper.scenarios import Scenario
-from orbitfb.models.caution import CautiousGain
-from orbitfb.models.recursive import RecursiveResponse
-from orbitfb.models.recursive_settings import CautionSettings, RecursiveSettings
+from orbitfb.models.recursive.caution import CautiousGain
+from orbitfb.models.recursive.estimate import RecursiveResponse
+from orbitfb.models.recursive.settings import CautionSettings, RecursiveSettings
 from orbitfb.policies.network import NetworkPolicy
 from orbitfb.policies.two_scale import TwoScaleNetwork
 

@@ -12,13 +12,13 @@ from orbitfb.core.signals import Vector
 from orbitfb.evaluate.paper.environment import Environment
 from orbitfb.evaluate.paper.scenarios import Scenario
 from orbitfb.evaluate.paper.trained import Trained, training_of
-from orbitfb.models.forward import fit_forward
-from orbitfb.models.forward_settings import ForwardSettings
+from orbitfb.models.forward.fit import fit_forward
+from orbitfb.models.forward.settings import ForwardSettings
 from orbitfb.models.rows import Rows
 from orbitfb.nets.device import pick_device
 from orbitfb.policies.inverse import regularised_inverse
-from orbitfb.policies.trajectory import train_trajectory
-from orbitfb.policies.trajectory_settings import TrajectorySettings
+from orbitfb.policies.training.trajectory import train_trajectory
+from orbitfb.policies.training.trajectory_settings import TrajectorySettings
 
 _AMPLITUDE = 20e-6
 _REGULARISATION = 0.1

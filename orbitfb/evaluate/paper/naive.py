@@ -20,8 +20,8 @@ from orbitfb.models.naive import naive_least_squares
 from orbitfb.models.rows import Rows
 from orbitfb.policies.inverse import regularised_inverse
 from orbitfb.policies.network import NetworkPolicy
-from orbitfb.policies.trajectory import train_trajectory
-from orbitfb.policies.trajectory_settings import TrajectorySettings
+from orbitfb.policies.training.trajectory import train_trajectory
+from orbitfb.policies.training.trajectory_settings import TrajectorySettings
 
 _EVERY = 500
 _CHANGE = 1e-3

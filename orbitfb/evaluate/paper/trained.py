@@ -11,10 +11,10 @@ from orbitfb.core.signals import Vector
 from orbitfb.evaluate.paper.environment import Environment
 from orbitfb.evaluate.paper.laws import Shared
 from orbitfb.evaluate.paper.scenarios import PAPER_LAMBDA
-from orbitfb.policies.supervised import train_supervised
-from orbitfb.policies.supervised_settings import SupervisedSettings
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
-from orbitfb.policies.training_result import TrainingResult
+from orbitfb.policies.training.result import TrainingResult
+from orbitfb.policies.training.supervised import train_supervised
+from orbitfb.policies.training.supervised_settings import SupervisedSettings
 
 _CHANGE = 1e-3
 """Change that a network in raw coordinates calls 1 [rad]."""

@@ -4,8 +4,8 @@ import json
 import os
 from pathlib import Path
 
-from orbitfb.core.bounded import parse_json, read_bytes
 from orbitfb.core.errors import RecordError
+from orbitfb.core.files.bounded import parse_json, read_bytes
 from orbitfb.evaluate.pool.task import Outcome, Task, source
 
 _LARGEST = 2**30

@@ -2,9 +2,9 @@
 
 import pytest
 
-from orbitfb.core.bounded import read_text
-from orbitfb.core.delimited import read_cells
 from orbitfb.core.errors import ExchangeError
+from orbitfb.core.files.bounded import read_text
+from orbitfb.core.files.delimited import read_cells
 
 
 def cells(text, **how):

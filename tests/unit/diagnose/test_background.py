@@ -18,7 +18,7 @@ from orbitfb.diagnose.ladder import Ladder, information
 from orbitfb.diagnose.noise_modes import NoiseModes
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import layout_of
-from orbitfb.effects.gradients import response_with
+from orbitfb.effects.optics.gradients import response_with
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Ring
 

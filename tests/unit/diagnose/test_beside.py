@@ -6,7 +6,7 @@ import numpy as np
 from gap_cases import record
 
 from orbitfb.diagnose.certain import beside, with_bpms
-from orbitfb.effects.insertion_device import gaps_of
+from orbitfb.effects.disturbances.insertion_device import gaps_of
 from orbitfb.effects.registry import effect
 
 

@@ -5,17 +5,17 @@ from dataclasses import replace
 
 import pytest
 
-from orbitfb.cli.diagnose import diagnose_record
+from orbitfb.cli.diagnosis.diagnose import diagnose_record
 from orbitfb.diagnose.budget import SEARCH_SECONDS, Budget
 from orbitfb.diagnose.candidate import Candidate
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.search import Outcome, search
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import build, layout_of
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import effect
 from orbitfb.effects.settings import parse_effect
 from orbitfb.physics.places import Ring
+from orbitfb.records.record import Record
 
 RING = Ring.load()
 LAYOUT = layout_of(RING, "x", 0.1)

@@ -11,7 +11,7 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.random_values import state
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.strike_scan import latent_candidates
-from orbitfb.effects.clock_jitter import ClockJitter
+from orbitfb.effects.sensors.clock_jitter import ClockJitter
 from orbitfb.physics.places import Ring
 
 RING = Ring.load()

@@ -7,7 +7,7 @@ import pytest
 from test_scans import LAYOUT, best, record_with
 
 from orbitfb.diagnose.device_groups import cells, groups_of
-from orbitfb.effects.layout import Devices
+from orbitfb.records.layout import Devices
 
 NAMELESS = Devices(tuple(f"BPM{i}" for i in range(60)) * 2, ("x",) * 60 + ("y",) * 60, ("",) * 120)
 

@@ -11,9 +11,9 @@ from orbitfb.diagnose.engine import diagnose
 from orbitfb.diagnose.search import Outcome
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import build, layout_of
-from orbitfb.effects.record import Record
 from orbitfb.effects.settings import parse_effect
 from orbitfb.physics.places import Ring
+from orbitfb.records.record import Record
 
 RING = Ring.load()
 LAYOUT = layout_of(RING, "x", 0.1)

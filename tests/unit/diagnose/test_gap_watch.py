@@ -15,9 +15,9 @@ from orbitfb.diagnose.settings import LiveSettings
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.diagnose.watch import FEWEST, look, record_of
 from orbitfb.effects.build import layout_of
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import effect
 from orbitfb.physics.places import Ring
+from orbitfb.records.record import Record
 
 RING = Ring.load()
 LAYOUT = layout_of(RING, "x", 0.1)

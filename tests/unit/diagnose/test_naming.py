@@ -4,8 +4,8 @@ import numpy as np
 
 from orbitfb.diagnose.naming import column_names, devices_and_planes, geometry
 from orbitfb.effects.build import layout_of
-from orbitfb.effects.layout import Devices, Layout
 from orbitfb.physics.places import Ring
+from orbitfb.records.layout import Devices, Layout
 
 
 def test_names_stay_bare_while_they_are_unique():

@@ -20,13 +20,13 @@ from orbitfb.diagnose.plan_file import Plan
 from orbitfb.diagnose.plan_outlook import answered, loop_gains, outlook
 from orbitfb.diagnose.plan_response import separation
 from orbitfb.diagnose.simulate import simulate_record
-from orbitfb.effects.bpm_walk import BpmWalk
 from orbitfb.effects.build import layout_of
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects, effect
-from orbitfb.loop.excitation_design import check_excitation
-from orbitfb.loop.excitation_file import read_excitation
+from orbitfb.effects.sensors.bpm_walk import BpmWalk
+from orbitfb.loop.excitation.design import check_excitation
+from orbitfb.loop.excitation.file import read_excitation
 from orbitfb.physics.places import Ring
+from orbitfb.records.record import Record
 from orbitfb.safety.limits import LimitSettings
 
 RING = Ring.load()

@@ -14,7 +14,7 @@ from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.restless import restless
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import layout_of
-from orbitfb.effects.gradients import ChangedGradients
+from orbitfb.effects.optics.gradients import ChangedGradients
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Ring
 

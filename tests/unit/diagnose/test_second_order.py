@@ -11,9 +11,9 @@ from orbitfb.diagnose.bent import Bent
 from orbitfb.diagnose.second_order import second_order
 from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import layout_of
-from orbitfb.effects.gradients import SIGN, response_with
-from orbitfb.effects.layout import HealthyErrors
+from orbitfb.effects.optics.gradients import SIGN, response_with
 from orbitfb.physics.places import Ring
+from orbitfb.records.layout import HealthyErrors
 
 RING = Ring.load()
 LAYOUT = layout_of(RING, "x", 0.1)

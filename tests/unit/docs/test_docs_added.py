@@ -16,15 +16,15 @@ import pytest
 from docs_pieces import ROOT, pieces
 
 from orbitfb.cli.app import app
-from orbitfb.config import load_config
+from orbitfb.config.tree import load_config
 from orbitfb.core.errors import ConfigError
 from orbitfb.effects.registry import all_effects
 from orbitfb.learn.builders import builder, first_policy
 from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response
-from orbitfb.policies.kinds import added_kinds, all_kinds, kind_of
 from orbitfb.policies.masking import mask_of
-from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.store.directory import PolicyStore
+from orbitfb.policies.store.kinds import added_kinds, all_kinds, kind_of
 
 FILE = re.compile(r"^# ([\w.]+)\n")
 READ_ONCE = (all_effects, added_kinds, all_kinds)

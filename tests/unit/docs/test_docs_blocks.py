@@ -13,7 +13,7 @@ import pytest
 import yaml
 from docs_pieces import ALONE, COMMANDS, KINDS, PAGES, ROOT, WITH_BLOCK, commands, file_name, pieces
 
-from orbitfb.config import AppConfig
+from orbitfb.config.tree import AppConfig
 from orbitfb.effects.registry import all_effects
 from orbitfb.effects.settings import parse_effect
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from orbitfb.config import AppConfig
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.signals import LoopState
-from orbitfb.loop.fault import Fault
-from orbitfb.loop.faults import FAULTS, faults_markdown
+from orbitfb.loop.fault_table.row import Fault
+from orbitfb.loop.fault_table.table import FAULTS, faults_markdown
 
 TESTS = Path(__file__).parents[2]
 

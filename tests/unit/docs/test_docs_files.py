@@ -16,11 +16,11 @@ from orbitfb.core.transitions import Transitions
 from orbitfb.history.recorder import ArchiveSettings, Recorder
 from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
-from orbitfb.observe.statistics import LoopStatistics
-from orbitfb.observe.summary import summary
+from orbitfb.observe.statistics.running import LoopStatistics
+from orbitfb.observe.statistics.summary import summary
 from orbitfb.physics.parameters import RingParameters
 from orbitfb.physics.table import _NUMBERS, _TEXTS, COLUMNS, KINDS
-from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 SIZE = 4

@@ -6,7 +6,7 @@ import pytest
 import typer
 
 from orbitfb.cli.app import app
-from orbitfb.config import AppConfig
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState
 from orbitfb.effects.registry import all_effects

@@ -7,12 +7,12 @@ import types
 import numpy as np
 from safetensors import safe_open
 
-from orbitfb.config import AppConfig
+from orbitfb.app.measure.answer import about_of
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.signals import Channels
 from orbitfb.measure.column import Table
 from orbitfb.measure.judging import Judgement
 from orbitfb.measure.response_file import write_response
-from orbitfb.measuring.answer import about_of
 
 NAMES = ("P0", "P1", "P2")
 CHANNELS = Channels("x", NAMES, NAMES, NAMES, NAMES, NAMES)

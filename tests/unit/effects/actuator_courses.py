@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from orbitfb.effects.layout import Devices, Layout
-from orbitfb.effects.record import Record
+from orbitfb.records.layout import Devices, Layout
+from orbitfb.records.record import Record
 
 ROWS, PLACES = 150, np.array([2, 3, 5])
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from orbitfb.effects.cells import cells_of
+from orbitfb.records.cells import cells_of
 
 
 @pytest.mark.parametrize(

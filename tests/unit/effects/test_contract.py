@@ -12,11 +12,11 @@ from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
 from orbitfb.effects.kinds import Stage, Target
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
 from orbitfb.effects.settings import describe, keys
 from orbitfb.physics.effect import generator
 from orbitfb.physics.places import Ring
+from orbitfb.records.record import Record
 
 KINDS = all_effects()
 ROWS = 60

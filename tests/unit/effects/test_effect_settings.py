@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from orbitfb.config import load_config
+from orbitfb.config.tree import load_config
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.units import parse_quantity
-from orbitfb.effects.cells import cell_of
 from orbitfb.effects.files import effects_toml, read_effects
 from orbitfb.effects.places import resolve
 from orbitfb.effects.settings import EffectSettings, parse_effect
+from orbitfb.records.cells import cell_of
 
 pytestmark = pytest.mark.usefixtures("examples")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orbitfb.effects.needles import common_steps, single_steps
+from orbitfb.effects.actuators.rounding import common_steps, single_steps
 
 ROWS, COLUMNS, FINEST = 900, 40, 0.6e-3
 

@@ -10,15 +10,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.change import source_change
 from orbitfb.effects.kicks import interpolation
-from orbitfb.effects.layout import Devices, Layout
+from orbitfb.effects.optics.tunes import tune_change
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.effects.random_kinds import NoiseKind
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import effect
-from orbitfb.effects.tunes import tune_change
 from orbitfb.physics.optics import energy_orbit, green, rf_orbit
 from orbitfb.physics.response import response
 from orbitfb.physics.sextupoles import SextupoleOrbit
+from orbitfb.records.layout import Devices, Layout
+from orbitfb.records.record import Record
 
 ROWS = 12
 SOURCES = ("quadrupole-gradient", "skew-coupling", "sextupole", "local-kick", "thermal-drift")

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from orbitfb.core.errors import ConfigError
-from orbitfb.effects.bpm_current import top_up_current
-from orbitfb.effects.layout import Devices
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import effect
+from orbitfb.effects.sensors.bpm_current import top_up_current
+from orbitfb.records.layout import Devices
+from orbitfb.records.record import Record
 
 ROWS = 200
 PLACES = np.array([3, 4, 50])

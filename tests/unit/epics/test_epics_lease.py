@@ -6,9 +6,9 @@ import pytest
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import MachineError, OwnershipError, WriteError
 from orbitfb.core.signals import Applied
-from orbitfb.epics.late_lease import LateLease
-from orbitfb.epics.lease import LONGEST, Lease, LeaseSettings
-from orbitfb.loop.guarded import GuardedMachine
+from orbitfb.epics.lease.late import LateLease
+from orbitfb.epics.lease.lease import LONGEST, Lease, LeaseSettings
+from orbitfb.loop.machines.guarded import GuardedMachine
 
 TIME = 4.0
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from orbitfb.core.errors import MachineError
-from orbitfb.epics.lease_pvs import LeasePvs
+from orbitfb.epics.lease.pvs import LeasePvs
 from orbitfb.epics.libca import ECA_NORMAL, ECA_TIMEOUT
 from orbitfb.epics.requests import Getter
 

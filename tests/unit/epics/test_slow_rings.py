@@ -14,8 +14,8 @@ from orbitfb.epics.inbox import Inbox
 from orbitfb.epics.records import EPICS_EPOCH, NANOSECONDS
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.loop.intake import await_orbit
-from orbitfb.loop.pacing import Pace, take
 from orbitfb.loop.settings import LoopSettings
+from orbitfb.loop.timing.pacing import Pace, take
 
 BPMS = 7
 

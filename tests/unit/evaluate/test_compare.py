@@ -14,7 +14,7 @@ from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import PlantSettings
 from orbitfb.physics.response import response
 from orbitfb.policies.modal import ModalPolicy, ModalSettings
-from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 RING = Ring.load()

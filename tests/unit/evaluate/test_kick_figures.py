@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from orbitfb.core.signals import LoopState
-from orbitfb.evaluate.kick import KickResult, KickRun
-from orbitfb.evaluate.kick_figures import Recovery, mean_course, recoveries, recovery_figures
-from orbitfb.evaluate.kick_laws import learn_settings, opening_policy
-from orbitfb.evaluate.kick_report import table, write
-from orbitfb.evaluate.kick_settings import KickSettings, responses
+from orbitfb.evaluate.kick.experiment import KickResult, KickRun
+from orbitfb.evaluate.kick.figures import Recovery, mean_course, recoveries, recovery_figures
+from orbitfb.evaluate.kick.laws import learn_settings, opening_policy
+from orbitfb.evaluate.kick.report import table, write
+from orbitfb.evaluate.kick.settings import KickSettings, responses
 from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import Plant
 

@@ -12,13 +12,13 @@ from typer.testing import CliRunner
 from orbitfb.cli.app import app
 from orbitfb.core.errors import ConfigError
 from orbitfb.evaluate.paper.methods import METHODS, find_method
-from orbitfb.evaluate.paper.pictures import COLOURS
+from orbitfb.evaluate.paper.report.pictures import COLOURS
+from orbitfb.evaluate.paper.report.table import TITLES, markdown
+from orbitfb.evaluate.paper.report.targets import TARGETS, judge
+from orbitfb.evaluate.paper.report.write import prepare, write
 from orbitfb.evaluate.paper.run import PaperResult, evaluate_paper
 from orbitfb.evaluate.paper.scenarios import NAMES
 from orbitfb.evaluate.paper.settings import PaperSettings
-from orbitfb.evaluate.paper.table import TITLES, markdown
-from orbitfb.evaluate.paper.targets import TARGETS, judge
-from orbitfb.evaluate.paper.write import prepare, write
 
 
 @pytest.fixture(scope="module")

@@ -17,12 +17,12 @@ from orbitfb.cli.app import app
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import ArchiveError, ExchangeError, StoreError
 from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, Reading, TickRecord
-from orbitfb.exchange.archive_out import export_archive
+from orbitfb.exchange.orbits.parquet import export_archive
 from orbitfb.history.recorder import ArchiveSettings, Recorder
 from orbitfb.measure.response_file import read_response
 from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response
-from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 RING = Ring.load()

@@ -8,9 +8,9 @@ import pytest
 import scipy.io
 
 from orbitfb.core.errors import ExchangeError
-from orbitfb.exchange.found import matrix_of
-from orbitfb.exchange.mat5_file import Mat5Source
-from orbitfb.exchange.source import names_from, open_source
+from orbitfb.exchange.formats.datasets import matrix_of
+from orbitfb.exchange.formats.mat5_file import Mat5Source
+from orbitfb.exchange.formats.source import names_from, open_source
 
 
 def refused(path, where="R"):

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.layout import Devices, Layout
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.layout import Devices, Layout
+from orbitfb.records.record import Record
 
 BPMS, CORRECTORS, ROWS = 16, 12, 900
 NOISE = 0.2e-6

@@ -13,12 +13,12 @@ from orbitfb.diagnose.hypotheses.run import candidates_of, tournament
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind, Parameter, Values
-from orbitfb.effects.layout import Layout
-from orbitfb.effects.record import Record
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import BPMS, NOISE, kinds_for, make_record
 
 

@@ -10,7 +10,7 @@ from test_runner import PATIENT, Bench
 from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import LoopState
 from orbitfb.loop.adjustments import Adjustments, approach
-from orbitfb.loop.dither import Dither, DitherSettings
+from orbitfb.loop.excitation.dither import Dither, DitherSettings
 from orbitfb.loop.slot import PolicySlot
 
 REFERENCE = np.linspace(-50e-6, 50e-6, N)

@@ -11,7 +11,7 @@ from scripted import RESPONSE, M, N, ScriptedMachine, new_clock
 
 from orbitfb.core.errors import AwayError
 from orbitfb.core.signals import LoopState
-from orbitfb.loop.dither import Dither, DitherKind, DitherSettings
+from orbitfb.loop.excitation.dither import Dither, DitherKind, DitherSettings
 from orbitfb.loop.guard import Safeguards
 from orbitfb.loop.memory import confirm_setpoints
 from orbitfb.loop.runner import Runner

@@ -4,10 +4,10 @@ from scripted import RESPONSE, ConstantPolicy, M, N, ScriptedMachine, channels, 
 
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.signals import LoopState
-from orbitfb.loop.dither import Dither, DitherSettings
-from orbitfb.loop.excitation import Excitation, Progress, Waveform
-from orbitfb.loop.excitation_design import ExcitationSettings, check_excitation, design
-from orbitfb.loop.excitation_file import HOW_TO, read_excitation
+from orbitfb.loop.excitation.design import ExcitationSettings, check_excitation, design
+from orbitfb.loop.excitation.dither import Dither, DitherSettings
+from orbitfb.loop.excitation.file import HOW_TO, read_excitation
+from orbitfb.loop.excitation.movement import Excitation, Progress, Waveform
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot

@@ -3,7 +3,7 @@
 import numpy as np
 from scripted import M, N, ScriptedMachine, new_clock
 
-from orbitfb.loop.masked import MaskedMachine
+from orbitfb.loop.machines.masked import MaskedMachine
 
 COUNTING = np.arange(N) != 2
 

@@ -7,10 +7,10 @@ import pytest
 from scripted import PERIOD, RESPONSE, N, ScriptedMachine, new_clock
 
 from orbitfb.core.signals import LoopState
-from orbitfb.loop.pacing import Pace, see, slower
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
+from orbitfb.loop.timing.pacing import Pace, see, slower
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings

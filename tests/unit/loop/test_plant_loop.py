@@ -5,7 +5,7 @@ import pytest
 
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.signals import LoopState
-from orbitfb.loop.masked import MaskedMachine
+from orbitfb.loop.machines.masked import MaskedMachine
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot

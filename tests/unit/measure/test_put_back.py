@@ -5,10 +5,10 @@ import pytest
 from measured_ring import NOMINAL, Bench
 from numpy.testing import assert_array_equal
 
-from orbitfb.config import AppConfig
+from orbitfb.app.measure.unfinished import put_back
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import MeasurementError
 from orbitfb.measure.watch import Watch
-from orbitfb.measuring.unfinished import put_back
 
 
 def restore(bench: Bench, found: float) -> None:

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from orbitfb.core.errors import EstimationError, StoreError
-from orbitfb.models.forward import fit_forward
-from orbitfb.models.forward_files import load_forward, save_forward
-from orbitfb.models.forward_settings import ForwardSettings
+from orbitfb.models.forward.files import load_forward, save_forward
+from orbitfb.models.forward.fit import fit_forward
+from orbitfb.models.forward.settings import ForwardSettings
 from orbitfb.models.rows import Rows
 from orbitfb.nets.checkpoint import Checkpoint
 

@@ -4,7 +4,7 @@ import pytest
 from observe_records import channels
 
 from orbitfb.core.clock import ManualClock
-from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.observe.statistics.running import LoopStatistics
 
 
 @pytest.fixture

@@ -17,12 +17,12 @@ from orbitfb.core.postmortem import PostMortemStatus
 from orbitfb.core.refit import Alarm, AlarmCause, Decision
 from orbitfb.core.signals import LoopState
 from orbitfb.history.archive import ArchiveStatus
-from orbitfb.observe.beside import Beside
 from orbitfb.observe.last_diagnosis import DiagnosisFigures, LastDiagnosis
-from orbitfb.observe.metrics import metrics_registry
-from orbitfb.observe.metrics_list import METRICS
-from orbitfb.observe.metrics_table import metrics_table_markdown
-from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.observe.metrics.beside import Beside
+from orbitfb.observe.metrics.catalogue import METRICS
+from orbitfb.observe.metrics.collector import metrics_registry
+from orbitfb.observe.metrics.reference import metrics_table_markdown
+from orbitfb.observe.statistics.running import LoopStatistics
 
 PAGE = Path(__file__).parents[3] / "docs/reference/metrics.md"
 
@@ -113,7 +113,7 @@ def test_names_carry_their_unit_and_nothing_is_listed_twice():
 
 def test_the_page_of_the_docs_is_the_table():
     assert PAGE.read_text(encoding="utf-8") == metrics_table_markdown(), (
-        "run: python -m orbitfb.observe.metrics_table > docs/reference/metrics.md"
+        "run: python -m orbitfb.observe.metrics.reference > docs/reference/metrics.md"
     )
 
 

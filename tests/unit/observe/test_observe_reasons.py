@@ -2,7 +2,7 @@
 
 import pytest
 
-from orbitfb.observe.tallies import kind_of
+from orbitfb.observe.statistics.tallies import kind_of
 
 
 @pytest.mark.parametrize(

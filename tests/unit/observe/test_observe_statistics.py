@@ -9,8 +9,8 @@ from observe_records import channels, feed, record, report
 
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import LoopState
-from orbitfb.observe.statistics import LoopStatistics
-from orbitfb.observe.windows import LATENCY_BOUNDS
+from orbitfb.observe.statistics.running import LoopStatistics
+from orbitfb.observe.statistics.windows import LATENCY_BOUNDS
 
 
 def test_before_the_first_tick_nothing_is_claimed(statistics, clock):

@@ -9,7 +9,7 @@ from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import LoopState
 from orbitfb.observe.plain import dumps
-from orbitfb.observe.summary import summary, write_summary
+from orbitfb.observe.statistics.summary import summary, write_summary
 
 
 def strict(text):

@@ -12,7 +12,7 @@ from rich.console import Console
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import LoopState
 from orbitfb.observe.settings import TerminalSettings
-from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import STYLES, Surroundings, line, panel
 from orbitfb.observe.wording import clock_time, micrometres, milliseconds, trend_line

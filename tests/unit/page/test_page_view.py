@@ -9,7 +9,7 @@ import pytest
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.refit import Decision, RefitReport
 from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, Reading, TickRecord
-from orbitfb.observe.statistics import LoopStatistics
+from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.page.peaks import Peaks
 from orbitfb.page.view import PageView, Sources
 

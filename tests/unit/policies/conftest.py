@@ -3,7 +3,7 @@
 import pytest
 
 from orbitfb.core.clock import ManualClock
-from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.store.directory import PolicyStore
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from policy_examples import BPMS, CORRECTORS, EXAMPLES, make_response, policy_cl
 from store_examples import ring
 
 from orbitfb.core.errors import ConfigError
-from orbitfb.policies.card import check_identifier
 from orbitfb.policies.masking import MaskedPolicy
+from orbitfb.policies.store.card import check_identifier
 
 EVERY = np.ones(BPMS, dtype=bool)
 RESPONSE = make_response()

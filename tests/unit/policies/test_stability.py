@@ -8,7 +8,7 @@ from store_examples import make_policy, ring
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.network import NetworkPolicy, NetworkSettings
 from orbitfb.policies.stability import HIGHEST, MARGIN, growth_of, is_unstable, warning_of
-from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 WIDE = {"integral_limit": 1e150, "derivative_limit": 1e150}

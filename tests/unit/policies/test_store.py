@@ -11,10 +11,10 @@ from store_examples import make_modal, make_network, make_policy, ring
 
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import StoreError
-from orbitfb.policies.files import remove_directory
+from orbitfb.core.files.whole import remove_directory
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.modal import ModalPolicy
-from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 
@@ -194,7 +194,7 @@ def test_each_removal_is_told_also_before_one_that_fails(store, monkeypatch):
             raise PermissionError(13, "Permission denied")
         remove_directory(path)
 
-    monkeypatch.setattr("orbitfb.policies.store.remove_directory", remove)
+    monkeypatch.setattr("orbitfb.policies.store.directory.remove_directory", remove)
     with pytest.raises(StoreError, match="cannot be removed"):
         store.prune(1, told.append)
     left = {card.id for card in store.cards()}

@@ -12,8 +12,8 @@ from store_examples import make_network, make_policy, ring
 
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import StoreError
-from orbitfb.policies import files
-from orbitfb.policies.store import PolicyStore
+from orbitfb.core.files import whole
+from orbitfb.policies.store.directory import PolicyStore
 
 
 def test_a_missing_or_damaged_policy_is_not_activated(store):
@@ -132,7 +132,7 @@ def test_what_a_killed_writer_left_is_not_listed_and_is_swept_away(store, monkey
         raise KeyboardInterrupt  # not an OSError: like a kill, no clean-up runs
 
     with monkeypatch.context() as patch:
-        patch.setattr(files.Path, "rename", die)
+        patch.setattr(whole.Path, "rename", die)
         with pytest.raises(KeyboardInterrupt):
             store.save(make_policy(), ring())
     assert len(list(store.path.glob(".unfinished-*"))) == 1

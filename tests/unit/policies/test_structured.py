@@ -7,10 +7,10 @@ import torch
 from orbitfb.core.errors import ConfigError
 from orbitfb.policies.embedding import embed
 from orbitfb.policies.modal import ModalPolicy, ModalSettings, kalman_gain
-from orbitfb.policies.rehearsal import Rehearsal, judge
-from orbitfb.policies.structured import StructuredLaw, train_structured
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
-from orbitfb.policies.trajectory_settings import StructuredSettings
+from orbitfb.policies.training.rehearsal import Rehearsal, judge
+from orbitfb.policies.training.structured import StructuredLaw, train_structured
+from orbitfb.policies.training.trajectory_settings import StructuredSettings
 
 
 @pytest.fixture(autouse=True)

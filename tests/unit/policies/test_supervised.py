@@ -9,9 +9,9 @@ import torch
 from pydantic import ValidationError
 
 from orbitfb.core.errors import ConfigError, EstimationError, StoreError
-from orbitfb.policies.supervised import train_supervised
-from orbitfb.policies.supervised_settings import SupervisedSettings
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
+from orbitfb.policies.training.supervised import train_supervised
+from orbitfb.policies.training.supervised_settings import SupervisedSettings
 
 SIZE = 12
 

@@ -5,14 +5,14 @@ import pytest
 import torch
 
 from orbitfb.core.errors import ConfigError, RingError, TrainingError
-from orbitfb.policies.coordinates import Coordinates
 from orbitfb.policies.embedding import embed
-from orbitfb.policies.fine_tune import fine_tune
 from orbitfb.policies.modal import ModalPolicy, ModalSettings
-from orbitfb.policies.rehearsal import Rehearsal, judge, rehearse, spectral_radius
-from orbitfb.policies.rollout import LinearResponses, TrajectoryLoss
-from orbitfb.policies.trajectory import build, descend, train_trajectory
-from orbitfb.policies.trajectory_settings import (
+from orbitfb.policies.training.coordinates import Coordinates
+from orbitfb.policies.training.fine_tune import fine_tune
+from orbitfb.policies.training.rehearsal import Rehearsal, judge, rehearse, spectral_radius
+from orbitfb.policies.training.rollout import LinearResponses, TrajectoryLoss
+from orbitfb.policies.training.trajectory import build, descend, train_trajectory
+from orbitfb.policies.training.trajectory_settings import (
     FineTuneSettings,
     RolloutSettings,
     TrajectorySettings,

@@ -14,10 +14,10 @@ import h5py
 import numpy as np
 import pytest
 
-from orbitfb import autosave
-from orbitfb.config import load_config
-from orbitfb.core.bounded import LARGEST_TEXT, read_bytes
+from orbitfb.app.commands import autosave
+from orbitfb.config.tree import load_config
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError, RecordError
+from orbitfb.core.files.bounded import LARGEST_TEXT, read_bytes
 from orbitfb.diagnose.answer import read_diagnosis
 from orbitfb.diagnose.load_hdf5 import read_hdf5
 from orbitfb.diagnose.load_npz import read_npz
@@ -25,12 +25,12 @@ from orbitfb.effects.files import read_effects
 from orbitfb.evaluate.pool.shelf import Shelf
 from orbitfb.evaluate.pool.task import Task
 from orbitfb.history.reader import read_archive
-from orbitfb.loop.excitation_file import read_excitation
+from orbitfb.loop.excitation.file import read_excitation
 from orbitfb.measure.response_file import read_response
 from orbitfb.nets.checkpoint import Checkpoint
 from orbitfb.panel.access import read_access
 from orbitfb.physics.places import Ring
-from orbitfb.policies.store import PolicyStore
+from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.postmortem.reading import read_postmortem
 
 DEEP = 20_000

@@ -13,15 +13,15 @@ ROOT = Path(__file__).parents[3]
 SOURCES = sorted((ROOT / "orbitfb").rglob("*.py"))
 
 WHOLE = {
-    "core/delimited.py": "one line of a text that was read with a bound",
-    "cli/paper.py": "the table that it has just written",
-    "epics/late_lease.py": "a PV, no file: texts of 40 characters",
-    "epics/lease.py": "a PV, no file: texts of 40 characters",
-    "evaluate/paper/page.py": "the picture that it has just drawn",
+    "core/files/delimited.py": "one line of a text that was read with a bound",
+    "cli/evaluation/paper.py": "the table that it has just written",
+    "epics/lease/late.py": "a PV, no file: texts of 40 characters",
+    "epics/lease/lease.py": "a PV, no file: texts of 40 characters",
+    "evaluate/paper/report/page.py": "the picture that it has just drawn",
     "evaluate/pool/task.py": "source files of the package itself",
-    "exchange/archiver.py": "size checked before (check_file)",
-    "exchange/csv_file.py": "size checked before (check_file)",
-    "exchange/source.py": "size checked before (check_file)",
+    "exchange/formats/archiver.py": "size checked before (check_file)",
+    "exchange/formats/csv_file.py": "size checked before (check_file)",
+    "exchange/formats/source.py": "size checked before (check_file)",
     "learn/process.py": "standard error of its own child",
     "page/app.py": "files of the package itself",
     "physics/places.py": "files of the package itself",
@@ -34,14 +34,14 @@ READERS = {
     "diagnose/load_hdf5.py",
     "diagnose/load_npz.py",
     "evaluate/pool/task.py",
-    "exchange/archive_out.py",
-    "exchange/hdf5_file.py",
-    "exchange/history.py",
-    "exchange/mat5_file.py",
-    "exchange/response_out.py",
+    "exchange/orbits/parquet.py",
+    "exchange/formats/hdf5_file.py",
+    "exchange/orbits/history.py",
+    "exchange/formats/mat5_file.py",
+    "exchange/response/export.py",
     "history/segment.py",
     "history/verify.py",
-    "loop/excitation_file.py",
+    "loop/excitation/file.py",
     "postmortem/encoding.py",
     "postmortem/opening.py",
 }
@@ -67,7 +67,7 @@ def test_nothing_executes_what_a_file_holds():
 
 def test_nothing_reads_to_the_end_of_somebody_elses_file():
     others = {name: where for name, where in found(unbounded_reads).items() if name not in WHOLE}
-    assert others == {}, "use orbitfb.core.bounded, or say in WHOLE why the end is near"
+    assert others == {}, "use orbitfb.core.files.bounded, or say in WHOLE why the end is near"
 
 
 def test_readers_of_containers_are_known():

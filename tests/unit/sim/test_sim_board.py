@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from orbitfb.core.names import CURRENT_PV, RF_PV
 from orbitfb.core.signals import Channels
-from orbitfb.sim.board import AlarmLimits, Board, Entry
-from orbitfb.sim.channels import ScalarChannel
+from orbitfb.sim.access.board import AlarmLimits, Board, Entry
+from orbitfb.sim.access.channels import ScalarChannel
+from orbitfb.sim.access.stamp import Stamp
 from orbitfb.sim.layout import (
     KICK_PV,
     STORED_PV,
@@ -22,7 +23,6 @@ from orbitfb.sim.layout import (
     lay_out,
 )
 from orbitfb.sim.settings import SimSettings
-from orbitfb.sim.stamp import Stamp
 
 CHANNELS = Channels(
     planes="x",

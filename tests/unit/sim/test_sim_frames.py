@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_sim_board import LATE, LAYOUT
 
-from orbitfb.sim.board import Board, Entry
-from orbitfb.sim.feed import Feed
-from orbitfb.sim.frames import DOUBLE, TIME_DOUBLE, Frames, Monitor
-from orbitfb.sim.puts import LARGEST_MESSAGE, leading_puts, message_end
+from orbitfb.sim.access.board import Board, Entry
+from orbitfb.sim.access.feed import Feed
+from orbitfb.sim.access.frames import DOUBLE, TIME_DOUBLE, Frames, Monitor
+from orbitfb.sim.access.puts import LARGEST_MESSAGE, leading_puts, message_end
 
 COUNT = len(LAYOUT.readings) + len(LAYOUT.setpoints)
 

@@ -3,7 +3,7 @@
 import caproto as ca
 import numpy as np
 
-from orbitfb.sim.reads import READ, answers, leading_reads
+from orbitfb.sim.access.reads import READ, answers, leading_reads
 
 
 def read(channel, request, count=1):

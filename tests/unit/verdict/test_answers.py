@@ -5,8 +5,8 @@ import pytest
 
 from orbitfb.diagnose.answer import Diagnosis
 from orbitfb.diagnose.verdict.engine import diagnose
-from orbitfb.effects.record import Record
 from orbitfb.physics.optics import Matrix
+from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import Bent, make_record
 
 

@@ -1,0 +1,306 @@
+"""The commands that adjust a running loop: gain, reference, enable lists, dither.
+
+Each is checked as a whole, put in force between two ticks, then saved for the next start.
+"""
+
+import re
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import structlog
+
+from orbitfb.app.commands.arguments import number, reference_of, switches
+from orbitfb.app.commands.autosave import FILE, Reference, Saved, labels, read_whole, write_whole
+from orbitfb.core.errors import ConfigError, ControlError, OrbitFeedbackError
+from orbitfb.core.ports import Policy
+from orbitfb.core.retry import EVERY, Retry
+from orbitfb.core.signals import Channels, Mask, Vector
+from orbitfb.learn.builders import masked, unmasked
+from orbitfb.loop.adjustments import Adjustments
+from orbitfb.loop.excitation.dither import Dither
+from orbitfb.loop.runner import Runner
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.panel.settings import PanelSettings
+
+_log = structlog.stdlib.get_logger("orbitfb.control.socket")
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,59}")
+LARGEST_GAIN = 1.0
+"""A policy is judged with its own gain; operators may only take some of it away."""
+
+
+@dataclass(frozen=True, slots=True)
+class Base:
+    """What the adjustments start from.
+
+    Args:
+        channels: Of the loop.
+        counting: BPMs that are not masked by configuration, shape (n,).
+        movable: Correctors that are not, shape (m,).
+        limits: Of what operators may set.
+        directory: Data directory.
+    """
+
+    channels: Channels
+    counting: Mask
+    movable: Mask
+    limits: PanelSettings
+    directory: Path
+
+
+class Adjuster:
+    """Carries the commands out; called from the control socket's threads.
+
+    Args:
+        base: What the adjustments start from.
+        runner: The loop.
+        slot: Its policy.
+        dither: Its dither.
+        saved_late: Told that what could not be saved at once is saved.
+        every: Time between two tries to save what could not be saved [s].
+    """
+
+    def __init__(
+        self,
+        base: Base,
+        runner: Runner,
+        slot: PolicySlot,
+        dither: Dither,
+        saved_late: Callable[[], None] = lambda: None,
+        every: float = EVERY,
+    ) -> None:
+        self._base, self._runner, self._slot, self._dither = base, runner, slot, dither
+        self._lock = threading.Lock()
+        self._correctors = np.ones(len(base.channels.correctors), dtype=np.bool_)
+        self._gain = dict.fromkeys(base.channels.planes, 1.0)
+        self._dither_cost: float | None = None
+        self._reference_name = ""
+        self._saving = Retry(self._save_all, _say_unsaved, saved_late, every, "settings")
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether something is in force that a restart would not find."""
+        return self._saving.pending
+
+    def close(self) -> None:
+        """Try once more to save what could not be saved."""
+        self._saving.stop()
+
+    @property
+    def handlers(self) -> dict[str, Callable[[Mapping[str, Any]], Mapping[str, Any]]]:
+        """The commands by name."""
+        return {
+            "gain": self._locked(self._set_gain),
+            "reference": self._locked(self._set_reference),
+            "reference-save": self._locked(self._save_reference),
+            "reference-load": self._locked(self._load_reference),
+            "enable-bpms": self._locked(self._enable_bpms),
+            "enable-correctors": self._locked(self._enable_correctors),
+            "dither": self._locked(self._set_dither),
+        }
+
+    @property
+    def movable(self) -> Mask:
+        """Correctors that may move now, shape (m,)."""
+        return self._base.movable & self._correctors
+
+    def shown(self) -> dict[str, Any]:
+        """Give what is in force, by PV of the panel, in its units."""
+        wanted = self._runner.adjustments
+        return {
+            **{f"Gain{plane.upper()}-RB": gain for plane, gain in self._gain.items()},
+            "Reference-RB": (self._runner.reference * 1e3).tolist(),
+            "ReferenceName-I": self._reference_name,
+            "BpmEnable-RB": (wanted.enabled & self._base.counting).astype(int).tolist(),
+            "CorrectorEnable-RB": self.movable.astype(int).tolist(),
+            "Dither-RB": self._dither.orbit_cost * 1e6,
+        }
+
+    def restore(self) -> bool:
+        """Take up what was saved; say whether there was anything.
+
+        Raises:
+            ConfigError: It is damaged, or of another ring.
+        """
+        path = self._base.directory / FILE
+        if not path.exists():
+            return False
+        advice = "it holds what operators had set; mend it, or remove it and set it anew"
+        saved = read_whole(path, Saved, advice)
+        channels = self._base.channels
+        bpms = labels(channels.bpms, channels.planes)
+        correctors = labels(channels.correctors, channels.planes)
+        unknown = {*saved.disabled_bpms} - {*bpms} | {*saved.disabled_correctors} - {*correctors}
+        fits = (
+            saved.planes == channels.planes
+            and len(saved.reference) == len(bpms)
+            and saved.gain.keys() == self._gain.keys()
+            and all(0 <= gain <= LARGEST_GAIN for gain in saved.gain.values())
+            and not unknown
+        )
+        if not fits:
+            raise ConfigError(f"{path}: is of another ring or other planes; {advice}")
+        self._gain.update(saved.gain)
+        self._reference_name = saved.reference_name
+        self._correctors = _without(correctors, saved.disabled_correctors)
+        reference = self._checked(saved.reference)
+        enabled = _without(bpms, saved.disabled_bpms)
+        self._check_left(enabled, self._correctors)
+        self._apply(reference=reference, enabled=enabled)
+        if saved.dither is not None:
+            self._dither_cost = saved.dither
+            self._dither.retune(saved.dither)
+        self._redress()
+        return True
+
+    def _locked(
+        self, handler: Callable[[Mapping[str, Any]], Mapping[str, Any]]
+    ) -> Callable[[Mapping[str, Any]], Mapping[str, Any]]:
+        def handle(request: Mapping[str, Any]) -> Mapping[str, Any]:
+            with self._lock:
+                answer = handler(request)
+                try:
+                    self._save()
+                except OrbitFeedbackError as error:  # in force all the same; a full disk, say
+                    self._saving.ask()
+                    told = f"in force, but not saved yet, which is tried again: {error}"
+                    return {**answer, "warning": told}
+                return answer
+
+        return handle
+
+    def _set_gain(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        plane, value = request.get("plane"), number(request, "value", 0.0, LARGEST_GAIN)
+        if plane not in self._gain:
+            raise ControlError(f"no plane {plane!r}; the loop has {', '.join(self._gain)}")
+        self._gain[str(plane)] = value
+        self._apply()
+        return {"gain": dict(self._gain)}
+
+    def _set_reference(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        values = request.get("values")
+        reference = self._checked(values if isinstance(values, list) else ())
+        self._reference_name = ""
+        self._apply(reference=reference)
+        return {"reference_rms_um": float(np.sqrt(np.mean(reference**2)) * 1e6)}
+
+    def _save_reference(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        path, channels = self._reference_file(request), self._base.channels
+        position = tuple(self._runner.adjustments.reference.tolist())
+        bpms = labels(channels.bpms, channels.planes)
+        write_whole(path, Reference(bpms=bpms, position=position))
+        self._reference_name = path.stem
+        return {"saved": str(path)}
+
+    def _load_reference(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        path, channels = self._reference_file(request), self._base.channels
+        if not path.exists():
+            known = ", ".join(sorted(file.stem for file in path.parent.glob("*.json")))
+            raise ControlError(f"no reference {path.stem!r} was saved; known: {known or 'none'}")
+        loaded = read_whole(path, Reference, "save another one under this name")
+        if loaded.bpms != labels(channels.bpms, channels.planes):
+            raise ControlError(f"{path} is of other BPMs than the loop's")
+        self._apply(reference=self._checked(loaded.position))
+        self._reference_name = path.stem
+        return {"loaded": str(path)}
+
+    def _enable_bpms(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        enabled = switches(request, len(self._base.channels.bpms))
+        self._check_left(enabled, self._correctors)
+        self._solve(enabled)
+        self._apply(enabled=enabled)
+        return {"bpms": int(np.count_nonzero(enabled & self._base.counting))}
+
+    def _enable_correctors(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        enabled = switches(request, len(self._base.channels.correctors))
+        self._check_left(self._runner.adjustments.enabled, enabled)
+        self._correctors = enabled
+        self._redress()
+        return {"correctors": int(np.count_nonzero(self.movable))}
+
+    def _set_dither(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        cost = number(request, "orbit_cost", 0.0, self._base.limits.dither_limit)
+        self._dither_cost = cost
+        self._dither.retune(cost)
+        return {"orbit_cost": cost}
+
+    def _apply(self, reference: Vector | None = None, enabled: Mask | None = None) -> None:
+        wanted = self._runner.adjustments
+        size = len(wanted.gain) // len(self._gain)
+        self._runner.adjust(
+            Adjustments(
+                np.repeat([*self._gain.values()], size),
+                wanted.reference if reference is None else reference,
+                wanted.enabled if enabled is None else enabled,
+            )
+        )
+
+    def _redress(self) -> None:
+        movable = self.movable
+        self._slot.redress(lambda policy: _moving(policy, movable))
+        self._dither.retune(movable=movable)
+        self._solve(self._runner.adjustments.enabled)
+
+    def _solve(self, enabled: Mask) -> None:
+        """Have the law for these BPMs solved here and not in the middle of a tick."""
+        policy = self._slot.acting
+        nothing = np.zeros(len(enabled))
+        policy.act(nothing, enabled & self._base.counting, policy.initial_state())
+
+    def _check_left(self, bpms: Mask, correctors: Mask) -> None:
+        left = bpms & self._base.counting, correctors & self._base.movable
+        if not left[0].any() or not left[1].any():
+            raise ControlError("at least one BPM and one corrector must stay enabled")
+
+    def _checked(self, values: Sequence[Any]) -> Vector:
+        size, limit = len(self._base.channels.bpms), self._base.limits.reference_limit
+        return reference_of(values, size, limit)
+
+    def _reference_file(self, request: Mapping[str, Any]) -> Path:
+        name = request.get("name")
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise ControlError(
+                f"{name!r} is no name of a reference: letters, digits, - _ and . , at most 60"
+            )
+        return self._base.directory / "references" / f"{name}.json"
+
+    def _save_all(self) -> None:
+        """Save what is in force, from another thread than the commands'."""
+        with self._lock:
+            self._save()
+
+    def _save(self) -> None:
+        wanted, channels = self._runner.adjustments, self._base.channels
+        bpms = labels(channels.bpms, channels.planes)
+        correctors = labels(channels.correctors, channels.planes)
+        saved = Saved(
+            planes=channels.planes,
+            gain=self._gain,
+            reference=tuple(wanted.reference.tolist()),
+            reference_name=self._reference_name,
+            disabled_bpms=_names_off(bpms, wanted.enabled),
+            disabled_correctors=_names_off(correctors, self._correctors),
+            dither=self._dither_cost,
+        )
+        write_whole(self._base.directory / FILE, saved)
+
+
+def _say_unsaved(error: OrbitFeedbackError) -> None:
+    _log.error("settings_not_saved", problem=str(error))
+
+
+def _moving(policy: Policy, movable: Mask) -> Policy:
+    inside: Any = unmasked(policy)
+    return masked(inside, movable)
+
+
+def _without(names: tuple[str, ...], off: tuple[str, ...]) -> Mask:
+    return np.array([name not in off for name in names], dtype=np.bool_)
+
+
+def _names_off(names: tuple[str, ...], enabled: Mask) -> tuple[str, ...]:
+    return tuple(name for name, on in zip(names, enabled, strict=True) if not on)

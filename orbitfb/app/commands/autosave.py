@@ -1,0 +1,92 @@
+"""What operators have set, on disk: a whole file or the one before, restored at the next start.
+
+The state of the loop is not in it: a loop never closes because it was closed before.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import Field, ValidationError
+
+from orbitfb.core.errors import ConfigError, OrbitFeedbackError
+from orbitfb.core.files.state import make_directory, replace_file
+from orbitfb.core.settings import Settings
+
+S = TypeVar("S", bound=Settings)
+
+FILE = "operator.json"
+LARGEST = 1 << 22
+"""Longest file that is read [bytes]."""
+
+
+class Saved(Settings):
+    """What operators have set."""
+
+    schema_version: int = Field(default=1, ge=1, le=1, description="Version of the layout.")
+    planes: str = Field(description="Planes under feedback.")
+    gain: dict[str, float] = Field(description="Factor of the policy's change by plane [1].")
+    reference: tuple[float, ...] = Field(description="Reference orbit, x first, then y [m].")
+    reference_name: str = Field(default="", description="Name of the reference; empty: none.")
+    disabled_bpms: tuple[str, ...] = Field(default=(), description="NAME:plane each.")
+    disabled_correctors: tuple[str, ...] = Field(default=(), description="NAME:plane each.")
+    dither: float | None = Field(
+        default=None, ge=0, description="Orbit motion by the dither [m]; none: as configured."
+    )
+
+
+class Reference(Settings):
+    """A reference orbit on disk."""
+
+    schema_version: int = Field(default=1, ge=1, le=1, description="Version of the layout.")
+    bpms: tuple[str, ...] = Field(description="NAME:plane each, in the order of the positions.")
+    position: tuple[float, ...] = Field(description="Reference orbit [m].")
+
+
+def labels(names: Sequence[str], planes: str) -> tuple[str, ...]:
+    """Give every element of a vector a name of its own, `NAME:plane`."""
+    size = len(names) // len(planes)
+    return tuple(f"{name}:{planes[index // size]}" for index, name in enumerate(names))
+
+
+def write_whole(path: Path, content: Settings) -> None:
+    """Write a file of JSON: the whole file or none.
+
+    Args:
+        path: Where to; its directory is made if need be.
+        content: What.
+
+    Raises:
+        OrbitFeedbackError: It cannot be written.
+    """
+    try:
+        make_directory(path.parent)
+        replace_file(path, f"{content.model_dump_json(indent=1)}\n".encode())
+    except OSError as error:
+        raise OrbitFeedbackError(f"{path} cannot be written: {error.strerror}") from error
+
+
+def read_whole(path: Path, kind: type[S], advice: str) -> S:
+    """Read a file of JSON.
+
+    Args:
+        path: Where it is.
+        kind: What it must hold.
+        advice: What to do if it does not.
+
+    Raises:
+        ConfigError: It cannot be read, is too long, or holds something else.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); {advice}") from None
+    if len(data) > LARGEST:
+        raise ConfigError(f"{path}: is longer than {LARGEST} bytes; {advice}")
+    try:
+        return kind.model_validate_json(data, strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise ConfigError(f"{path}: {where}: {first['msg']}; {advice}") from None

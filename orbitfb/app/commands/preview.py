@@ -1,0 +1,163 @@
+"""Another cut of the singular values or another λ: what it would do, before it does it."""
+
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from orbitfb.core.errors import ControlError, OrbitFeedbackError
+from orbitfb.core.signals import Channels, Mask, TickRecord, Vector
+from orbitfb.learn.builders import masked, unmasked
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.policies.store.directory import PolicyStore
+from orbitfb.policies.svd import SvdPolicy, SvdSettings
+
+Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+LARGEST_LAMBDA = 1.0
+"""Largest λ that is accepted [m/A]."""
+
+
+class Latest:
+    """Keeps the last record of the loop that has an orbit."""
+
+    def __init__(self) -> None:
+        self.record: TickRecord | None = None
+
+    def __call__(self, record: TickRecord) -> None:
+        """Take a record; called in the loop's thread."""
+        if record.reading is not None:
+            self.record = record
+
+    @property
+    def error(self) -> tuple[Vector, Mask]:
+        """The last orbit error, shape (n,) [m], 0 where not valid, and what of it is valid.
+
+        Raises:
+            ControlError: No orbit has come yet.
+        """
+        record = self.record
+        if record is None or record.reading is None:
+            raise ControlError("no orbit has come yet, so that nothing can be predicted")
+        orbit = record.reading.orbit
+        valid = orbit.valid & np.isfinite(orbit.position)
+        return np.where(valid, orbit.position - record.reference, 0.0), valid
+
+
+class Trial:
+    """Tries an SVD law on the response of the policy in force.
+
+    Args:
+        slot: The policy in force.
+        store: Where one that is applied is stored.
+        channels: Of the loop.
+        configured: Settings of the SVD law for a policy in force that is none.
+        latest: The last orbit.
+        movable: Gives the correctors that may move now, shape (m,).
+        activate: Puts a stored policy in force, with all its checks: the command `activate`.
+    """
+
+    def __init__(
+        self,
+        slot: PolicySlot,
+        store: PolicyStore,
+        channels: Channels,
+        configured: SvdSettings,
+        latest: Latest,
+        movable: Callable[[], Mask],
+        activate: Handler,
+    ) -> None:
+        self._slot, self._store, self._channels = slot, store, channels
+        self._configured, self._latest = configured, latest
+        self._movable, self._activate = movable, activate
+        self._lock = threading.Lock()
+        self._wanted: dict[str, Any] = {}
+        self._policy: SvdPolicy | None = None
+        self._incumbent = ""
+        self._predicted: dict[str, float] = {}
+
+    @property
+    def handlers(self) -> dict[str, Handler]:
+        """The commands by name."""
+        return {"try": self._try, "apply": self._apply}
+
+    def shown(self) -> dict[str, Any]:
+        """Give what is in force and what the last trial predicts, by PV of the panel."""
+        inside = unmasked(self._slot.current)
+        known = isinstance(inside, SvdPolicy)
+        modes = min(len(self._channels.bpms), len(self._channels.correctors))
+        return {
+            "Modes-RB": (inside.settings.singular_values or modes) if known else None,
+            "Lambda-RB": inside.settings.regularisation if known else None,
+            "PredictedMax-I": self._predicted.get("largest_change_A"),
+            "PredictedRms-I": self._predicted.get("rms_change_A"),
+            "PredictedOrbit-I": self._predicted.get("orbit_rms_um"),
+        }
+
+    def _try(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Build the law with what was asked for so far and predict its next change."""
+        with self._lock:
+            wanted = {**self._wanted, **self._checked(request)}
+            current = self._slot.current
+            inside: Any = unmasked(current)
+            settings = inside.settings if isinstance(inside, SvdPolicy) else self._configured
+            policy = SvdPolicy(
+                inside.response,
+                settings.model_copy(update=wanted),
+                covariance=getattr(inside, "covariance", None),
+            )
+            predicted = self._predict(policy)
+            self._wanted, self._policy, self._predicted = wanted, policy, predicted
+            self._incumbent = current.policy_id
+            return {"policy": policy.policy_id, **predicted}
+
+    def _apply(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        with self._lock:
+            policy = self._policy
+            if policy is None:
+                raise ControlError("nothing was tried yet: set the cut or lambda first")
+            parent = self._slot.current.policy_id
+            if parent != self._incumbent:
+                raise ControlError(
+                    "the policy in force has changed since the trial; try again, then apply"
+                )
+            self._store.save(policy, self._channels, parent=parent)
+            answer = self._activate(
+                {**request, "command": "activate", "policy": policy.policy_id, "force": False}
+            )
+            self._wanted, self._policy, self._predicted = {}, None, {}
+            return answer
+
+    def _checked(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        checked: dict[str, Any] = {}
+        modes = min(len(self._channels.bpms), len(self._channels.correctors))
+        if "singular_values" in request:
+            value = request["singular_values"]
+            if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= modes:
+                raise ControlError(f"singular_values must be from 1 to {modes}, not {value!r}")
+            checked["singular_values"] = value
+        if "regularisation" in request:
+            value = request["regularisation"]
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not number or not 0.0 <= value <= LARGEST_LAMBDA:
+                raise ControlError(
+                    f"regularisation must be from 0 to {LARGEST_LAMBDA:g} m/A, not {value!r}"
+                )
+            checked["regularisation"] = float(value)
+        if not checked:
+            raise ControlError("try takes singular_values, regularisation, or both")
+        return checked
+
+    def _predict(self, policy: SvdPolicy) -> dict[str, float]:
+        """Say what the law would do at the next tick, and what orbit it expects then."""
+        error, valid = self._latest.error
+        acting = masked(policy, self._movable())
+        change, _ = acting.act(error, valid, acting.initial_state())
+        after = (error + policy.response @ change)[valid]
+        if not np.isfinite(change).all():
+            raise OrbitFeedbackError("that law asks for changes that are not finite")
+        return {
+            "rms_change_A": float(np.sqrt(np.mean(change**2))),
+            "largest_change_A": float(np.abs(change).max()),
+            "orbit_rms_um": float(np.sqrt(np.mean(after**2)) * 1e6),
+        }

@@ -1,0 +1,76 @@
+"""What came of a measurement: for its file, for people, for programs."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfb import __version__
+from orbitfb.app.setup.stored_policies import activate_stored, movable, open_store
+from orbitfb.config.tree import AppConfig
+from orbitfb.core.signals import Channels, Mask, Vector
+from orbitfb.learn.builders import first_policy
+from orbitfb.measure.judging import Judgement
+from orbitfb.measure.measurement import Result
+from orbitfb.measure.response_file import adopted, read_response
+
+
+def about_of(
+    config: AppConfig,
+    result: Result,
+    where: str,
+    begin: float,
+    end: float,
+    rejected: int,
+    channels: Channels,
+) -> dict[str, Any]:
+    """Say how it was measured, for the card of its file."""
+    return {
+        "created": end,
+        "duration": end - begin,
+        "ring": where,
+        "method": "steps" if config.measure.at_once == 1 else "at once",
+        "settings": config.measure.model_dump(mode="json"),
+        "orbits_rejected": rejected,
+        "check": {channels.setpoint_pvs[j]: apart for j, apart in result.check.items()},
+        "version": __version__,
+    }
+
+
+def answer_of(
+    result: Result,
+    judgement: Judgement,
+    nominal: Vector,
+    counting: Mask,
+    out: Path,
+    about: dict[str, Any],
+) -> dict[str, Any]:
+    """Say what came of it, for people and programs."""
+    table = result.table
+    area = np.isfinite(table.response) & counting[:, None]
+    size = float(np.sqrt(np.mean(table.response[area] ** 2)))
+    return {
+        "file": str(out),
+        "correctors": int(table.measured.sum()),
+        "not_measured": len(judgement.missing),
+        "bad_correctors": judgement.correctors,
+        "bad_bpms": judgement.bpms,
+        "uncertainty": float(np.sqrt(np.mean(table.sigma[area] ** 2))) / size,
+        "noise_um": float(np.nanmedian(table.noise)) * 1e6,
+        "from_optics": float(
+            np.linalg.norm((table.response - nominal)[area]) / np.linalg.norm(nominal[area])
+        ),
+        "check": about["check"],
+        "orbits_rejected": about["orbits_rejected"],
+        "duration_s": about["duration"],
+    }
+
+
+def activate(
+    config: AppConfig, out: Path, channels: Channels, counting: Mask, moving: Mask
+) -> dict[str, Any]:
+    """Make a policy of a measured matrix and put it in force; refused if anything is bad."""
+    matrix = adopted(read_response(out, channels), out, channels, counting, moving)
+    policy = first_policy(matrix, config.policy, movable(config, config.ring.load()))
+    stored = open_store(config).save(policy, channels, training={"measured": str(out)})
+    return {"stored": stored, **activate_stored(config, policy.policy_id)}

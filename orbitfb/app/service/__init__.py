@@ -1,0 +1,1 @@
+"""`orbitfb run`: everything that the service consists of, built, started, watched, stopped."""

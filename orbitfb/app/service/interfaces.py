@@ -1,0 +1,173 @@
+"""The doors of a service: the control socket, the panel if that is wanted, the operator page."""
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from orbitfb.app.commands.adjust import Adjuster, Base
+from orbitfb.app.commands.autosave import FILE
+from orbitfb.app.commands.dispatch import Commands, Handler
+from orbitfb.app.commands.preview import Latest, Trial
+from orbitfb.app.service.page_process import PageProcess
+from orbitfb.app.service.panel_process import PanelProcess
+from orbitfb.config.tree import AppConfig
+from orbitfb.control.socket import ControlServer
+from orbitfb.core.clock import SystemClock
+from orbitfb.core.errors import ControlError
+from orbitfb.core.signals import Channels, Mask
+from orbitfb.epics.lease.lease import Lease
+from orbitfb.loop.excitation.dither import Dither
+from orbitfb.loop.runner import Runner
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.observe.statistics.running import LoopStatistics
+from orbitfb.page.peaks import Peaks
+from orbitfb.page.view import PageView, Sources
+from orbitfb.panel.access import read_access
+from orbitfb.panel.figures import Figures, gap_text
+from orbitfb.panel.pv_table import Extent, panel_pvs, writable_names
+from orbitfb.policies.store.directory import PolicyStore
+
+_log = structlog.stdlib.get_logger("orbitfb.service")
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What operators see and command.
+
+    Args:
+        channels: Of the loop.
+        counting: BPMs that are not masked by configuration, shape (n,).
+        movable: Correctors that are not, shape (m,).
+        runner: The loop.
+        slot: Its policy.
+        store: The policies.
+        dither: The dither.
+        latest: The last orbit.
+        statistics: Figures of the loop.
+        lease: Of the machine; None: there is none.
+    """
+
+    channels: Channels
+    counting: Mask
+    movable: Mask
+    runner: Runner
+    slot: PolicySlot
+    store: PolicyStore
+    dither: Dither
+    latest: Latest
+    statistics: LoopStatistics
+    lease: Lease | None
+
+    @property
+    def lease_shown(self) -> dict[str, Any]:
+        """Who holds the lease, by PV of the panel."""
+        return {"Lease-I": self.lease.owner if self.lease else ""}
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """The doors once they are open.
+
+    Args:
+        where: Where the panel is: `panel` and `prefix`; nothing if there is none. Where the
+            operator page is: `page`, empty if it is not served, then `page_problem` says why.
+        control: The control socket.
+    """
+
+    where: Mapping[str, Any]
+    control: ControlServer
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        """What does not work now, a sentence each."""
+        return (self.control.problem,) if self.control.problem else ()
+
+
+def check_panel(config: AppConfig, channels: Channels) -> None:
+    """Read the access rules of the panel, before anything is started.
+
+    Raises:
+        ConfigError: One of them is wrong.
+    """
+    settings = config.panel
+    if settings.enabled:
+        extent = Extent(config.ring.planes, len(channels.bpms), len(channels.correctors))
+        names = writable_names(panel_pvs(settings, extent))
+        read_access(settings.rules, settings.interface, names)
+
+
+def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStack) -> Opened:
+    """Restore what operators had set, then take their commands.
+
+    Args:
+        config: The configuration.
+        parts: Of the service.
+        remote: Answers the commands that are neither of adjustments nor of trials.
+        stack: Closes what is opened here.
+
+    Raises:
+        ConfigError: What was saved is damaged or of another ring; a rule is wrong.
+        OwnershipError: A socket cannot be made, a port is taken.
+    """
+    channels, slot, statistics = parts.channels, parts.slot, parts.statistics
+    directory = config.data_directory
+    base = Base(channels, parts.counting, parts.movable, config.panel, directory)
+
+    def saved_late() -> None:
+        _log.info("settings_saved", file=str(directory / FILE))
+        statistics.happened("command", f"settings of operators saved to {FILE} after all")
+
+    adjuster = Adjuster(base, parts.runner, slot, parts.dither, saved_late)
+    stack.callback(adjuster.close)
+    statistics.unsaved = lambda: adjuster.unsaved
+    statistics.enabled = lambda: parts.runner.adjustments.enabled
+    if adjuster.restore():
+        _log.info("operator_settings_restored", file=str(directory / FILE))
+        statistics.happened("command", f"settings of operators restored from {FILE}")
+    trial = Trial(
+        slot,
+        parts.store,
+        channels,
+        config.policy.svd,
+        parts.latest,
+        lambda: adjuster.movable,
+        remote,
+    )
+
+    def close(request: Mapping[str, Any]) -> Mapping[str, Any]:
+        if parts.lease is not None and (reason := parts.lease.refusal()):
+            raise ControlError(f"close refused: {reason}")
+        return remote(request)
+
+    peaks = Peaks(config.ring.planes)
+    parts.runner.subscribe(peaks)
+    view = PageView(
+        Sources(
+            statistics.snapshot,
+            lambda: parts.latest.record,
+            lambda: parts.runner.adjustments.enabled & parts.counting,
+            lambda: adjuster.movable,
+            gap_text,
+            peaks.since,
+            config.learn.identify.reading_noise,
+        ),
+        SystemClock(),
+        config.observe.stale_after,
+    )
+    commands = Commands(
+        {"": remote, "page": view, "close": close, **adjuster.handlers, **trial.handlers},
+        statistics,
+        Figures(config.observe.stale_after),
+        lambda: {**adjuster.shown(), **trial.shown(), **parts.lease_shown},
+    )
+    control = ControlServer(directory, commands)
+    stack.callback(control.close)
+    page = PageProcess(config, channels, statistics, stack)
+    where = {"page": page.where, "page_problem": page.problem}
+    if not config.panel.enabled:
+        return Opened(where, control)
+    panel = PanelProcess(config, channels, statistics, stack)
+    return Opened({**where, "panel": panel.where, "prefix": panel.prefix}, control)

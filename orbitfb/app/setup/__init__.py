@@ -1,0 +1,1 @@
+"""What is settled before anything runs: the ring, the lease, the directories, the stored policy."""

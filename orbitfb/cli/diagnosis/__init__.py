@@ -1,0 +1,1 @@
+"""Commands that diagnose a record and plan the experiment that it asks for."""

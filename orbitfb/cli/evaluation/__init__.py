@@ -1,0 +1,1 @@
+"""Commands that measure what a method is worth."""

@@ -1,0 +1,1 @@
+"""The configuration of the whole service: one frozen tree, and its text."""

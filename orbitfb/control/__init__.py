@@ -1,0 +1,1 @@
+"""How a command line speaks to a running service on the same computer."""

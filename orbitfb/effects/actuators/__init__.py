@@ -1,0 +1,1 @@
+"""Effects on correctors and on when they are written."""

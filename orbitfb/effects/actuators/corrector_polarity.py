@@ -1,0 +1,45 @@
+"""A corrector that kicks the wrong way."""
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.actuating import ColumnsEffect
+from orbitfb.effects.device_kinds import ActuatorKind
+from orbitfb.effects.kinds import Values
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
+
+
+class CorrectorPolarity(ActuatorKind):
+    """Currents of the wrong sign."""
+
+    id = "corrector-polarity"
+    stage = "actuator"
+    title = "wrong polarity of a corrector"
+    sentence = (
+        "The corrector kicks the beam the wrong way, by the right amount: its leads are swapped, "
+        "or its sign is wrong in the configuration. The feedback may run away."
+    )
+    equation = "θ_n = −u_n"
+    parameters = ()
+    of_changes = True
+    confused_with = ("corrector-gain", "corrector-swap", "bpm-polarity")
+    splits = "A step of this corrector alone: the orbit moves by the opposite of the model's."
+
+    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+        """Turn the sign round."""
+        return -setpoints
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Turn the sign round tick by tick."""
+        return _Polarity(places)
+
+
+class _Polarity(ColumnsEffect):
+    def follow(self, wanted: Vector) -> Vector:
+        return -wanted

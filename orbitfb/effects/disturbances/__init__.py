@@ -1,0 +1,1 @@
+"""Effects that move the orbit by themselves: kicks, energy, ground."""

@@ -1,0 +1,1 @@
+"""Effects on the optics: gradients, tunes, coupling."""

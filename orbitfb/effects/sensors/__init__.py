@@ -1,0 +1,1 @@
+"""Effects on BPMs and on when they are read."""

@@ -1,0 +1,86 @@
+"""Orbits that are sampled early or late."""
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.effects.actuating import changes
+from orbitfb.effects.kinds import Parameter, Values
+from orbitfb.effects.random_kinds import LatentKind
+from orbitfb.physics.effect import Effect
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
+
+
+class ClockJitter(LatentKind):
+    """y_n = x(t_n + δ_n), δ normal and new at every tick, one for all BPMs or for those of a crate.
+
+    Crates have triggers of their own.
+    """
+
+    id = "clock-jitter"
+    stage = "timing"
+    target = "bpm"
+    strength = "normal"
+    parameters = (
+        Parameter("rms", "s", 0.0, 10.0, 0.0, 0.01, "Of the time of sampling.", log=True),
+    )
+    title = "jitter of the time of sampling"
+    sentence = (
+        "The orbit is sampled a little early or late, differently at every tick, so a moving "
+        "orbit is read with an error that has its own shape; look at the trigger of the BPMs: that "
+        "of all if all are struck, else that of the crate."
+    )
+    equation = (
+        "y_n = x_n + δ_n (x_n − x_(n−1)) / T, δ_n normal and the same for all BPMs of a crate: "
+        "the slope of the orbit, not of the noise"
+    )
+    confused_with = ("missed-read", "missed-write", "loop-delay", "noise-correlated")
+    splits = "time stamps of the BPMs themselves; steps of the orbit, which make the error large"
+
+    def grid(self, record: Record) -> tuple[Values, ...]:
+        """From a thousandth of a tick to three ticks."""
+        period, high = record.layout.period, self.parameters[0].high
+        shares = np.geomspace(1e-3, 3.0, 8)
+        return tuple({"rms": min(float(share) * period, high)} for share in shares)
+
+    def simulate(
+        self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
+    ) -> Effect:
+        """Shift the samples; it must come after all effects that disturb the orbit."""
+        struck = np.zeros(len(layout.bpms))
+        struck[places if len(places) else slice(None)] = 1.0
+        return _Jitter(values["rms"] / layout.period * struck, rng)
+
+    def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
+        """Slope of the orbit that the correctors make [m/s]; zero at the beginning of a stretch.
+
+        That of the predicted orbit has the noise of earlier readings in it, which makes it too
+        steep and the jitter 12 % too small.
+        """
+        return changes(currents, record) @ record.layout.response.T / record.layout.period
+
+
+class _Jitter(Effect):
+    """Readings shifted along the motion of the true orbit.
+
+    Args:
+        share: Rms of the shift of every BPM in periods, shape (n,).
+        rng: Random numbers.
+    """
+
+    def __init__(self, share: Vector, rng: np.random.Generator) -> None:
+        self._share, self._rng = share, rng
+        self._last: Vector | None = None
+        self._step: Vector = np.zeros(0)
+
+    def disturb(self, orbit: Vector, tick: int) -> Vector:
+        """Keep how far the orbit moved since the last tick."""
+        self._step = np.zeros_like(orbit) if self._last is None else orbit - self._last
+        self._last = orbit.copy()
+        return orbit
+
+    def sense(self, orbit: Vector, tick: int) -> Vector:
+        """Shift the sample."""
+        return orbit + self._share * self._rng.standard_normal() * self._step

@@ -1,0 +1,1 @@
+"""What the paper's experiment leaves: table, pictures, page."""

@@ -1,0 +1,1 @@
+"""Orbit histories from elsewhere, and the archive for other programs."""

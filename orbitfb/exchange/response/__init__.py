@@ -1,0 +1,1 @@
+"""Response matrices from elsewhere and for other programs."""

@@ -1,0 +1,1 @@
+"""Small known movements of the setpoints: the dither and planned excitations."""

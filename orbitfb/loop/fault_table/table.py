@@ -1,0 +1,201 @@
+"""The table of faults, as data: what may happen, what the loop answers, by which rule and test.
+
+The page on safety is written from it, and a test looks every setting and every test up.
+"""
+
+from orbitfb.core.signals import LoopState
+from orbitfb.loop.fault_table.devices import DEVICE_FAULTS
+from orbitfb.loop.fault_table.row import Fault
+
+_OPEN, _CLOSED, _HELD, _TRIPPED = (
+    LoopState.OPEN,
+    LoopState.CLOSED,
+    LoopState.HELD,
+    LoopState.TRIPPED,
+)
+
+
+FAULTS = (
+    *DEVICE_FAULTS,
+    Fault(
+        "the policy raises, or asks for something that is not finite or of another shape",
+        "the SVD baseline decides from this tick on, until another policy is put in force or the "
+        "loop is closed anew; nothing that is not finite is ever sent",
+        (_CLOSED,),
+        (),
+        (
+            "test_the_baseline_decides_in_the_very_tick_in_which_a_policy_fails",
+            "test_a_policy_that_fails_is_replaced_within_the_tick_over_channel_access",
+            "test_nothing_non_finite_ever_leaves",
+            "test_nan_does_not_pass_a_clamp",
+        ),
+    ),
+    Fault(
+        "the policy decides too late",
+        "the baseline decides at this tick; after three in a row from then on",
+        (_CLOSED,),
+        ("loop.policy_deadline",),
+        ("test_a_slow_policy_is_put_aside_after_three_strikes",),
+    ),
+    Fault(
+        "PVs come from another server than before, such as a test IOC with the same names",
+        "nothing is written; another server is another machine, so HELD does not end by itself: "
+        "an operator closes the loop. PVs that two servers have are told at start",
+        (_HELD,),
+        ("epics.address_list", "epics.name_servers"),
+        (
+            "test_a_move_while_closed_holds_until_an_operator_closes",
+            "test_a_move_during_an_outage_keeps_the_loop_from_closing_by_itself",
+            "test_what_libca_says_of_doubled_pvs_is_put_into_words",
+        ),
+    ),
+    Fault(
+        "the stored current is too low, drops, is not known or old",
+        "TRIPPED in the same tick, setpoints stay, post-mortem; a drop trips while HELD too",
+        (_TRIPPED,),
+        (
+            "interlocks.current_min",
+            "interlocks.current_drop",
+            "epics.auxiliary",
+        ),
+        ("test_the_stored_current_trips", "test_a_stored_current_that_drops_while_held_trips"),
+    ),
+    Fault(
+        "the orbit error is too large (rms, largest) or grows too fast",
+        "TRIPPED; setpoints stay, or go back to the last good ones in limited steps if so "
+        "configured: no further once anything is wrong",
+        (_TRIPPED,),
+        (
+            "interlocks.distortion_rms",
+            "interlocks.distortion_max",
+            "interlocks.distortion_rate",
+            "loop.return_after_trip",
+            "loop.return_step",
+            "loop.return_good",
+        ),
+        (
+            "test_distortion_lets_pass_only_what_is_known_to_be_small",
+            "test_an_orbit_that_leaves_too_fast_trips_and_the_setpoints_stay",
+            "test_an_orbit_that_is_too_far_away_trips_and_close_is_refused",
+            "test_after_a_distortion_the_setpoints_go_back_if_wanted",
+            "test_it_stops_at_once_if_anything_is_wrong",
+        ),
+    ),
+    Fault(
+        "the response is wrong: sign, exchanged BPMs or correctors",
+        "TRIPPED after a few ticks: the orbit does not answer as predicted nor get better, "
+        "or it grows tick by tick",
+        (_TRIPPED,),
+        (
+            "interlocks.prediction_ticks",
+            "interlocks.prediction_least",
+            "interlocks.prediction_floor",
+            "interlocks.divergence_ticks",
+            "interlocks.divergence_factor",
+        ),
+        (
+            "test_a_wrong_response_is_found_before_the_orbit_is_lost",
+            "test_a_wrong_response_trips_a_few_ticks_after_closing",
+        ),
+    ),
+    Fault(
+        "somebody else moves a setpoint, a write fails, or the setpoints are not known",
+        "nothing is written until they are read again",
+        (_HELD, _TRIPPED),
+        ("loop.trip_after",),
+        (
+            "test_an_operator_who_moves_a_corrector_is_not_fought",
+            "test_a_failed_write_holds_and_what_is_in_force_is_asked_for",
+        ),
+    ),
+    Fault(
+        "the IOC or the network is gone and comes back",
+        "nothing is written meanwhile, setpoints and drive limits are read again before closing; "
+        "drive limits that are narrower now hold for their corrector",
+        (_HELD, _TRIPPED),
+        ("loop.proving", "loop.reclose", "loop.trip_after", "limits.setpoint"),
+        (
+            "test_killed_ioc_holds_the_loop_until_it_is_back",
+            "test_the_limits_of_a_server_that_comes_back_with_narrower_ones_hold",
+        ),
+    ),
+    Fault(
+        "the disk is full, the directory of archive or log is gone",
+        "the loop goes on and says so; ticks and lines wait, the newest ticks are dropped and "
+        "counted when too many do; written again when there is room",
+        (_CLOSED,),
+        (),
+        (
+            "test_a_full_disk_costs_nothing_but_what_waits_too_long",
+            "test_the_process_survives_a_disk_that_is_full_again_and_again",
+            "test_a_data_directory_that_is_gone_is_made_again",
+            "test_lines_that_a_full_disk_refuses_wait",
+        ),
+    ),
+    Fault(
+        "a clock is set: that of this computer, or that of both it and the IOC",
+        "the loop goes on and says so, after a few lost orbits if the stamps went back; rules "
+        "count by a clock that cannot be set",
+        (_CLOSED,),
+        (),
+        (
+            "test_our_clock_is_set_and_the_loop_goes_on",
+            "test_both_clocks_are_set_and_the_loop_goes_on",
+            "test_a_clock_that_was_set_is_told_and_counted",
+        ),
+    ),
+    Fault(
+        "the clock of the IOC alone is set, by more than an orbit may be old",
+        "nothing is written until it is right: its orbits might be old",
+        (_HELD, _TRIPPED),
+        ("epics.stale_after", "loop.trip_after"),
+        ("test_the_clock_of_the_ioc_is_set_and_the_loop_goes_on_once_it_is_right",),
+    ),
+    Fault(
+        "a refit is poisoned: bad rows, no excitation, an operator's bump, another reference",
+        "such rows are left out and counted by reason; too few are left: refused with the reason; "
+        "a policy that makes the loop worse is taken back by itself",
+        (_CLOSED,),
+        (),
+        (
+            "test_lies_promote_nothing_that_stays",
+            "test_a_refit_over_a_bump_of_an_operator_is_refused_or_unharmed",
+            "test_a_refit_over_a_moving_reference_is_refused_with_the_reason",
+        ),
+    ),
+    Fault(
+        "the controller is killed",
+        "setpoints stay; it starts OPEN, or closes again if so told",
+        (_OPEN,),
+        (),
+        (
+            "test_setpoints_stay_when_the_controller_is_killed",
+            "test_restart_closes_by_itself_without_a_bump_if_so_told",
+        ),
+    ),
+    Fault(
+        "another controller writes",
+        "the second refuses to start; a lease that was lost opens the loop",
+        (_OPEN,),
+        ("lease.pv", "lease.time"),
+        ("test_one_of_two_controllers_writes_and_a_stale_lease_is_taken_over",),
+    ),
+    Fault(
+        "an error that nobody foresaw",
+        "setpoints stay; start the program again",
+        (LoopState.FAULT,),
+        (),
+        ("test_a_policy_that_raises_is_a_fault_and_writes_nothing",),
+    ),
+)
+"""Every fault that has an answer, most of them brought about by a test on a real IOC."""
+
+
+def faults_markdown() -> str:
+    """Write the table for the page on safety."""
+    lines = ["| what is wrong | answer | state | settings |", "|---|---|---|---|"]
+    for fault in FAULTS:
+        states = ", then ".join(fault.states)
+        keys = ", ".join(f"`{key}`" for key in fault.settings)
+        lines.append(f"| {fault.event} | {fault.answer} | {states} | {keys} |")
+    return "\n".join(lines) + "\n"

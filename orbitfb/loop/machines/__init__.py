@@ -1,0 +1,1 @@
+"""Machines with a restriction: some BPMs masked, or writing forbidden."""

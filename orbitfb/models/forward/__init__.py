@@ -1,0 +1,1 @@
+"""The forward net f(s, a): the net, its training, its validation, its files."""

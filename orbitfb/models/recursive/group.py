@@ -1,0 +1,153 @@
+"""Modes that share the covariance of their rows of R, for `orbitfb.models.recursive.estimate`."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import get_blas_funcs
+
+from orbitfb.core.signals import Vector
+from orbitfb.models.recursive.settings import RecursiveSettings
+
+_SYMV, _GEMV, _GER, _SYR = get_blas_funcs(("symv", "gemv", "ger", "syr"), dtype=np.float64)
+
+
+@dataclass(slots=True)
+class Group:
+    """Modes, with the joint covariance of a row's coefficients θ and of its orbit x.
+
+    Arrays are in Fortran order and are changed in place. The upper triangle of the covariance is
+    not kept up to date.
+
+    Args:
+        members: The modes.
+        rows: θ̂ of every mode, shape (k, members).
+        covariance: P = cov(θ), lower triangle, shape (k, k).
+        drift: What a tick adds to the diagonal of P beyond what it adds in every group, (k,).
+        step: Variance of the random step of a mode of this group [m²].
+        cross: c = cov(θ, x), shape (k,).
+        variance: p = var(x) [m²].
+        known: What p would be if R were known [m²].
+    """
+
+    members: slice
+    rows: Vector
+    covariance: Vector
+    drift: Vector
+    step: float
+    cross: Vector
+    variance: float = 0.0
+    known: float = 0.0
+
+    @property
+    def size(self) -> int:
+        """Count of the modes."""
+        return self.members.stop - self.members.start
+
+    @property
+    def extra(self) -> float:
+        """Variance of the orbit that not knowing R makes [m²]."""
+        return max(self.variance - self.known, 0.0)
+
+    def whole_covariance(self, size: int) -> Vector:
+        """Give both triangles of the covariance of the first coefficients, (size, size)."""
+        low = np.tril(self.covariance[:size, :size])
+        return low + np.tril(low, -1).T
+
+    def predict(self, regressor: Vector) -> Vector:
+        """Go on by a tick; give what the change does to the orbits, shape (members,) [m]."""
+        moved = _SYMV(1.0, self.covariance, regressor, lower=1)
+        self.variance += 2.0 * float(self.cross @ regressor) + float(moved @ regressor) + self.step
+        self.known += self.step
+        self.cross += moved
+        return _GEMV(1.0, self.rows, regressor, trans=1)
+
+    def learn(self, worth: Vector, noise: float) -> None:
+        """Learn from the innovations of the readings.
+
+        Modes of a group may differ in their noise: each moves by what its own innovation is
+        worth, while P shrinks by what that of the whole group is worth.
+
+        Args:
+            worth: ν over its variance, mode by mode, shape (members,) [1/m].
+            noise: Variance of the reading noise [m²].
+        """
+        _GER(1.0, self.cross, worth, a=self.rows, overwrite_a=1)
+        total = self.variance + noise
+        _SYR(-1.0 / total, self.cross, lower=1, a=self.covariance, overwrite_a=1)
+
+    def observe(self, noise: float) -> None:
+        """Let the reading take from the variance of the orbit."""
+        share = noise / (self.variance + noise)
+        self.cross *= share
+        self.variance *= share
+        self.known *= noise / (self.known + noise)
+
+    def forget_orbit(self, variance: float) -> None:
+        """Know nothing of the orbit but that its variance is this one [m²]."""
+        self.cross[:] = 0.0
+        self.variance = self.known = variance
+
+
+def make_groups(
+    rows: Vector, response: Vector, steps: Vector, settings: RecursiveSettings
+) -> tuple[list[Group], Vector]:
+    """Say of every group of modes what is known beforehand.
+
+    Relative errors are gains of BPMs and of correctors: of the element (i, j) of UᵀRV they make
+    the variance relative² (σ_i² + σ_j²) / n, so that the row of a weak mode is known much better
+    than that of a strong one.
+
+    Args:
+        rows: UᵀR, modes from the strongest, shape (n, m).
+        response: R, shape (n, m).
+        steps: Variance of the random step of every mode, shape (n,) [m²].
+        settings: Prior and drift.
+
+    Returns:
+        The groups, and what a tick adds to the covariance of every one of them, shape (k, k).
+    """
+    n, m = response.shape
+    creeping = int(settings.creep > 0.0)
+    power = np.sum(rows**2, axis=1)
+    relative = response.T @ response / n
+
+    def share(entry: float, gains: float) -> Vector:
+        return np.pad(entry**2 * np.eye(m) + gains**2 * relative, (0, creeping))
+
+    prior = share(settings.prior_entry, settings.prior_relative)
+    groups: list[Group] = []
+    for part in _cut(power, settings.groups):
+        strength = float(np.mean(power[part])) / n
+        start, drift = prior.copy(), np.full(m, settings.drift_relative**2 * strength)
+        start.flat[: m * len(start) : len(start) + 1] += settings.prior_relative**2 * strength
+        if creeping:
+            creep = settings.creep**2 * _middle(power[part]) / float(np.mean(power))
+            creep += settings.creep_white**2
+            start[m, m] = creep
+            drift = np.append(drift, creep / settings.creep_memory)
+        groups.append(
+            Group(
+                members=part,
+                rows=np.asfortranarray(np.pad(rows[part], ((0, 0), (0, creeping))).T),
+                covariance=np.asfortranarray(start),
+                drift=drift,
+                step=_middle(steps[part]),
+                cross=np.zeros(len(start)),
+            )
+        )
+    return groups, np.asfortranarray(share(settings.drift_entry, settings.drift_relative))
+
+
+def _middle(values: Vector) -> float:
+    """Give the geometric mean."""
+    return float(np.exp(np.mean(np.log(np.maximum(values, np.finfo(np.float64).tiny)))))
+
+
+def _cut(power: Vector, groups: int) -> list[slice]:
+    """Cut the modes, strongest first, into groups of like strength."""
+    n = len(power)
+    height = np.log(np.maximum(power, 1e-12 * power[0]))
+    edges = np.linspace(height[0], height[-1], groups + 1)[1:-1]
+    cuts = sorted({0, n, *(int(np.sum(height > edge)) for edge in edges)})
+    return [slice(a, b) for a, b in pairwise(cuts)]

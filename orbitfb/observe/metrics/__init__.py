@@ -1,0 +1,1 @@
+"""What Prometheus scrapes: the metrics by subject, and the collector that serves them."""

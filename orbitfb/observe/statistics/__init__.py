@@ -1,0 +1,1 @@
+"""The running figures of the loop, counted as it runs."""

@@ -1,0 +1,1 @@
+"""Policies on disk: a directory of tensors and cards, one of them active."""

@@ -1,0 +1,1 @@
+"""A record of operation as values: the devices, the layout of the ring, the readings."""

@@ -1,0 +1,1 @@
+"""Channel Access of the simulated ring: what clients send, what they are sent."""

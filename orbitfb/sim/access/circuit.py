@@ -1,0 +1,239 @@
+"""One client of the fast front: puts and reads from the byte stream, monitors from the feed."""
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Any, Protocol
+
+import caproto as ca
+import numpy as np
+from caproto.asyncio.server import VirtualCircuit
+from caproto.server.common import DisconnectedCircuit
+from numpy.typing import NDArray
+
+from orbitfb.core.signals import Vector
+from orbitfb.sim.access.board import Board
+from orbitfb.sim.access.channels import BoardChannel, BoardSetpoint
+from orbitfb.sim.access.context import ClaimedContext
+from orbitfb.sim.access.feed import Feed
+from orbitfb.sim.access.frames import DOUBLE, TIME_DOUBLE, Monitor
+from orbitfb.sim.access.listening import Sockets
+from orbitfb.sim.access.puts import PUT, PUT_COMMAND, WRITES, leading_puts, message_end
+from orbitfb.sim.access.reads import READ, READ_COMMAND, answers, leading_reads
+
+_CHUNK = 65536
+_VALUE_MASKS = ca.SubscriptionType.DBE_VALUE | ca.SubscriptionType.DBE_LOG
+
+
+class BoardFront(Protocol):
+    """What a client needs of the front that serves it; `FastFront` is one."""
+
+    board: Board
+    feeds: set[Feed]
+
+    def take(self, which: NDArray[np.intp], values: Vector) -> None:
+        """Put setpoints in force [A]: their places among the setpoints, their values."""
+        ...
+
+    def puts_taken(self) -> None:
+        """Tell every client what was taken, once for all puts that came together."""
+        ...
+
+
+class DroppingQueue(asyncio.Queue[Any]):
+    """A bounded queue that refuses instead of waiting.
+
+    caproto waits for room in a slow client's queue and with it lets every other client wait;
+    what it does on QueueFull, which this raises, is to clear the queue of that client.
+    """
+
+    async def put(self, item: Any) -> None:
+        """Put at once, or raise QueueFull."""
+        self.put_nowait(item)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        while not self.empty():
+            self.get_nowait()
+
+
+class FastCircuit(VirtualCircuit):
+    """A client whose setpoint puts and monitors do not pass through caproto's objects."""
+
+    def __init__(self, circuit: Any, client: Any, context: "FastContext") -> None:
+        super().__init__(circuit, client, context)
+        self.subscription_queue = DroppingQueue(ca.MAX_TOTAL_SUBSCRIPTION_BACKLOG)
+        self._front = context.front
+        self._board = context.front.board
+        self.feed = Feed(self._board, client.writer.transport, self.events_on.is_set)
+        self._front.feeds.add(self.feed)
+        self._rest = b""
+        self._setpoint_of = np.full(1024, -1, dtype=np.intp)
+        self._queued: set[int] = set()
+        self._running = 0
+
+    async def recv(self) -> None:
+        """Take what the client sent: setpoints at once, all else caproto's way."""
+        data = await self._receive()
+        if not data:
+            await self._queue(self.circuit.recv(b""))
+            await self._on_disconnect()
+            raise DisconnectedCircuit
+        data = self._rest + data
+        start = slow_from = 0
+        while (end := message_end(data, start)) is not None:
+            if not self._behind and (
+                fast := self._take_puts(data, start) or self._answer_reads(data, start)
+            ):
+                await self._hand_over(data[slow_from:start])
+                start = slow_from = start + fast
+                continue
+            if data[start + 1] in WRITES:  # what follows must not overtake this one
+                await self._hand_over(data[slow_from:end])
+                slow_from = end
+            start = end
+        await self._hand_over(data[slow_from:start])
+        self._rest = data[start:]
+        self._front.puts_taken()
+
+    async def _receive(self) -> bytes:
+        try:
+            return await self.client.recv(_CHUNK)
+        except (OSError, ca.CaprotoNetworkError):
+            return b""
+
+    @property
+    def _behind(self) -> bool:
+        """Whether writes of this client are still under way in caproto."""
+        return bool(self._queued) or self._running > 0
+
+    def _take_puts(self, data: bytes, start: int) -> int:
+        """Apply the run of acceptable puts that begins at `start`; give its length in bytes."""
+        if data[start + 1] != PUT_COMMAND:
+            return 0
+        run = leading_puts(data, start)
+        which = self._setpoints_of(run)
+        values = run["value"].astype(np.float64)
+        refused = (which < 0) | ~self._board.allowed(which, values)
+        count = int(refused.argmax()) if refused.any() else len(run)
+        if count:
+            self._front.take(which[:count], values[:count])
+        return count * PUT.itemsize
+
+    def _answer_reads(self, data: bytes, start: int) -> int:
+        """Answer the run of reads of setpoints that begins at `start`; give its length in bytes."""
+        transport = self.client.writer.transport
+        if data[start + 1] != READ_COMMAND or transport.get_write_buffer_size():
+            return 0  # who does not take his answers waits for them as caproto has it
+        run = leading_reads(data, start)
+        which = self._setpoints_of(run)
+        unknown = which < 0
+        count = int(unknown.argmax()) if unknown.any() else len(run)
+        if count:
+            values = self._board.setpoints[which[:count]]
+            transport.write(answers(run["request"][:count], values))
+        return count * READ.itemsize
+
+    def _setpoints_of(self, run: NDArray[np.void]) -> NDArray[np.intp]:
+        """Give the setpoint that each message is about; -1 where it is about something else."""
+        channels = np.minimum(run["channel"].astype(np.intp), len(self._setpoint_of) - 1)
+        return self._setpoint_of[channels]
+
+    async def _hand_over(self, data: bytes) -> None:
+        """Let caproto parse and process whole messages."""
+        if data:
+            await self._queue(self.circuit.recv(data))
+
+    async def _queue(self, received: Any) -> None:
+        commands, _ = received
+        for command in commands:
+            if isinstance(command, ca.WriteRequest | ca.WriteNotifyRequest):
+                self._queued.add(id(command))
+            await self.command_queue.put(command)
+
+    async def _command_queue_iteration(self, command: Any) -> Any:
+        try:
+            return await super()._command_queue_iteration(command)
+        finally:
+            self._queued.discard(id(command))
+
+    async def _start_write_task(self, handle_write: Any) -> None:
+        self._running += 1
+        await super()._start_write_task(lambda: self._count_down(handle_write()))
+
+    async def _count_down(self, write: Coroutine[Any, Any, None]) -> None:
+        try:
+            await write
+        finally:
+            self._running -= 1
+
+    async def _process_command(self, command: Any) -> Any:
+        if isinstance(command, ca.EventAddRequest):
+            monitor = self._as_monitor(command)
+            if monitor is not None:
+                self.feed.add(monitor)
+                return []
+        elif isinstance(command, ca.EventCancelRequest):
+            self.feed.remove(command.subscriptionid)
+        elif isinstance(command, ca.ClearChannelRequest):
+            await self._clear(command)
+        response = await super()._process_command(command)
+        if isinstance(command, ca.CreateChanRequest):
+            self._note_setpoint(command, response)
+        elif isinstance(command, ca.EventsOnRequest):
+            self.feed.send_readings()
+            self.feed.send_setpoints()
+        return response
+
+    def _as_monitor(self, command: Any) -> Monitor | None:
+        """Give the subscription if the feed can serve it: a plain scalar of the usual types."""
+        channel, entry = self._get_db_entry_from_command(command)
+        if (
+            not isinstance(entry, BoardChannel)
+            or command.data_type not in (DOUBLE, TIME_DOUBLE)
+            or command.data_count > 1
+            or not command.mask & _VALUE_MASKS
+            or any(channel.channel_filter)
+        ):
+            return None
+        return Monitor(entry.index, command.subscriptionid, command.sid, int(command.data_type))
+
+    def _note_setpoint(self, command: Any, response: Any) -> None:
+        for answer in response:
+            if isinstance(answer, ca.CreateChanResponse):
+                entry = self.context[command.name]
+                if isinstance(entry, BoardSetpoint) and self._is_plain(command.name, entry):
+                    self._know(answer.sid, entry.index - self._board.readings)
+
+    def _is_plain(self, name: str, entry: BoardSetpoint) -> bool:
+        """Whether a channel was asked for without a filter."""
+        return name.removesuffix(".VAL") == self._board.names[entry.index]
+
+    def _know(self, channel: int, setpoint: int) -> None:
+        """Remember which setpoint a channel is; the last place of the table stays unknown."""
+        room = len(self._setpoint_of)
+        if channel >= room - 1:
+            more = np.full(max(channel + 2, 2 * room), -1, dtype=np.intp)
+            more[:room] = self._setpoint_of
+            self._setpoint_of = more
+        self._setpoint_of[channel] = setpoint
+
+    async def _clear(self, command: Any) -> None:
+        """Drop what the channel had; caproto compares the wrong things and drops nothing."""
+        self.feed.remove_channel(command.sid)
+        self._know(command.sid, -1)
+        _, entry = self._get_db_entry_from_command(command)
+        await self._cull_subscriptions(entry, lambda sub: sub.channel.sid == command.sid)
+
+    async def _on_disconnect(self) -> None:
+        self._front.feeds.discard(self.feed)
+        await super()._on_disconnect()
+
+
+class FastContext(ClaimedContext):
+    """A server whose clients are served by a fast front."""
+
+    CircuitClass = FastCircuit
+
+    def __init__(self, pvdb: dict[str, Any], sockets: Sockets, front: BoardFront) -> None:
+        super().__init__(pvdb, sockets)
+        self.front = front

@@ -1,0 +1,136 @@
+"""The front that keeps up: values on a board, one write per client and tick."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from caproto import SubscriptionType
+from numpy.typing import NDArray
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.sim.access.board import Board
+from orbitfb.sim.access.channels import (
+    BoardChannel,
+    BoardReading,
+    BoardSetpoint,
+    knob_channels,
+    lease_channels,
+)
+from orbitfb.sim.access.circuit import FastContext
+from orbitfb.sim.access.feed import Feed
+from orbitfb.sim.access.listening import Sockets
+from orbitfb.sim.access.stamp import Stamp, now
+from orbitfb.sim.layout import Layout
+
+_ALL_EVENTS = SubscriptionType.DBE_VALUE | SubscriptionType.DBE_LOG | SubscriptionType.DBE_ALARM
+
+
+class FastFront:
+    """Serves a ring from a board.
+
+    Args:
+        layout: The PVs.
+        turned: What a write to a knob does: its PV, and the value in its units.
+
+    Attributes:
+        board: Values, stamps and alarms.
+        feeds: One per client that is connected.
+        on_written: Called when setpoints have been written.
+    """
+
+    def __init__(self, layout: Layout, turned: Callable[[str, float], None]) -> None:
+        self.board = Board(layout, now())
+        self.feeds: set[Feed] = set()
+        self.on_written: Callable[[], None] = lambda: None
+        specs = (*layout.readings, *layout.setpoints)
+        self._channels: list[BoardChannel] = [
+            (BoardReading if index < self.board.readings else BoardSetpoint)(
+                spec, self.board, index, self
+            )
+            for index, spec in enumerate(specs)
+        ]
+        self._knobs = knob_channels(layout, turned)
+        self._leases = lease_channels(layout.planes)
+        self._taken = False
+        self._watched: set[BoardChannel] = set()
+        self._stale: set[BoardChannel] = set()
+        self._publishing: asyncio.Task[None] | None = None
+
+    @property
+    def setpoints(self) -> Vector:
+        """Setpoints in force, shape (m,) [A]: a copy."""
+        return self.board.setpoints.copy()
+
+    @property
+    def written(self) -> Mask:
+        """Setpoints that were written since the last `show`, shape (m,): a copy."""
+        return self.board.written.copy()
+
+    @property
+    def busy(self) -> bool:
+        """Never: a write to a socket does not wait."""
+        return False
+
+    def show(self, values: Vector, stamp: Stamp) -> None:
+        """Publish the readings of a tick."""
+        self.board.show(values, stamp)
+        self.board.written[:] = False
+        for feed in self.feeds:
+            feed.send_readings()
+            feed.send_setpoints()
+        self._publish({c for c in self._watched if c.index < self.board.readings})
+
+    def take(self, which: NDArray[np.intp], values: Vector) -> None:
+        """Put setpoints in force that are within their limits."""
+        self.board.write(which, values, now())
+        at = which + self.board.readings
+        for feed in self.feeds:
+            feed.mark(at)
+        self._publish({c for c in self._watched if c.index in at})
+        self._taken = True
+
+    def puts_taken(self) -> None:
+        """Tell everybody what was taken, once for all that came together."""
+        if self._taken:
+            self._taken = False
+            self._tell_setpoints()
+
+    def watch(self, channel: BoardChannel, watched: bool) -> None:
+        """Learn whether caproto itself has to be told of this channel's updates."""
+        if watched:
+            self._watched.add(channel)
+        else:
+            self._watched.discard(channel)
+
+    def changed(self, index: int, accepted: bool) -> None:
+        """Learn that a setpoint was written, or refused, through caproto."""
+        if accepted:
+            self.board.written[index - self.board.readings] = True
+        for feed in self.feeds:
+            feed.mark(np.array([index]))
+        self._tell_setpoints()
+
+    def context(self, sockets: Sockets) -> FastContext:
+        """Make the caproto server that serves it."""
+        pvdb: dict[str, Any] = dict(zip(self.board.names, self._channels, strict=True))
+        return FastContext(pvdb | self._knobs | self._leases, sockets, self)
+
+    def _tell_setpoints(self) -> None:
+        for feed in self.feeds:
+            feed.send_setpoints()
+        self.on_written()
+
+    def _publish(self, channels: set[BoardChannel]) -> None:
+        """Tell caproto of what it serves itself; updates that it is late for are merged."""
+        if not channels:
+            return
+        self._stale |= channels
+        if self._publishing is None or self._publishing.done():
+            self._publishing = asyncio.get_running_loop().create_task(self._publish_stale())
+
+    async def _publish_stale(self) -> None:
+        while self._stale:
+            channel = self._stale.pop()
+            channel.pull()
+            await channel.publish(_ALL_EVENTS)
