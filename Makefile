@@ -7,7 +7,7 @@ BESIDE := -n logical --maxprocesses 8 --dist loadscope --no-loadscope-reorder
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
 # make docs: the pages as a site in site/.
-.PHONY: run test test-beside test-alone nightly nightly-beside nightly-alone mutants test-docs docs newcomer venv lint types layers audit format bench clean blind chaos soak
+.PHONY: run test test-beside test-alone nightly nightly-beside nightly-alone mutants test-docs docs newcomer house venv lint types layers audit format bench clean blind chaos soak
 
 run: venv
 	$(BIN)/orbitfb run --ioc sim
@@ -74,6 +74,10 @@ test-docs: venv
 
 newcomer: venv
 	$(BIN)/python -m benchmarks.newcomer --out benchmarks/newcomer.json
+
+# Files per folder, loose modules, lengths, circles of imports, what the tests took.
+house: venv
+	$(BIN)/python -m benchmarks.house
 
 bench: venv
 	$(BIN)/python -m benchmarks.loop --out benchmarks/loop.json

@@ -217,6 +217,7 @@ def pairs(values: list[str]) -> dict[str, Any]:
 
 def show(answer: dict[str, Any], as_json: bool) -> None:
     """Print an answer, for people or as JSON."""
-    from orbitfb.cli import text as tabulate
+    from orbitfb.cli.text import as_json as json_of
+    from orbitfb.cli.text import as_text
 
-    print(tabulate.as_json(answer) if as_json else tabulate.as_text(answer))
+    print(json_of(answer) if as_json else as_text(answer))
