@@ -15,11 +15,12 @@ pytestmark = pytest.mark.system
 def test_the_loop_closes_on_an_ioc_of_epics_base(tmp_path):
     channels = Ring.load().channels("x")
     summary = tmp_path / "summary.json"
+    # In the first 12 s after closing the loop asks whether the ring answers, by 0.5 µm or so.
     with BaseIoc(channels, rate_hz=10.0, plant_seed=3) as ioc:
         subprocess.run(
             [
                 *(sys.executable, "-m", "orbitfb", "run", "--ioc", f"127.0.0.1:{ioc.port}"),
-                *("--start", "closed", "--duration", "16", "--metrics-port", "0"),
+                *("--start", "closed", "--duration", "25", "--metrics-port", "0"),
                 *("--data", str(tmp_path / "data"), "--summary", str(summary)),
             ],
             check=True,
