@@ -98,8 +98,9 @@ def test_nonsense_is_no_host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         ),
         (
             {"EPICS_CA_ADDR_LIST": ""},
-            "--ioc env: there is nowhere to search for PVs: the address list is empty and "
-            "EPICS_CA_AUTO_ADDR_LIST is NO; set EPICS_CA_ADDR_LIST or epics.address_list",
+            "--ioc env: there is nowhere to search for PVs: the address list and the name servers "
+            "are empty and EPICS_CA_AUTO_ADDR_LIST is NO; set EPICS_CA_ADDR_LIST, "
+            "EPICS_CA_NAME_SERVERS, epics.address_list or epics.name_servers",
         ),
     ],
 )
