@@ -340,8 +340,9 @@ def _judge(
         asked = _rms(owed.ring)
         reason = (
             f"the orbit does not answer the setpoints: {asked * 1e6:.3g} µm rms were asked for "
-            "since it last did; BPMs that do not see the beam, or power supplies that do not move "
-            "it: look at both before the loop is reset"
+            "since it last did; BPMs that do not see the beam, power supplies that do not move it, "
+            "or a response matrix of another ring, sign or order: look at them before the loop is "
+            "reset"
         )
         after = replace(memory, session=None, owed=Owed.nothing(n, m), found=memory.found + 1)
         return Found(ring=reason), after

@@ -57,10 +57,12 @@ def test_a_wrong_response_is_found_before_the_orbit_is_lost(
     first = session.service.status()["ticks"]
     session.command("close")
     status = session.wait("TRIPPED", "")
-    told = ("does not answer as the response matrix says", "grew for")  # from a tiny orbit
+    # from a tiny orbit, or before the ring has answered at all: the loop then only asks meanwhile
+    told = ("does not answer as the response matrix says", "grew for", "another ring, sign")
     assert any(words in status["reason"] for words in told)
     tripped = session.service.events("loop_state_changed")[-1]
-    assert tripped["tick"] - first < (15 if "answer" in status["reason"] else 30)
+    at_once = "as the response" in status["reason"]
+    assert tripped["tick"] - first < (15 if at_once else 150)
     archived = transitions(session.service.data)
     assert rms_where(archived.closed, archived.orbit, archived.valid)[-10:].max() < 1e-3
     session.again()
