@@ -55,6 +55,7 @@ class Bench:
         self, policy=None, seed=0, limits=None, fallback=True, response=RESPONSE,
         interlocks=None, **keys,
     ):  # fmt: skip
+        # The questions of the loop are drawn without a seed; they have tests of their own.
         self.obstacle = ""
         self.clock, self.records = ManualClock(), []
         self.machine = PlantMachine(Plant(RING, "x", seed=seed), self.clock)
@@ -66,7 +67,7 @@ class Bench:
             self.slot,
             LoopSettings(**keys),
             limits or LimitSettings(),
-            interlocks or InterlockSettings(),
+            interlocks or InterlockSettings(answer_reach=None),
             np.zeros(180),
             self.clock,
             start=LoopState.CLOSED,
