@@ -213,7 +213,6 @@ def test_who_may_not_write_does_not_and_is_logged(service: Service):
             os.environ["LOGNAME"] = before
 
 
-@pytest.mark.timing
 def test_devices_reference_and_cut_are_adjusted_while_closed(service: Service):
     seen = operate(
         service,
