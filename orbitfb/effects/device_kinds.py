@@ -22,14 +22,11 @@ class ActuatorKind(EffectKind):
     column, and `simulate` no places.
 
     Attributes:
-        row_by_row: Whether its memory is followed row by row; many values at once are then as quick
-            as one, and `drive_each` tells them.
         proposes: Whether `hints` has any.
         only_whole: Whether only all correctors together can be struck.
     """
 
     target = "corrector"
-    row_by_row: ClassVar[bool] = False
     proposes: ClassVar[bool] = False
     only_whole: ClassVar[bool] = False
 
@@ -54,30 +51,19 @@ class ActuatorKind(EffectKind):
         def course(values: Values, given: Signals) -> tuple[Matrix, ...]:
             return (self.drive(given.currents, values, given.record) - given.currents,)
 
-        def many(sets: Sequence[Values], given: Signals) -> Matrix:
-            devices = given.currents.shape[1]
-            beside = np.tile(given.currents, (1, len(sets)))
-            values = {name: np.repeat([one[name] for one in sets], devices) for name in sets[0]}
-            return self.drive_each(beside, values, given.record) - beside
-
         names = tuple(layout.correctors.label(i) for i in range(len(layout.correctors)))
         groups = layout.correctors.groups()
         return (
             DeviceLaw(
-                (layout.response,), course, names, groups, whole=self.only_whole,
-                many=many if self.row_by_row else None,
+                (layout.response,), course, names, groups,
+                whole=self.only_whole, driven=True, many=self.many,
             ),
         )  # fmt: skip
 
-    def drive_each(self, setpoints: Matrix, values: Mapping[str, Vector], record: Record) -> Matrix:
-        """Tell the currents of columns that have values of each one's own, if it goes by rows.
-
-        Args:
-            setpoints: Shape (N, k) [A].
-            values: All parameters, each of shape (k,).
-            record: As for `drive`.
-        """
-        raise NotImplementedError(f"{self.id} has one set of values for all columns")
+    @property
+    def many(self) -> Callable[[Sequence[Values], Signals], Matrix] | None:
+        """Courses for several sets of values at once, where that is quicker; see `DeviceLaw`."""
+        return None
 
     def proposed(
         self, currents: Matrix, pull: Callable[[], Matrix], record: Record
@@ -96,6 +82,38 @@ class ActuatorKind(EffectKind):
             record: As for `drive`.
         """
         return ()
+
+
+class SteppingKind(ActuatorKind):
+    """One whose memory is followed row by row: many values at once are then as quick as one."""
+
+    @abstractmethod
+    def drive_each(
+        self, setpoints: Matrix, values: Mapping[str, float | Vector], record: Record
+    ) -> Matrix:
+        """Tell the currents of columns that may have values of each one's own.
+
+        Args:
+            setpoints: Shape (N, k) [A].
+            values: All parameters, each a number or of shape (k,).
+            record: As for `drive`.
+        """
+
+    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+        """Follow, row by row."""
+        return self.drive_each(setpoints, values, record)
+
+    @property
+    def many(self) -> Callable[[Sequence[Values], Signals], Matrix]:
+        """Courses for several sets of values, one beside the other."""
+
+        def beside(sets: Sequence[Values], given: Signals) -> Matrix:
+            devices = given.currents.shape[1]
+            wide = np.tile(given.currents, (1, len(sets)))
+            values = {name: np.repeat([one[name] for one in sets], devices) for name in sets[0]}
+            return self.drive_each(wide, values, given.record) - wide
+
+        return beside
 
 
 class SensorKind(EffectKind):

@@ -8,7 +8,8 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.noise_laws import ReadingNoise
 from orbitfb.diagnose.hypotheses.priors import MORE, VALUE_COST
-from orbitfb.diagnose.hypotheses.scores import Scorer, moving_root
+from orbitfb.diagnose.hypotheses.row_sums import moving_root
+from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import EventLaw
 from orbitfb.estimation.transform import Matrix

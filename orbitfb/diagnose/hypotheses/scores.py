@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.signal import lfilter
+from scipy.linalg import cho_solve
 
 from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.row_sums import OwnError, moving_root, sums_since, whitened_by
+from orbitfb.diagnose.hypotheses.seen import Beside, Seen
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
@@ -48,8 +49,8 @@ class Scorer:
     inverse: Single
     weights: Single
     members: tuple[Indices, ...]
-    kept: "dict[int, Seen]" = field(default_factory=dict)
-    nearby: "dict[str, Beside | None]" = field(default_factory=dict)
+    kept: dict[int, Seen] = field(default_factory=dict)
+    nearby: dict[str, Beside | None] = field(default_factory=dict)
 
     @classmethod
     def of(cls, space: Workspace) -> "Scorer":
@@ -92,11 +93,13 @@ class Scorer:
         _, beyond = self.errors.beyond(np.zeros(len(fields)), information, cross)
         return pull, _positive(beyond)
 
-    def seen(self, patterns: Matrix) -> "Seen":
+    def seen(self, patterns: Matrix) -> Seen:
         """What patterns see of the residual; kept, as many values of a law share their patterns."""
         known = self.kept.get(id(patterns))
         if known is None:
-            known = self.kept[id(patterns)] = Seen.of(self, patterns)
+            known = self.kept[id(patterns)] = Seen.of(
+                patterns, self.space.noise.modes, self.inverse, self.pulled
+            )
         return known
 
     def score(
@@ -147,7 +150,7 @@ class Scorer:
         solved = cho_solve(own.factor, own.scale[:, None] * cross)
         return information - (own.scale[:, None] * cross).T @ solved
 
-    def beside_of(self, target: str) -> "Beside | None":
+    def beside_of(self, target: str) -> Beside | None:
         """The healthy errors, and values of accepted causes, of devices of a kind; kept."""
         if target not in self.nearby:
             columns = [
@@ -157,7 +160,9 @@ class Scorer:
             ]
             chosen = np.concatenate(columns) if columns else np.zeros(0, np.intp)
             chosen = chosen[self.errors.variance[chosen] > 0.0]
-            self.nearby[target] = Beside.of(self, chosen) if len(chosen) else None
+            self.nearby[target] = (
+                Beside.of(self.space, self.errors, chosen) if len(chosen) else None
+            )
         return self.nearby[target]
 
     def all_together(self, patterns: Matrix, spectrum: Single) -> float:
@@ -177,10 +182,10 @@ class Scorer:
         pull[rows - 1] -= along
         return pull
 
-    def _across(self, one: "Seen", other: "Seen") -> "list[Single]":
+    def _across(self, one: Seen, other: Seen) -> list[Single]:
         return [(one.modes * weight) @ other.modes.T for weight in self.inverse]
 
-    def own_error(self, kind: EffectKind, devices: Indices) -> "OwnError | None":
+    def own_error(self, kind: EffectKind, devices: Indices) -> OwnError | None:
         """The healthy error of the same devices; None where they have none.
 
         Args:
@@ -200,7 +205,7 @@ class Scorer:
         return None
 
     def since(
-        self, pattern: Matrix, steps: Matrix, every: int, own: "OwnError | None"
+        self, pattern: Matrix, steps: Matrix, every: int, own: OwnError | None
     ) -> tuple[Vector, Vector, Indices]:
         """Pull and information of what is left of courses that begin late.
 
@@ -217,20 +222,20 @@ class Scorer:
             Pull (O, D), information (O, D), and the steps O at which the courses begin.
         """
         onsets = np.arange(0, len(steps), every)
-        pull = _suffix((self.late @ pattern) * steps, onsets)
+        pull = sums_since((self.late @ pattern) * steps, onsets)
         seen = (pattern.T @ self.space.noise.modes) ** 2
         information, cross = np.zeros_like(pull), np.zeros_like(pull)
         for root, group in zip(self.roots, self.groups, strict=True):
             weight = root * seen[:, group].sum(axis=1)
-            whitened = _whitened(steps, float(root))
-            information += weight * _suffix(whitened**2, onsets)
+            whitened = whitened_by(steps, float(root))
+            information += weight * sums_since(whitened**2, onsets)
             if own is not None:
-                beside = whitened * _whitened(own.steps, float(root))
-                cross += weight * _suffix(beside, onsets)
+                beside = whitened * whitened_by(own.steps, float(root))
+                cross += weight * sums_since(beside, onsets)
         return pull, information if own is None else own.marginal(information, cross), onsets
 
     def apart(
-        self, patterns: Matrix, spectrum: Single, own: "OwnError | None"
+        self, patterns: Matrix, spectrum: Single, own: OwnError | None
     ) -> tuple[Vector, Vector]:
         """Pull and information of every device for itself.
 
@@ -248,9 +253,7 @@ class Scorer:
         cross = np.einsum("bd,bd->d", seen.own, transform.by_band(wide * own.spectrum))
         return pull, own.marginal(information, cross)
 
-    def quick(
-        self, pattern: Vector, course: Matrix, own: "OwnError | None"
-    ) -> tuple[Vector, Vector]:
+    def quick(self, pattern: Vector, course: Matrix, own: OwnError | None) -> tuple[Vector, Vector]:
         """Pull and information of several courses of one pattern, each for itself.
 
         Args:
@@ -264,33 +267,11 @@ class Scorer:
         information, cross = np.zeros(len(pull)), np.zeros(len(pull))
         for root, group in zip(self.roots, self.groups, strict=True):
             weight = root * float(seen[group].sum())
-            whitened = _whitened(steps, float(root))
+            whitened = whitened_by(steps, float(root))
             information += weight * np.sum(whitened**2, axis=0)
             if own is not None:
-                cross += weight * np.sum(whitened * _whitened(own.steps, float(root)), axis=0)
+                cross += weight * np.sum(whitened * whitened_by(own.steps, float(root)), axis=0)
         return pull, information if own is None else own.marginal(information, cross)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OwnError:
-    """The healthy error of some devices, each for itself.
-
-    Args:
-        spectrum: Transformed steps of its courses, shape (T, k).
-        steps: The same from row to row, shape (T, k).
-        variance: Of its size before the record is seen, shape (k,).
-        information: Of its size, shape (k,).
-    """
-
-    spectrum: Single
-    steps: Matrix
-    variance: Vector
-    information: Vector
-
-    def marginal(self, information: Vector, cross: Vector) -> Vector:
-        """Information of other courses of the devices with the error marginalised."""
-        known = np.where(self.variance > 0.0, 1.0 / np.maximum(self.variance, 1e-300), np.inf)
-        return np.maximum(information - cross**2 / (known + self.information), 0.0)
 
 
 def _positive(information: Matrix) -> Matrix:
@@ -298,86 +279,3 @@ def _positive(information: Matrix) -> Matrix:
     least = np.zeros_like(information)
     least[np.diag_indices_from(least)] = np.maximum(-np.diag(information), 0.0)
     return information + least
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Beside:
-    """Errors of some devices, for marginalising them.
-
-    Args:
-        modes: Patterns of the columns in the modes of the noise, shape (e, n).
-        spectrum: Of their courses, shape (T, e).
-        scale: Their prior standard deviations, shape (e,).
-        factor: Cholesky factor of 1 + scale · information · scale.
-    """
-
-    modes: Single
-    spectrum: Single
-    scale: Vector
-    factor: tuple[Matrix, bool]
-
-    @classmethod
-    def of(cls, scorer: Scorer, columns: Indices) -> "Beside":
-        """Gather columns."""
-        terms, errors = scorer.space.terms, scorer.errors
-        patterns = terms.patterns[:, terms.pattern[columns]]
-        scale = np.sqrt(errors.variance[columns])
-        inner = scale[:, None] * errors.information[np.ix_(columns, columns)] * scale
-        inner[np.diag_indices_from(inner)] += 1.0
-        return cls(
-            (patterns.T @ scorer.space.noise.modes).astype(np.float32),
-            terms.spectrum[:, columns], scale, cho_factor(inner, lower=True),
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """What D patterns see of the residual, in single precision.
-
-    Args:
-        source: The patterns, shape (n, D) [m].
-        modes: In the modes of the noise, shape (D, n).
-        pulled: Ω z along them, by frequency, shape (T, D).
-        precision: Pᵀ Ω P of every band, B of shape (D, D).
-        own: Pᵀ Ω P of every pattern for itself in every band, shape (B, D).
-    """
-
-    source: Matrix
-    modes: Single
-    pulled: Single
-    precision: list[Single]
-    own: Single
-
-    @classmethod
-    def of(cls, scorer: Scorer, patterns: Matrix) -> "Seen":
-        """Look along patterns."""
-        modes = (patterns.T @ scorer.space.noise.modes).astype(np.float32)
-        precision = [(modes * weight) @ modes.T for weight in scorer.inverse]
-        single = patterns.astype(np.float32)
-        return cls(
-            patterns, modes,
-            scorer.pulled.astype(np.float32) @ single, precision,
-            np.stack([np.diag(one) for one in precision]),
-        )  # fmt: skip
-
-
-def _whitened(steps: Matrix, root: float) -> Matrix:
-    """Innovations of steps whose moving average has a root: ε_n = Δ_n + r ε_{n−1}."""
-    return np.asarray(lfilter([1.0], [1.0, -root], steps, axis=0))
-
-
-def moving_root(ratio: Vector) -> Vector:
-    """Root r of the moving average that the steps of a walk and its noise are.
-
-    Its covariance q + 2 at lag 0 and −1 at lag 1 is (1 + r²)/r and −1.
-
-    Args:
-        ratio: q, walk over noise.
-    """
-    return 1.0 + ratio / 2.0 - np.sqrt(ratio + ratio**2 / 4.0)
-
-
-def _suffix(values: Matrix, onsets: Indices) -> Matrix:
-    """Sums from every onset to the end, shape (O, D)."""
-    parts = np.add.reduceat(values, onsets, axis=0)
-    return np.cumsum(parts[::-1], axis=0)[::-1]

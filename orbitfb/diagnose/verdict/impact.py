@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.answer_parts import Gap, Shrink
-from orbitfb.diagnose.hypotheses.scores import moving_root
+from orbitfb.diagnose.hypotheses.row_sums import moving_root
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.verdict.named import Named

@@ -14,7 +14,7 @@ from orbitfb.effects.actuating import (
     largest_change,
     widths,
 )
-from orbitfb.effects.device_kinds import ActuatorKind
+from orbitfb.effects.device_kinds import SteppingKind
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
@@ -23,7 +23,7 @@ from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
 
-class CorrectorDeadband(ActuatorKind):
+class CorrectorDeadband(SteppingKind):
     """Currents that stay until the setpoint is far enough away, and then go there at once.
 
     Where the current was within the band before the record began is not known: it is taken to
@@ -52,7 +52,6 @@ class CorrectorDeadband(ActuatorKind):
             rough=True,
         ),
     )
-    row_by_row = True
     confused_with = (
         "corrector-hysteresis",
         "corrector-quantisation",
@@ -61,12 +60,10 @@ class CorrectorDeadband(ActuatorKind):
     )
     splits = "Ladders of small steps up and down: a dead-band releases them in one jump."
 
-    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+    def drive_each(
+        self, setpoints: Matrix, values: Mapping[str, float | Vector], record: Record
+    ) -> Matrix:
         """Hold or follow, row by row."""
-        return self.drive_each(setpoints, values, record)
-
-    def drive_each(self, setpoints: Matrix, values: Mapping[str, Any], record: Record) -> Matrix:
-        """The same, also with values of every column's own."""
         width = values["width"]
 
         def law(own: Arithmetic, wanted: Any, held: Any) -> Any:

@@ -15,7 +15,7 @@ from orbitfb.effects.actuating import (
     widest_range,
     widths,
 )
-from orbitfb.effects.device_kinds import ActuatorKind
+from orbitfb.effects.device_kinds import SteppingKind
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
@@ -27,7 +27,7 @@ _HALF = 0.5
 """Widest play that a fit tries, as a share of the range of the setpoints."""
 
 
-class CorrectorHysteresis(ActuatorKind):
+class CorrectorHysteresis(SteppingKind):
     """Play: the kick is dragged behind the setpoint, in whole or in part.
 
     What is lost after a reversal (u − play, a stop) grows linearly and then stays at half the
@@ -70,16 +70,13 @@ class CorrectorHysteresis(ActuatorKind):
     )
     linear = "share"
     of_changes = True
-    row_by_row = True
     confused_with = ("corrector-deadband", "corrector-lag", "corrector-gain", "corrector-slew")
     splits = "A triangular ladder with reversals at three amplitudes: only play depends on them."
 
-    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+    def drive_each(
+        self, setpoints: Matrix, values: Mapping[str, float | Vector], record: Record
+    ) -> Matrix:
         """Drag, row by row."""
-        return self.drive_each(setpoints, values, record)
-
-    def drive_each(self, setpoints: Matrix, values: Mapping[str, Any], record: Record) -> Matrix:
-        """The same, also with values of every column's own."""
         half, share = 0.5 * values["width"], values["share"]
 
         def law(own: Arithmetic, wanted: Any, held: Any) -> Any:

@@ -13,7 +13,7 @@ from orbitfb.effects.actuating import (
     ladder,
     largest_change,
 )
-from orbitfb.effects.device_kinds import ActuatorKind
+from orbitfb.effects.device_kinds import SteppingKind
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
@@ -22,7 +22,7 @@ from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
 
-class CorrectorSlew(ActuatorKind):
+class CorrectorSlew(SteppingKind):
     """Currents that ramp towards their setpoints at a limited rate."""
 
     id = "corrector-slew"
@@ -45,16 +45,13 @@ class CorrectorSlew(ActuatorKind):
             log=True,
         ),
     )
-    row_by_row = True
     confused_with = ("corrector-lag", "corrector-gain", "corrector-deadband", "corrector-stuck")
     splits = "Steps of three sizes: a slew rate lets small ones pass whole, a lag none."
 
-    def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
+    def drive_each(
+        self, setpoints: Matrix, values: Mapping[str, float | Vector], record: Record
+    ) -> Matrix:
         """Ramp, row by row."""
-        return self.drive_each(setpoints, values, record)
-
-    def drive_each(self, setpoints: Matrix, values: Mapping[str, Any], record: Record) -> Matrix:
-        """The same, also with values of every column's own."""
         most = values["rate"] * record.layout.period
 
         def law(own: Arithmetic, wanted: Any, held: Any) -> Any:

@@ -94,9 +94,9 @@ DEVICE_FAULTS = (
     Fault(
         "readings with fresh stamps and noise that do not answer the correctors (blind, repeated, "
         "late), or supplies that echo the setpoint and do not move the beam: of the whole ring",
-        "the loop asks by small random excursions once setpoints have wandered, or no answer was "
-        "seen for long; TRIPPED if none comes, before the beam is 20 µm away; such ticks teach "
-        "nobody",
+        "once setpoints have wandered, or no answer was seen for long, the loop asks by small "
+        "random excursions and corrects nothing until the ring has answered; TRIPPED if it does "
+        "not; such ticks teach nobody",
         (_TRIPPED,),
         ("interlocks.answer_reach", "interlocks.answer_question", "interlocks.answer_after"),
         (
