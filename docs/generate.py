@@ -106,7 +106,7 @@ def pvs_page() -> str:
         parts.append(f"\n## `--planes {planes}`: {total} PVs\n\n")
         parts.append(pv_table_markdown(ring, planes, settings))
     channels = ring.channels("x")
-    extent = Extent("x", len(channels.bpms), len(channels.correctors))
+    extent = Extent.of(channels)
     parts += [PANEL_HEAD, panel_table_markdown(PanelSettings(), extent)]
     return "".join(parts)
 

@@ -19,8 +19,7 @@ def files(configuration: Path | None = None) -> dict[str, str]:
     """Give every file by its name, for a configuration."""
     config = load_config(configuration)
     channels = config.ring.load().channels(config.ring.planes)
-    extent = Extent(channels.planes, len(channels.bpms), len(channels.correctors))
-    return site_files(config.panel.prefix, panel_pvs(config.panel, extent))
+    return site_files(config.panel.prefix, panel_pvs(config.panel, Extent.of(channels)))
 
 
 def main() -> None:

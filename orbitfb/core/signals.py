@@ -1,8 +1,9 @@
 """What is read from the machine, what is sent to it, and what one tick leaves behind."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ class Channels:
         orbit_pvs: n PVs of the readings [mm].
         setpoint_pvs: m PVs of the setpoints [A].
         readback_pvs: m PVs of the readbacks [A].
+        bpm_counts: How many of the n are in each plane; empty: as many in each.
+        corrector_counts: How many of the m are in each plane; empty: as many in each.
     """
 
     planes: str
@@ -32,6 +35,33 @@ class Channels:
     orbit_pvs: tuple[str, ...]
     setpoint_pvs: tuple[str, ...]
     readback_pvs: tuple[str, ...]
+    bpm_counts: tuple[int, ...] = ()
+    corrector_counts: tuple[int, ...] = ()
+
+    @property
+    def bpm_parts(self) -> dict[str, slice]:
+        """Where the BPMs of each plane are in an orbit."""
+        return parts(self.planes, len(self.bpms), self.bpm_counts)
+
+    @property
+    def corrector_parts(self) -> dict[str, slice]:
+        """Where the correctors of each plane are in a set of setpoints."""
+        return parts(self.planes, len(self.correctors), self.corrector_counts)
+
+
+def parts(planes: str, size: int, counts: Sequence[int] = ()) -> dict[str, slice]:
+    """Cut a vector into its planes.
+
+    Args:
+        planes: `x`, `y` or `xy`.
+        size: Length of the vector.
+        counts: How many elements each plane has; empty: as many each.
+    """
+    each = counts or (size // len(planes),) * len(planes)
+    ends = list(accumulate(each))
+    return {
+        plane: slice(end - count, end) for plane, count, end in zip(planes, each, ends, strict=True)
+    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """The PVs of the panel as caproto knows them."""
 
 import contextvars
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -14,6 +15,7 @@ from caproto import (
     ChannelDouble,
     ChannelEnum,
     ChannelInteger,
+    ChannelString,
     ChannelType,
 )
 
@@ -200,6 +202,10 @@ class _Text(_Panel, ChannelChar):
     pass
 
 
+class _Names(_Panel, ChannelString):
+    pass
+
+
 _Make = Callable[[PanelPv], Any]
 
 
@@ -223,6 +229,7 @@ _MAKERS: dict[Kind, _Make] = {
         value=[0.0] * pv.length, precision=pv.precision, max_length=pv.length, **_limits(pv)
     ),
     Kind.SWITCHES: lambda pv: _Integer(value=[1] * pv.length, max_length=pv.length),
+    Kind.NAMES: lambda pv: _Names(value=[""] * pv.length, max_length=pv.length),
 }
 
 
@@ -246,6 +253,8 @@ async def show(channel: Any, value: Any) -> None:
         return
     if channel.pv.kind is Kind.TEXT:
         value = printable(value)
+    elif isinstance(value, list):  # an element that is not known
+        value = [math.nan if element is None else element for element in value]
     unknown = channel.severity is AlarmSeverity.INVALID_ALARM
     if channel.pv.alarms:
         worse = channel.pv.severity(value)

@@ -31,6 +31,11 @@ class Kind(StrEnum):
     TEXT = "text"
     DOUBLES = "doubles"
     SWITCHES = "integers"
+    NAMES = "names"
+
+
+VECTORS = (Kind.DOUBLES, Kind.SWITCHES, Kind.NAMES)
+"""Kinds that hold an element for each device or mode."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +74,7 @@ class PanelPv:
         minor: Words of a choice that are a MINOR alarm.
         major: Words of a choice that are a MAJOR alarm.
         high: A number from which on it is a MINOR alarm.
+        along: PV of what a plot of a vector has on its other axis; empty: the index.
     """
 
     name: str
@@ -83,6 +89,7 @@ class PanelPv:
     minor: tuple[str, ...] = ()
     major: tuple[str, ...] = ()
     high: float = math.inf
+    along: str = ""
 
     @property
     def alarms(self) -> bool:
@@ -147,7 +154,7 @@ def out_of_range(pv: PanelPv, value: float | Sequence[float]) -> str:
         pv: Has the limits and the length.
         value: In the units of the PV.
     """
-    vector = pv.kind in (Kind.DOUBLES, Kind.SWITCHES)
+    vector = pv.kind in VECTORS
     elements = list(value) if isinstance(value, Sequence) else [value]
     if len(elements) != pv.length:
         return f"{pv.name} takes {pv.length} numbers, not {len(elements)}"

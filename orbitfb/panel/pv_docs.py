@@ -1,6 +1,6 @@
 """The PVs of the panel as a table of the reference pages."""
 
-from orbitfb.panel.pv import Kind, PanelPv
+from orbitfb.panel.pv import VECTORS, Kind, PanelPv
 from orbitfb.panel.pv_table import Extent, panel_pvs
 from orbitfb.panel.settings import PanelSettings
 
@@ -11,6 +11,7 @@ _WORDS = {
     Kind.TEXT: "text (characters)",
     Kind.DOUBLES: "numbers",
     Kind.SWITCHES: "integers",
+    Kind.NAMES: "texts",
 }
 
 
@@ -30,7 +31,7 @@ def panel_table_markdown(settings: PanelSettings, extent: Extent) -> str:
 
 
 def _row(pv: PanelPv) -> str:
-    vector = pv.kind in (Kind.DOUBLES, Kind.SWITCHES)
+    vector = pv.kind in VECTORS
     cells = (
         f"`{pv.name}`",
         f"{pv.length} {_WORDS[pv.kind]}" if vector else _WORDS[pv.kind],

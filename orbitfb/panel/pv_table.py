@@ -1,10 +1,12 @@
 """All PVs of the panel."""
 
 from dataclasses import dataclass, replace
+from typing import Self
 
-from orbitfb.core.signals import LoopState
+from orbitfb.core.signals import Channels, LoopState, parts
 from orbitfb.panel.pv import LONGEST_TEXT, NO_RANGE, Kind, Order, PanelPv
 from orbitfb.panel.settings import PanelSettings
+from orbitfb.panel.vector_pvs import vector_pvs
 
 MILLI, MICRO = 1e-3, 1e-6
 UNKNOWN_STATE = "STARTING"
@@ -23,11 +25,35 @@ class Extent:
         planes: x, y or xy.
         bpms: Length of an orbit.
         correctors: Length of a set of setpoints.
+        bpm_counts: BPMs of each plane; empty: as many in each.
+        corrector_counts: Correctors of each plane; empty: as many in each.
     """
 
     planes: str
     bpms: int
     correctors: int
+    bpm_counts: tuple[int, ...] = ()
+    corrector_counts: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, channels: Channels) -> Self:
+        """Take it from the names of a ring."""
+        return cls(
+            channels.planes,
+            len(channels.bpms),
+            len(channels.correctors),
+            channels.bpm_counts,
+            channels.corrector_counts,
+        )
+
+    def lengths(self) -> dict[str, tuple[int, int]]:
+        """Count the BPMs and the correctors of each plane."""
+        bpms = parts(self.planes, self.bpms, self.bpm_counts)
+        correctors = parts(self.planes, self.correctors, self.corrector_counts)
+        return {
+            plane: (part.stop - part.start, correctors[plane].stop - correctors[plane].start)
+            for plane, part in bpms.items()
+        }
 
 
 def panel_pvs(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]:
@@ -37,7 +63,13 @@ def panel_pvs(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]:
         settings: Has the limits.
         extent: Of the ring under feedback.
     """
-    return (*_loop(), *_figures(extent), *_policies(), *_adjustments(settings, extent))
+    return (
+        *_loop(),
+        *_figures(extent),
+        *_policies(),
+        *_adjustments(settings, extent),
+        *vector_pvs(extent.lengths()),
+    )
 
 
 def writable_names(pvs: tuple[PanelPv, ...]) -> tuple[str, ...]:

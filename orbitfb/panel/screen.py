@@ -100,14 +100,15 @@ class Screen:
             _colour(Xml.SubElement(trace, "color"), _TRACES[number % len(_TRACES)])
 
     def vector(self, pvs: Sequence[PanelPv], box: Box, title: str) -> None:
-        """Put the elements of vectors side by side."""
+        """Put the elements of vectors side by side, each along what it says."""
         widget = self._widget("xyplot", "3.0.0", box)
         _put(widget, title=title, show_toolbar="false")
         self._axis(widget, pvs[0].units)
         traces = Xml.SubElement(widget, "traces")
         for number, pv in enumerate(pvs):
             trace = Xml.SubElement(traces, "trace")
-            _put(trace, name=pv.name, x_pv="", y_pv=PREFIX + pv.name, axis=0, line_width=1)
+            along = PREFIX + pv.along if pv.along else ""
+            _put(trace, name=pv.name, x_pv=along, y_pv=PREFIX + pv.name, axis=0, line_width=1)
             _colour(Xml.SubElement(trace, "color"), _TRACES[number % len(_TRACES)])
 
     def _widget(self, kind: str, version: str, box: Box, pv: PanelPv | None = None) -> Xml.Element:
@@ -131,7 +132,7 @@ class Screen:
         _put(axis, title=title, autoscale="true", show_grid="true", visible="true")
 
 
-_TRACES: tuple[Colour, ...] = ((0, 90, 181), (220, 50, 32))
+_TRACES: tuple[Colour, ...] = ((0, 90, 181), (220, 50, 32), (120, 120, 120))
 
 
 def _put(element: Xml.Element, **texts: object) -> None:

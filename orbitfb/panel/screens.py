@@ -1,13 +1,15 @@
-"""The two screens of the panel: one for the shift, one with every PV that there is."""
+"""The screens of the panel: for the shift, of every PV, and the vectors of each plane."""
 
 from collections.abc import Sequence
 
-from orbitfb.panel.pv import Kind, PanelPv
+from orbitfb.panel.pv import VECTORS, Kind, PanelPv
 from orbitfb.panel.pv_table import STATES, UNKNOWN_STATE
 from orbitfb.panel.screen import Colour, Screen
 
 OVERVIEW = "overview.bob"
 EXPERT = "expert.bob"
+ORBIT = "orbit_{plane}.bob"
+"""The screen of the vectors of a plane."""
 
 _STATE_COLOURS: dict[str, Colour] = {
     UNKNOWN_STATE: (160, 160, 160),
@@ -18,7 +20,6 @@ _STATE_COLOURS: dict[str, Colour] = {
     "TRIPPED": (215, 50, 40),
     "FAULT": (160, 30, 160),
 }
-_VECTORS = (Kind.DOUBLES, Kind.SWITCHES)
 _MARGIN, _ROW, _TALL = 10, 30, 60
 
 
@@ -38,6 +39,9 @@ def overview(prefix: str, pvs: Sequence[PanelPv]) -> str:
         screen.button(word, (230 + number * 110, 65, 100, 40), its["Command-Cmd"], word)
     screen.button("reset", (230 + 3 * 110, 65, 100, 40), its["Reset-Cmd"], "do")
     screen.way_to("expert", (780, 65, 100, 40), EXPERT)
+    for number, plane in enumerate(planes_of(pvs)):
+        box = (780 - number * 110, 15, 100, 40)
+        screen.way_to(f"orbit {plane}", box, ORBIT.format(plane=plane))
     lines = ("Reason-I", "LastTrip-I", "LogLine-I", "GapText-I", "Policy-I", "LastRefit-I")
     top = 130
     for name in lines:
@@ -64,7 +68,8 @@ def expert(prefix: str, pvs: Sequence[PanelPv]) -> str:
     screen = Screen("Orbit feedback, expert", prefix, 1500, 1060)
     screen.label("Orbit feedback, expert", (_MARGIN, 10, 400, 35), bold=True, size=24.0)
     screen.way_to("overview", (1380, 10, 110, 35), OVERVIEW)
-    shown = [pv for pv in pvs if pv.name.endswith("-I") and pv.kind is not Kind.TEXT]
+    plain = (Kind.TEXT, *VECTORS)
+    shown = [pv for pv in pvs if pv.name.endswith("-I") and pv.kind not in plain]
     texts = [pv for pv in pvs if pv.name.endswith("-I") and pv.kind is Kind.TEXT]
     wishes = [pv for pv in pvs if pv.name.endswith("-SP")]
     orders = [pv for pv in pvs if pv.name.endswith("-Cmd")]
@@ -87,7 +92,7 @@ def expert(prefix: str, pvs: Sequence[PanelPv]) -> str:
     back = {pv.name: pv for pv in pvs}
     for pv in wishes:
         force = back[pv.name.removesuffix("-SP") + "-RB"]
-        if pv.kind in _VECTORS:
+        if pv.kind in VECTORS:
             screen.vector((pv, force), (880, top, 610, 190), pv.name.removesuffix("-SP"))
             top += 200
             continue
@@ -96,6 +101,48 @@ def expert(prefix: str, pvs: Sequence[PanelPv]) -> str:
         screen.value(force, (1180, top, 150, 24))
         top += 30
     return screen.text()
+
+
+def orbit(prefix: str, pvs: Sequence[PanelPv], plane: str) -> str:
+    """Write the screen with the vectors of one plane, along the ring.
+
+    Args:
+        prefix: Of the panel's PVs.
+        pvs: All PVs of the panel.
+        plane: x or y.
+    """
+    its = {pv.name: pv for pv in pvs}
+    screen = Screen(f"Orbit feedback, plane {plane}", prefix, 1500, 1060)
+    screen.label(f"Orbit feedback, plane {plane}", (_MARGIN, 10, 400, 35), bold=True, size=24.0)
+    screen.way_to("overview", (1380, 10, 110, 35), OVERVIEW)
+    for number, (names, title) in enumerate(_PLOTS):
+        shown = [its[f"{name}{plane.upper()}-I"] for name in names]
+        left, top = number % 2 * 745, 55 + number // 2 * 250
+        screen.vector(shown, (_MARGIN + left, top, 735, 245), title)
+    return screen.text()
+
+
+_PLOTS = (
+    (("Orbit", "Reference"), "orbit and reference"),
+    (("Setpoint",), "setpoints"),
+    (("Error",), "orbit error"),
+    (("Room",), "room to the limits"),
+    (("Computed", "Applied", "Shadow"), "change of the last tick"),
+    (("BpmUsed", "CorrectorUsed"), "devices in use"),
+    (("SingularValue",), "singular values"),
+    (("ModeGain",), "part of each mode that a tick corrects"),
+)
+"""Vectors of a plane that are drawn together, and the title of the plot."""
+
+
+def planes_of(pvs: Sequence[PanelPv]) -> list[str]:
+    """Name the planes that a panel has the vectors of.
+
+    Args:
+        pvs: All PVs of the panel.
+    """
+    names = {pv.name for pv in pvs}
+    return [plane for plane in "xy" if f"Orbit{plane.upper()}-I" in names]
 
 
 def _heading(screen: Screen, words: str, left: int, top: int = 60) -> int:

@@ -44,7 +44,7 @@ class Panel:
     ) -> None:
         settings = job.panel
         self.pvs = panel_pvs(settings, job.extent)
-        self._prefix, self._period = settings.prefix, settings.period
+        self._prefix, self._period, self._still = settings.prefix, settings.period, job.still
         self._access = read_access(settings.rules, settings.interface, writable_names(self.pvs))
         self._ask = ask_service
         self._channels = {pv.name: channel_of(pv, self) for pv in self.pvs}
@@ -97,6 +97,8 @@ class Panel:
         """Show what the service says, again and again."""
         names = json.dumps([self._prefix + pv.name for pv in self.pvs])
         await self._channels["PVs-I"].write(names)
+        for name, values in self._still.items():
+            await show(self._channels[name], list(values))
         while True:
             await self.look()
             for address, reason, times in self._refusals.due():

@@ -4,11 +4,14 @@ import json
 from collections.abc import Sequence
 from xml.etree import ElementTree as Xml
 
-from orbitfb.panel.pv import Kind, PanelPv
-from orbitfb.panel.screens import EXPERT, OVERVIEW, expert, overview
+from orbitfb.panel.pv import VECTORS, Kind, PanelPv
+from orbitfb.panel.screens import EXPERT, ORBIT, OVERVIEW, expert, orbit, overview, planes_of
 
 _UNARCHIVED = ("PVs-I",)
 _SLOW = ("Heartbeat-I", "Version-I")
+VECTOR_PERIOD = 10.0
+"""Time between two samples of a vector that changes at every update [s]: 20 vectors of 180 numbers
+are 0.25 GB a day then."""
 
 _GUIDANCE = {
     "State-I": (
@@ -44,6 +47,7 @@ def site_files(prefix: str, pvs: Sequence[PanelPv]) -> dict[str, str]:
     return {
         OVERVIEW: overview(prefix, pvs),
         EXPERT: expert(prefix, pvs),
+        **{ORBIT.format(plane=p): orbit(prefix, pvs, p) for p in planes_of(pvs)},
         "alarms.xml": alarm_tree(prefix, pvs),
         "archiver.json": archiver_list(prefix, pvs),
     }
@@ -92,13 +96,21 @@ def archiver_list(prefix: str, pvs: Sequence[PanelPv]) -> str:
     """
     lines = [
         json.dumps(
-            {
-                "pv": prefix + pv.name,
-                "samplingmethod": "SCAN" if pv.name in _SLOW else "MONITOR",
-                "samplingperiod": "60.0" if pv.name in _SLOW else "1.0",
-            }
+            {"pv": prefix + pv.name, "samplingmethod": method, "samplingperiod": f"{period:.1f}"}
         )
         for pv in pvs
-        if pv.name not in _UNARCHIVED and not (pv.writable and pv.kind is Kind.CHOICE)
+        if pv.name not in _UNARCHIVED
+        and pv.kind is not Kind.NAMES
+        and not (pv.writable and pv.kind is Kind.CHOICE)
+        for method, period in (_sampling(pv),)
     ]
     return "[\n " + ",\n ".join(lines) + "\n]\n"
+
+
+def _sampling(pv: PanelPv) -> tuple[str, float]:
+    """Say how a PV is sampled, and how often [s]."""
+    if pv.name in _SLOW:
+        return "SCAN", 60.0
+    if pv.kind in VECTORS and pv.name.endswith("-I"):
+        return "SCAN", VECTOR_PERIOD
+    return "MONITOR", 1.0

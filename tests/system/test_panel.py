@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from ioc_clients import KICK, run_client
 from service_process import Service, refused, wait_for
@@ -15,6 +16,8 @@ from orbitfb import __version__
 from orbitfb.control.socket import ask
 from orbitfb.panel.pv_table import Extent, panel_pvs
 from orbitfb.panel.settings import PanelSettings
+from orbitfb.physics.places import Ring
+from orbitfb.physics.response import response
 
 pytestmark = pytest.mark.system
 
@@ -211,6 +214,42 @@ def test_who_may_not_write_does_not_and_is_logged(service: Service):
         os.environ.pop("LOGNAME")
         if before is not None:
             os.environ["LOGNAME"] = before
+
+
+def test_vectors_show_orbit_setpoints_and_modes(service: Service):
+    seen = operate(
+        service,
+        """
+        def whole(name):
+            pv = epics.PV("%s" + name, auto_monitor=False)
+            control = pv.get_ctrlvars(timeout=60.0)
+            return [pv.count, control.get("units"), list(pv.get(timeout=60.0))]
+
+        until(lambda: abs(get("ErrorX-I")).max() < 5.0, "errors of a closed loop")
+        finish({
+            "error": whole("ErrorX-I"),
+            "setpoint": whole("SetpointX-I"),
+            "room": get("RoomX-I").tolist(),
+            "sigma": get("SingularValueX-I").tolist(),
+            "gains": get("ModeGainX-I").tolist(),
+            "shadow": bool((get("ShadowX-I") != get("ShadowX-I")).all()),
+            "names": list(get("BpmNameX-I")),
+            "places": get("BpmPositionX-I").tolist(),
+            "used": get("BpmUsedX-I").tolist(),
+        })
+        """.replace("%s", PREFIX),
+    )
+    ring = Ring.load()
+    count, units, errors = seen["error"]
+    assert (count, units) == (180, "um") and 0.05 < np.std(errors) < 2.0
+    count, units, setpoints = seen["setpoint"]
+    assert (count, units) == (180, "A") and 0.01 < np.std(setpoints) < 5.0
+    np.testing.assert_allclose(seen["room"], 17.5 - np.abs(setpoints), atol=0.02)
+    np.testing.assert_allclose(seen["sigma"], np.linalg.svd(response(ring, "x"))[1], atol=1e-8)
+    assert 0.0 < min(seen["gains"]) <= max(seen["gains"]) <= 1.0
+    assert seen["shadow"] and seen["used"] == [1] * 180
+    assert tuple(seen["names"]) == ring.names("BPM")
+    assert seen["places"] == pytest.approx(ring.table.s[ring.places("BPM")].tolist())
 
 
 def test_devices_reference_and_cut_are_adjusted_while_closed(service: Service):

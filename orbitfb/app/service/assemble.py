@@ -243,6 +243,7 @@ class Service:
             latest,
             self.statistics,
             self.lease,
+            lambda: Bounds.of(limit, len(names), self.machine.drive_limits),
         )
         opened = open_doors(config, doors, remote, stack)
         http = ObserveServer(

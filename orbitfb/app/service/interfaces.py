@@ -1,6 +1,6 @@
 """The doors of a service: the control socket, the panel if that is wanted, the operator page."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +11,8 @@ from orbitfb.app.commands.adjust import Adjuster, Base
 from orbitfb.app.commands.autosave import FILE
 from orbitfb.app.commands.dispatch import Commands, Handler
 from orbitfb.app.commands.preview import Latest, Trial
+from orbitfb.app.commands.vectors import Sources as VectorSources
+from orbitfb.app.commands.vectors import Vectors
 from orbitfb.app.service.page_process import PageProcess
 from orbitfb.app.service.panel_process import PanelProcess
 from orbitfb.config.tree import AppConfig
@@ -29,6 +31,7 @@ from orbitfb.panel.access import read_access
 from orbitfb.panel.figures import Figures, gap_text
 from orbitfb.panel.pv_table import Extent, panel_pvs, writable_names
 from orbitfb.policies.store.directory import PolicyStore
+from orbitfb.safety.bounds import Bounds
 
 _log = structlog.stdlib.get_logger("orbitfb.service")
 
@@ -48,6 +51,7 @@ class Parts:
         latest: The last orbit.
         statistics: Figures of the loop.
         lease: Of the machine; None: there is none.
+        bounds: Gives the limits of the setpoints that are in force.
     """
 
     channels: Channels
@@ -60,6 +64,7 @@ class Parts:
     latest: Latest
     statistics: LoopStatistics
     lease: Lease | None
+    bounds: Callable[[], Bounds]
 
     @property
     def lease_shown(self) -> dict[str, Any]:
@@ -94,8 +99,7 @@ def check_panel(config: AppConfig, channels: Channels) -> None:
     """
     settings = config.panel
     if settings.enabled:
-        extent = Extent(config.ring.planes, len(channels.bpms), len(channels.correctors))
-        names = writable_names(panel_pvs(settings, extent))
+        names = writable_names(panel_pvs(settings, Extent.of(channels)))
         read_access(settings.rules, settings.interface, names)
 
 
@@ -157,11 +161,22 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
         SystemClock(),
         config.observe.stale_after,
     )
+    vectors = Vectors(
+        VectorSources(
+            channels,
+            parts.latest,
+            slot,
+            lambda: parts.runner.adjustments,
+            parts.counting,
+            lambda: adjuster.movable,
+            parts.bounds,
+        )
+    )
     commands = Commands(
         {"": remote, "page": view, "close": close, **adjuster.handlers, **trial.handlers},
         statistics,
         Figures(config.observe.stale_after),
-        lambda: {**adjuster.shown(), **trial.shown(), **parts.lease_shown},
+        lambda: {**adjuster.shown(), **trial.shown(), **vectors.shown(), **parts.lease_shown},
     )
     control = ControlServer(directory, commands)
     stack.callback(control.close)

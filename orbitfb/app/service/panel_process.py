@@ -5,6 +5,7 @@ from contextlib import ExitStack
 
 import structlog
 
+from orbitfb.app.commands.vectors import still_vectors
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.core.signals import Channels
@@ -48,6 +49,9 @@ class PanelProcess:
             planes=config.ring.planes,
             bpms=len(channels.bpms),
             correctors=len(channels.correctors),
+            bpm_counts=channels.bpm_counts,
+            corrector_counts=channels.corrector_counts,
+            still=still_vectors(config.ring.load(), channels),
         )
         self._statistics = statistics
         self._child = ServerChild(job, "orbitfb.panel", "the panel")

@@ -13,11 +13,12 @@ import pytest
 from epics.ca import find_libca
 
 from orbitfb.panel.access import read_access
+from orbitfb.panel.pv import Kind
 from orbitfb.panel.pv_table import Extent, panel_pvs, writable_names
 from orbitfb.panel.settings import PanelSettings
 
 EPICS = Path(__file__).parents[3] / "deploy/epics"
-SCREENS = ("overview.bob", "expert.bob")
+SCREENS = ("overview.bob", "expert.bob", "orbit_x.bob")
 PVS = panel_pvs(PanelSettings(), Extent("x", 180, 180))
 PREFIX = PanelSettings().prefix
 WRITING = ("textentry", "combo", "action_button")
@@ -38,7 +39,7 @@ def widgets(name: str) -> list[ElementTree.Element]:
 
 def named(widget: ElementTree.Element) -> set[str]:
     """PVs of a widget, without the prefix."""
-    found = [its.text or "" for tag in ("pv_name", "y_pv") for its in widget.iter(tag)]
+    found = [its.text or "" for tag in ("pv_name", "x_pv", "y_pv") for its in widget.iter(tag)]
     return {text.removeprefix("$(P)") for text in found if text and text != "$(pv_name)"}
 
 
@@ -55,12 +56,25 @@ def test_another_site_gets_its_own_prefix_and_planes(generator, tmp_path: Path):
     files = generator.files(config)
     assert '"B1:GainY-SP"' in files["archiver.json"] and "SR:FB" not in "".join(files.values())
     assert "<P>B1:</P>" in files["overview.bob"] and "RmsY-I" in files["overview.bob"]
+    assert "ErrorY-I" in files["orbit_y.bob"] and "ErrorX-I" not in files["orbit_y.bob"]
+    assert "orbit_y.bob" in files["overview.bob"]
 
 
-def test_every_pv_is_on_the_expert_screen_and_no_other_on_any():
-    names = {pv.name for pv in PVS}
-    assert set().union(*map(named, widgets("expert.bob"))) == names
+def test_every_pv_is_on_the_expert_screen_or_drawn_along_the_ring_and_no_other_on_any():
+    names = {pv.name for pv in PVS if pv.kind is not Kind.NAMES}
+    expert = set().union(*map(named, widgets("expert.bob")))
+    along = set().union(*map(named, widgets("orbit_x.bob")))
+    assert not expert & along and expert | along == names
     assert set().union(*map(named, widgets("overview.bob"))) < names
+    assert {pv.along for pv in PVS} - {""} <= along
+
+
+def test_vectors_are_archived_now_and_then_and_names_are_not():
+    entries = {entry["pv"]: entry for entry in json.loads((EPICS / "archiver.json").read_text())}
+    error = entries[PREFIX + "ErrorX-I"]
+    assert (error["samplingmethod"], error["samplingperiod"]) == ("SCAN", "10.0")
+    assert entries[PREFIX + "Reference-RB"]["samplingmethod"] == "MONITOR"
+    assert PREFIX + "BpmNameX-I" not in entries
 
 
 @pytest.mark.parametrize("name", SCREENS)
