@@ -156,7 +156,11 @@ class AppConfig(Settings):
         validate_default=False,  # it is a path already, where a file has text
         description="Where policies, archive and log are kept.",
     )
-    seed: int = Field(default=1, ge=0, description="Seed of the simulated ring and of the dither.")
+    seed: int = Field(
+        default=1,
+        ge=0,
+        description="Seed of the simulated ring, of what is asked of it, and of the dither.",
+    )
     policies_kept: int = Field(
         default=100,
         ge=2,

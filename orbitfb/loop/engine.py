@@ -47,6 +47,7 @@ class Engine:
         start: OPEN, SHADOW or CLOSED.
         safeguards: What there is to fall back on.
         heed: Told which BPMs count, shape (n,), whenever that changes; None: nobody.
+        random: Draws the questions to the ring; None: one that nobody can foretell.
 
     Attributes:
         wanted: What operators want; any thread may put another value here.
@@ -62,6 +63,7 @@ class Engine:
         start: LoopState,
         safeguards: Safeguards = NONE,
         heed: Callable[[Mask], None] | None = None,
+        random: np.random.Generator | None = None,
     ) -> None:
         self._machine, self._clock = machine, clock
         deadline = rules.loop.policy_deadline * rules.loop.period
@@ -69,7 +71,7 @@ class Engine:
         self._flaws = np.zeros(len(rules.channels.bpms), dtype=np.int8)
         self._asker = Asker(machine, self._guard)
         self._rules, self._dither = rules, dither
-        self._inquiry = Inquiry(rules, self._guard)
+        self._inquiry = Inquiry(rules, self._guard, random)
         self._counting, self._heed = rules.counting, heed
         self.wanted: Adjustments = Adjustments.none(rules.reference, len(rules.channels.correctors))
         self._adjustments: Adjustments = self.wanted
@@ -171,7 +173,7 @@ class Engine:
         self.memory = replace(self.memory, pace=pace)
         if missed:
             self.memory = replace(self.memory, answers=Answers())
-            self.memory = self._inquiry.missed(self.memory)
+            self.memory = self._inquiry.missed(self.memory, missed)
         found, self.memory = self._inquiry.look(self.memory, reading, self._mine())
         checked = inspect(self._asker, self.memory, reading, self._rules, self._flaws, closing)
         checked = worse(checked, found)

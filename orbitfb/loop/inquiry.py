@@ -24,11 +24,14 @@ class Inquiry:
     Args:
         rules: Settings and names.
         guard: Has the response of the policy in force.
+        random: Draws them; None: one that nobody can foretell, as at a machine.
     """
 
-    def __init__(self, rules: Rules, guard: Guard) -> None:
+    def __init__(
+        self, rules: Rules, guard: Guard, random: np.random.Generator | None = None
+    ) -> None:
         self._settings, self._names, self._guard = rules.interlocks, rules.channels, guard
-        self._random = np.random.default_rng()  # nobody may know what is asked next
+        self._random = random or np.random.default_rng()
         self._asked: Question | None = None
 
     def look(self, memory: LoopMemory, reading: Reading, mine: Mask) -> tuple[Verdict, LoopMemory]:
@@ -66,9 +69,9 @@ class Inquiry:
         told = {**memory.refusals.found, **dict.fromkeys(found.correctors, UNANSWERED)}
         return FINE, replace(memory, refusals=replace(memory.refusals, found=told))
 
-    def missed(self, memory: LoopMemory) -> LoopMemory:
-        """Forget what is on its way, as orbits were missed."""
-        return replace(memory, answering=interrupted(memory.answering))
+    def missed(self, memory: LoopMemory, orbits: int) -> LoopMemory:
+        """Live through orbits that were missed; their count."""
+        return replace(memory, answering=interrupted(memory.answering, orbits))
 
     def waits(self, memory: LoopMemory) -> bool:
         """Say whether nothing is to be corrected, as too much is owed."""

@@ -49,6 +49,8 @@ class Runner:
         counting: BPMs that are not masked by configuration, shape (n,); None: all.
         safeguards: What there is to fall back on: a baseline, correctors that can be left out.
         heed: Told which BPMs count, shape (n,), whenever operators change it; None: nobody.
+        random: Draws the questions to the ring; None: one that nobody can foretell, as a machine
+            needs it. With a seed the same loop asks the same.
 
     Attributes:
         failure: What led to FAULT, for the log; None otherwise.
@@ -75,6 +77,7 @@ class Runner:
         counting: Mask | None = None,
         safeguards: Safeguards = NONE,
         heed: Callable[[Mask], None] | None = None,
+        random: np.random.Generator | None = None,
     ) -> None:
         channels = machine.channels
         n, m = len(channels.bpms), len(channels.correctors)
@@ -85,7 +88,7 @@ class Runner:
         rules = Rules(settings, limits, interlocks, reference.copy(), channels, counting)
         self._rules, self._clock = rules, clock
         self._engine = Engine(
-            machine, slot, rules, clock, dither or Dither.off(m), start, safeguards, heed
+            machine, slot, rules, clock, dither or Dither.off(m), start, safeguards, heed, random
         )
         self._subscribers = tuple(subscribers)
         self._nothing = np.zeros(m)

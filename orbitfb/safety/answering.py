@@ -49,7 +49,7 @@ GRACE = 30
 meanwhile. For the first answer of the ring it waits at once: that comes in a few orbits."""
 
 HALF = 0.5
-"""Share of `answer_reach` below which nobody is in doubt any more [1]."""
+"""Share of `answer_reach` below which nobody is in doubt any more [1], once somebody was."""
 
 PATIENCE = 300
 """Orbits of only asking after which no answer counts as none: a hundred times what a ring needs
@@ -70,6 +70,10 @@ class Sent:
     moved: Vector
     question: Question | None = None
 
+    def standing(self) -> "Sent":
+        """Give what is sent if nothing is: no change, and the question stands."""
+        return Sent(np.zeros_like(self.change), np.zeros_like(self.moved), self.question)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Session:
@@ -81,6 +85,7 @@ class Session:
         answered: Whether the ring has.
         waited: Orbits in a row at which the loop only asked.
         orbits: Orbits since it began.
+        doubted: Whether a device was in doubt at its beginning; else the ring is asked alone.
     """
 
     whole: Test
@@ -88,16 +93,17 @@ class Session:
     answered: bool = False
     waited: int = 0
     orbits: int = 0
+    doubted: bool = True
 
     @classmethod
-    def begin(cls, n: int, m: int, answered: bool = False) -> "Session":
+    def begin(cls, n: int, m: int, doubted: bool = True) -> "Session":
         """Begin to ask n BPMs and m correctors."""
-        return cls(Test.none(LAGS + 1, 1), Test.none(2, n + m), answered)
+        return cls(Test.none(LAGS + 1, 1), Test.none(2, n + m), doubted=doubted)
 
     def anew(self, n: int, m: int) -> "Session":
         """Hear everybody anew, as others are asked; how long the loop has asked still counts."""
-        begun = Session.begin(n, m, self.answered)
-        return replace(begun, waited=self.waited, orbits=self.orbits)
+        begun = Session.begin(n, m, self.doubted)
+        return replace(begun, answered=self.answered, waited=self.waited, orbits=self.orbits)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,6 +120,7 @@ class Answering:
         since: When it answered last, or the loop closed, monotonic [s].
         left: BPMs that are left out as they do not answer, shape (n,); None: none.
         found: How often something was found not to answer.
+        gap: Orbits that were missed before the next one.
     """
 
     ring: Ring | None = None
@@ -125,6 +132,7 @@ class Answering:
     since: float = float("nan")
     left: Mask | None = None
     found: int = 0
+    gap: int = 0
 
     def question(self, settings: InterlockSettings) -> float:
         """Say how large a question is wanted: orbit, rms over the BPMs [m]; 0: none is."""
@@ -133,7 +141,7 @@ class Answering:
             return 0.0
         # A corrector is told by the count of questions, not by how loud they are.
         stake = max(float(np.abs(owed.bpms).max(initial=0.0)), _rms(owed.ring))
-        if self.waits(settings):
+        if not self.session.answered and self.waits(settings):
             return settings.answer_question
         noise = float(np.median(expected.spread))
         return min(max(stake / LOUD, noise), settings.answer_question)
@@ -224,8 +232,8 @@ def look(seen: Seen, memory: Answering, settings: InterlockSettings) -> tuple[Fo
     counts = np.concatenate((valid, ring.movable))
     since = seen.time if np.isnan(memory.since) else memory.since
     memory = replace(memory, expected=after, owed=owed.paid(False, ~counts), since=since)
-    if expected.before is not None:
-        memory = _heed_steps(position - expected.before, valid, memory, expected, ring, settings)
+    step = position - expected.before
+    memory = replace(_heed_steps(step, valid, memory, expected, ring, settings), gap=0)
     session = memory.session
     if session is None:
         return NOTHING, _begin(memory, ring, valid, seen.time, settings)
@@ -253,16 +261,25 @@ def note(memory: Answering, sent: Sent) -> Answering:
     return replace(memory, owed=owed, sent=(sent, *memory.sent[:LAGS]))
 
 
-def interrupted(memory: Answering) -> Answering:
-    """Forget what is on its way, as an orbit was missed."""
+def interrupted(memory: Answering, missed: int) -> Answering:
+    """Live through orbits that nobody saw: what was sent moved the beam, and stands.
+
+    A question stands until the next change is sent, so that the first orbit that is seen again may
+    answer it: with every other orbit missed, a loop that forgot would never hear an answer.
+
+    Args:
+        memory: What the last `look` or `note` left.
+        missed: Count of the orbits that were missed.
+    """
     expected = memory.expected
     if expected is None:
         return memory
-    model = expected.model.copy()
-    for item in memory.sent[: memory.lag + 1]:
-        model += item.moved
-    expected = replace(expected, model=model, before=None)
-    return replace(memory, expected=expected, sent=())
+    sent = memory.sent
+    for _ in range(min(missed, LAGS + 1)):  # then all that was sent has come
+        if len(sent) > memory.lag:
+            expected = expected.unseen(sent[memory.lag].moved, sent[memory.lag].change)
+        sent = (*(item.standing() for item in sent[:1]), *sent)
+    return replace(memory, expected=expected, sent=sent, gap=min(missed, LAGS + 1))
 
 
 def opened(memory: Answering) -> Answering:
@@ -298,8 +315,11 @@ def _heed_steps(
 ) -> Answering:
     """Strike out what plainly showed in a step of the orbit, whichever change it answers."""
     least, nobody = settings.prediction_floor, np.zeros(len(step) + len(ring.sizes), dtype=np.bool_)
-    for lag, sent in enumerate(memory.sent[:LAGS]):
-        whole, devices = shown(step, sent.moved, sent.change, valid, expected.spread, least, ring)
+    for lag in range(min(LAGS, len(memory.sent))):
+        came = memory.sent[lag : lag + memory.gap + 1]
+        moved = np.sum([sent.moved for sent in came], axis=0)
+        change = np.sum([sent.change for sent in came], axis=0)
+        whole, devices = shown(step, moved, change, valid, expected.spread, least, ring)
         if whole and memory.owed is not None:
             devices = devices if lag == memory.lag else nobody
             return replace(memory, owed=memory.owed.paid(whole, devices))
@@ -318,7 +338,7 @@ def _begin(
         return memory
     if settings.answer_question == 0 or not ring.movable.any():
         return memory
-    return replace(memory, session=Session.begin(*ring.response.shape))
+    return replace(memory, session=Session.begin(*ring.response.shape, doubted=bool(doubted)))
 
 
 def _judge(
@@ -374,7 +394,8 @@ def _judge(
             left[bpms] = True
         after = replace(after, session=session.anew(n, m), left=left, found=memory.found + 1)
         return Found("", tuple(bpms.tolist()), tuple(correctors.tolist())), after
-    if answered and not _doubted(owed, ring, valid, HALF * reach).any():
+    enough = HALF * reach if session.doubted else reach
+    if answered and not _doubted(owed, ring, valid, enough).any():
         after = replace(after, session=None)
     return NOTHING, after
 

@@ -1,8 +1,9 @@
 """What the next orbit should be, and what the loop has asked for without a sign of an answer.
 
-An observer follows the orbit, knowing what was sent: p = R a is added, and half of the surprise
-that is left. What was asked for since a device last answered is what its reading, or its field,
-may be wrong by if it does not: the loop lets it not become large without asking (`answering`).
+An observer follows the orbit, knowing what was sent: p = R a is added, and some of the surprise
+that is left, or all of it after a kick. What was asked for since a device last answered is what
+its reading, or its field, may be wrong by if it does not: the loop lets it not become large without
+asking (`answering`).
 
 A step that is much larger than the noise needs no question: it shows by itself.
 """
@@ -50,7 +51,8 @@ class Expectation:
         still: Average of the last readings, shape (n,) [m].
         power: Mean square of the surprise, shape (n,) [m²].
         recent: What of the last changes is in the surprise if a corrector took none, (m,) [A].
-        before: The last reading, shape (n,) [m]; None: there is none that this one follows.
+        left: What of them is in the next one too, shape (m,) [A].
+        before: The last reading, shape (n,) [m].
         orbits: Orbits that were seen.
     """
 
@@ -58,14 +60,16 @@ class Expectation:
     still: Vector
     power: Vector
     recent: Vector
-    before: Vector | None
+    left: Vector
+    before: Vector
     orbits: int
 
     @classmethod
     def first(cls, position: Vector, correctors: int) -> "Expectation":
         """Begin with an orbit, shape (n,) [m]; finite."""
         power = np.full(position.shape, LEAST**2)
-        return cls(position, position, power, np.zeros(correctors), position, 1)
+        nothing = np.zeros(correctors)
+        return cls(position, position, power, nothing, nothing, position, 1)
 
     @property
     def spread(self) -> Vector:
@@ -92,6 +96,8 @@ class Expectation:
         """
         surprise = self.surprise(position, moved)
         square, orbits = surprise**2, self.orbits + 1
+        kicked = _quiet(square[seen], self.power[seen]) > CLIP**2
+        following, still = (1.0, 1.0) if kicked else (FOLLOWING, STILL)
         settled = orbits > 2 * CLIP  # before, the first orbits are not known to be usual
         if settled:
             square = np.minimum(square, CLIP**2 * self.power)
@@ -101,13 +107,23 @@ class Expectation:
             power = power * np.sqrt(quiet)
         return replace(
             self,
-            model=self.model + moved + np.where(seen, FOLLOWING * surprise, 0.0),
-            still=self.still + np.where(seen, STILL * (position - self.still), 0.0),
+            model=self.model + moved + np.where(seen, following * surprise, 0.0),
+            still=self.still + np.where(seen, still * (position - self.still), 0.0),
             power=np.where(seen, np.maximum(power, LEAST**2), self.power),
-            recent=(1.0 - FOLLOWING) * self.recent + change,
+            recent=self.left + change,
+            left=(1.0 - following) * (self.left + change),
             before=position,
             orbits=orbits,
         )
+
+    def unseen(self, moved: Vector, change: Vector) -> "Expectation":
+        """Live through an orbit that nobody saw.
+
+        Args:
+            moved: What the changes should have moved it, shape (n,) [m].
+            change: Those changes, shape (m,) [A].
+        """
+        return replace(self, model=self.model + moved, left=self.left + change)
 
 
 def _quiet(square: Vector, power: Vector) -> float:

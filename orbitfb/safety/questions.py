@@ -59,6 +59,7 @@ class Ring:
         apart: Inverse of (B Bᵀ) ∘ (Rᵀ R), which tells correctors apart whose excursions and
             answers are alike, shape (m, m) [1/m²].
         mixed: Rᵀ R ∘ `apart`, shape (m, m) [1/A²].
+        swing: Squared length of each row of `mixed` B, shape (m,) [1/A²].
     """
 
     response: Vector
@@ -69,6 +70,7 @@ class Ring:
     reach: Vector
     apart: Vector
     mixed: Vector
+    swing: Vector
 
     @classmethod
     def of(cls, response: Vector, movable: Mask) -> "Ring":
@@ -87,7 +89,9 @@ class Ring:
         apart = _inverse((patterns @ patterns.T) * square)
         sizes = np.sqrt(np.mean(response**2, axis=0))
         moves, reach = scale * moves, scale**2 * np.sum(moves**2, axis=1)
-        return cls(response, movable, sizes, patterns, moves, reach, apart, apart * square)
+        mixed = apart * square
+        swing = np.sum((mixed @ patterns) ** 2, axis=1)
+        return cls(response, movable, sizes, patterns, moves, reach, apart, mixed, swing)
 
 
 def _inverse(matrix: Vector) -> Vector:
@@ -293,15 +297,19 @@ def ask_devices(
         little = asked * np.clip(known - LITTLE * asked, -most, most)
         left = np.clip(besides - MUCH * asked, -most, most)
         usual, reach = asked**2 * sight.noise, question.size**2 * ring.reach * left**2
-        share, doubt, power = np.zeros(m), np.zeros(m), np.zeros(m)
+        nothing: Vector = np.zeros(m)
+        share, doubt, power = nothing, nothing, nothing
         if not late:
             clipped = np.where(sight.valid, np.clip(sight.surprise, -most, most), 0.0)
             alone = ring.apart @ (question.excursion * (clipped @ ring.response))
             own = sight.recent * (ring.mixed @ question.excursion)
-            share, doubt = (
-                (alone + (1.0 - part) * own) / question.size**2 for part in (LITTLE, MUCH)
-            )
-            power = np.diag(ring.apart) * noise / question.size**2
+            others: Vector = sight.recent - question.excursion  # known before the signs were drawn
+            unsure: Vector = np.diag(ring.apart) * noise
+            # What else was just changed only blurs the answer: such orbits count less.
+            weight: Vector = unsure / (unsure + others**2 * ring.swing)
+            share = weight * (alone + (1.0 - LITTLE) * own) / question.size**2
+            doubt = weight * (alone + (1.0 - MUCH) * own) / question.size**2
+            power = weight**2 * unsure / question.size**2
         test = test.add(
             late,
             np.concatenate((little, share)),

@@ -89,6 +89,7 @@ def simulate(
         start=LoopState.CLOSED,
         subscribers=(History(channels, 2000), archive, statistics),
         safeguards=Safeguards(SvdPolicy(response, SvdSettings(), "baseline"), without),
+        random=np.random.default_rng([seed, 1]),
     )
     ticks = round(hours * 3600 * RATE)
     spent = np.zeros(ticks)

@@ -79,7 +79,8 @@ def say(server, request, wait=5.0):
     """Send raw bytes and return all that comes back."""
     with socket.create_connection(where(server), timeout=wait) as connection:
         connection.sendall(request)
-        connection.shutdown(socket.SHUT_WR)
+        with contextlib.suppress(OSError):  # the server may have answered and hung up by now
+            connection.shutdown(socket.SHUT_WR)
         answer = b""
         while piece := connection.recv(65_536):
             answer += piece

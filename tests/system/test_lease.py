@@ -39,7 +39,7 @@ def test_one_of_two_controllers_writes_and_a_stale_lease_is_taken_over(
     here, there = os.environ["XDG_RUNTIME_DIR"], tmp_path / "elsewhere"
     there.mkdir(mode=0o700)
     where, config = f"127.0.0.1:{ioc.port}", tmp_path / "config.toml"
-    config.write_text("[lease]\ntime = 1.0\n")
+    config.write_text("[lease]\ntime = 4.0\n")
     with Service(tmp_path / "first", where, "--live", "--config", config) as first:
         wait_for("line", lambda: "live: the loop is OPEN and writes nothing" in first.out, 5.0)
         first.wait_state("OPEN")

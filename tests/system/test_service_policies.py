@@ -32,6 +32,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     patient = "[loop]\nhold_after = 100.0\n[epics]\nstale_after = 10.0\n"  # a busy computer stalls
     # with the response of before the drift, which the interlocks would notice at last
     patient += "[interlocks]\ndivergence_ticks = 100000\nprediction_ticks = 0\n"
+    patient += "answer_reach = false\n"
     asked = (
         "[learn]\nevery = 1000000\nchi2_trigger = 1e9\n[learn.changes]\nminimum_sensitivity = 1e9\n"
     )

@@ -31,6 +31,7 @@ from orbitfb.app.setup.startup import (
     find_ring,
     make_directory,
     planned,
+    questioner,
     take_ring,
 )
 from orbitfb.app.setup.stored_policies import (
@@ -190,6 +191,7 @@ class Service:
                 drive_limits=lambda: self.machine.drive_limits,
             ),
             heed=self.machine.count_bpms,
+            random=questioner(config, ioc),
         )
         self.watch = gap_watch(config, ring, self.history, self._reports, stack)
         self.learner: LearnerThread | None = None

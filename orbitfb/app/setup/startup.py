@@ -9,6 +9,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
+import numpy as np
+
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.files import state
@@ -240,6 +242,17 @@ def dither_settings(config: AppConfig) -> DitherSettings:
     """Give the dither the seed of the run, unless it has one of its own."""
     own = "seed" in config.dither.model_fields_set
     return config.dither if own else config.dither.model_copy(update={"seed": config.seed})
+
+
+def questioner(config: AppConfig, ioc: str) -> np.random.Generator | None:
+    """Draw what the simulated ring is asked from the seed of the run, so that it can be repeated.
+
+    None at a machine: nobody may foretell what that is asked. The plant and the dither take the
+    seed itself, so that this is a stream beside theirs.
+    """
+    if ioc != SIMULATED:
+        return None
+    return np.random.default_rng(np.random.SeedSequence(config.seed).spawn(1)[0])
 
 
 def planned(config: AppConfig, ring: Ring, file: Path, duration: float | None) -> Waveform:

@@ -32,12 +32,15 @@ class LyingMachine:
         self.blind, self.deaf = np.zeros(n, bool), np.zeros(m, bool)
         self.gain = np.ones(m)
         self.pattern, self.noise, self.again = 0.5e-6, 0.2e-6, 0
+        self.missed = 0  # orbits that nobody sees before each that is read
         self._random = np.random.default_rng(seed)
         self._shape = self._random.standard_normal(n)
         self._asked, self._got = machine.setpoints(), machine.setpoints()
         self.past = []
 
     def read(self, timeout):
+        for _ in range(self.missed):
+            self.machine.read(timeout)
         reading = self.machine.read(timeout)
         position = reading.orbit.position.copy()
         lies = self.pattern * self._shape + self.noise * self._random.standard_normal(len(position))
@@ -81,5 +84,6 @@ def closed_loop(ring, seed=0, plant=None, dither=None, **interlocks):
         start=LoopState.CLOSED,
         subscribers=(records.append,),
         safeguards=Safeguards(policy, without),
+        random=np.random.default_rng([seed, 1]),
     )
     return machine, runner, slot, records

@@ -5,6 +5,7 @@ import pytest
 from lying import closed_loop
 
 from orbitfb.core.signals import LoopState
+from orbitfb.loop.inquiry import WAITS
 from orbitfb.physics.places import Ring
 
 FAR = 20e-6
@@ -111,3 +112,39 @@ def test_a_healthy_ring_that_is_kicked_goes_on(ring):
         bench.steps(250)
         assert bench.runner.state is LoopState.CLOSED
         assert np.sqrt(np.mean(bench.records[-1].reading.orbit.position ** 2)) < 2e-6
+
+
+def asks(bench):
+    return bench.runner._engine.memory.answering.session is not None
+
+
+def true_rms(bench, ticks):
+    """Of the orbit over some ticks, in micrometres."""
+    squares = []
+    for _ in range(ticks):
+        bench.steps(1)
+        squares.append(bench.machine.machine.true_orbit_rms**2)
+    return 1e6 * np.sqrt(np.mean(squares))
+
+
+def test_a_quiet_ring_is_asked_so_rarely_that_its_orbit_is_as_good(ring):
+    asking, believing = Bench(ring, seed=7), Bench(ring, seed=7, answer_reach=None)
+    asking.steps(100, until=lambda: not asks(asking))  # the questions about the closing
+    answered = asking.runner._engine.memory.answering.since
+    assert true_rms(asking, 700) < 1.03 * true_rms(believing, 300)
+    assert asking.runner._engine.memory.answering.since > answered  # it was asked meanwhile
+
+
+def test_what_is_asked_about_the_closing_is_answered_within_ten_seconds(ring):
+    assert not asks(Bench(ring, seed=4))
+
+
+@pytest.mark.parametrize("missed", [1, 2])
+def test_a_loop_that_misses_orbits_hears_the_answers_to_what_it_asks(ring, missed):
+    bench = Bench(ring, seed=8)
+    bench.machine.missed = missed
+    bench.machine.machine.plant.kick(100e-6)
+    waits = [WAITS in bench.steps(1) for _ in range(400)]
+    assert bench.runner.state is LoopState.CLOSED
+    assert sum(waits) < 60
+    assert not waits[-1]

@@ -81,6 +81,7 @@ def test_the_loop_writes_it_and_logs_it_as_dither():
         excitation,
         LoopState.CLOSED,
         (records.append,),
+        random=np.random.default_rng(1),
     )
     for _ in range(14):
         runner.step()

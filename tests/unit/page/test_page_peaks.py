@@ -29,6 +29,7 @@ def test_a_subscriber_that_comes_later_hears_every_tick_from_then_on():
         InterlockSettings(),
         np.zeros(180),
         clock,
+        random=np.random.default_rng(1),
     )
     runner.step()
     peaks = Peaks("x")

@@ -68,6 +68,7 @@ class Loop:
             self.clock,
             start=LoopState.CLOSED,
             subscribers=(self.recorder, self.records.append),
+            random=np.random.default_rng(1),
         )
 
     def ticks(self, count, *events):
