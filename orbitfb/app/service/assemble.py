@@ -48,7 +48,7 @@ from orbitfb.core.errors import ControlError
 from orbitfb.core.files.ownership import Lock
 from orbitfb.core.ports import Machine
 from orbitfb.core.signals import LoopState
-from orbitfb.diagnose.broken import Screen
+from orbitfb.diagnose.live.broken import Screen
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.history.archive import ArchiveWriter
 from orbitfb.history.buffer import History

@@ -13,7 +13,8 @@ from orbitfb.core.errors import ArchiveError, EstimationError
 from orbitfb.core.gap import GapSight
 from orbitfb.core.refit import Alarm, RefitReport
 from orbitfb.core.signals import Channels, Mask
-from orbitfb.diagnose.live import GapProcess, GapWatch
+from orbitfb.diagnose.live.process import GapProcess
+from orbitfb.diagnose.live.watch import GapWatch
 from orbitfb.effects.build import layout_of
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.history.buffer import History

@@ -54,11 +54,12 @@ def diagnose_plan(
     """
     from orbitfb.cli.diagnosis.diagnose import NOT_INTACT, progress_bar, told_when_interrupted
     from orbitfb.core.errors import ConfigError
-    from orbitfb.diagnose.bench import Bench
+    from orbitfb.diagnose.experiments.asked import plan_for
+    from orbitfb.diagnose.experiments.file import check_file
+    from orbitfb.diagnose.experiments.search import limits_of
     from orbitfb.diagnose.integrity import is_hopeless, screen
+    from orbitfb.diagnose.likelihood.workspace import Workspace
     from orbitfb.diagnose.load import load
-    from orbitfb.diagnose.plan import limits_of, plan_for
-    from orbitfb.diagnose.plan_file import check_file
     from orbitfb.diagnose.planes import check_planes
     from orbitfb.effects.registry import all_effects, effect
     from orbitfb.physics.places import Ring
@@ -87,10 +88,11 @@ def diagnose_plan(
     limit = None if orbit_limit is None else orbit_limit * 1e-6
     with told_when_interrupted():
         with progress_bar(as_json) as progress:
-            progress("reading", 0.0)
+            progress("estimating the floor", 0.0)
+            able = [kind for kind in all_effects().values() if not kind.unavailable(loaded)]
             planned = plan_for(
-                Bench(loaded),
-                [kind for kind in kinds if not kind.unavailable(loaded)],
+                Workspace.of(loaded, able),
+                [kind for kind in able if kind in kinds],
                 limits_of(limit, minutes),
                 rival,
                 seed,

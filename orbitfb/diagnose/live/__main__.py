@@ -1,4 +1,4 @@
-"""The process of the watch, `python -m orbitfb.diagnose DESCRIPTOR`: `GapProcess` starts it."""
+"""The process of the watch, which `GapProcess` starts as `python -m orbitfb.diagnose.live N`."""
 
 import contextlib
 import os
@@ -8,8 +8,9 @@ from multiprocessing.connection import Connection
 
 from orbitfb.core.gap import GapSight
 from orbitfb.core.transitions import Transitions
-from orbitfb.diagnose.live import Look
-from orbitfb.diagnose.watch import look, record_of
+from orbitfb.diagnose.live.look import look
+from orbitfb.diagnose.live.process import Look
+from orbitfb.diagnose.live.rows import record_of
 from orbitfb.records.layout import Layout
 
 _NICE = 19

@@ -1,31 +1,25 @@
-"""The service's watch over its own gap: a thread that asks a process of low priority to look.
+"""A process of low priority that looks at the gap.
 
 The arithmetic of a look takes seconds and would hold the interpreter's lock in the middle of a
-tick, so it has a process of its own, `python -m orbitfb.diagnose`, which is started when the first
-look is due and ends with its parent.
+tick, so it has a process of its own, `python -m orbitfb.diagnose.live`, which is started when the
+first look is due and ends with its parent.
 """
 
 import os
 import socket
 import subprocess
 import sys
-import threading
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.gap import GapSight
 from orbitfb.core.transitions import Transitions
-from orbitfb.diagnose.broken import Broken, Source, broken_at_sight
-from orbitfb.diagnose.settings import LiveSettings
 from orbitfb.records.layout import Layout
 
 SINGLE_THREADED = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
-FEWEST = 250
-"""Closed ticks before the first look."""
 _LONGEST = 300.0
 _TO_END = 0.5
 
@@ -98,7 +92,7 @@ class GapProcess:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "orbitfb.diagnose", str(theirs.fileno())],
+                [sys.executable, "-m", "orbitfb.diagnose.live", str(theirs.fileno())],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -108,67 +102,3 @@ class GapProcess:
             )
         self._connection = Connection(ours.detach())
         self._connection.send(self._layout)
-
-
-class GapWatch(threading.Thread):
-    """Looks at the gap once a period.
-
-    Args:
-        settings: When, and at how much.
-        history: The last transitions.
-        look: Looks at transitions; None as an answer: too few.
-        publish: Gets every sight, in this thread; it must not raise.
-        failed: Gets the reason when a look failed; it must not raise.
-    """
-
-    def __init__(
-        self,
-        settings: LiveSettings,
-        history: Source,
-        look: Callable[[Transitions], GapSight | None],
-        publish: Callable[[GapSight], None],
-        failed: Callable[[EstimationError], None] = lambda _: None,
-    ) -> None:
-        super().__init__(name="gap-watch", daemon=True)
-        self._settings, self._history, self._look = settings, history, look
-        self._publish, self._failed = publish, failed
-        self._stop_event = threading.Event()
-        self._last_tick = -1
-        self._broken: tuple[Broken, ...] = ()
-
-    def broken(self) -> Sequence[Broken]:
-        """What the last look called broken; from any thread."""
-        return self._broken if self._settings.screen else ()
-
-    def run(self) -> None:
-        """Look until stopped."""
-        while not self._stop_event.wait(self._settings.period):
-            self.step()
-
-    def step(self) -> None:
-        """Look once, if there is anything new."""
-        transitions = self._history.snapshot(last=self._settings.window)
-        usable = int((transitions.closed & transitions.usable).sum())
-        if usable < FEWEST or int(transitions.tick[-1]) == self._last_tick:
-            return
-        self._last_tick = int(transitions.tick[-1])
-        try:
-            sight = self._look(transitions)
-        except EstimationError as error:
-            if not self._stop_event.is_set():
-                self._failed(error)
-            return
-        if sight is not None:
-            self._broken = broken_at_sight(sight)
-            self._publish(sight)
-
-    def stop(self, end: Callable[[], None] = lambda: None) -> None:
-        """Let the thread end.
-
-        Args:
-            end: Ends what it may be waiting for.
-        """
-        self._stop_event.set()
-        end()
-        if self.is_alive():
-            self.join(1.0)

@@ -1,0 +1,153 @@
+"""What a suspected effect would do in another record than the one that raised the suspicion."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.refit import Course
+from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.laws import DeviceLaw, FieldLaw, PairLaw, Signals
+from orbitfb.estimation.transform import Matrix, StepTransform
+
+_STEP = 0.02
+"""Step of a value by which its derivative is taken, of the value [1]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspect:
+    """An effect at places with values.
+
+    Args:
+        kind: The effect.
+        places: Devices or places that are struck; empty: the ring, or all of them.
+        values: Of the parameters, SI.
+        sizes: Of every place, where each has its own, in units of the linear parameter.
+        sources: Courses of its devices, where a search has left them.
+    """
+
+    kind: EffectKind
+    places: tuple[int, ...]
+    values: Values
+    sizes: tuple[float, ...] = ()
+    sources: tuple[Course, ...] = ()
+
+    @classmethod
+    def of(cls, candidate: Candidate) -> "Suspect":
+        """Take what a tournament found for something that is there all the time."""
+        sources = tuple(replace(one, onset=0) for one in candidate.sources)
+        return cls(
+            candidate.kind, candidate.places, candidate.values, candidate.sizes, sources
+        )  # fmt: skip
+
+    @classmethod
+    def typical(cls, kind: EffectKind, signals: Signals) -> "Suspect":
+        """An effect of typical size at a place in the middle, when a record shows none."""
+        values = {parameter.name: parameter.typical for parameter in kind.parameters}
+        places: tuple[int, ...] = ()
+        for law in kind.laws(signals):
+            if isinstance(law, PairLaw) and len(law.pairs):
+                places = law.struck(len(law.pairs) // 2)
+            elif isinstance(law, DeviceLaw) and not law.whole:
+                places = (len(law.names) // 2,)
+        return cls(kind, places, values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """What a suspect adds to the readings, told by the spectrum of its steps.
+
+    Args:
+        field: Shape (T, n) [m].
+        free: By how much the field changes with a relative change of each of its values by 1; a
+            record that is yet to come has other best values.
+    """
+
+    field: Matrix
+    free: tuple[Matrix, ...]
+
+
+def change_of(suspect: Suspect, signals: Signals, transform: StepTransform) -> Change | None:
+    """Predict what a suspect adds to a record; None of what is random or strikes unknown rows."""
+    if suspect.sources:
+        return _of_courses(suspect.kind, suspect.sources, signals, transform)
+    for law in suspect.kind.laws(signals):
+        if isinstance(law, DeviceLaw):
+            course = Course(law, suspect.places, suspect.values, _sizes(suspect, law))
+            return _of_courses(suspect.kind, (course,), signals, transform)
+        if isinstance(law, PairLaw):
+            return _moved(suspect, transform, _PairField(law, _pair(law, suspect.places)))
+        if isinstance(law, FieldLaw):
+            return _moved(suspect, transform, _RingField(law, signals))
+    return None
+
+
+def _sizes(suspect: Suspect, law: DeviceLaw) -> Vector:
+    """By how much each device has the course of the values, shape (k,)."""
+    count = len(suspect.places) or len(law.names)
+    linear = suspect.kind.linear
+    if suspect.sizes and linear and suspect.values[linear]:
+        return np.array(suspect.sizes) / suspect.values[linear]
+    return np.ones(count)
+
+
+def _of_courses(
+    kind: EffectKind, sources: tuple[Course, ...], signals: Signals, transform: StepTransform
+) -> Change:
+    """Devices with courses of their own."""
+    field = 0.0
+    free: dict[str, Matrix] = {}
+    for one in sources:
+        chosen = list(one.places) if one.places else slice(None)
+        for block, course in zip(one.law.patterns, one.of(signals, one.values), strict=True):
+            wide = np.broadcast_to(course, (len(course), len(one.size))) * one.size
+            field = field + transform.spectrum(wide) @ block[:, chosen].T
+        for name, patterns, courses in one.columns(kind, signals):
+            added = transform.spectrum(courses) @ patterns.T
+            free[name] = free[name] + added if name in free else added
+    return Change(np.asarray(field), tuple(free.values()))
+
+
+def _pair(law: PairLaw, struck: tuple[int, ...]) -> int:
+    """Number of the pair at which these columns are at fault."""
+    near = np.flatnonzero(np.isin(law.pairs, struck).any(axis=1))
+    return next((int(number) for number in near if law.struck(int(number)) == struck), 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PairField:
+    """Courses that a pair of columns exchanges."""
+
+    law: PairLaw
+    number: int
+
+    def __call__(self, values: Values) -> Matrix:
+        pair = self.law.pairs[self.number]
+        mixing = self.law.mixing(values)[self.number]
+        return (self.law.courses[:, pair] @ mixing.T) @ self.law.patterns[:, pair].T
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RingField:
+    """An orbit course of the whole ring."""
+
+    law: FieldLaw
+    signals: Signals
+
+    def __call__(self, values: Values) -> Matrix:
+        return self.law.course(values, self.signals)
+
+
+def _moved(suspect: Suspect, transform: StepTransform, course: "_PairField | _RingField") -> Change:
+    """A field of values, and how it moves with each of them."""
+    now = transform.spectrum(course(suspect.values))
+    free: list[Matrix] = []
+    for parameter in suspect.kind.parameters:
+        value = suspect.values.get(parameter.name, 0.0)
+        if parameter.meanings or parameter.whole or value == 0.0:
+            continue
+        moved: Mapping[str, float] = {**suspect.values, parameter.name: value * (1.0 + _STEP)}
+        free.append((transform.spectrum(course(moved)) - now) / _STEP)
+    return Change(now, tuple(one for one in free if np.any(one)))

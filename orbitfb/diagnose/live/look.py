@@ -1,0 +1,164 @@
+"""A quick look at the gap of the last ticks: one round of the tournament among a few laws.
+
+It says whether there is a gap, how large, and what is suspected. It is no diagnosis: one cause
+only, no classes, nothing added to the model and looked at again.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.core.gap import GapSight
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.free_course import scan_free
+from orbitfb.diagnose.hypotheses.priors import SURE
+from orbitfb.diagnose.hypotheses.run import candidates_of
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.live.quick import memory, quick_workspace
+from orbitfb.diagnose.live.rows import cut_at_jumps
+from orbitfb.diagnose.naming import devices_and_planes
+from orbitfb.diagnose.verdict.named import probabilities
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.laws import DeviceLaw, PairLaw
+from orbitfb.effects.registry import all_effects
+from orbitfb.records.record import Record
+
+_NINETY = 1.645
+"""Standard deviations of a normal number beyond which it is in one of ten cases, either side."""
+
+_AS_GOOD = 5.0
+"""Evidence by which the better of two must lead to be named alone [nats]."""
+
+_SAME = 0.1
+"""Rms by which what two laws make of a device may differ, of what one makes: nobody would act
+otherwise because of it [1]."""
+
+_FEW_VALUES = 3
+"""Values of a law that are weighed at every look. Laws with more are tried where something is
+seen: an unknown law of one device, or a memory of all of them."""
+
+_OF_THE_MODEL = ("sensor", "actuator", "optics", "timing")
+"""Stages of which the model says something. What disturbs the orbit, and how readings are noisy, is
+the ring's weather: a feedback is there for it, and no model is wrong because of it."""
+
+
+def look(record: Record, stamp: float, kinds: Sequence[EffectKind] | None = None) -> GapSight:
+    """Look at a record.
+
+    Args:
+        record: The last ticks.
+        stamp: Of its last row [s since the epoch].
+        kinds: That may be suspected, as far as they are quick; all of the model when None.
+
+    Raises:
+        EstimationError: The record does not move.
+    """
+    began = time.monotonic()
+    able = of_the_model(record) if kinds is None else kinds
+    space = quick_workspace(cut_at_jumps(record), able)
+    scorer = Scorer.of(space)
+    short, long = _parted(able, space)
+    found = candidates_of(space, short, lambda _: None)
+    unknown = scan_free(scorer)[0]
+    if max(unknown.evidence, memory(space), *(one.evidence for one in found[:1])) > SURE:
+        found = sorted(
+            [*found, *candidates_of(space, long, lambda _: None)], key=lambda one: -one.evidence
+        )
+    found = [one for one in found if _makes_sense(one)]
+    best = _foremost(found)
+    if best is None:
+        sight = GapSight(stamp, len(record), 0.0, 0.0, 0.0, False)
+    else:
+        sight = _sight(record, stamp, best, found)
+    return replace(sight, duration=time.monotonic() - began)
+
+
+def _sight(record: Record, stamp: float, best: Candidate, found: Sequence[Candidate]) -> GapSight:
+    """Tell the gap by what explains it best."""
+    ticks = len(record)
+    chances = probabilities(found)
+    alike = {best.kind.id, *(one.kind.id for one in found if _does_the_same(best, one))}
+    reach = _NINETY * float(np.sqrt(2.0 * best.evidence))
+    names, planes = _places(best)
+    return GapSight(
+        time=stamp,
+        ticks=ticks,
+        nats=best.evidence / ticks,
+        low=max(best.evidence - reach, 0.0) / ticks,
+        high=(best.evidence + reach) / ticks,
+        resolved=best.evidence > SURE,
+        effect=best.kind.id,
+        places=names,
+        planes=planes,
+        probability=min(sum(chances[name] for name in alike), 1.0),
+        since=float(stamp - (record.time[-1] - record.time[best.onset])),
+    )
+
+
+def of_the_model(record: Record) -> list[EffectKind]:
+    """Effects on what the model says that a record can show."""
+    return [
+        kind
+        for kind in all_effects().values()
+        if kind.stage in _OF_THE_MODEL and not kind.unavailable(record)
+    ]
+
+
+def _parted(
+    kinds: Sequence[EffectKind], space: Workspace
+) -> tuple[list[EffectKind], list[EffectKind]]:
+    """Those that devices or pairs of them have: at a few values, and at many."""
+    of_devices = [
+        kind
+        for kind in kinds
+        if all(isinstance(law, DeviceLaw | PairLaw) for law in space.courses.laws(kind))
+    ]
+    few = [kind for kind in of_devices if len(space.courses.grid(kind)) <= _FEW_VALUES]
+    return few, [kind for kind in of_devices if kind not in few]
+
+
+def _foremost(found: Sequence[Candidate]) -> Candidate | None:
+    """The best candidate; of those that say as well what is wrong with its devices the simplest."""
+    if not found or found[0].evidence <= 0.0:
+        return None
+    near = [
+        one
+        for one in found
+        if one.places == found[0].places and one.evidence > found[0].evidence - _AS_GOOD
+    ]
+    return min(near, key=lambda one: (_needed(one.kind), -one.evidence))
+
+
+def _needed(kind: EffectKind) -> int:
+    """How many values a law cannot do without."""
+    return sum(not parameter.optional for parameter in kind.parameters)
+
+
+def _does_the_same(best: Candidate, other: Candidate) -> bool:
+    """Whether both say that the same devices do the same."""
+    if best.places != other.places or best.field is None or other.field is None:
+        return best is other
+    apart = float(np.sum((best.field - other.field) ** 2))
+    return apart < _SAME**2 * float(np.sum(best.field**2))
+
+
+def _makes_sense(one: Candidate) -> bool:
+    """Whether every value is within the bounds of its parameter."""
+    return all(
+        parameter.low <= one.values.get(parameter.name, parameter.nominal) <= parameter.high
+        for parameter in one.kind.parameters
+    )
+
+
+def _places(one: Candidate) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Devices of a candidate, and the plane of each; empty for the whole ring."""
+    parted = [devices_and_planes([name]) for name in one.names]
+    named = [(devices[0], planes) for devices, planes in parted]
+    struck = one.kind.target in ("bpm", "corrector")
+    return (
+        tuple(name for name, _ in named),
+        tuple(str(planes) if struck else "" for _, planes in named),
+    )

@@ -1,0 +1,86 @@
+"""A workspace that is estimated in a second: the floor once, from few shapes and few bands."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.diagnose.likelihood.courses import Courses
+from orbitfb.diagnose.likelihood.errors import healthy_errors
+from orbitfb.diagnose.likelihood.ground import ground_shapes
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.laws import Signals
+from orbitfb.estimation.evidence import NormalTerms
+from orbitfb.estimation.floor import first_noise
+from orbitfb.estimation.prediction import predicted
+from orbitfb.estimation.transform import StepTransform
+from orbitfb.records.record import Record
+
+_BANDS = 8
+"""Bands of λ: half of those of a diagnosis, at half the time. The least likely mode of the noise is
+then right to a tenth within a band."""
+
+_SHARES = (1.0, 10.0)
+"""Sizes of a late answer that are tried, over the healthy scatter: 1 % and 10 % of a step."""
+
+
+def quick_workspace(record: Record, kinds: Sequence[EffectKind]) -> Workspace:
+    """Estimate the floor of a record as a diagnosis begins to.
+
+    Of the shapes that the ground may have only the families are fitted, not single girders, and the
+    floor is estimated once. What is unlike the families is left to the free part of the walk.
+
+    Args:
+        record: In question.
+        kinds: Effects that are tested.
+
+    Raises:
+        EstimationError: The record is too short, or does not move.
+    """
+    transform = StepTransform.of(record.starts, _BANDS)
+    modelled = record.setpoints @ record.layout.response.T
+    residual = record.readings - modelled
+    every = ground_shapes(record.layout)
+    ground = replace(every, single=np.zeros((residual.shape[1], 0)))
+    noise = first_noise(transform.steps(residual), ground.broad[0])
+    signals = Signals(record, record.setpoints, predicted(residual, noise, transform) + modelled)
+    terms, blocks = healthy_errors(kinds, signals, transform)
+    plain = transform.spectrum(residual)
+    space = Workspace(
+        signals,
+        transform,
+        plain,
+        np.zeros_like(plain),
+        noise,
+        noise.walk,
+        np.zeros_like(noise.walk),
+        terms,
+        blocks,
+        np.zeros((len(terms), len(terms))),
+        (0.0,) * len(blocks),
+        np.zeros(len(terms)),
+        Courses(signals, transform),
+        ground,
+        np.zeros(0),
+    )
+    return space.with_floor()
+
+
+def memory(space: Workspace) -> float:
+    """Log evidence that devices answer late, each of them by a little and freely [nats].
+
+    Args:
+        space: Whose healthy errors have the same courses some rows late.
+    """
+    terms = space.errors
+    base = terms.evidence()
+    best = base
+    for share in _SHARES:
+        variance = terms.variance.copy()
+        for block in space.blocks:
+            if block.delayed.stop > block.delayed.start:
+                copies = (block.delayed.stop - block.delayed.start) // len(block.limit)
+                variance[block.delayed] = np.tile((share * block.limit) ** 2, copies)
+        best = max(best, NormalTerms(terms.pull, terms.information, variance).evidence())
+    return best - base
