@@ -23,6 +23,7 @@ from orbitfb.diagnose.answer import schema as diagnosis_schema
 from orbitfb.diagnose.answer_page import answer_page
 from orbitfb.effects.pages import effect_page, effects_index
 from orbitfb.effects.registry import all_effects
+from orbitfb.loco.schema import schema as response_schema
 from orbitfb.loop.fault_table.table import faults_markdown
 from orbitfb.loop.states import COMMANDS, TABLE, Event
 from orbitfb.observe.metrics.reference import metrics_table_markdown
@@ -287,6 +288,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "explanations/safety.md": safety_page,
     "reference/diagnosis.md": partial(answer_page, NOTE),
     "reference/diagnosis.schema.json": diagnosis_schema,
+    "reference/response-diagnosis.schema.json": response_schema,
     "reference/effects/index.md": partial(effects_index, NOTE),
     **{f"reference/effects/{name}.md": partial(effect_page, name, NOTE) for name in all_effects()},
 }

@@ -55,6 +55,22 @@ def growth_of(policy: Policy, larger: float = 0.0) -> float:
     return _growth((1.0 + larger) * answers, settings)
 
 
+def growth_on(policy: Policy, response: Vector) -> float:
+    """Give the growth per tick on a response that the policy was not made for [1].
+
+    Args:
+        policy: One that names its slope at zero.
+        response: Of the ring, shape (n, m) [m/A].
+    """
+    outside: Any = policy
+    inside: Any = policy
+    while isinstance(inside, MaskedPolicy):
+        inside = inside.policy
+    gain = outside.gain_matrix
+    answers = np.linalg.eigvals(response @ gain if len(response) <= len(gain) else gain @ response)
+    return _growth(answers, inside.settings)
+
+
 def _answers(policy: Policy) -> tuple[Vector, Any]:
     """Give the eigenvalues of R K, shape (k,), complex, and the settings of the law."""
     inside: Any = policy

@@ -44,7 +44,8 @@ def diagnose_record(
     record: Annotated[
         Path,
         typer.Argument(
-            help="Record in question: an archive or a segment of it, an .npz or an HDF5 file."
+            help="Record in question: an archive or a segment of it, an .npz or an HDF5 file; or a "
+            "measured response (.safetensors, .mat, .csv, .npy, .npz, .json, HDF5)."
         ),
     ],
     reference: Annotated[
@@ -80,9 +81,37 @@ def diagnose_record(
             "out [s].",
         ),
     ] = 180.0,
+    unit: Annotated[
+        str | None, typer.Option(help="Of a measured response: m/A, mm/A, mm/mrad, … [as it says].")
+    ] = None,
+    matrix: Annotated[
+        str | None, typer.Option(help="Path of a measured response within its file.")
+    ] = None,
+    bpm_names: Annotated[
+        str | None,
+        typer.Option(help="Where a response has the names of its BPMs: a path, or @FILE."),
+    ] = None,
+    corrector_names: Annotated[str | None, typer.Option(help="The same of its correctors.")] = None,
+    transpose: Annotated[
+        bool, typer.Option("--transpose", help="The rows of the response are correctors.")
+    ] = False,
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            help="Noise of an orbit's change in a measured response, as in 0.5um [as the file "
+            "says, or as the fit leaves it]."
+        ),
+    ] = None,
+    kick: Annotated[
+        str, typer.Option(help="Kick that made that change, as in 100urad.")
+    ] = "100urad",
     as_json: AsJson = False,
 ) -> None:
-    """Diagnose a record: exit code 0 answered, 3 the record is not intact, 2 any other error."""
+    """Diagnose a record, or a measured response.
+
+    Exit code 0: answered; 3: the record is not intact; 2: any other error.
+    """
+    from orbitfb.cli.diagnosis.response import ResponseOptions, diagnose_response, is_response
     from orbitfb.diagnose.answer import document
     from orbitfb.diagnose.run import diagnose_files
     from orbitfb.diagnose.writing import check_directory, write
@@ -93,6 +122,10 @@ def diagnose_record(
     left_out = frozenset(effect(name).id for name in without or ())
     target = out or beside(record)
     check_directory(target)
+    of_response = ResponseOptions(unit, matrix, bpm_names, corrector_names, transpose, noise, kick)
+    if of_response.given or is_response(record):
+        diagnose_response(record, of_response, chosen, places, ring, target, as_json)
+        return
     known = Ring.load(places, ring)
     with told_when_interrupted():
         with progress_bar(as_json) as progress:

@@ -16,6 +16,9 @@ LARGEST_FILE = 2 * 2**30
 LARGEST_ARRAY = 2**30
 """Most that one array may take in memory [bytes]."""
 
+UNITS_BESIDE = ("units", "UnitsString")
+"""Fields beside a matrix that say its unit; the last is that of the Matlab Middle Layer."""
+
 MOST_NAMES = 20_000
 LONGEST_NAME = 256
 MOST_DIMENSIONS = 3

@@ -15,6 +15,7 @@ from orbitfb.core.errors import ExchangeError
 from orbitfb.core.signals import Vector
 from orbitfb.exchange.formats.datasets import (
     LONGEST_NAME,
+    UNITS_BESIDE,
     Found,
     Step,
     absent,
@@ -166,14 +167,10 @@ class Hdf5Source:
     def _units(self, file: h5py.File, dataset: h5py.Dataset, where: str) -> str:
         units = dataset.attrs.get("units", "")
         beside = dataset.parent
-        if (
-            not units
-            and isinstance(beside, h5py.Group)
-            and beside.name != "/"
-            and "units" in beside
-        ):
-            there = beside["units"]
-            if isinstance(there, h5py.Dataset) and there is not dataset:
+        group = beside if isinstance(beside, h5py.Group) and beside.name != "/" else None
+        for name in UNITS_BESIDE:
+            there = group[name] if group is not None and name in group else None
+            if not units and isinstance(there, h5py.Dataset) and there is not dataset:
                 texts = self._content(file, self._checked(there, where), where)[1]
                 units = texts[0] if texts else ""
         units = units.decode("utf-8", "replace") if isinstance(units, bytes) else units

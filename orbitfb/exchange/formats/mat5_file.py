@@ -16,6 +16,7 @@ from scipy.io.matlab import MatReadError
 from orbitfb.core.errors import ExchangeError
 from orbitfb.exchange.formats.datasets import (
     LARGEST_ARRAY,
+    UNITS_BESIDE,
     Found,
     absent,
     check_text,
@@ -79,8 +80,9 @@ class Mat5Source:
             if not fields or step.name not in fields:
                 raise absent(self, where)
             element = here[offset(here.shape, index, where)]
-            if "units" in fields and step.name != "units":
-                units = "".join(_texts(element["units"]) or ("",))
+            for beside in UNITS_BESIDE:
+                if beside in fields and step.name != beside:
+                    units = "".join(_texts(element[beside]) or ("",))
             here, index = element[step.name], step.index
         return self._found(here, index, where, units)
 

@@ -24,6 +24,7 @@ PAGES = (
     "explanations/safety.md",
     "reference/diagnosis.md",
     "reference/diagnosis.schema.json",
+    "reference/response-diagnosis.schema.json",
     "reference/effects/index.md",
     *(f"reference/effects/{name}.md" for name in all_effects()),
 )

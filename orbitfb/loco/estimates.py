@@ -1,0 +1,105 @@
+"""Parameters of a fit as people read them: gauge stated, uncertainty as it is on real data."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.loco.coupling import Coupling
+from orbitfb.loco.fit import Fit, PlaneFit
+from orbitfb.physics.optics import Matrix
+
+GAUGE = (
+    "In each plane the gains of the BPMs that do not stand out are 1 on average; the common "
+    "factor of gains and calibrations is in the calibrations."
+)
+
+_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Values of a group.
+
+    Args:
+        value: Shape (k,); deviations from what the table says, but calibrations are whole.
+        sigma: Standard deviations, shape (k,), widened by what halves of the data differ.
+        z: How far each stands out of the healthy spread, shape (k,).
+        free: Those that stand out, shape (k,).
+        spread: Healthy spread of the group.
+        widened: By how much the halves differ more than the noise says [1], at least 1.
+    """
+
+    value: Vector
+    sigma: Vector
+    z: Vector
+    free: Mask
+    spread: float
+    widened: float
+
+
+def estimates(fitting: PlaneFit, fit: Fit, coupling: Coupling | None) -> dict[str, Estimate]:
+    """Give all groups: `gain:x`, `calibration:x`, `row-phase:x`, `gradient`, `roll:x`, `skew`, ….
+
+    Args:
+        fitting: What made the fit.
+        fit: In the planes.
+        coupling: Of the cross blocks, if there are any.
+    """
+    by_column, by_row = fitting.halves(fit, True), fitting.halves(fit, False)
+    standing = fit.posterior.standing()
+    value, variance = fit.posterior.by_data()
+    found: dict[str, Estimate] = {}
+    for name, index in fit.groups.of.items():
+        kind = name.split(":")[0]
+        if kind in ("scale", "rf"):
+            continue
+        contrast, offset = _contrast(fit, name)
+        sigma = np.sqrt(np.einsum("ij,jk,ik->i", contrast, fit.posterior.covariance, contrast))
+        halves = by_row if kind in ("calibration", "column-phase", "energy") else by_column
+        apart = contrast @ (halves[0] - halves[1])
+        widened = max(1.0, _typical(apart) / (2.0 * max(float(np.median(sigma)), 1e-300)))
+        z = np.abs(value[index]) / np.sqrt(fit.spread[name] ** 2 + variance[index])
+        z = np.where(fit.free[index], z, standing[index])
+        found[name] = Estimate(
+            contrast @ fit.theta + offset, sigma * widened, z, fit.free[index],
+            fit.spread[name], widened,
+        )  # fmt: skip
+    if coupling is not None:
+        value, variance = coupling.posterior.by_data()
+        for name, index in coupling.groups.of.items():
+            z = np.abs(value[index]) / np.sqrt(coupling.spread[name] ** 2 + variance[index])
+            found[name] = Estimate(
+                coupling.part(name), coupling.posterior.sigma[index], z, coupling.free[index],
+                coupling.spread[name], 1.0,
+            )  # fmt: skip
+    return found
+
+
+def _typical(values: Vector) -> float:
+    return _TO_SIGMA * float(np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
+
+
+def _contrast(fit: Fit, name: str) -> tuple[Matrix, Vector]:
+    """Give the linear form of the parameters that a group is told by, and what is added."""
+    kind, _, plane = name.partition(":")
+    index = fit.groups.of[name]
+    form = np.zeros((len(index), fit.groups.size))
+    form[np.arange(len(index)), index] = 1.0
+    if kind not in ("gain", "calibration"):
+        return form, np.zeros(len(index))
+    gains = fit.groups.of[f"gain:{plane}"]
+    healthy = gains[~fit.free[gains]]
+    mean = float(np.mean(fit.theta[healthy])) if len(healthy) else 0.0
+    share = 1.0 / max(len(healthy), 1)
+    if kind == "gain":
+        form /= 1.0 + mean
+        form[:, healthy] -= share / (1.0 + mean)
+        # (1 + g)/(1 + mean) − 1 at the fitted values is this form at the fitted values
+        return form, np.zeros(len(index))
+    form[:, fit.groups.of[f"scale:{plane}"]] = 1.0
+    form *= 1.0 + mean
+    kick = 1.0 + fit.part(f"scale:{plane}") + fit.theta[index]
+    form[:, healthy] += np.outer(kick, np.full(len(healthy), share))
+    # the value is c (1 + mean); the form is its slope
+    return form, kick * (1.0 + mean) - form @ fit.theta

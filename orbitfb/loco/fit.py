@@ -1,0 +1,522 @@
+"""The fit in the planes: gains, calibrations and gradients by damped Gauss-Newton steps.
+
+    M_ij = (1 + g_i) (1 + C + c_j) G'_ij(ΔK/K) + (1 + g_i) η'_i e_j     (e_j in x alone)
+
+g are gains of readings, c calibrations of correctors, C the scale of all of a plane, e what a
+corrector changes of the energy beyond the table, η' and G' dispersion and response of the optics
+with the errors, rebuilt at every step. All deviations have normal priors whose spreads are
+estimated with them: gains and calibrations robustly, gradients by evidence. A device that stands
+out by more than `STANDS_OUT` is let free, so that it does not drag others along. Gauge: readings
+have gain 1 on average; the common factor is in C.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from orbitfb.core.errors import RingError
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.loco.measured import Measured
+from orbitfb.loco.noise import separable, spreads
+from orbitfb.loco.normal import Piece, normal_equations
+from orbitfb.loco.optics import SIGN, PlaneOptics, RingOptics
+from orbitfb.loco.posterior import (
+    WIDE,
+    Posterior,
+    evidence_spread,
+    most_likely,
+    posterior,
+    robust_spread,
+)
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices, Plane
+
+STANDS_OUT = 5.0
+"""Standard deviations from which a device stands out; of 1000 healthy ones 0.0006 do by chance."""
+
+OUTLIER = 10.0
+"""Robust standard deviations of row and column from which one element counts as an outlier."""
+
+MOST_NOISE = 3.0
+"""Most by which noise that is not known may differ from the median row or column [1]: on measured
+rings it differs by 2 to 7, and a row that the optics do not reach looks noisy, too."""
+
+MOST_GRADIENT = 0.02
+"""Largest healthy spread of gradients [1]: beyond 2 % nobody can run a ring by its model."""
+
+LEAST_SPREAD = {
+    "gain": 1e-3,
+    "calibration": 1e-3,
+    "row-phase": 1e-4,
+    "column-phase": 1e-4,
+    "energy": 1e-6,
+    "gradient": 1e-5,
+}
+"""Smallest healthy spread of a group [1], of energies [1/rad]: far below what rings have."""
+
+FIRST_SPREAD = {
+    "gain": 0.05,
+    "calibration": 0.05,
+    "row-phase": 1e-3,
+    "column-phase": 1e-3,
+    "energy": 1e-3,
+    "gradient": 0.01,
+}
+"""Spread with which the fit begins: gains of 4-8 % and gradients of 1 % on measured rings."""
+
+_MOST_STEPS = 30
+_MOST_HALVINGS = 6
+_WEIGHING = 4
+"""Steps near the end in which noise and healthy spreads are estimated; then they are settled."""
+_NEAR = 1.0
+"""Largest step, in standard deviations, at which rows may have noise of their own: earlier a row
+that the optics do not reach yet would be taken for a noisy one, and never be reached."""
+_CONVERGED = 0.05
+"""Largest step, in standard deviations of its parameter, at which the fit has arrived [1]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Groups:
+    """Where the parameters stand.
+
+    Args:
+        size: Of all.
+        of: Parameters of a group by its name: `gain:x`, `calibration:y`, `scale:x`, `energy:x`,
+            `gradient`, `rf`.
+    """
+
+    size: int
+    of: dict[str, Indices]
+
+    @classmethod
+    def for_planes(cls, measured: Measured, quadrupoles: int) -> "Groups":
+        """Lay out the parameters of the planes that were measured."""
+        names: list[tuple[str, int]] = []
+        for plane in measured.planes:
+            names.append((f"gain:{plane}", len(measured.bpms[plane])))
+            names.append((f"calibration:{plane}", len(measured.correctors[plane])))
+            names.append((f"scale:{plane}", 1))
+            names.append((f"row-phase:{plane}", len(measured.bpms[plane])))
+            names.append((f"column-phase:{plane}", len(measured.correctors[plane])))
+        if "x" in measured.planes:
+            names.append(("energy:x", len(measured.correctors["x"])))
+        if measured.dispersion is not None:
+            names.append(("rf", 1))
+        names.append(("gradient", quadrupoles))
+        of: dict[str, Indices] = {}
+        begin = 0
+        for name, count in names:
+            of[name] = np.arange(begin, begin + count)
+            begin += count
+        return cls(begin, of)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """σ_ij = s_i t_j of one block, and which elements count.
+
+    Args:
+        rows: s, shape (n,) [m/rad].
+        columns: t, shape (m,) [1].
+        kept: Elements that count, shape (n, m).
+        outliers: Elements that were measured and do not, shape (n, m).
+    """
+
+    rows: Vector
+    columns: Vector
+    kept: Mask
+    outliers: Mask
+
+    @property
+    def sigma(self) -> Matrix:
+        """Shape (n, m) [m/rad]."""
+        return np.outer(self.rows, self.columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """The fitted response in the planes.
+
+    Args:
+        groups: Where the parameters stand.
+        theta: Parameters, shape (k,).
+        posterior: Their uncertainty, as the noise is.
+        matrix: Normal matrix, shape (k, k).
+        free: Parameters that were let free, shape (k,).
+        spread: Healthy spread of every group.
+        noise: Of every plane.
+        steps: Gauss-Newton steps taken.
+        converged: Whether the last step was small.
+        model: Fitted response of every plane, shape (n, m) [m/rad].
+        optics: Fitted.
+        residual: Measured less model, of every plane [m/rad].
+    """
+
+    groups: Groups
+    theta: Vector
+    posterior: Posterior
+    matrix: Matrix
+    free: Mask
+    spread: dict[str, float]
+    noise: dict[Plane, Noise]
+    steps: int
+    converged: bool
+    model: dict[Plane, Matrix]
+    optics: dict[Plane, PlaneOptics]
+    residual: dict[Plane, Matrix] = field(default_factory=lambda: {})
+
+    def part(self, name: str) -> Vector:
+        """Values of a group."""
+        return self.theta[self.groups.of[name]]
+
+    def sigma(self, name: str) -> Vector:
+        """Standard deviations of a group, as the noise is."""
+        return self.posterior.sigma[self.groups.of[name]]
+
+
+class PlaneFit:
+    """Fits the own blocks of a measured response.
+
+    Args:
+        optics: The ring at the devices of the measurement.
+        measured: The measurement.
+        progress: Called with the share of the work that is done.
+    """
+
+    def __init__(
+        self,
+        optics: RingOptics,
+        measured: Measured,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        self.optics, self.measured = optics, measured
+        self.groups = Groups.for_planes(measured, len(optics.quadrupoles))
+        self._progress = progress or (lambda share: None)
+        self._known = {plane: separable(measured.sigma[plane, plane]) for plane in measured.planes}
+        self._there = {
+            plane: np.isfinite(measured.response[plane, plane]) for plane in measured.planes
+        }
+
+    def start(self) -> Vector:
+        """Begin with the gains of rows and columns by the optics of the table."""
+        theta = np.zeros(self.groups.size)
+        nominal = self.optics.at(np.zeros(len(self.optics.quadrupoles)))
+        for plane in self.measured.planes:
+            data = self.measured.response[plane, plane]
+            rows, columns = row_and_column_gains(data, nominal[plane].own)
+            scale = float(np.median(columns))
+            theta[self.groups.of[f"gain:{plane}"]] = rows - 1.0
+            theta[self.groups.of[f"scale:{plane}"]] = scale - 1.0
+            theta[self.groups.of[f"calibration:{plane}"]] = columns - scale
+        return theta
+
+    def run(self) -> Fit:
+        """Fit.
+
+        Raises:
+            RingError: The optics of the table cannot be brought near the measurement.
+        """
+        theta, spread = self.start(), self._first_spread()
+        free = np.zeros(self.groups.size, dtype=np.bool_)
+        optics = self.optics.at(theta[self.groups.of["gradient"]])
+        steps, near, converged = 0, 0, False
+        noise: dict[Plane, Noise] = {}
+        for steps in range(1, _MOST_STEPS + 1):
+            settled = near > _WEIGHING
+            if not settled:
+                noise = self._noise(theta, optics, near == 0)
+            matrix, pull = self._normal(theta, optics, noise)
+            its = self._posterior(theta, matrix, pull, self._prior(spread, free), near > 0)
+            if not settled:
+                spread = self._spreads(its, spread, free, near > 0)
+                free = self._standing(its, spread)
+            theta, optics, size = self._step(theta, optics, noise, its)
+            self._progress(steps / _MOST_STEPS)
+            if settled and size < _CONVERGED:
+                converged = True
+                break
+            near += near > 0 or size < _NEAR or steps >= _MOST_STEPS // 2
+        noise = self._noise(theta, optics, False)
+        matrix, pull = self._normal(theta, optics, noise)
+        its = self._posterior(theta, matrix, pull, self._prior(spread, free), True)
+        return Fit(
+            self.groups, theta, replace(its, mean=theta), matrix, free, spread, noise, steps,
+            converged, {p: self._model(theta, optics, p) for p in self.measured.planes}, optics,
+            self._residuals(theta, optics),
+        )  # fmt: skip
+
+    def halves(self, fit: Fit, by_column: bool) -> tuple[Vector, Vector]:
+        """Fit to every other column (or row) and to the rest, one step from the whole fit."""
+        found: list[Vector] = []
+        for first in (0, 1):
+            noise: dict[Plane, Noise] = {}
+            for plane, its in fit.noise.items():
+                kept = its.kept.copy()
+                if by_column:
+                    kept[:, first::2] = False
+                else:
+                    kept[first::2] = False
+                noise[plane] = replace(its, kept=kept)
+            matrix, pull = self._normal(fit.theta, fit.optics, noise)
+            pull = pull + matrix @ fit.theta
+            found.append(most_likely(matrix, pull, fit.posterior.prior))
+        return found[0], found[1]
+
+    def _first_spread(self) -> dict[str, float]:
+        return {name: FIRST_SPREAD.get(name.split(":")[0], 1.0) for name in self.groups.of}
+
+    def _prior(self, spread: dict[str, float], free: Mask) -> Vector:
+        prior = np.empty(self.groups.size)
+        for name, index in self.groups.of.items():
+            prior[index] = WIDE if name.startswith(("scale", "rf")) else spread[name] ** 2
+        prior[free] = WIDE
+        return prior
+
+    def _posterior(
+        self, theta: Vector, matrix: Matrix, pull: Vector, prior: Vector, whole: bool
+    ) -> Posterior:
+        """Solve for all parameters, or far from the end without local phases, which wait there."""
+        active = np.ones(self.groups.size, dtype=np.bool_)
+        if not whole:
+            for name, index in self.groups.of.items():
+                active[index] = not name.startswith(("row-phase", "column-phase"))
+        some = np.flatnonzero(active)
+        its = posterior(matrix[np.ix_(some, some)], (pull + matrix @ theta)[some], prior[some])
+        mean, covariance = theta.copy(), np.diag(prior)
+        mean[some] = its.mean
+        covariance[np.ix_(some, some)] = its.covariance
+        return Posterior(mean, covariance, prior)
+
+    def _spreads(
+        self, its: Posterior, spread: dict[str, float], free: Mask, whole: bool
+    ) -> dict[str, float]:
+        """Estimate the healthy spread of every group."""
+        found = dict(spread)
+        for name, index in self.groups.of.items():
+            kind = name.split(":")[0]
+            if kind in ("gain", "calibration") or (whole and kind.endswith("phase")):
+                found[name] = robust_spread(its, index, LEAST_SPREAD[kind])
+            elif kind in ("gradient", "energy"):
+                its_own = evidence_spread(its, index[~free[index]], LEAST_SPREAD[kind])
+                found[name] = min(its_own, MOST_GRADIENT) if kind == "gradient" else its_own
+        return found
+
+    def _standing(self, its: Posterior, spread: dict[str, float]) -> Mask:
+        free = np.zeros(self.groups.size, dtype=np.bool_)
+        value, variance = its.by_data()
+        for name, index in self.groups.of.items():
+            if name.startswith(("scale", "rf")):
+                continue
+            z = np.abs(value[index]) / np.sqrt(spread[name] ** 2 + variance[index])
+            if name.startswith(("gain", "calibration", "row", "column")):
+                free[index] = z > STANDS_OUT
+            else:  # one at a time: neighbours share what one of them does
+                best = int(np.argmax(z)) if len(z) else 0
+                free[index] = (its.prior[index] >= WIDE) & (z > STANDS_OUT)
+                if len(z) and z[best] > STANDS_OUT:
+                    free[index[best]] = True
+        return free
+
+    def _step(
+        self,
+        theta: Vector,
+        optics: dict[Plane, PlaneOptics],
+        noise: dict[Plane, Noise],
+        its: Posterior,
+    ) -> tuple[Vector, dict[Plane, PlaneOptics], float]:
+        """Step towards the posterior mean, halved until the objective falls."""
+        before = self._objective(theta, optics, noise, its.prior)
+        change = its.mean - theta
+        for halving in range(_MOST_HALVINGS):
+            share = 0.5**halving
+            trial = theta + share * change
+            try:
+                new = self.optics.at(trial[self.groups.of["gradient"]])
+            except RingError:
+                continue
+            if self._objective(trial, new, noise, its.prior) <= before * (1.0 + 1e-9):
+                return trial, new, float(np.max(np.abs(share * change) / its.sigma))
+        return theta, optics, 0.0
+
+    def _objective(
+        self,
+        theta: Vector,
+        optics: dict[Plane, PlaneOptics],
+        noise: dict[Plane, Noise],
+        prior: Vector,
+    ) -> float:
+        total = float(np.sum(theta**2 / prior))
+        for plane, residual in self._residuals(theta, optics).items():
+            its = noise[plane]
+            total += float(np.sum(np.where(its.kept, residual / its.sigma, 0.0) ** 2))
+        if "rf" in self.groups.of:
+            total += float(np.sum(self._rf_residual(theta, optics)[0] ** 2))
+        return 0.5 * total
+
+    def _model(self, theta: Vector, optics: dict[Plane, PlaneOptics], plane: Plane) -> Matrix:
+        of, its = self.groups.of, optics[plane]
+        gain = 1.0 + theta[of[f"gain:{plane}"]]
+        kick = 1.0 + theta[of[f"scale:{plane}"]] + theta[of[f"calibration:{plane}"]]
+        orbit = self._orbit(theta, its, plane, kick)
+        return gain[:, None] * orbit
+
+    def _orbit(self, theta: Vector, its: PlaneOptics, plane: Plane, kick: Vector) -> Matrix:
+        """Orbit at the BPMs before their gain, shape (n, m) [m/rad]."""
+        of = self.groups.of
+        by_kick = its.own + its.turned_rows * theta[of[f"row-phase:{plane}"]][:, None]
+        by_kick = by_kick + its.turned_columns * theta[of[f"column-phase:{plane}"]]
+        orbit = by_kick * kick
+        if plane == "x":
+            orbit = orbit + np.outer(its.dispersion, theta[of["energy:x"]])
+        return orbit
+
+    def _residuals(self, theta: Vector, optics: dict[Plane, PlaneOptics]) -> dict[Plane, Matrix]:
+        return {
+            plane: np.where(
+                self._there[plane],
+                self.measured.response[plane, plane] - self._model(theta, optics, plane),
+                0.0,
+            )
+            for plane in self.measured.planes
+        }
+
+    def _rf_residual(
+        self, theta: Vector, optics: dict[Plane, PlaneOptics]
+    ) -> tuple[Vector, Vector, Vector]:
+        """Weighted residual of the dispersion, its weight and the orbit at factor one."""
+        measured = self.measured.dispersion
+        if measured is None:
+            raise RingError("no dispersion was measured")
+        its = optics["x"]
+        read = (1.0 + theta[self.groups.of["gain:x"]]) * its.dispersion
+        left = measured - (1.0 + theta[self.groups.of["rf"]]) * read
+        there = np.isfinite(left)
+        sigma = self.measured.dispersion_sigma
+        if not np.isfinite(sigma):
+            sigma = max(float(1.4826 * np.median(np.abs(left[there]))), 1e-6)
+        weight = np.where(there, 1.0 / sigma, 0.0)
+        return np.where(there, left, 0.0) * weight, weight, read
+
+    def _noise(
+        self, theta: Vector, optics: dict[Plane, PlaneOptics], even: bool
+    ) -> dict[Plane, Noise]:
+        """Estimate the noise; `even`: the same of all rows and columns, as far from the end."""
+        found: dict[Plane, Noise] = {}
+        for plane, residual in self._residuals(theta, optics).items():
+            there = self._there[plane]
+            n, m = residual.shape
+            freedom = max(1.0 - (n + m + len(self.optics.quadrupoles) / 2) / (n * m), 0.25)
+            s, t = spreads(residual, there)
+            s = s / np.sqrt(freedom)
+            s, t = (
+                np.minimum(s, MOST_NOISE * np.nanmedian(s)),
+                np.clip(t, 1 / MOST_NOISE, MOST_NOISE),
+            )
+            if even:
+                typical = float(np.nanmedian(s))
+                s, t = np.where(np.isfinite(s), typical, s), np.where(np.isfinite(t), 1.0, t)
+            known, columns = self._known[plane]
+            if np.isfinite(known).any():
+                t = np.where(np.isfinite(columns), np.maximum(t, columns), t)
+                s = np.where(np.isfinite(known), np.maximum(s, known), s)
+            sigma = np.outer(s, t)
+            outliers = there & (np.abs(residual) > OUTLIER * sigma)
+            found[plane] = Noise(
+                np.nan_to_num(s, nan=1.0), np.nan_to_num(t, nan=1.0), there & ~outliers, outliers
+            )
+        return found
+
+    def _normal(
+        self, theta: Vector, optics: dict[Plane, PlaneOptics], noise: dict[Plane, Noise]
+    ) -> tuple[Matrix, Vector]:
+        of = self.groups.of
+        residuals = self._residuals(theta, optics)
+        pieces = [
+            self._piece(theta, optics[plane], residuals[plane], noise[plane], plane)
+            for plane in self.measured.planes
+        ]
+        matrix, pull = normal_equations(pieces, self.groups.size)
+        for plane in self.measured.planes:  # the scale moves all calibrations of a plane at once
+            scale, own = of[f"scale:{plane}"], of[f"calibration:{plane}"]
+            matrix[scale] = matrix[own].sum(axis=0)
+            matrix[:, scale] = matrix[:, own].sum(axis=1, keepdims=True)
+            pull[scale] = pull[own].sum()
+        if "rf" in of:
+            self._add_rf(theta, optics, matrix, pull)
+        return matrix, pull
+
+    def _piece(
+        self, theta: Vector, its: PlaneOptics, residual: Matrix, noise: Noise, plane: Plane
+    ) -> Piece:
+        of = self.groups.of
+        gain = 1.0 + theta[of[f"gain:{plane}"]]
+        kick = 1.0 + theta[of[f"scale:{plane}"]] + theta[of[f"calibration:{plane}"]]
+        orbit = self._orbit(theta, its, plane, kick)
+        by_kick = its.own + its.turned_columns * theta[of[f"column-phase:{plane}"]]
+        by_kick = by_kick + its.turned_rows * theta[of[f"row-phase:{plane}"]][:, None]
+        columns = [
+            (gain[:, None] * by_kick, of[f"calibration:{plane}"]),
+            (gain[:, None] * its.turned_columns * kick, of[f"column-phase:{plane}"]),
+        ]
+        if plane == "x":
+            read = np.repeat((gain * its.dispersion)[:, None], len(kick), axis=1)
+            columns.append((read, of["energy:x"]))
+        return Piece(
+            residual,
+            noise.kept,
+            noise.rows**-2.0,
+            noise.columns**-2.0,
+            [
+                (orbit, of[f"gain:{plane}"]),
+                (gain[:, None] * its.turned_rows * kick, of[f"row-phase:{plane}"]),
+            ],
+            columns,
+            gain[:, None] * its.left * (SIGN[plane] * self.optics.strength),
+            its.right * kick,
+            of["gradient"],
+        )
+
+    def _add_rf(
+        self, theta: Vector, optics: dict[Plane, PlaneOptics], matrix: Matrix, pull: Vector
+    ) -> None:
+        of, its = self.groups.of, optics["x"]
+        residual, weight, read = self._rf_residual(theta, optics)
+        factor = 1.0 + theta[of["rf"]]
+        gain = 1.0 + theta[of["gain:x"]]
+        index = np.concatenate([of["rf"], of["gradient"]])
+        push = its.left_momentum * (SIGN["x"] * self.optics.strength * its.at_quadrupoles)
+        dense = np.column_stack([read, factor * gain[:, None] * push]) * weight[:, None]
+        own = factor * its.dispersion * weight
+        gains = of["gain:x"]
+        matrix[np.ix_(index, index)] += dense.T @ dense
+        matrix[gains, gains] += own**2
+        matrix[np.ix_(gains, index)] += own[:, None] * dense
+        matrix[np.ix_(index, gains)] += (own[:, None] * dense).T
+        pull[index] += dense.T @ residual
+        pull[gains] += own * residual
+
+
+def row_and_column_gains(data: Matrix, nominal: Matrix) -> tuple[Vector, Vector]:
+    """Fit M_ij = a_i b_j G_ij by the optics as they are; the median a is 1.
+
+    Args:
+        data: Measured, shape (n, m); NaN where not.
+        nominal: By the optics, the same shape.
+
+    Returns:
+        a, shape (n,), and b, shape (m,); 0 where nothing was measured.
+    """
+    there = np.isfinite(data)
+    known, model = np.where(there, data, 0.0), np.where(there, nominal, 0.0)
+    rows, columns = np.ones(len(data)), np.ones(data.shape[1])
+    for _ in range(20):
+        seen = model * rows[:, None]
+        columns = np.sum(known * seen, axis=0) / np.maximum(np.sum(seen**2, axis=0), 1e-300)
+        seen = model * columns
+        rows = np.sum(known * seen, axis=1) / np.maximum(np.sum(seen**2, axis=1), 1e-300)
+        middle = float(np.median(rows[there.any(axis=1)])) or 1.0
+        rows = rows / middle
+    seen = model * rows[:, None]
+    columns = np.sum(known * seen, axis=0) / np.maximum(np.sum(seen**2, axis=0), 1e-300)
+    return rows, columns

@@ -1,0 +1,94 @@
+"""A measured response: a rectangular block for every plane of reading and kick."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices, Plane, Ring, plane_row
+
+Pair = tuple[Plane, Plane]
+"""Plane of the readings and plane of the kicks."""
+
+PLANES: tuple[Plane, Plane] = ("x", "y")
+DIAGONAL: tuple[Pair, Pair] = (("x", "x"), ("y", "y"))
+CROSS: tuple[Pair, Pair] = (("x", "y"), ("y", "x"))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """A measured response matrix, block by block; planes may have other devices.
+
+    Args:
+        bpms: Of every plane, places in the table, shape (n_p,).
+        correctors: Of every plane, places in the table, shape (m_p,).
+        response: Of every pair of planes that was measured, shape (n, m) [m/rad]; NaN where not.
+        sigma: Standard deviation of the noise, the same shapes [m/rad]; NaN where not known.
+        dispersion: Measured horizontal dispersion at the BPMs, shape (n_x,) [m]; None: not given.
+        dispersion_sigma: Its standard deviation, one number [m]; NaN where not known.
+    """
+
+    bpms: Mapping[Plane, Indices]
+    correctors: Mapping[Plane, Indices]
+    response: Mapping[Pair, Matrix]
+    sigma: Mapping[Pair, Matrix]
+    dispersion: Vector | None = None
+    dispersion_sigma: float = float("nan")
+
+    @property
+    def planes(self) -> tuple[Plane, ...]:
+        """Planes whose own block was measured."""
+        return tuple(plane for plane in PLANES if (plane, plane) in self.response)
+
+    @property
+    def has_cross(self) -> bool:
+        """Whether a block of the other plane was measured."""
+        return any(pair in self.response for pair in CROSS)
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether the noise of every own block is known."""
+        return all(np.isfinite(self.sigma[plane, plane]).any() for plane in self.planes)
+
+
+def bpm_labels(measured: Measured, ring: Ring, plane: Plane) -> tuple[str, ...]:
+    """Name the readings of a plane NAME:plane."""
+    return tuple(f"{ring.table.name[int(i)]}:{plane}" for i in measured.bpms[plane])
+
+
+def corrector_labels(measured: Measured, ring: Ring, plane: Plane) -> tuple[str, ...]:
+    """Name the correctors of a plane NAME:plane."""
+    return tuple(f"{ring.table.name[int(j)]}:{plane}" for j in measured.correctors[plane])
+
+
+def from_setpoints(
+    ring: Ring,
+    bpms: Mapping[Plane, Indices],
+    correctors: Mapping[Plane, Indices],
+    response: Mapping[Pair, Matrix],
+    sigma: Mapping[Pair, Matrix],
+    dispersion: Vector | None = None,
+) -> Measured:
+    """Make a measured response of matrices per ampere, by the calibrations of the table.
+
+    Args:
+        ring: The ring.
+        bpms: Of every plane, places in the table.
+        correctors: Of every plane, places in the table.
+        response: Of every pair of planes, shape (n, m) [m/A].
+        sigma: The same of the noise [m/A].
+        dispersion: Measured, shape (n_x,) [m].
+    """
+    per_ampere = {
+        plane: ring.table.calibration[plane_row(plane), places]
+        for plane, places in correctors.items()
+    }
+    return Measured(
+        bpms,
+        correctors,
+        {pair: matrix / per_ampere[pair[1]] for pair, matrix in response.items()},
+        {pair: matrix / np.abs(per_ampere[pair[1]]) for pair, matrix in sigma.items()},
+        dispersion,
+    )

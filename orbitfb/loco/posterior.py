@@ -1,0 +1,126 @@
+"""What normal equations and healthy spreads say of every parameter.
+
+With the normal equations H θ = b of the data and a prior variance Λ for every parameter the
+posterior is normal with covariance C = (H + Λ⁻¹)⁻¹. Of one parameter alone, the others as they
+are, the data say m ± √v with 1/v = 1/C_kk − 1/Λ_k and m = v μ_k / C_kk; a healthy device has
+m of variance Λ_k + v, so z = |m| / √(Λ_k + v) tells how far it stands out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, get_lapack_funcs
+
+from orbitfb.core.errors import RingError
+from orbitfb.core.signals import Vector
+from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Indices
+
+WIDE = 25.0
+"""Prior variance of a parameter that is let free: deviations of five times the nominal [1]."""
+
+_MEDIAN_OF_SQUARE = 0.4549
+"""Median of the square of a standard normal number."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """A normal posterior.
+
+    Args:
+        mean: μ, shape (k,).
+        covariance: C, shape (k, k).
+        prior: Λ, shape (k,).
+    """
+
+    mean: Vector
+    covariance: Matrix
+    prior: Vector
+
+    @property
+    def sigma(self) -> Vector:
+        """Standard deviation of every parameter, shape (k,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def by_data(self) -> tuple[Vector, Vector]:
+        """Value m and variance v of every parameter by the data alone, the others as they are."""
+        own = np.diag(self.covariance)
+        known = np.maximum(1.0 / own - 1.0 / self.prior, 1e-9 / self.prior)
+        variance = 1.0 / known
+        return variance * self.mean / own, variance
+
+    def standing(self) -> Vector:
+        """How far every parameter stands out of its healthy spread, z, shape (k,)."""
+        value, variance = self.by_data()
+        return np.abs(value) / np.sqrt(self.prior + variance)
+
+
+def most_likely(matrix: Matrix, pull: Vector, prior: Vector) -> Vector:
+    """Solve the normal equations with a prior for the mean alone, shape (k,).
+
+    Args:
+        matrix: H, shape (k, k).
+        pull: b, shape (k,).
+        prior: Λ, shape (k,).
+    """
+    scale = np.sqrt(prior)
+    inner = scale[:, None] * matrix * scale
+    inner[np.diag_indices_from(inner)] += 1.0
+    return scale * cho_solve(cho_factor(inner, lower=True, overwrite_a=True), scale * pull)
+
+
+def posterior(matrix: Matrix, pull: Vector, prior: Vector) -> Posterior:
+    """Solve the normal equations with a prior.
+
+    Args:
+        matrix: H, shape (k, k).
+        pull: b, shape (k,).
+        prior: Λ, shape (k,).
+
+    Raises:
+        RingError: There is no solution.
+    """
+    scale = np.sqrt(prior)
+    inner = scale[:, None] * matrix * scale
+    inner[np.diag_indices_from(inner)] += 1.0
+    factorise, invert = get_lapack_funcs(("potrf", "potri"), (inner,))
+    factor, failed = factorise(inner, lower=1)
+    if failed:
+        raise RingError("the fit of the response has no solution; is it finite, and of this ring?")
+    lower, _ = invert(factor, lower=1)
+    inverse = np.tril(lower) + np.tril(lower, -1).T
+    covariance = scale[:, None] * inverse * scale
+    return Posterior(covariance @ pull, covariance, prior)
+
+
+def robust_spread(its: Posterior, group: Indices, least: float) -> float:
+    """Estimate the healthy spread of a group that the data know well, a few devices aside.
+
+    The median of m² is that of its variance τ² + v.
+
+    Args:
+        its: The posterior.
+        group: The parameters.
+        least: Smallest spread.
+    """
+    value, variance = its.by_data()
+    square = float(np.median(value[group] ** 2)) / _MEDIAN_OF_SQUARE
+    return max(least, float(np.sqrt(max(0.0, square - float(np.median(variance[group]))))))
+
+
+def evidence_spread(its: Posterior, group: Indices, least: float) -> float:
+    """Take one step to the spread of most evidence, for a group that the data know in part.
+
+    MacKay's fixed point: τ² = Σ μ² / Σ (1 − C_kk / Λ_k).
+
+    Args:
+        its: The posterior.
+        group: The parameters that count.
+        least: Smallest spread.
+    """
+    if not len(group):
+        return least
+    own = np.diag(its.covariance)[group]
+    known = float(np.sum(1.0 - own / its.prior[group]))
+    square = float(np.sum(its.mean[group] ** 2))
+    return max(least, float(np.sqrt(square / max(known, 1e-3))))

@@ -1,0 +1,222 @@
+"""The matrices of a file as they stand in it, with the names and units that it gives them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfb.core.errors import ExchangeError
+from orbitfb.core.files.bounded import LARGEST_TEXT, parse_json, read_text
+from orbitfb.core.signals import Vector
+from orbitfb.exchange.formats.csv_file import COLUMNS, ROWS, VALUES, CsvSource
+from orbitfb.exchange.formats.datasets import LARGEST_FILE, Source, column_of, matrix_of
+from orbitfb.exchange.formats.source import check_file, names_from, open_source
+from orbitfb.loco.measured import PLANES, Pair
+from orbitfb.measure.packed import read_packed
+from orbitfb.physics.optics import Matrix
+
+_ADVICE = "measure it with `orbitfb measure-response`, or import it"
+_MATRICES = ("response", "matrix", "R", "RM")
+_BPMS = ("bpms", "bpm_names", "output_names", "outputs", "rows")
+_CORRECTORS = ("correctors", "corrector_names", "input_names", "inputs", "columns")
+_UNITS = ("units", "unit")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Raw:
+    """A matrix of a file.
+
+    Args:
+        where: In the file, for messages.
+        values: Shape (n, m), in the unit of the file.
+        unit: As the file says; empty: it does not.
+        rows: Names of the BPMs; empty: none.
+        columns: Names of the correctors; empty: none.
+        sigma: Standard deviations, the same unit; None: not known.
+        pair: Planes of rows and columns, where the file says.
+        planes: Planes that are stacked in it, where the file says.
+    """
+
+    where: str
+    values: Matrix
+    unit: str = ""
+    rows: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()
+    sigma: Matrix | None = None
+    pair: Pair | None = None
+    planes: str | None = None
+
+
+def raw_blocks(
+    file: Path, matrix: str | None, bpm_names: str | None, corrector_names: str | None
+) -> tuple[Raw, ...]:
+    """Read the matrices of a file.
+
+    Args:
+        file: The file.
+        matrix: Path within it; None: the usual place of its format.
+        bpm_names: Path of the names within it, or @FILE.
+        corrector_names: The same of the correctors.
+
+    Raises:
+        ExchangeError: It cannot be read, or says not which of its contents is the matrix.
+    """
+    suffix = file.suffix.lower()
+    check_file(file, LARGEST_FILE)
+    if suffix == ".safetensors":
+        return (_packed(file),)
+    if suffix in (".npy", ".npz"):
+        return (_numpy(file),)
+    if suffix == ".json":
+        return (_json(file),)
+    source = open_source(file)
+    if matrix is None and suffix == ".mat":
+        there = source.listing()
+        if any(name.startswith("Rmat.") for name in there):
+            return _middle_layer(source)
+        if "LocoMeasData.M" in there:
+            return (_loco(source),)
+    return (_named(source, matrix, bpm_names, corrector_names),)
+
+
+def _packed(file: Path) -> Raw:
+    tensors, card = read_packed(file, "response", _ADVICE, ExchangeError)
+    planes = str(card.get("planes", "x"))
+    own = len(card["bpms"]) // len(planes), len(card["correctors"]) // len(planes)
+
+    def labels(names: Any, count: int) -> tuple[str, ...]:
+        return tuple(f"{name}:{planes[number // count]}" for number, name in enumerate(names))
+
+    return Raw(
+        "response", tensors["response"], "m/A", labels(card["bpms"], own[0]),
+        labels(card["correctors"], own[1]), tensors["sigma"], None, planes,
+    )  # fmt: skip
+
+
+def _numpy(file: Path) -> Raw:
+    try:
+        content = np.load(file, allow_pickle=False)
+        if isinstance(content, np.ndarray):
+            return Raw(file.name, _matrix(content, file))
+        found = {name: content[name] for name in content.files}
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise ExchangeError(
+            f"{file}: no readable {file.suffix} of numbers and names ({error}); save it again, "
+            "without objects in it"
+        ) from error
+    return _of_parts(file, found)
+
+
+def _json(file: Path) -> Raw:
+    content = parse_json(read_text(file, LARGEST_TEXT, ExchangeError, "name a file"), file,
+                         ExchangeError)  # fmt: skip
+    if not isinstance(content, dict):
+        raise ExchangeError(f"{file}: no object with a matrix in it; {_ADVICE}")
+    return _of_parts(file, content)
+
+
+def _of_parts(file: Path, parts: dict[str, Any]) -> Raw:
+    name = next((name for name in _MATRICES if name in parts), None)
+    if name is None:
+        raise ExchangeError(
+            f"{file}: none of {', '.join(_MATRICES)} is in it (there are: "
+            f"{', '.join(list(parts)[:20])}); call the matrix one of these"
+        )
+    sigma = parts.get("sigma")
+    units = next((str(np.asarray(parts[key])) for key in _UNITS if key in parts), "")
+    return Raw(
+        name, _matrix(parts[name], file), units, _texts(parts, _BPMS), _texts(parts, _CORRECTORS),
+        None if sigma is None else _matrix(sigma, file),
+    )  # fmt: skip
+
+
+def _texts(parts: dict[str, Any], keys: tuple[str, ...]) -> tuple[str, ...]:
+    for key in keys:
+        if key in parts:
+            return tuple(str(name) for name in np.ravel(np.asarray(parts[key])))
+    return ()
+
+
+def _matrix(values: Any, file: Path) -> Matrix:
+    try:
+        found = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ExchangeError(f"{file}: its matrix is no table of numbers ({error})") from error
+    if found.ndim != 2 or 0 in found.shape:
+        raise ExchangeError(f"{file}: its matrix has shape {found.shape}; give rows and columns")
+    return found
+
+
+def _named(
+    source: Source, matrix: str | None, bpm_names: str | None, corrector_names: str | None
+) -> Raw:
+    if matrix is None and not isinstance(source, CsvSource):
+        there = source.listing()
+        matrix = next((name for name in _MATRICES if name in there), None)
+        if matrix is None:
+            raise ExchangeError(
+                f"{source.path}: --matrix must say which of these is the matrix: "
+                f"{', '.join(there[:30])}"
+            )
+    found = source.get(matrix or VALUES)
+    there = source.listing()
+    if bpm_names is None and isinstance(source, CsvSource):
+        bpm_names = ROWS if source.rows else None
+    if corrector_names is None and isinstance(source, CsvSource):
+        corrector_names = COLUMNS if source.columns else None
+    bpm_names = bpm_names or next((name for name in _BPMS if name in there), None)
+    corrector_names = corrector_names or next((n for n in _CORRECTORS if n in there), None)
+    sigma = None
+    if not isinstance(source, CsvSource) and "sigma" in there:
+        sigma = matrix_of(source.get("sigma"), source.path)
+    return Raw(
+        found.where, matrix_of(found, source.path), found.units,
+        names_from(source, bpm_names) if bpm_names else (),
+        names_from(source, corrector_names) if corrector_names else (), sigma,
+    )  # fmt: skip
+
+
+def _middle_layer(source: Source) -> tuple[Raw, ...]:
+    """Read `Rmat` of the Matlab Middle Layer: rows and columns are the families of x and y.
+
+    Its devices are numbered, [sector, device], and have no names: they are taken in the order of
+    the table, and the likeness with the optics tells whether that is right.
+    """
+    found: list[Raw] = []
+    for i, read in enumerate(PLANES, start=1):
+        for j, driven in enumerate(PLANES, start=1):
+            where = f"Rmat({i},{j}).Data"
+            try:
+                block = source.get(where)
+            except ExchangeError:
+                if i == j == 1:
+                    raise
+                continue
+            if block.numbers.size:
+                values = matrix_of(block, source.path)
+                found.append(Raw(where, values, block.units, pair=(read, driven)))
+    return tuple(found)
+
+
+def _loco(source: Source) -> Raw:
+    """Read a LOCO file: orbits per whole step [mm], steps in mrad, BPM noise in mm."""
+
+    def numbers(*paths: str) -> Vector:
+        return np.concatenate(
+            [column_of(source.get(path), source.path).astype(float) for path in paths]
+        )
+
+    kicks = 1e-3 * numbers("CMData(1).HCMKicks", "CMData(1).VCMKicks")
+    orbits = matrix_of(source.get("LocoMeasData.M"), source.path)
+    if orbits.shape[1] != len(kicks):
+        raise ExchangeError(
+            f"{source.path}: LocoMeasData.M has {orbits.shape[1]} columns, CMData(1) "
+            f"{len(kicks)} kicks; save them together"
+        )
+    noise = numbers("LocoMeasData.BPMSTD")
+    sigma = np.sqrt(2.0) * noise[:, None] / np.abs(kicks)
+    return Raw(
+        "LocoMeasData.M", orbits / kicks, "mm/rad", sigma=sigma * np.ones_like(orbits),
+        planes="xy",
+    )  # fmt: skip
