@@ -81,6 +81,7 @@ house: venv
 
 bench: venv
 	$(BIN)/python -m benchmarks.loop --out benchmarks/loop.json
+	$(BIN)/python -m benchmarks.identification --out benchmarks/identification.json
 
 # The diagnosis on fresh records: of the own generator, of a small ring, and of a further generator if its
 # path is given (PLANT=…). Another SEED draws other records.

@@ -1,5 +1,6 @@
 """The loop that a law would make on responses that the data allow, and how two laws compare."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,6 +109,51 @@ def predict_loop(
         growth.append(_growth(norm, later, ticks))
         squares.append(min(square, WORST_RMS**2) if np.isfinite(square) else WORST_RMS**2)
     return Prediction(float(np.sqrt(np.mean(squares))), max(growth), np.sqrt(squares))
+
+
+def predict_pairs(
+    ours: Vector,
+    theirs: Vector,
+    model: LinearModel,
+    horizon: int,
+    drawn: Iterable[Vector],
+    hopeless: float | None,
+) -> tuple[list[Vector], Prediction, Prediction]:
+    """Predict the loops under two laws on responses drawn one after another.
+
+    The lower end of the interval of `paired_gain` lies below the gain on every single response: of
+    n numbers the least is at most (n − 1)/√n standard deviations below their mean, and Student's
+    interval for one more reaches further. So one response on which the gain does not pay decides
+    where nothing but a resolved gain can.
+
+    Args:
+        ours: Gain matrix of the candidate, shape (m, n) [A/m].
+        theirs: Of the incumbent.
+        model: The posterior of R and the noise.
+        horizon: Ticks from a perfect orbit.
+        drawn: Responses.
+        hopeless: Gain on a response below which no further one is drawn [1]; None: all are.
+
+    Returns:
+        The responses that were drawn, and what both loops do on them.
+    """
+    responses: list[Vector] = []
+    mine: list[Prediction] = []
+    others: list[Prediction] = []
+    for response in drawn:
+        responses.append(response)
+        mine.append(predict_loop(ours, [response], model, horizon))
+        others.append(predict_loop(theirs, [response], model, horizon))
+        if hopeless is not None and not mine[-1].rms <= (1.0 - hopeless) * others[-1].rms:
+            break
+    return responses, _joined(mine), _joined(others)
+
+
+def _joined(parts: Sequence[Prediction]) -> Prediction:
+    """Give the prediction over the responses of several ones."""
+    each = np.concatenate([part.each for part in parts])
+    growth = max(part.growth for part in parts)
+    return Prediction(float(np.sqrt(np.mean(each**2))), growth, each)
 
 
 def _growth(earlier: float, later: float, ticks: int) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.learn.forecast import WORST_RMS, Gain, Prediction, paired_gain, predict_loop
+from orbitfb.learn.forecast import WORST_RMS, Gain, Prediction, paired_gain, predict_pairs
 from orbitfb.learn.settings import JudgeSettings
 from orbitfb.learn.simulation import BatchPolicy, Outcome, Scene, simulate
 from orbitfb.models.linear import LinearModel
@@ -83,13 +83,21 @@ def judge(
     ours_gain, theirs_gain = gain_of(candidate, size), gain_of(incumbent, size)
     if not np.isfinite(ours_gain).all():
         return Verdict(False, "the candidate's gain matrix is not finite", {})
-    responses = [model.sample(generator) for _ in range(settings.samples)]
-    ours = predict_loop(ours_gain, responses, model, settings.horizon)
-    theirs = predict_loop(theirs_gain, responses, model, settings.horizon)
+    least = cost if settings.margin is None else settings.margin
+    at = settings.change_orbit
+    linear = is_linear(candidate, ours_gain, at) and is_linear(incumbent, theirs_gain, at)
+    must_be_resolved = settings.resolved and evidence.page < settings.evidence
+    responses, ours, theirs = predict_pairs(
+        ours_gain,
+        theirs_gain,
+        model,
+        settings.horizon,
+        (model.sample(generator) for _ in range(settings.samples)),
+        least if linear and must_be_resolved else None,
+    )
     figures = {"growth_candidate": ours.growth, "growth_incumbent": theirs.growth}
     obstacle = None
-    at = settings.change_orbit
-    if not (is_linear(candidate, ours_gain, at) and is_linear(incumbent, theirs_gain, at)):
+    if not linear:
         scene = Scene(
             np.stack(responses),
             model,
@@ -118,7 +126,9 @@ def judge(
         "change_rms": change,
     }
     gain = paired_gain(ours, theirs)
-    figures |= {"gain": gain.mean, "gain_low": gain.low, "gain_high": gain.high}
+    figures |= {"gain": gain.mean, "responses": float(len(responses))}
+    if len(responses) > 1:
+        figures |= {"gain_low": gain.low, "gain_high": gain.high}
     if obstacle is not None:
         return Verdict(False, obstacle, figures)
     if not change <= max(settings.change_limit, _LIKE * usual):
@@ -131,7 +141,6 @@ def judge(
                 f"{needed:.3g} A, limit {settings.change_limit:.3g} A)"
             )
             return Verdict(False, reason, figures)
-    least = cost if settings.margin is None else settings.margin
     accepted, reason = _decide(ours, theirs, gain, evidence, settings, least)
     return Verdict(accepted, reason, figures)
 

@@ -1,37 +1,50 @@
-"""Identify the response matrix from the loop's own transitions: Bayesian, recursive, unbiased.
+"""Identify the response matrix from the loop's own transitions: Bayesian, unbiased, all at once.
 
-Innovations of the prefilter (`orbitfb.models.filter`) are a linear regression on the
-prefiltered changes φ. Each row of UᵀR is normal with a covariance P, walks at random by Q per
-tick, and is updated block by block in information form:
-
-    P ← P + B Q,   P⁺ = (P⁻¹ + Φᵀ Φ / S)⁻¹,   R̂ ← R̂ + Eᵀ Φ P⁺ / S
-
-with S the innovation variance. Rows move only along directions that were excited, the past is
-forgotten at the rate Q, and the covariance says what is not known.
+The difference of two readings is R a + creep + ground + the reading noise of both. In the sine
+transform of an unbroken stretch that noise is independent from frequency to frequency, so that R̂ is
+a weighted regression there (`orbitfb.estimation.statistics`): 511 rows make a chunk, a chunk is a
+sum, and R̂ with its covariance follows from the sums by one factorisation for every level of the
+noise. The weights of the regression are those of the likelihood, under which the noise that a
+feedback writes into its own changes does no harm.
 
 While R drifts under setpoints c that stay, the orbit creeps by (dR/dt) c per tick, and the loop
 answers with changes that creep as well. Without a term for it, R̂ of those changes would tend to
-zero, for together they move nothing. So every row has one more coefficient, the creep of its
+zero, for together they move nothing. So every row of UᵀR has one more coefficient, the creep of its
 mode in metres per tick, whose regressor is 1.
+
+How long rows count, the rows themselves say (`orbitfb.models.belief`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
+from orbitfb.estimation.statistics import (
+    LONGEST,
+    StepPosterior,
+    StepSpectrum,
+    StepStatistics,
+)
 from orbitfb.models.absorbed import Absorbed, total
-from orbitfb.models.comparison import Comparison, Contrast
-from orbitfb.models.filter import Carry, PrefilterBank
+from orbitfb.models.belief import Likelihoods, make_beliefs
+from orbitfb.models.comparison import Contrast
+from orbitfb.models.contrasts import Contrasts
+from orbitfb.models.filter import ground_ratio
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.noise import LADDER, NoiseEstimate
+from orbitfb.models.prediction import Sums, no_sums, sums_of
 from orbitfb.models.rows import Rows
 from orbitfb.models.settings import IdentifySettings
 
-_MANY_KICKS = 0.1
+_USUAL_KICKS = 0.1
+"""Kicks per tick that are the orbit's [1]."""
+_MANY_KICKS = 3.0
+"""Kicks beyond those that say that R is not what it was."""
 _WIDENINGS = 12
+_NO_SURPRISE = 2.0
+"""Mean squared normalised difference of rows that a prior explains, with room for their scatter."""
 
 
 class Identifier:
@@ -51,30 +64,22 @@ class Identifier:
                 f"the first response matrix (shape {response.shape}) must be a finite matrix "
                 "that is not zero; compute or measure it again"
             )
-        rows, columns = response.shape
-        relative = response.T @ response / rows
-        self._prior = settings.prior_entry**2 * np.eye(columns)
-        self._prior += settings.prior_relative**2 * relative
-        self._drift = settings.drift_entry**2 * np.eye(columns)
-        self._drift += settings.drift_relative**2 * relative
-        if not np.any(self._prior):
-            raise EstimationError(
-                "prior_entry and prior_relative are both 0: nothing can be learnt"
-            )
-        self._prior += 1e-12 * np.trace(self._prior) / columns * np.eye(columns)
-        self._prior = _bordered(self._prior, settings.creep**2)
-        self._drift = _bordered(self._drift, settings.creep**2 / settings.creep_memory)
         self._settings = settings
         self._modes = np.linalg.svd(response)[0]
-        self._rows = _with_creep(self._modes.T @ response)
-        self._covariances = np.repeat(self._prior[None], len(LADDER), axis=0)
-        self._bank = PrefilterBank(LADDER)
-        self._carry = self._bank.start(columns + 1 + rows)
+        self._first = _with_creep(self._modes.T @ response)
+        modes = len(response)
+        self._beliefs = make_beliefs(response, settings)
+        self._likely = Likelihoods(len(self._beliefs), settings.memory)
         self._noise = NoiseEstimate(
-            rows, settings.reading_noise, settings.ground, settings.noise_memory, 50.0
+            modes, settings.reading_noise, settings.ground, settings.noise_memory, 50.0
         )
+        self._contrasts = Contrasts(settings)
+        self._squares, self._counted = np.zeros((len(LADDER), modes)), 0.0
+        self._chosen = 0
+        self._theirs: Vector | None = None
         self._last_tick: int | None = None
-        self._comparison: Comparison | None = None
+        self._kicks, self._interrupted, self._seen = 0.0, False, 0
+        self._begin_tail()
 
     @property
     def last_tick(self) -> int | None:
@@ -82,20 +87,27 @@ class Identifier:
         return self._last_tick
 
     @property
+    def drift(self) -> int:
+        """Which drift R̂ allows for: 0 a slow one, 1 a quick one."""
+        return self._chosen
+
+    @property
     def model(self) -> LinearModel:
         """The estimate as it stands, copied."""
+        posterior = self._latest or self._solve_latest()
+        rows = self._first + posterior.rows
         return LinearModel(
-            response=self._modes @ self._rows[:, :-1],
+            response=self._modes @ rows[:, :-1],
             modes=self._modes,
             levels=self._noise.levels.copy(),
-            covariances=self._covariances[:, :-1, :-1].copy(),
+            covariances=posterior.covariances[:, :-1, :-1].copy(),
             reading_variance=self._noise.reading_variance,
             ground_variances=self._noise.ground_variances,
-            creep=self._rows[:, -1].copy(),
+            creep=rows[:, -1].copy(),
         )
 
     def absorb(self, rows: Rows, other: Vector | None = None) -> Absorbed:
-        """Take rows in, block by block.
+        """Take rows in.
 
         Args:
             rows: What `select_rows` let through, later than all rows before.
@@ -103,178 +115,188 @@ class Identifier:
         """
         if not len(rows):
             return Absorbed(0, 0, float("nan"), float("nan"), float("nan"))
-        other_rows = self._rows.copy()
+        theirs = self._believed
         if other is not None:
-            other_rows[:, :-1] = self._modes.T @ other
-        self._compare_with(None if other is None else other_rows[:, :-1])
+            theirs = _with_creep(self._modes.T @ other)
+        if self._theirs is None or not np.array_equal(theirs, self._theirs):
+            self._theirs, self._sums = theirs, None
+        self._contrasts.compare_with(None if other is None else self._modes.T @ other)
         starts = rows.starts.copy()
         starts[0] = self._last_tick is None or rows.tick[0] != self._last_tick + 1
         rows = replace(rows, starts=starts)
-        size = self._settings.block
-        pieces = [
-            self._absorb_block(rows.take(begin, begin + size), other_rows)
-            for begin in range(0, len(rows), size)
-        ]
+        pieces: list[Absorbed] = []
+        begin = 0
+        while begin < len(rows):
+            # R̂ is made anew before it lags behind what the rows have told.
+            longest = max(self._settings.block, self._seen // 2)
+            end = begin + min(longest - self._unsolved, LONGEST - len(self._changes))
+            pieces.append(self._absorb_piece(rows.take(begin, end), theirs))
+            begin = end
+            if len(self._changes) >= LONGEST:
+                self._close_tail()
+            elif self._unsolved >= longest:
+                self._solve()
         return total(pieces)
 
-    def _compare_with(self, other: Vector | None) -> None:
-        """Begin a comparison with another response; one that goes on keeps what it has learnt."""
-        if other is None:
-            self._comparison = None
-        elif self._comparison is None or not np.array_equal(self._comparison.response, other):
-            self._comparison = Comparison(other, self._settings, self._comparison)
-
-    def _absorb_block(self, rows: Rows, other: Vector) -> Absorbed:
+    def _absorb_piece(self, rows: Rows, theirs: Vector) -> Absorbed:
         first, last = int(rows.tick[0]), int(rows.tick[-1])
         elapsed = last - (first - 1 if self._last_tick is None else self._last_tick)
-        self._covariances += elapsed * self._drift
-        kicks, interrupted = 0, False
-        block = self._filter(rows)
-        while (kicked := block.chi2 > self._settings.kick_chi2).any():
-            if kicks >= max(3.0, _MANY_KICKS * elapsed) or len(rows) == 1:
-                block = self._reopen(rows)
-                break
-            worst = int(np.argmax(kicked))
-            kicks += 1
-            interrupted = interrupted or worst + 1 == len(rows)
-            rows = rows.without(worst)
-            block = self._filter(rows)
-        self._carry = Carry(block.carry.columns, 0) if interrupted else block.carry
+        for belief in self._beliefs:
+            belief.pass_ticks(elapsed)
         self._last_tick = last
-        absorbed = self._score(block, rows, other, kicks)
-        self._noise.absorb(block.squares, block.counted)
-        self._update(block)
-        return absorbed
-
-    def _reopen(self, rows: Rows) -> "_Block":
-        """Widen the uncertainty until the rows are no surprise: R is not what it was."""
-        block = self._filter(rows)
-        for _ in range(_WIDENINGS):
-            if np.median(block.chi2) < self._settings.kick_chi2:
-                break
-            self._covariances *= 4.0
-            block = self._filter(rows)
-        return block
-
-    def _filter(self, rows: Rows) -> "_Block":
-        """Filter a block and find its innovations before it has taught anything."""
+        rows, kicks = self._without_kicks(rows, elapsed)
+        if not len(rows):
+            return Absorbed(0, kicks, 0.0, 0.0, 0.0)
         changes = np.column_stack([rows.change, np.ones(len(rows))])
-        columns = changes.shape[1]
-        expected = changes @ (self._modes @ self._rows).T
-        difference = np.where(rows.valid, rows.difference, expected) @ self._modes
-        both = np.concatenate([changes, difference], axis=1)
-        filtered, weights, carry = self._bank.run(both, rows.starts, self._carry)
-        filtered *= weights[:, :, None]
-        regressors, responses = filtered[:, :, :columns], filtered[:, :, columns:]
-        innovations = responses - regressors @ self._rows.T
-        variances = self._noise.innovation_variances
-        constant, creeps = regressors[:, :, -1], self._covariances[:, -1, :]
-        doubts = np.einsum("gtm,gtm->gt", regressors @ self._covariances, regressors)
-        # The noise is learnt from rows that R̂ predicts well. The creep is left out of that: its
-        # prior is wide, and where nothing creeps it would explain a part of the noise.
-        with_creep = 2.0 * (regressors @ creeps[:, :, None])[:, :, 0] * constant
-        doubts_of_r = doubts - with_creep + constant**2 * creeps[:, -1:]
-        certain = variances[:, None] / (variances[:, None] + np.maximum(doubts_of_r, 0.0))
-        levels = self._noise.levels
-        own = innovations[levels, :, np.arange(len(levels))]
-        total = (variances[:, None] + doubts)[levels]
-        chi2 = np.mean(own**2 / total, axis=0)
-        known = (certain[levels].mean(axis=0) > 0.5) & (chi2 < self._settings.kick_chi2)
-        squares = np.einsum("gtn,gt,t->gn", innovations**2, certain, known)
-        return _Block(
-            regressors, responses, innovations, own, total, chi2, squares, float(known.sum()), carry
-        )
-
-    def _score(self, block: "_Block", rows: Rows, other: Vector, kicks: int) -> Absorbed:
-        levels = self._noise.levels
-        variances = self._noise.innovation_variances[levels]
-        theirs = np.empty_like(block.own)
-        for level in np.unique(levels):
-            members = levels == level
-            theirs[members] = (
-                block.responses[level][:, members] - block.regressors[level] @ other[members].T
-            ).T
-        constant = block.regressors[levels, :, -1]
-        theirs = _without_creep(theirs, constant)
-        own = _without_creep(block.own, constant)
-        chi2_other = theirs**2 / variances[:, None]
-        evidence = 0.5 * float(np.sum((theirs**2 - own**2) / block.total))
-        moved = self._rows[:, :-1] @ rows.dither.T
+        differences = self._differences(rows, changes)
+        pull, information = self._ask_dither(rows, changes, differences)
+        before = self._sums if self._sums is not None else self._sum_up(theirs)
+        self._changes = np.concatenate([self._changes, changes])
+        self._steps = np.concatenate([self._steps, differences - changes @ self._first.T])
+        self._starts = np.concatenate([self._starts, rows.starts])
+        self._spectrum = StepSpectrum.of(self._changes, self._steps, self._starts)
+        self._sums = self._sum_up(theirs)
+        self._latest = None
+        self._unsolved += len(rows)
+        self._seen += len(rows)
+        said = self._sums - before
+        self._likely.follow(said.densities, len(rows))
+        self._squares += np.maximum(said.squares, 0.0)
+        self._counted += max(said.counted, 0.0)
         return Absorbed(
             rows=len(rows),
             kicks=kicks,
-            chi2=float(block.chi2.mean()),
-            chi2_other=float(chi2_other.mean()),
-            nats=evidence / max(len(rows), 1),
-            dither_pull=float(np.sum(moved * block.own / variances[:, None])),
-            dither_information=float(np.sum(moved**2 / variances[:, None])),
-            contrasts=self._contrast(block),
+            chi2=said.chi2 / len(rows),
+            chi2_other=said.chi2_other / len(rows),
+            nats=said.nats / len(rows),
+            dither_pull=pull,
+            dither_information=information,
+            contrasts=self._contrast(rows, differences),
         )
 
-    def _contrast(self, block: "_Block") -> tuple[Contrast, ...]:
-        if self._comparison is None:
-            return ()
-        return (self._comparison.absorb(block.regressors[:, :, :-1], block.responses),)
+    def _contrast(self, rows: Rows, differences: Vector) -> tuple[Contrast, ...]:
+        return self._contrasts.absorb(rows.change, differences, rows.starts)
 
-    def _update(self, block: "_Block") -> None:
-        levels = self._noise.levels
-        variances = self._noise.innovation_variances
-        for level, regressor in enumerate(block.regressors):
-            members = levels == level
-            after, gain = _posterior(self._covariances[level], regressor, variances[level])
-            self._rows[members] += block.innovations[level][:, members].T @ gain
-            self._covariances[level] = after
+    def _differences(self, rows: Rows, changes: Vector) -> Vector:
+        """Differences in modes, shape (T, n) [m]; what is not valid does what R̂ expects."""
+        expected = changes @ (self._modes @ self._believed).T
+        return np.where(rows.valid, rows.difference, expected) @ self._modes
 
+    @property
+    def _believed(self) -> Vector:
+        """Rows of UᵀR̂ and the creep as last solved, shape (n, m + 1)."""
+        return self._first + self._beliefs[self._chosen].posterior.rows
 
-def _posterior(before: Vector, regressor: Vector, variance: float) -> tuple[Vector, Vector]:
-    """Give P⁺, shape (k, k), and what the innovations of T rows are worth, Φ P⁺ / S, (T, k).
+    def _surprise(self, rows: Rows) -> Vector:
+        """Mean squared difference from what was expected over its variance, by row, shape (T,)."""
+        changes = np.column_stack([rows.change, np.ones(len(rows))])
+        left = self._differences(rows, changes) - changes @ self._believed.T
+        covariances = self._beliefs[self._chosen].posterior.covariances
+        shares = np.bincount(self._noise.levels, minlength=len(LADDER)) / len(left[0])
+        doubt = np.sum((changes @ np.tensordot(shares, covariances, axes=1)) * changes, axis=1)
+        return np.mean(left**2 / (self._plain_variance() + doubt[:, None]), axis=1)
 
-    In covariance form, P⁺ = P − P Φᵀ (S I + Φ P Φᵀ)⁻¹ Φ P, where there are fewer rows than
-    coefficients; in information form otherwise.
-    """
-    count, size = regressor.shape
-    if count < size:
-        seen = regressor @ before
-        factor = np.linalg.cholesky(seen @ regressor.T + variance * np.eye(count))
-        root = solve_triangular(factor, seen, lower=True, check_finite=False)
-        gain = solve_triangular(factor, root, lower=True, trans=1, check_finite=False)
-        return before - root.T @ root, gain
-    information = regressor.T @ regressor / variance
-    after = np.linalg.solve(np.eye(size) + before @ information, before)
-    after = 0.5 * (after + after.T)
-    return after, regressor @ after / variance
+    def _plain_variance(self) -> Vector:
+        """Variance of a difference of readings in every mode when R is known, shape (n,) [m²]."""
+        return self._noise.reading_variance * (2.0 + ground_ratio(LADDER)[self._noise.levels])
 
+    def _without_kicks(self, rows: Rows, elapsed: int) -> tuple[Rows, int]:
+        """Leave out rows that nothing explains; where they are many, R is not what it was."""
+        if self._interrupted:
+            rows.starts[0] = True
+        kicked = self._surprise(rows) > self._settings.kick_chi2
+        self._interrupted = bool(kicked[-1])
+        self._kicks = max(0.0, self._kicks + float(kicked.sum()) - _USUAL_KICKS * elapsed)
+        if self._kicks >= _MANY_KICKS:
+            self._reopen(rows)
+            return rows, 0
+        for index in np.flatnonzero(kicked)[::-1]:
+            rows = rows.without(int(index))
+        return rows, int(kicked.sum())
 
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """A filtered block: by level (G, T, ·), by mode (n, T), by row (T,)."""
+    def _reopen(self, rows: Rows) -> None:
+        """Forget the rows before, and widen the prior until these are no surprise."""
+        self._first = self._believed.copy()
+        self._kicks, self._interrupted, self._seen = 0.0, False, 0
+        self._begin_tail()
+        for widening in 4.0 ** np.arange(_WIDENINGS + 1):
+            for belief in self._beliefs:
+                belief.forget(float(widening))
+            if np.median(self._surprise(rows)) < _NO_SURPRISE:
+                return
 
-    regressors: Vector
-    responses: Vector
-    innovations: Vector
-    own: Vector
-    total: Vector
-    chi2: Vector
-    squares: Vector
-    counted: float
-    carry: Carry
+    def _ask_dither(self, rows: Rows, changes: Vector, differences: Vector) -> tuple[float, float]:
+        """Correlate what R̂ does not explain with what it says the dither did."""
+        if not rows.dither.any():
+            return 0.0, 0.0
+        moved = rows.dither @ self._believed[:, :-1].T
+        left = differences - changes @ self._believed.T
+        variance = self._plain_variance()
+        return float(np.sum(moved * left / variance)), float(np.sum(moved**2 / variance))
 
+    def _sum_up(self, theirs: Vector) -> Sums:
+        if self._spectrum is None:
+            return no_sums(len(self._first), len(self._beliefs))
+        return sums_of(
+            self._spectrum,
+            [belief.posterior for belief in self._beliefs],
+            self._chosen,
+            theirs - self._first,
+            self._noise,
+            self._settings.kick_chi2,
+        )
 
-def _bordered(covariance: Vector, creep: float) -> Vector:
-    """Add the variance of the creep as the last coefficient."""
-    size = len(covariance)
-    whole = np.zeros((size + 1, size + 1))
-    whole[:size, :size] = covariance
-    whole[size, size] = creep
-    return whole
+    def _begin_tail(self) -> None:
+        """Begin a chunk."""
+        modes, columns = self._first.shape
+        self._changes = np.zeros((0, columns))
+        self._steps = np.zeros((0, modes))
+        self._starts = np.zeros(0, dtype=np.bool_)
+        self._spectrum: StepSpectrum | None = None
+        self._sums: Sums | None = None
+        self._latest: StepPosterior | None = None
+        self._unsolved = 0
+
+    def _tail(self) -> StepStatistics:
+        statistics = StepStatistics(self._first.shape[1], len(self._first))
+        if self._spectrum is not None:
+            statistics.take(self._spectrum)
+        return statistics
+
+    def _close_tail(self) -> None:
+        """Take a whole chunk in for good; the next one begins with an orbit that is not known."""
+        statistics = self._tail()
+        for belief in self._beliefs:
+            belief.close(statistics)
+        self._begin_tail()
+        self._solve()
+
+    def _learn_noise(self) -> None:
+        """Learn the noise from the rows since it was learnt last."""
+        if self._counted > 0.0:
+            self._noise.absorb(self._squares, self._counted)
+            self._squares, self._counted = np.zeros_like(self._squares), 0.0
+            self._sums = None
+
+    def _solve_latest(self) -> StepPosterior:
+        """Find the chosen posterior of all rows; what is predicted with stays as it is."""
+        self._learn_noise()
+        noise = self._noise
+        belief = self._beliefs[self._chosen]
+        self._latest = belief.solve(self._tail(), noise.levels, noise.reading_variance)
+        return self._latest
+
+    def _solve(self) -> None:
+        """Learn the noise, then R under every belief, for what is predicted from now on."""
+        self._learn_noise()
+        tail, noise = self._tail(), self._noise
+        for belief in self._beliefs:
+            belief.posterior = belief.solve(tail, noise.levels, noise.reading_variance)
+        self._chosen, self._sums = self._likely.best, None
+        self._latest = self._beliefs[self._chosen].posterior
+        self._unsolved = 0
 
 
 def _with_creep(rows: Vector) -> Vector:
     """Add a creep of zero to every row."""
     return np.column_stack([rows, np.zeros(len(rows))])
-
-
-def _without_creep(innovations: Vector, constant: Vector) -> Vector:
-    """Take out of each mode's innovations, shape (n, T), what a creep of its own would explain."""
-    share = np.sum(innovations * constant, axis=1) / np.sum(constant**2, axis=1)
-    return innovations - share[:, None] * constant

@@ -41,7 +41,19 @@ class IdentifySettings(Settings):
     creep_memory: float = Field(
         default=2000.0, gt=0.0, description="Ticks in which the creep is renewed [ticks]."
     )
-    block: int = Field(default=100, ge=1, le=5000, description="Rows that one update takes in [1].")
+    memory: float = Field(
+        default=2000.0,
+        gt=0.0,
+        description="Rows after which a row counts 1/e while R drifts; R begins to drift, or comes "
+        "to rest, about once in so many [1].",
+    )
+    block: int = Field(
+        default=50,
+        ge=1,
+        le=511,
+        description="Rows that are predicted before R̂ is made anew, at least; else as many as half "
+        "of those before [1].",
+    )
     kick_chi2: float = Field(
         default=25.0,
         gt=1.0,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orbitfb.learn.forecast import Prediction, paired_gain, predict_loop, student
+from orbitfb.learn.forecast import Prediction, paired_gain, predict_loop, predict_pairs, student
 from orbitfb.learn.judge import Evidence, gain_of, judge, needed_change
 from orbitfb.learn.settings import JudgeSettings
 from orbitfb.models.linear import LinearModel
@@ -184,3 +184,15 @@ def test_the_interval_is_that_of_one_more_response():
     assert student(5) == pytest.approx(2.5706, abs=1e-4)
     one = paired_gain(Prediction(1.0, 0.5, np.ones(1)), Prediction(2.0, 0.5, np.ones(1)))
     assert one.low == -np.inf  # one response resolves nothing
+
+
+def test_one_response_on_which_a_gain_does_not_pay_decides_where_it_must_be_resolved():
+    """No further response is drawn, and the interval would have said the same."""
+    responses = [scale * 1e-3 * np.eye(4) for scale in (1.0, 0.5, 1.1, 0.9)]
+    ours, theirs = 500.0 * np.eye(4), 600.0 * np.eye(4)
+    arguments = (ours, theirs, model(1e-3 * np.eye(4)), 64)
+    few, *_ = predict_pairs(*arguments, iter(responses), 0.03)
+    every, mine, others = predict_pairs(*arguments, iter(responses), None)
+    assert len(every) == 4
+    assert len(few) < 4
+    assert paired_gain(mine, others).low < 0.03

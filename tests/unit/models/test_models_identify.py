@@ -6,7 +6,7 @@ import pytest
 from orbitfb.core.errors import EstimationError
 from orbitfb.evaluate.simulate import ClosedLoop
 from orbitfb.models.filter import ground_ratio
-from orbitfb.models.identify import Identifier, _posterior
+from orbitfb.models.identify import Identifier
 from orbitfb.models.linear import excited_gain
 from orbitfb.models.naive import naive_least_squares
 from orbitfb.models.noise import LADDER
@@ -70,8 +70,10 @@ def test_equals_the_posterior_of_generalised_least_squares():
         before = np.append(model.modes[:, mode] @ start, 0.0)
         residual = differences @ model.modes[:, mode] - design @ before
         after = before + covariance @ design.T @ np.linalg.solve(noise, residual)
-        assert np.allclose(model.modes[:, mode] @ model.response, after[:-1], rtol=1e-6, atol=1e-9)
-        assert np.allclose(model.covariances[level], covariance[:-1, :-1], rtol=1e-6, atol=1e-14)
+        sigma = np.sqrt(np.diag(covariance)[:-1])
+        found = model.modes[:, mode] @ model.response
+        assert np.all(np.abs(found - after[:-1]) < 0.05 * sigma)
+        assert np.allclose(model.covariances[level], covariance[:-1, :-1], rtol=0.02, atol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +91,7 @@ def test_closed_loop_estimate_is_unbiased_and_knows_how_sure_it_is(quiet):
     identifier = Identifier(first, STILL)
     absorbed = identifier.absorb(select_rows(loop.transitions(), 1e-6))
     model = identifier.model
-    assert excited_gain(model.response, truth, loop.applied(300)) == pytest.approx(1.0, abs=0.05)
+    assert excited_gain(model.response, truth, loop.applied(300)) == pytest.approx(1.0, abs=0.02)
     errors = model.normalised_errors(truth)
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.1)
     assert np.mean(np.abs(errors) < 2.0) > 0.94
@@ -115,19 +117,6 @@ def test_naive_estimate_solves_least_squares(apart):
     estimate = naive_least_squares(rows_of(changes, differences))
     expected = np.linalg.pinv(changes) @ differences
     np.testing.assert_allclose(estimate.T, expected, rtol=1e-5, atol=1e-9)
-
-
-@pytest.mark.parametrize("rows", [4, 40])
-def test_an_update_by_rows_is_that_by_coefficients(rows):
-    """P⁺ = (P⁻¹ + ΦᵀΦ / S)⁻¹, with fewer rows than coefficients and with more."""
-    rng = np.random.default_rng(5)
-    root = 1e-4 * rng.standard_normal((9, 9))
-    before, regressor, variance = root @ root.T, 2e-3 * rng.standard_normal((rows, 9)), 4e-14
-    after, gain = _posterior(before, regressor, variance)
-    expected = np.linalg.inv(np.linalg.inv(before) + regressor.T @ regressor / variance)
-    scale = np.abs(expected).max()
-    np.testing.assert_allclose(after, expected, rtol=1e-5, atol=1e-6 * scale)
-    np.testing.assert_allclose(gain, regressor @ expected / variance, rtol=1e-3, atol=1e-3)
 
 
 def test_naive_needs_enough_rows(quiet):
@@ -229,3 +218,40 @@ def test_refuses_what_cannot_be_a_prior():
         Identifier(np.full((3, 3), np.nan), STILL)
     with pytest.raises(EstimationError, match="both 0"):
         Identifier(np.eye(3), IdentifySettings(prior_entry=0.0, prior_relative=0.0))
+
+
+def test_a_ring_at_rest_is_not_taken_for_one_that_drifts_quickly():
+    response = small_response()
+    changes, differences = open_loop(response, 1500, 9, size=3e-4)
+    identifier = Identifier(response, IdentifySettings())
+    identifier.absorb(rows_of(changes, differences))
+    assert identifier.drift == 0
+
+
+def test_a_quick_drift_is_noticed_and_followed():
+    response = small_response()
+    count = 4000
+    changes, differences = open_loop(response, count, 10, size=3e-4)
+    end = response + 0.6 * small_response()[::-1]
+    share = np.arange(count) / count
+    differences += share[:, None] * (changes @ (end - response).T)
+    identifier = Identifier(response, IdentifySettings())
+    identifier.absorb(rows_of(changes, differences))
+    assert identifier.drift == 1
+    before = np.linalg.norm(response - end)
+    assert np.linalg.norm(identifier.model.response - end) < 0.5 * before
+
+
+def test_rows_speak_of_the_response_that_is_asked_about_now():
+    """Another incumbent in the middle of a chunk: its rows are compared with it alone."""
+    response = small_response()
+    changes, differences = open_loop(response, 200, 11)
+    rows = rows_of(changes, differences)
+    settings = STILL.model_copy(update={"block": 511})
+    switched, straight = Identifier(response, settings), Identifier(response, settings)
+    switched.absorb(rows.take(0, 100), 1.5 * response)
+    straight.absorb(rows.take(0, 100), 1.01 * response)
+    one = switched.absorb(rows.take(100), 1.01 * response)
+    other = straight.absorb(rows.take(100), 1.01 * response)
+    assert one.nats == pytest.approx(other.nats, rel=1e-6)
+    assert one.nats > 0.0

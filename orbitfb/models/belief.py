@@ -1,0 +1,157 @@
+"""What is believed about R if it drifts slowly, and what if quickly; which is likelier.
+
+Beliefs are posteriors of one regression (`orbitfb.estimation.statistics`) around the first R̂. They
+differ in the size of the drift Q per tick, and so in what old rows are worth: the prior grows by Q
+per tick, a row counts 1/e after `memory` rows, and on average R has moved by Q over half of the
+memory since the rows that count. A ring that seems to rest is not believed to rest for ever: a kick
+that was answered once tells some directions so well that nothing since has tested them.
+
+Each predicts the next rows before they are used. The logarithms of their probabilities move by the
+log densities of these; besides, R may change its ways once in `memory` rows (the forward recursion
+of a hidden Markov chain, L. Rabiner, Proc. IEEE 77 (1989) 257). So the forgetting follows what was
+measured: a ring at rest is known better with every row for long, and little that the noise alone
+does to R̂ asks for another policy.
+"""
+
+import numpy as np
+
+from orbitfb.core.errors import EstimationError
+from orbitfb.core.signals import Vector
+from orbitfb.estimation.statistics import (
+    StepPosterior,
+    StepStatistics,
+    node_weights,
+    solve,
+)
+from orbitfb.estimation.transform import Indices
+from orbitfb.models.filter import ground_ratio
+from orbitfb.models.noise import LADDER
+from orbitfb.models.settings import IdentifySettings
+
+WEIGHTS = node_weights(ground_ratio(LADDER))
+"""Of the nodes of λ at every level of the ladder, shape (levels, nodes)."""
+
+SLOW = 1 / 8
+"""Slow drift over the quick one, rms [1]: with the defaults 1.25 % in 10,000 ticks, what
+temperatures do to gains and optics of a healthy ring in a quarter of an hour, which a loop at its
+noise floor cannot show."""
+
+
+class Belief:
+    """The posterior of R − R̂₀ under one assumption about its drift.
+
+    Args:
+        prior: Covariance of a row in the beginning, shape (k, k) [(m/A)²].
+        drift: What a tick adds to it, shape (k, k).
+        modes: Count n.
+        memory: Rows after which a row counts 1/e; inf: it counts for ever.
+
+    Attributes:
+        posterior: What rows are predicted with.
+    """
+
+    def __init__(self, prior: Vector, drift: Vector, modes: int, memory: float) -> None:
+        self._prior, self._drift, self._memory = prior, drift, memory
+        self._modes = modes
+        self.forget(1.0)
+
+    def forget(self, widening: float) -> None:
+        """Begin anew with a prior that is so many times as wide."""
+        self._widened = widening * self._prior
+        self._ticks = 0
+        self._statistics = StepStatistics(len(self._prior), self._modes)
+        rows = np.zeros((self._modes, len(self._prior)))
+        self.posterior = StepPosterior(rows, np.repeat(self._widened[None], len(LADDER), axis=0))
+
+    def pass_ticks(self, count: int) -> None:
+        """Let R drift for some ticks."""
+        self._ticks += count
+
+    def close(self, statistics: StepStatistics) -> None:
+        """Take rows in for good."""
+        self._statistics.fade(float(np.exp(-statistics.rows / self._memory)))
+        self._statistics.add(statistics)
+
+    def solve(self, tail: StepStatistics, levels: Indices, variance: float) -> StepPosterior:
+        """Give the posterior of all rows.
+
+        Args:
+            tail: Of rows that were not taken in for good.
+            levels: Level of every mode, shape (n,).
+            variance: Of the reading noise [m²].
+        """
+        prior = self._widened + self._ticks * self._drift
+        parts = (self._statistics, tail) if tail.rows else (self._statistics,)
+        found = solve(parts, prior, WEIGHTS, levels, variance)
+        moved = 0.5 * min(self._ticks, self._memory) * self._drift
+        return StepPosterior(found.rows, found.covariances + moved)
+
+
+def make_beliefs(response: Vector, settings: IdentifySettings) -> tuple[Belief, ...]:
+    """Say what is believed before there are rows: a slow drift, and a quick one.
+
+    Args:
+        response: R̂₀, shape (n, m) [m/A].
+        settings: Prior, drift, memory.
+
+    Raises:
+        EstimationError: Prior and drift are zero.
+    """
+    modes, columns = response.shape
+    relative = response.T @ response / modes
+    prior = settings.prior_entry**2 * np.eye(columns) + settings.prior_relative**2 * relative
+    drift = settings.drift_entry**2 * np.eye(columns) + settings.drift_relative**2 * relative
+    if not np.any(prior):
+        raise EstimationError("prior_entry and prior_relative are both 0: nothing can be learnt")
+    prior += 1e-12 * np.trace(prior) / columns * np.eye(columns)
+    prior = _bordered(prior, settings.creep**2)
+    drift = _bordered(drift, settings.creep**2 / settings.creep_memory)
+    # The memory goes with 1/√Q, the time in which a scalar Kalman filter forgets.
+    return tuple(
+        Belief(prior, size**2 * drift, modes, settings.memory / size) for size in (SLOW, 1.0)
+    )
+
+
+def _bordered(covariance: Vector, creep: float) -> Vector:
+    """Add the variance of the creep as the last coefficient."""
+    size = len(covariance)
+    whole = np.zeros((size + 1, size + 1))
+    whole[:size, :size] = covariance
+    whole[size, size] = creep
+    return whole
+
+
+class Likelihoods:
+    """How likely every belief is.
+
+    Args:
+        count: How many beliefs; the first is believed at first.
+        memory: Rows in which R changes its ways once.
+
+    Attributes:
+        log: Logarithms of the probabilities, shape (count,) [nats].
+    """
+
+    def __init__(self, count: int, memory: float) -> None:
+        self._memory = memory
+        self.log = np.full(count, -np.log(memory))
+        self.log[0] = np.log1p(-(count - 1) / memory)
+
+    @property
+    def best(self) -> int:
+        """The likeliest belief."""
+        return int(np.argmax(self.log))
+
+    def follow(self, densities: Vector, rows: float) -> None:
+        """Take in what rows say.
+
+        Args:
+            densities: Log density of them under every belief, shape (count,) [nats].
+            rows: How many they are.
+        """
+        likely = self.log + densities
+        likely = np.exp(likely - likely.max())
+        likely /= likely.sum()
+        changed = -float(np.expm1(-rows / self._memory))
+        mixed = (1.0 - changed) * likely + changed * (1.0 - likely) / (len(likely) - 1)
+        self.log = np.log(mixed)
