@@ -46,6 +46,7 @@ def choose(
     gain: Vector,
     dither: Vector,
     mine: Mask,
+    resting: Mask,
     done: Callable[[str], float],
 ) -> Choice:
     """Decide and limit; correctors that would go beyond their limit leave the solution.
@@ -58,6 +59,7 @@ def choose(
         gain: Factor of the policy's change, shape (m,) [1].
         dither: Shape (m,) [A].
         mine: Correctors that the loop moves, shape (m,).
+        resting: Those whose setpoints the policy leaves as they are for now, shape (m,).
         done: Told the phase of the tick that has just ended.
     """
     names = rules.channels.correctors
@@ -67,7 +69,7 @@ def choose(
     rounds, began = 0, done("limit")
     while True:
         asked = guard.policy
-        decision: Decision = guard.decide(checked, state, out)
+        decision: Decision = guard.decide(checked, state, out | resting)
         alarm = alarm or decision.alarm or guard.alarm
         if guard.policy is not asked:
             state = guard.policy.initial_state()
@@ -75,6 +77,8 @@ def choose(
         moves = mine & ~out
         if not moves.all():  # also of a policy that cannot be solved for the others
             change, shaken = np.where(moves, change, 0.0), np.where(moves, dither, 0.0)
+        if resting.any():
+            change = np.where(resting, 0.0, change)
         requested = gain * change + shaken
         done("decide")
         limited = limit(requested, memory.setpoints, rules.limits, names, bounds)

@@ -239,12 +239,15 @@ class Engine:
                 return self._expect(work.nothing, None)
         memory = self.memory
         ramp = ramp_gain(reading.received - memory.since, rules.loop) if closed else 1.0
-        question = self._inquiry.question(memory) if closed else None
+        question = self._inquiry.question(memory, checked) if closed else None
         dither = self._dither.propose(question) if closed else work.nothing
         waits = closed and self._inquiry.waits(memory)
         deciding, gain = self.policy, (0.0 if waits else ramp) * self._adjustments.gain
-        mine = self._mine()
-        choice = choose(guard, checked, memory, rules, gain, dither, mine, work.done)
+        mine, heeded = self._mine(), self._inquiry.heeded(memory, checked)
+        resting = heeded.resting
+        choice = choose(
+            guard, heeded.checked, memory, rules, gain, dither, mine, resting, work.done
+        )
         limited, policy_state = choice.limited, choice.policy_state
         if not limited.verdict.may_act:
             self.move(Event.TRIP, f"policy {deciding.policy_id}: {limited.verdict.reason}")
@@ -252,7 +255,10 @@ class Engine:
         if self.policy is not deciding:
             self.memory = replace(self.memory, policy_state=self.policy.initial_state())
         work.requested, work.dither, work.scale = choice.requested, choice.dither, limited.scale
-        told = "; ".join(filter(None, (checked.verdict.reason, *choice.reasons, WAITS * waits)))
+        doubts = WAITS if waits else heeded.reason
+        if waits:  # what the orbit does meanwhile is not of the loop's doing
+            memory = self.memory = replace(memory, growth=Growth(), answers=Answers())
+        told = "; ".join(filter(None, (checked.verdict.reason, *choice.reasons, doubts)))
         self.memory = remember.note(self.memory, told, may_act=True)
         if not closed:
             return
@@ -263,7 +269,7 @@ class Engine:
             self._dither.settle(limited.scale * choice.dither)
             asked = limited.scale == 1.0 and np.array_equal(choice.dither[mine], dither[mine])
             self._expect(work.applied, question if asked else None)
-            settled = ramp == 1.0 and not waits and choice.settled
+            settled = ramp == 1.0 and not doubts and choice.settled
             if settled and policy_state is not self.memory.policy_state:
                 self.memory = replace(self.memory, policy_state=policy_state)
 

@@ -1,12 +1,13 @@
 """The loop asks whether the orbit answers (`safety.answering`), and heeds what it is told."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
 from orbitfb.loop.guard import Guard
 from orbitfb.loop.memory import LoopMemory, Rules
+from orbitfb.loop.tick import Checked
 from orbitfb.safety.answering import Found, Seen, Sent, interrupted, look, note
 from orbitfb.safety.questions import Question
 from orbitfb.safety.verdict import FINE, Action, Verdict, name_some
@@ -16,6 +17,21 @@ WAITS = "corrects nothing until the orbit has answered what was asked of it"
 
 UNANSWERED = "the orbit does not answer it"
 """Why a corrector is left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heeded:
+    """What the loop acts on.
+
+    Args:
+        checked: The orbit, without what BPMs in doubt say.
+        resting: Correctors that stay where they are, shape (m,).
+        reason: Who has no say; empty when all have.
+    """
+
+    checked: Checked
+    resting: Mask
+    reason: str
 
 
 class Inquiry:
@@ -77,10 +93,31 @@ class Inquiry:
         """Say whether nothing is to be corrected, as too much is owed."""
         return memory.answering.waits(self._settings)
 
-    def question(self, memory: LoopMemory) -> Vector | None:
-        """Draw a question if one is wanted: an excursion, shape (m,) [A]."""
+    def heeded(self, memory: LoopMemory, checked: Checked) -> Heeded:
+        """Let devices in doubt have no say: BPMs do not count, correctors rest.
+
+        Args:
+            memory: Of the loop.
+            checked: The orbit.
+        """
+        doubted, n = memory.answering.doubted(self._settings), len(checked.error)
+        if doubted is None:
+            return Heeded(checked, np.zeros_like(memory.lost), "")
+        names = (*self._names.bpms, *self._names.correctors)
+        reason = f"{name_some(doubted, names)}: not heeded until the orbit has answered"
+        error, valid = np.where(doubted[:n], 0.0, checked.error), checked.valid & ~doubted[:n]
+        return Heeded(replace(checked, error=error, valid=valid), doubted[n:], reason)
+
+    def question(self, memory: LoopMemory, checked: Checked) -> Vector | None:
+        """Draw a question if one is wanted: an excursion, shape (m,) [A].
+
+        Args:
+            memory: Of the loop.
+            checked: The orbit.
+        """
         answering, self._asked = memory.answering, None
-        size = answering.question(self._settings)
+        seen = np.abs(checked.error[checked.valid])
+        size = answering.question(self._settings, float(np.median(seen)) if seen.size else 0.0)
         if size == 0 or answering.ring is None or answering.expected is None:
             return None
         ring = answering.ring

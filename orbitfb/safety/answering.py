@@ -4,7 +4,8 @@ What the loop asks for is added up until the ring, the BPM or the corrector is s
 that comes to `answer_reach`, or nothing was seen to answer for long, the loop asks: it adds small
 random excursions (`questions`) to what it sends until whoever is in doubt has answered, the louder
 the more is at stake. A ring that does not answer trips; a BPM or a corrector that does not is left
-out by name. While the ring as a whole owes as much the loop corrects nothing.
+out by name. While the ring as a whole owes as much the loop corrects nothing; a few devices that
+owe too much have no say, it corrects without them.
 """
 
 from dataclasses import dataclass, field, replace
@@ -37,15 +38,22 @@ SUSPECT = 3.0
 LOUD = 40.0
 """What is at stake over a question [1]: an answer costs a part of 40 of what it is about."""
 
+LOUDEST = 0.1
+"""Largest question over the orbit error [1], where that is large: it adds half a percent to it."""
+
 SETTLED = 20
 """Orbits after which it is known what is usual."""
 
 STAKE = 1.5
-"""Times `answer_reach` that a BPM or a corrector, or the correctors together, may owe before the
-loop only asks [1]: half as much again for the time that asking takes."""
+"""Times `answer_reach` that a BPM or a corrector, or the correctors together, may owe before it has
+no say [1]: half as much again for the time that asking takes."""
+
+FEW = 0.05
+"""Share of the devices that may have no say at once [1]: a cell of both kinds. If more owe as much
+the loop waits for their answers instead, as the rest could not hold the orbit."""
 
 GRACE = 30
-"""Orbits of asking before the loop waits for the answers of single devices: a kick is corrected
+"""Orbits of asking before the loop waits for the answers of devices: a kick is corrected
 meanwhile. For the first answer of the ring it waits at once: that comes in a few orbits."""
 
 HALF = 0.5
@@ -134,17 +142,42 @@ class Answering:
     found: int = 0
     gap: int = 0
 
-    def question(self, settings: InterlockSettings) -> float:
-        """Say how large a question is wanted: orbit, rms over the BPMs [m]; 0: none is."""
+    def question(self, settings: InterlockSettings, error: float = 0.0) -> float:
+        """Say how large a question is wanted: orbit, rms over the BPMs [m]; 0: none is.
+
+        Args:
+            settings: How large it may be on a good orbit, and what may be owed.
+            error: Usual size of the orbit error [m].
+        """
         ring, owed, expected = self.ring, self.owed, self.expected
+        reach = settings.answer_reach
         if self.session is None or ring is None or owed is None or expected is None:
             return 0.0
+        if reach is None or settings.answer_question == 0:
+            return 0.0
+        loud = min(LOUDEST * error, HALF * reach)
+        most = max(settings.answer_question, loud)
+        if self.waits(settings):
+            return most
         # A corrector is told by the count of questions, not by how loud they are.
         stake = max(float(np.abs(owed.bpms).max(initial=0.0)), _rms(owed.ring))
-        if not self.session.answered and self.waits(settings):
-            return settings.answer_question
         noise = float(np.median(expected.spread))
-        return min(max(stake / LOUD, noise), settings.answer_question)
+        return min(max(stake / LOUD, noise, loud), most)
+
+    def doubted(self, settings: InterlockSettings) -> Mask | None:
+        """Find the BPMs and correctors that have no say, shape (n + m,); None: all have."""
+        doubted = self._owing(settings)
+        return doubted if doubted is not None and doubted.mean() <= FEW else None
+
+    def _owing(self, settings: InterlockSettings) -> Mask | None:
+        """Find who owes so much that it must have answered by now; None: nobody."""
+        reach, session = settings.answer_reach, self.session
+        if reach is None or self.owed is None or session is None or self.ring is None:
+            return None
+        if session.orbits < GRACE:
+            return None
+        owing = self.owed.sizes(self.ring) > STAKE * reach
+        return owing if owing.any() else None
 
     def waits(self, settings: InterlockSettings) -> bool:
         """Say whether the loop only asks: the ring owes too much."""
@@ -159,9 +192,12 @@ class Answering:
             return True
         if self.ring is None or self.session.orbits < GRACE:
             return False
-        most = float(self.owed.sizes(self.ring).max(initial=0.0))
-        jump = _rms(self.ring.response @ self.owed.correctors)
-        return owes or max(most, jump) > STAKE * reach
+        others, owing = self.owed.correctors, self._owing(settings)
+        if owing is not None:
+            if owing.mean() > FEW:
+                return True
+            others = np.where(owing[-len(others) :], 0.0, others)  # those in doubt rest
+        return owes or _rms(self.ring.response @ others) > STAKE * reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,10 +276,11 @@ def look(seen: Seen, memory: Answering, settings: InterlockSettings) -> tuple[Fo
     surprise = expected.surprise(position, moved)
     sight = Sight(position, valid, surprise, expected.spread, after.recent)
     questions = tuple(item.question for item in memory.sent)
-    whole = ask_ring(session.whole, sight, questions, ring, memory.lag)
-    at = [*questions[memory.lag : memory.lag + 2], None, None]
-    devices = ask_devices(session.devices, sight, at[0], at[1], ring)
-    session = replace(session, whole=whole, devices=devices)
+    if valid.any() and not sight.kicked(questions[: LAGS + 1]):
+        whole = ask_ring(session.whole, sight, questions, ring, memory.lag)
+        at = [*questions[memory.lag : memory.lag + 2], None, None]
+        devices = ask_devices(session.devices, sight, at[0], at[1], ring)
+        session = replace(session, whole=whole, devices=devices)
     return _judge(seen, replace(memory, session=session), session, ring, valid, settings)
 
 

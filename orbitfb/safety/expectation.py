@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.safety.questions import CLIP, Ring
+from orbitfb.safety.questions import CLIP, MEDIAN, Ring
 
 FOLLOWING = 0.4
 """Share of a surprise that the observer takes over [1]: noise of 1.12 times its least size is left,
@@ -26,11 +26,12 @@ MEMORY = 50.0
 """Orbits over which the usual size of a surprise is averaged: long beside a kick, short beside a
 shift."""
 
+KICKED = 2.0
+"""Mean square of a surprise over the usual one that a kick counts as [1]: noise that has really
+grown is known by a factor of two in 35 orbits, kicks of one orbit in five change it by little."""
+
 CALM = 0.5
 """Size of the surprises of one orbit, over the usual one, from which that was too large [1]."""
-
-MEDIAN = 0.455
-"""Median of the square of a normal number [1]."""
 
 LEAST = 1e-9
 """Least usual size of a surprise [m]: no BPM reads finer; a ring without noise has none."""
@@ -99,8 +100,8 @@ class Expectation:
         kicked = _quiet(square[seen], self.power[seen]) > CLIP**2
         following, still = (1.0, 1.0) if kicked else (FOLLOWING, STILL)
         settled = orbits > 2 * CLIP  # before, the first orbits are not known to be usual
-        if settled:
-            square = np.minimum(square, CLIP**2 * self.power)
+        if settled:  # a kick is no noise; if it were, that would be known after a while
+            square = np.minimum(square, (KICKED if kicked else CLIP**2) * self.power)
         power = self.power + max(1.0 / MEMORY, 1.0 / orbits) * (square - self.power)
         quiet = _quiet(square[seen], power[seen])
         if quiet < CALM**2:  # after a kick, or the closing, the whole ring is calm again

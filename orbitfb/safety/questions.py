@@ -40,6 +40,9 @@ below 1 mA for 0.3 µm of orbit."""
 SINGULAR = 1e-6
 """Relative size below which differences between correctors are rounding [1]."""
 
+MEDIAN = 0.455
+"""Median of the square of a normal number [1]."""
+
 CLIP = 4.0
 """Largest deviation from the guess that counts, over its usual size: one kick is one question."""
 
@@ -141,7 +144,26 @@ class Sight:
     @property
     def noise(self) -> Vector:
         """Mean square of the surprise, or that of this orbit if it is larger, shape (n,) [m²]."""
-        return np.maximum(self.spread, np.abs(self.surprise)) ** 2
+        return np.clip(np.abs(self.surprise), self.spread, CLIP * self.spread) ** 2
+
+    def kicked(self, questions: tuple[Question | None, ...]) -> bool:
+        """Say whether something else moved the whole orbit, by far more than usual.
+
+        Such an orbit says nothing, and would drown what others said: neither that the ring
+        answered, nor that it did not, nor that it answered late, explains it.
+
+        Args:
+            questions: That may show, newest first.
+        """
+        asked = [question for question in questions if question is not None]
+        if not asked:
+            return False
+        still = self.position - asked[0].still
+        left = [self.surprise, self.surprise + asked[0].asked, still]
+        left += [still - question.asked for question in asked]
+        return min(float(np.median((part / self.spread)[self.valid] ** 2)) for part in left) > (
+            MEDIAN * CLIP**2
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

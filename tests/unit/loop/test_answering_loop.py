@@ -1,5 +1,7 @@
 """Data that do not answer are never believed: the loop on the simulated ring, and what lies."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from lying import closed_loop
@@ -7,6 +9,8 @@ from lying import closed_loop
 from orbitfb.core.signals import LoopState
 from orbitfb.loop.inquiry import WAITS
 from orbitfb.physics.places import Ring
+from orbitfb.safety.answering import GRACE, Session
+from orbitfb.safety.expectation import Owed
 
 FAR = 20e-6
 """True orbit error that no such fault may reach [m]."""
@@ -88,8 +92,9 @@ def test_a_corrector_that_the_orbit_does_not_answer_is_left_out_by_name(ring):
     bench = Bench(ring, seed=4)
     bench.machine.deaf[77] = True
     name = bench.machine.channels.correctors[77]
-    bench.steps(1500, until=lambda: name in bench.runner.reason)
-    assert f"{name} (the orbit does not answer it)" in bench.runner.reason
+    told = f"{name} (the orbit does not answer it)"
+    bench.steps(1500, until=lambda: told in bench.runner.reason)
+    assert told in bench.runner.reason
     assert bench.runner.state is LoopState.CLOSED
     assert bench.jump() < FAR
 
@@ -148,3 +153,35 @@ def test_a_loop_that_misses_orbits_hears_the_answers_to_what_it_asks(ring, misse
     assert bench.runner.state is LoopState.CLOSED
     assert sum(waits) < 60
     assert not waits[-1]
+
+
+def test_a_ring_that_is_kicked_again_and_again_is_corrected_meanwhile(ring):
+    bench, random = Bench(ring, seed=9), np.random.default_rng(9)
+    squares = []
+    for _ in range(300):
+        if random.random() < 0.2:
+            bench.machine.machine.plant.kick(10e-6)
+        bench.steps(1)
+        squares.append(bench.machine.machine.true_orbit_rms**2)
+    assert bench.runner.state is LoopState.CLOSED
+    assert np.sqrt(np.mean(squares)) < 10e-6
+
+
+def test_devices_in_doubt_have_no_say(ring):
+    bench = Bench(ring, seed=3)
+    engine, n, m = bench.runner._engine, 180, 180
+    owed = Owed.nothing(n, m)
+    owed.correctors[77], owed.bpms[60] = 4.0, 1e-3
+    session = replace(Session.begin(n, m), answered=True, orbits=GRACE)
+    answering = replace(engine.memory.answering, owed=owed, session=session)
+    engine.memory = replace(engine.memory, answering=answering)
+    bench.machine.pattern, bench.machine.blind[60] = 50e-6, True
+    reason = bench.steps(1)
+    names = bench.machine.channels.bpms[60], bench.machine.channels.correctors[77]
+    assert f"{names[0]}, {names[1]}: not heeded until the orbit has answered" in reason
+    last = bench.records[-1]
+    assert last.requested[77] == last.dither[77]
+    feedback = last.requested - last.dither
+    assert np.abs(feedback).max() > 0
+    moved = bench.machine.machine.plant.nominal_response @ feedback
+    assert np.abs(moved).max() < 2e-6  # the BPM that is 50 µm off moves nothing
