@@ -42,6 +42,7 @@ _LOOK: dict[Any, Any] = {
     "svg.hashsalt": "orbitfb",
     "svg.fonttype": "path",
     "font.size": 9,
+    "axes.facecolor": "none",
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.titlesize": 10,
@@ -66,7 +67,7 @@ def picture(caption: str, size: tuple[float, float], paint: Callable[[Figure], N
     buffer = io.BytesIO()
     with mpl.rc_context(_LOOK), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")  # names in scripts without a font
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size, layout="constrained", facecolor="none")
         FigureCanvasSVG(figure)
         paint(figure)
         figure.savefig(buffer, format="svg", metadata={"Date": None})

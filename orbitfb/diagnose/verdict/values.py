@@ -1,12 +1,19 @@
-"""Values of a cause's parameters with intervals."""
+"""Values of a cause's parameters with intervals, from the curvature of the evidence."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
-from orbitfb.diagnose.answer_parts import ParameterValue
+from orbitfb.diagnose.result.parts import ParameterValue
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.effects.kinds import EffectKind
+from orbitfb.diagnose.impact.pieces import Piece
+from orbitfb.diagnose.likelihood.errors import variances
+from orbitfb.effects.kinds import EffectKind, Parameter
+from orbitfb.effects.laws import DeviceLaw, FieldLaw
+from orbitfb.estimation.evidence import NormalTerms
 from orbitfb.estimation.transform import Matrix
 
 _NINETY = 1.645
@@ -18,45 +25,202 @@ _LEAST = 0.02
 _KNOWN_TO = 1.0
 """Relative standard deviation of a value before the record is seen [1]."""
 
+_STEP = 0.02
+"""Step of a value by which its derivative is taken, of the value [1]."""
 
-def values_of(kind: EffectKind, part: Candidate, space: Workspace) -> dict[str, ParameterValue]:
-    """Tell the values of a cause, those of the largest device where each has its own.
+_SHARES = np.geomspace(0.5, 2.0, 9)
+"""Multiples of a scatter at which its evidence is taken for the interval: that of a hundred
+devices is known to a tenth, that of ten to a third."""
+
+Spread = Mapping[str, float]
+"""Relative standard deviations by parameter; those that the record does not bear on are missing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """Tells values with their intervals.
 
     Args:
-        kind: The effect.
-        part: The candidate.
-        space: On which it was found.
+        scorer: Of the record, all causes explained.
     """
-    spread = _relative(kind, part, space)
-    found: dict[str, ParameterValue] = {}
-    for parameter in kind.parameters:
-        if parameter.name not in part.values:
-            continue
-        value = part.values[parameter.name]
-        meaning = kind.meaning(parameter, value, space.signals.record)
-        reach = _NINETY * abs(value) * spread.get(parameter.name, np.nan)
-        known = np.isfinite(reach)
-        found[parameter.name] = ParameterValue(
-            value=value,
-            low=max(value - reach, parameter.low) if known else None,
-            high=min(value + reach, parameter.high) if known else None,
-            unit=parameter.unit,
-            meaning=meaning,
-        )
-    return found
+
+    scorer: Scorer
+
+    def values(
+        self, kind: EffectKind, part: Candidate, pieces: tuple[Piece, ...]
+    ) -> dict[str, ParameterValue]:
+        """Tell the values of a cause; of the largest device, where each has its own.
+
+        Args:
+            kind: The effect.
+            part: The candidate that tells them.
+            pieces: Values of its devices.
+        """
+        spread = self._spread(kind, part)
+        told = _largest(kind, pieces) if not part.raised else dict(part.values)
+        record = self.scorer.space.signals.record
+        return {
+            parameter.name: _told(
+                parameter, told[parameter.name], spread.get(parameter.name),
+                kind.meaning(parameter, told[parameter.name], record),
+            )
+            for parameter in kind.parameters
+            if parameter.name in told
+        }  # fmt: skip
+
+    def _spread(self, kind: EffectKind, part: Candidate) -> Spread:
+        if part.raised:
+            return self._of_scatter(kind, part)
+        if part.columns:
+            return self._of_columns(kind, part)
+        if part.sources:
+            return self._of_courses(kind, part)
+        if part.walk is not None or part.white is not None:
+            return self._of_variance(kind, part)
+        if part.field is not None:
+            return self._of_field(kind, part)
+        return self._of_strikes(kind, part)
+
+    def _of_courses(self, kind: EffectKind, part: Candidate) -> Spread:
+        """Of the first device with values of its own; of all that share them."""
+        fields: dict[str, Matrix] = {}
+        space = self.scorer.space
+        for name, patterns, courses in part.sources[0].columns(kind, space.signals):
+            added = space.transform.spectrum(courses) @ patterns.T
+            fields[name] = fields[name] + added if name in fields else added
+        return self._curved(fields)
+
+    def _curved(self, fields: Mapping[str, Matrix]) -> Spread:
+        """Of relative changes that add fields, all of them free at once."""
+        if not fields:
+            return {}
+        _, information = self.scorer.evaluate(list(fields.values()))
+        covariance = np.linalg.inv(information + np.eye(len(fields)) / _KNOWN_TO**2)
+        spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return dict(zip(fields, map(float, spread), strict=True))
+
+    def _of_field(self, kind: EffectKind, part: Candidate) -> Spread:
+        """Of a law of the whole ring, or of a pair: its size, and values by their derivatives."""
+        space = self.scorer.space
+        laws = [one for one in space.courses.laws(kind) if isinstance(one, FieldLaw)]
+        field = np.asarray(part.field)
+        if any(isinstance(one, DeviceLaw) and one.periodic for one in space.courses.laws(kind)):
+            return self._of_line(kind, part)
+        if not laws:
+            fields = {p.name: field for p in kind.sizes}
+            if len(fields) == 1:
+                return self._curved(fields)
+            size = self._curved({"size": field}).get("size", _KNOWN_TO)
+            return dict.fromkeys(fields, size)
+        now = space.courses.field(laws[0], part.values)
+        fields = {}
+        for parameter in kind.fitted(space.signals.record):
+            value = part.values.get(parameter.name, 0.0)
+            if parameter.meanings or parameter.whole or value == 0.0:
+                continue
+            moved = {**part.values, parameter.name: value * (1.0 + _STEP)}
+            slope = (space.courses.field(laws[0], moved) - now) / _STEP
+            if np.any(slope):
+                fields[parameter.name] = np.asarray(slope, dtype=np.float64)
+        return self._curved(fields)
+
+    def _of_line(self, kind: EffectKind, part: Candidate) -> Spread:
+        """Of a wave at one place: its amplitudes, and its frequency by the phase at the ends."""
+        space = self.scorer.space
+        law = next(one for one in space.courses.laws(kind) if isinstance(one, DeviceLaw))
+        pattern = law.patterns[0][:, list(part.places)]
+        now = law.course(part.values, space.signals)[0]
+        fields: dict[str, Matrix] = {}
+        for parameter in kind.parameters:
+            value = part.values.get(parameter.name, 0.0)
+            if value == 0.0:
+                continue
+            step = _STEP
+            if parameter.unit == "Hz":
+                step = _STEP / max(abs(value) * float(space.signals.record.time[-1]), 1.0)
+            moved = {**part.values, parameter.name: value * (1.0 + step)}
+            slope = (law.course(moved, space.signals)[0] - now) / step
+            own = slope if slope.shape[1] == 1 else slope[:, list(part.places)]
+            fields[parameter.name] = space.transform.spectrum(own) @ pattern.T
+        return self._curved(fields)
+
+    def _of_columns(self, kind: EffectKind, part: Candidate) -> Spread:
+        """Of the device whose value is largest, all other errors free."""
+        errors = self.scorer.errors
+        mean = errors.mean()
+        column = max(part.columns, key=lambda one: abs(mean[one]))
+        used = list(errors.used)
+        if column not in used or mean[column] == 0.0 or kind.linear is None:
+            return {}
+        scale = np.sqrt(errors.variance[used])
+        inner = scale[:, None] * errors.information[np.ix_(used, used)] * scale
+        inner[np.diag_indices_from(inner)] += 1.0
+        unit = np.zeros(len(used))
+        unit[used.index(column)] = scale[used.index(column)]
+        variance = float(unit @ cho_solve(cho_factor(inner, lower=True), unit))
+        return {kind.linear: float(np.sqrt(variance)) / abs(float(mean[column]))}
+
+    def _of_scatter(self, kind: EffectKind, part: Candidate) -> Spread:
+        """Of the standard deviation of all devices: where the evidence falls by 1.35 nats."""
+        space, errors = self.scorer.space, self.scorer.errors
+        number = next(iter(part.raised))
+        evidence = []
+        for share in _SHARES * space.shares[number]:
+            shares = [*space.shares[:number], share, *space.shares[number + 1 :]]
+            variance = np.maximum(variances(space.blocks, shares, len(space.terms)), space.single)
+            evidence.append(NormalTerms(errors.pull, errors.information, variance).evidence())
+        bend = np.polyfit(np.log(_SHARES), evidence, 2, w=np.exp(
+            0.25 * (np.array(evidence) - max(evidence))))[0]  # fmt: skip
+        spread = 1.0 / np.sqrt(2.0 * -bend) if bend < 0.0 else _KNOWN_TO
+        return {} if kind.linear is None else {kind.linear: float(min(spread, _KNOWN_TO))}
+
+    def _of_variance(self, kind: EffectKind, part: Candidate) -> Spread:
+        """Of the size of something random: its information is that of its covariance."""
+        space = self.scorer.space
+        noise, transform = space.noise, space.transform
+        walk = np.zeros_like(noise.walk) if part.walk is None else part.walk
+        white = np.zeros(len(walk)) if part.white is None else part.white
+        parts = [noise.modes.T @ one @ noise.modes for one in (walk, np.diag(white))]
+        information = 0.0
+        for inverse, level, count in zip(
+            noise.inverse_variance(transform), transform.band_levels(), transform.count, strict=True
+        ):
+            half = np.sqrt(inverse)
+            mixed = half[:, None] * (parts[0] + level * parts[1]) * half
+            information += 0.5 * float(count) * float(np.sum(mixed**2))
+        spread = 0.5 / np.sqrt(information + 0.25 / _KNOWN_TO**2)
+        return {kind.parameters[0].name: float(spread)}
+
+    def _of_strikes(self, kind: EffectKind, part: Candidate) -> Spread:
+        """Of what strikes now and then: as the count of strikes scatters."""
+        first = kind.parameters[0].name
+        probability = part.values.get(first, 0.0)
+        space = self.scorer.space
+        places = len(part.places) or len(space.signals.record.layout.bpms)
+        strikes = probability * len(space.transform) * places
+        if first != "probability" or strikes < 1.0:
+            return {}
+        return {p.name: 1.0 / float(np.sqrt(strikes)) for p in kind.parameters}
 
 
-def _relative(kind: EffectKind, part: Candidate, space: Workspace) -> dict[str, float]:
-    """Relative standard deviations of the values that the record bears on, by parameter."""
-    if not part.sources:
-        return {}
-    fields: dict[str, Matrix] = {}
-    for name, patterns, courses in part.sources[0].columns(kind, space.signals):
-        added = space.transform.spectrum(courses) @ patterns.T
-        fields[name] = fields[name] + added if name in fields else added
-    if not fields:
-        return {}
-    _, information = Scorer.of(space).evaluate(list(fields.values()))
-    covariance = np.linalg.inv(information + np.eye(len(fields)) / _KNOWN_TO**2)
-    spread = np.sqrt(np.maximum(np.diag(covariance), _LEAST**2))
-    return dict(zip(fields, map(float, spread), strict=True))
+def _largest(kind: EffectKind, pieces: tuple[Piece, ...]) -> dict[str, float]:
+    """The values of the device whose size is largest."""
+    name = kind.linear
+    if name is None:
+        return dict(pieces[0].values)
+    return dict(max(pieces, key=lambda one: abs(one.values.get(name, 0.0))).values)
+
+
+def _told(
+    parameter: Parameter, value: float, spread: float | None, meaning: str
+) -> ParameterValue:
+    """A value with its interval, within the bounds of its parameter."""
+    reach = None if spread is None else _NINETY * abs(value) * max(spread, _LEAST)
+    return ParameterValue(
+        value=value,
+        low=None if reach is None else max(value - reach, parameter.low),
+        high=None if reach is None else min(value + reach, parameter.high),
+        unit=parameter.unit,
+        at_bound=not parameter.meanings and value in (parameter.low, parameter.high),
+        meaning=meaning,
+    )

@@ -1,0 +1,1 @@
+"""What a diagnosis says: its schema, its words, its files."""

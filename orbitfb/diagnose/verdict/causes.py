@@ -1,0 +1,143 @@
+"""Causes, the tournament and what is left, in the form of the answer."""
+
+from collections.abc import Sequence
+
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.run import Round
+from orbitfb.diagnose.impact.explained import Explained
+from orbitfb.diagnose.impact.pieces import Piece, pieces_of
+from orbitfb.diagnose.result.blocks import (
+    AmbiguousSet,
+    Tournament,
+    TournamentRow,
+    Unknown,
+    WaterfallStep,
+)
+from orbitfb.diagnose.result.naming import devices_and_planes
+from orbitfb.diagnose.result.parts import Cause, PlaceValues
+from orbitfb.diagnose.verdict.named import Named, probabilities
+from orbitfb.diagnose.verdict.state import Judged
+from orbitfb.diagnose.verdict.values import Measured
+from orbitfb.physics.places import Planes
+from orbitfb.records.layout import Layout
+from orbitfb.records.record import Record
+
+_NAMED = 4
+"""Places that a row of the tournament names."""
+
+_WHERE = 12
+"""Devices at which a remainder is said to sit, at most."""
+
+
+def cause_of(one: Named, its: Explained, measured: Measured) -> Cause:
+    """Write a cause.
+
+    Args:
+        one: The cause.
+        its: What all of them add.
+        measured: Tells the values.
+    """
+    record = its.space.signals.record
+    pieces = tuple(piece for part in one.parts for piece in pieces_of(part, its.space, its.sizes))
+    devices, planes = _places(one.names, record.layout)
+    onset = min(piece.onset for piece in pieces)
+    alike = len({(tuple(p.values.items()), p.onset) for p in pieces}) == 1 and len(one.parts) == 1
+    return Cause(
+        effect=one.kind.id,
+        stage=one.kind.stage,
+        places=devices,
+        planes=planes,
+        parameters=measured.values(
+            one.kind, one.parts[0], pieces_of(one.parts[0], its.space, its.sizes)
+        ),
+        probability=one.probability,
+        onset_s=_onset(onset, record),
+        alternatives=tuple(dict.fromkeys((*one.rivals, *one.kind.also_called))),
+        title=one.kind.title,
+        sentence=one.kind.sentence,
+        evidence_nats=one.evidence,
+        scatter=bool(one.parts[0].raised),
+        by_place=() if alike else tuple(_piece(piece, record) for piece in pieces),
+    )
+
+
+def _piece(piece: Piece, record: Record) -> PlaceValues:
+    devices, planes = _places(piece.names, record.layout)
+    return PlaceValues(
+        places=devices, planes=planes, values=dict(piece.values),
+        onset_s=_onset(piece.onset, record),
+    )  # fmt: skip
+
+
+def _places(names: Sequence[str], layout: Layout) -> tuple[tuple[str, ...], Planes]:
+    devices, planes = devices_and_planes(names)
+    return devices, layout.planes[0] if len(layout.planes) == 1 else planes
+
+
+def _onset(row: int, record: Record) -> float | None:
+    return float(record.time[row]) if row else None
+
+
+def ambiguous_sets(causes: Sequence[Named]) -> tuple[AmbiguousSet, ...]:
+    """Effects that the record cannot tell from the first cause."""
+    first = causes[0]
+    return (
+        AmbiguousSet(
+            effects=(first.kind.id, *first.rivals),
+            why="they change this record alike",
+            splits=first.kind.splits,
+        ),
+    )
+
+
+def unknown_of(verdict: Judged, causes: Sequence[Named]) -> Unknown | None:
+    """Tell what is known of what no effect explains."""
+    if verdict.state not in ("unknown", "named_plus_remainder"):
+        return None
+    told = sum(one.evidence for one in causes)
+    places = tuple(one.name for one in verdict.left[:_WHERE])
+    text = ""
+    if places:
+        device = {"bpm": "BPM", "corrector": "corrector"}[verdict.left[0].target]
+        text = (
+            f"What is left follows the motion of {device} {places[0]}, by a law that is not in the "
+            "library."
+        )
+    return Unknown(
+        places=places,
+        text=text,
+        nearest=causes[0].kind.id if causes else "",
+        nearest_nats=causes[0].evidence if causes else None,
+        explained=told / (told + verdict.nats) if told else 0.0,
+    )
+
+
+def tournament_of(rounds: Sequence[Round], accepted: Sequence[Candidate]) -> Tournament:
+    """Write the first round: every effect at its best places, the best first."""
+    first = rounds[0]
+    chances = probabilities(first.candidates)
+    found = {one.kind.id for one in accepted}
+    rows: dict[str, TournamentRow] = {}
+    for one in first.candidates:
+        if one.kind.id not in rows:
+            rows[one.kind.id] = TournamentRow(
+                effect=one.kind.id,
+                places=", ".join(one.names[:_NAMED]) or "all",
+                nats=one.evidence,
+                probability=chances[one.kind.id],
+                accepted=one.kind.id in found,
+            )
+    free = first.free[0].evidence if first.free else None
+    return Tournament(rows=tuple(rows.values()), free_nats=free)
+
+
+def waterfall_of(
+    causes: Sequence[Named], shares: Sequence[float], whole: float, ticks: int
+) -> tuple[WaterfallStep, ...]:
+    """Tell what is left of the gap as one cause after the other joins the model [nats/tick]."""
+    steps = [WaterfallStep(label="nominal model", left_nats=whole / ticks)]
+    left = whole
+    for one, share in zip(causes, shares, strict=True):
+        left -= share
+        steps.append(WaterfallStep(label=f"+ {one.kind.id}", left_nats=left / ticks))
+    return tuple(steps)

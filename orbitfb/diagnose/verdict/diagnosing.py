@@ -1,0 +1,281 @@
+"""Diagnose a record: gap, where, which effect, how far it shrinks."""
+
+import hashlib
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.diagnose.finding import Finding
+from orbitfb.diagnose.hypotheses.priors import SURE
+from orbitfb.diagnose.hypotheses.run import tournament
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.impact.audit import audit
+from orbitfb.diagnose.impact.closed_loop import closed_loop
+from orbitfb.diagnose.impact.detectable import detectable
+from orbitfb.diagnose.impact.explained import Explained
+from orbitfb.diagnose.impact.gap import Parts, gap
+from orbitfb.diagnose.impact.later import Later, lacking
+from orbitfb.diagnose.impact.one_step import OneStep, k_steps, shrink
+from orbitfb.diagnose.impact.score_map import score_map
+from orbitfb.diagnose.impact.slices import fingerprints, lag_profile, likeness
+from orbitfb.diagnose.impact.windows import Windows
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.progress import Progress
+from orbitfb.diagnose.provenance import versions
+from orbitfb.diagnose.result.diagnosis import Diagnosis, State
+from orbitfb.diagnose.result.headline import headline
+from orbitfb.diagnose.result.naming import as_in_record, geometry
+from orbitfb.diagnose.result.parts import Finding as Told
+from orbitfb.diagnose.result.parts import NotTested, Provenance, Shrink
+from orbitfb.diagnose.verdict.causes import (
+    ambiguous_sets,
+    cause_of,
+    tournament_of,
+    unknown_of,
+    waterfall_of,
+)
+from orbitfb.diagnose.verdict.named import Named, named
+from orbitfb.diagnose.verdict.proved import SCREENED, beside, proved
+from orbitfb.diagnose.verdict.state import judged
+from orbitfb.diagnose.verdict.values import Measured
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.registry import all_effects
+from orbitfb.estimation.noise import StepNoise
+from orbitfb.records.record import Record
+
+_ITSELF, _LATER = "the record itself", "the later record"
+
+_SEARCHED = 0.85
+"""Share of the whole work that the tournament is [1], for the progress that is told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Records:
+    """What is diagnosed, and what helps.
+
+    Args:
+        record: In question.
+        reference: Of a time without a gap; None: there is none.
+        later: A later record; None: there is none.
+    """
+
+    record: Record
+    reference: Record | None
+    later: Record | None
+
+
+def diagnose(
+    record: Record,
+    reference: Record | None = None,
+    holdout: Record | None = None,
+    *,
+    seed: int,
+    without: frozenset[str] = frozenset(),
+    findings: Sequence[Finding] = (),
+    progress: Progress,
+) -> Diagnosis:
+    """Answer where the gap of a record lies and what causes it.
+
+    Args:
+        record: In question.
+        reference: Of a time without a gap: it tells the floor of the noise.
+        holdout: Later than the record: it tells how far the gap shrinks.
+        seed: Of the draws that intervals come from.
+        without: Ids of effects that are not to be considered.
+        findings: Of the integrity screen; those that prove an effect are causes.
+        progress: Is told what is being done, and which share of all.
+
+    Raises:
+        EstimationError: The record is too short, or does not move.
+    """
+    began = time.monotonic()
+    certain = proved(record, findings, without)
+    kinds, not_tested = _able(certain.record, without)
+    progress("estimating the floor", 0.0)
+    healthy = None
+    if reference is not None:
+        healthy = Workspace.of(beside(reference, certain.record), kinds)
+    space = Workspace.of(certain.record, kinds)
+    tell = _Telling(progress, len(kinds))
+    accepted, rounds = tournament(space, kinds, tell)
+    progress("taking the gap apart", _SEARCHED)
+    found = named(accepted, rounds)
+    verdict = judged(found, rounds)
+    causes = [] if verdict.state == "unknown" else found
+    its = Explained.of(causes, accepted, rounds)
+    windows = Windows.of(len(its.space.transform), seed)
+    step = OneStep.of(its, windows, None if healthy is None else healthy.noise)
+    parts = Parts.of(its, causes, verdict.nats, windows)
+    the_gap = gap(its, parts, causes, step.above, step.floor)
+    last = Scorer.of(its.space)
+    first = Scorer.of(rounds[0].space) if len(rounds) > 1 else last
+    told = (*certain.causes, *(cause_of(one, its, Measured(last)) for one in causes))
+    shrunk, warnings = _shrunk(
+        Records(certain.record, reference, holdout), kinds, its, causes, step, parts,
+        None if healthy is None else healthy.noise,
+    )  # fmt: skip
+    loop = closed_loop(its, causes, windows) if causes else None
+    state = _beside_proved(verdict.state) if certain.causes else verdict.state
+    sets = ambiguous_sets(causes) if state == "ambiguous" else ()
+    unknown = unknown_of(verdict, found)
+    told = as_in_record(told, record.layout)
+    return Diagnosis(
+        state=state,
+        headline=headline(
+            state, gap=the_gap, causes=told, shrink=shrunk, closed_loop=loop, ambiguous=sets,
+            unknown=unknown, effects=len(kinds),
+        ),
+        causes=told,
+        gap=the_gap,
+        shrink=shrunk,
+        not_tested=not_tested,
+        detectable=detectable(kinds, last),
+        findings=warnings,
+        ambiguous=sets,
+        unknown=unknown,
+        k_steps=k_steps(its, step) if causes and its.counts else (),
+        closed_loop=loop,
+        tournament=tournament_of(rounds, accepted),
+        waterfall=waterfall_of(causes, parts.by_cause.tolist(), parts.whole, step_count(its))
+        if causes else (),
+        audit=audit(its, windows),
+        fingerprints=fingerprints(its, causes),
+        score_map=score_map(causes, rounds[0], first),
+        lag_profile=lag_profile(its),
+        identifiability=likeness(rounds[0].candidates, first),
+        geometry=geometry(certain.record.layout),
+        provenance=_provenance(
+            Records(record, reference, holdout), its, seed, time.monotonic() - began
+        ),
+    )  # fmt: skip
+
+
+def step_count(its: Explained) -> int:
+    """Steps from row to row."""
+    return len(its.space.transform)
+
+
+@dataclass(slots=True)
+class _Telling:
+    """Turns what a tournament tells of its effects into a share of the work."""
+
+    progress: Progress
+    effects: int
+    done: int = 0
+
+    def __call__(self, text: str) -> None:
+        name = text.split(" ")[0]
+        if name in all_effects():
+            self.done += 1
+            # Every round is half of what is left: nobody knows how many there are.
+            rounds, within = divmod(self.done, max(self.effects, 1))
+            share = 1.0 - 0.5 ** (rounds + within / max(self.effects, 1))
+            self.progress(f"testing {all_effects()[name].title}", _SEARCHED * share)
+
+
+def _able(
+    record: Record, without: frozenset[str]
+) -> tuple[list[EffectKind], tuple[NotTested, ...]]:
+    """Split the kinds into those that the record can show and those that it cannot."""
+    able: list[EffectKind] = []
+    unable: list[NotTested] = []
+    for kind in all_effects().values():
+        if kind.id in SCREENED:
+            continue
+        reason = "left out on request" if kind.id in without else kind.unavailable(record)
+        if reason:
+            unable.append(NotTested(effect=kind.id, reason=reason))
+        else:
+            able.append(kind)
+    return able, tuple(unable)
+
+
+def _beside_proved(state: State) -> State:
+    """The state where the screen has proved a cause besides."""
+    beside: dict[State, State] = {"no_gap": "named", "unknown": "named_plus_remainder"}
+    return beside.get(state, state)
+
+
+def _shrunk(
+    records: Records,
+    kinds: Sequence[EffectKind],
+    its: Explained,
+    causes: Sequence[Named],
+    step: OneStep,
+    parts: Parts,
+    healthy: StepNoise | None,
+) -> tuple[Shrink | None, tuple[Told, ...]]:
+    """How far the gap shrinks with the causes, on the later record where it can tell that."""
+    if not its.counts:
+        return None, ()
+    own = shrink(step, _ITSELF, float(parts.by_cause.sum()), parts.rest)
+    if records.later is None:
+        return own, ()
+    later = beside(records.later, records.record)
+    missing = lacking(causes, records.record, later)
+    if missing:
+        text = (
+            f"The later record has no channel {', '.join(missing)}, which a cause follows: how far "
+            "the gap shrinks is told on the record itself."
+        )
+        return own, (Told(check="later-channel", severity="warning", text=text),)
+    there = Later.of(later, kinds, its, causes)
+    notes = tuple(_notes(there.untold))
+    if there.explained is None:
+        return own, notes
+    windows = Windows.of(len(there.explained.space.transform), step.windows.seed)
+    found = OneStep.of(there.explained, windows, _quieter(its.noise, healthy))
+    field = there.explained.named
+    pulled = there.explained.noise.pull(
+        there.explained.nominal - 0.5 * field, there.explained.space.transform
+    )
+    share = parts.rest / max(len(step.nominal), 1) * len(found.nominal)
+    return shrink(found, _LATER, float(np.sum(field * pulled)), share), notes
+
+
+def _quieter(first: StepNoise, second: StepNoise | None) -> StepNoise:
+    """The floor that is lower on the whole."""
+    if second is None:
+        return first
+    return min(first, second, key=lambda one: float(np.trace(one.walk + 2.0 * one.white)))
+
+
+def _notes(untold: Sequence[str]) -> Iterator[Told]:
+    if untold:
+        text = (
+            f"What {' and '.join(untold)} does later follows from nothing in the records: on the "
+            "later record it counts as unexplained."
+        )
+        yield Told(check="later-course", severity="note", text=text)
+
+
+def _provenance(records: Records, its: Explained, seed: int, seconds: float) -> Provenance:
+    record, reference, later = records.record, records.reference, records.later
+    model = np.ascontiguousarray(record.layout.response)
+    noise = its.noise
+    return Provenance(
+        data_sha256=record.digest,
+        seed=seed,
+        versions=versions(),
+        source=record.source,
+        reference_sha256="" if reference is None else reference.digest,
+        reference_source="" if reference is None else reference.source,
+        holdout_sha256="" if later is None else later.digest,
+        holdout_source="" if later is None else later.source,
+        model_sha256=hashlib.sha256(model.tobytes()).hexdigest(),
+        library_sha256=hashlib.sha256("\n".join(all_effects()).encode()).hexdigest(),
+        ticks=len(record),
+        bpms=len(record.layout.bpms),
+        correctors=len(record.layout.correctors),
+        planes="".join(record.layout.planes),
+        period_s=record.layout.period,
+        reading_noise_um=1e6 * float(np.sqrt(np.mean(np.diag(noise.white)))),
+        drift_um_per_tick=1e6 * float(np.sqrt(np.mean(np.diag(noise.walk)))),
+        gauge="the healthy scatter of all gains, with mean zero",
+        thresholds={"sure_nats": SURE},
+        seconds=seconds,
+    )
+
+

@@ -1,0 +1,136 @@
+"""Effects that the integrity screen proves: named without a tournament, and taken out of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfb.diagnose.finding import Finding
+from orbitfb.diagnose.integrity_repeats import HELD, shared_repeats
+from orbitfb.diagnose.result.naming import devices_and_planes
+from orbitfb.diagnose.result.parts import Cause
+from orbitfb.effects.disturbances.insertion_device import gaps_of, is_gap
+from orbitfb.effects.registry import all_effects
+from orbitfb.physics.places import Indices
+from orbitfb.records.record import Record
+
+SCREENED = ("bpm-stuck", "missed-read")
+"""Effects that leave exact repeats: the integrity screen is certain of them, or they are not."""
+
+_PROBABILITY = 0.995
+"""Of what repeats itself to the last bit [1]: one screen in two hundred had another reason."""
+
+_MOST_REPEATS = 0.5
+"""Share of repeated orbits beyond which filling them in would be inventing a record [1]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proved:
+    """What is certain, and the record without it.
+
+    Args:
+        causes: In the form of the answer.
+        record: Without the BPMs that stand still; orbits that were read twice are filled in.
+    """
+
+    causes: tuple[Cause, ...]
+    record: Record
+
+
+def proved(record: Record, findings: Sequence[Finding], without: frozenset[str]) -> Proved:
+    """Take what the integrity screen proves out of a record.
+
+    Args:
+        record: As read.
+        findings: Of the screen.
+        without: Ids of effects that must not be named.
+    """
+    told = [
+        finding
+        for finding in findings
+        if finding.effect in SCREENED and (finding.devices or finding.effect == SCREENED[1])
+    ]
+    causes = tuple(_cause(record, one) for one in told if one.effect not in without)
+    held = {name for finding in findings if finding.check == HELD for name in finding.devices}
+    stuck = {name for one in told if one.effect == SCREENED[0] for name in one.devices}
+    bpms = record.layout.bpms
+    frozen = {
+        index
+        for index in range(len(bpms))
+        if {bpms.names[index], bpms.label(index)} & (held | stuck)
+    }
+    cut = _without_repeats(record)
+    if frozen and len(frozen) < len(bpms) - 2:
+        cut = with_bpms(cut, np.array(sorted(set(range(len(bpms))) - frozen), dtype=np.intp))
+    return Proved(causes, cut)
+
+
+def beside(other: Record, record: Record) -> Record:
+    """Cut another record of the same machine down to the BPMs that a record has left.
+
+    It has the gaps of the record too, as their number is their name: those that it lacks stand
+    still, those that the record lacks are left out.
+    """
+    if gaps_of(record).keys() != gaps_of(other).keys():
+        still = {name: np.zeros(len(other)) for name in gaps_of(record)}
+        known = {n: v for n, v in other.auxiliary.items() if n in still or not is_gap(n)}
+        other = replace(other, auxiliary=still | known)
+    mine, its = record.layout.bpms, other.layout.bpms
+    left = {mine.label(i) for i in range(len(mine))}
+    keep = np.array([i for i in range(len(its)) if its.label(i) in left], dtype=np.intp)
+    return other if len(keep) == len(its) else with_bpms(other, keep)
+
+
+def with_bpms(record: Record, keep: Indices) -> Record:
+    """The record of some of its BPMs."""
+    layout = record.layout
+    smaller = replace(layout, bpms=layout.bpms.only(keep), response=layout.response[keep])
+    return replace(
+        record,
+        layout=smaller,
+        readings=record.readings[:, keep],
+        reference=None if record.reference is None else record.reference[:, keep],
+        filled=record.filled[:, keep],
+    )
+
+
+def _cause(record: Record, finding: Finding) -> Cause:
+    kind = all_effects()[finding.effect]
+    first = finding.rows[0] if finding.rows and finding.effect == SCREENED[0] else 0
+    devices, planes = devices_and_planes(finding.devices)
+    layout = record.layout
+    return Cause(
+        effect=kind.id,
+        stage=kind.stage,
+        places=devices,
+        planes=layout.planes[0] if len(layout.planes) == 1 else planes,
+        probability=_PROBABILITY,
+        onset_s=float(record.time[first]) if first > 1 else None,
+        title=kind.title,
+        sentence=kind.sentence,
+    )
+
+
+def _without_repeats(record: Record) -> Record:
+    """Fill in readings that repeat the ones before, whole orbits or crates at once.
+
+    They are taken from those before and after.
+    """
+    whole = np.zeros(len(record), dtype=np.bool_)
+    whole[1:] = (record.readings[1:] == record.readings[:-1]).all(axis=1)
+    whole &= ~record.starts
+    same = shared_repeats(record) | whole[:, None]
+    rows = same.any(axis=1)
+    if not rows.any() or rows.mean() > _MOST_REPEATS:
+        return record
+    readings = record.readings.copy()
+    moved = np.zeros_like(readings)
+    moved[1:] = np.diff(record.setpoints, axis=0) @ record.layout.response.T
+    for row in np.flatnonzero(rows):
+        own = same[row]
+        ahead = readings[row - 1] + moved[row]
+        back = ahead
+        if row + 1 < len(record) and not record.starts[row + 1]:
+            back = np.where(same[row + 1], ahead, readings[row + 1] - moved[row + 1])
+        readings[row, own] = 0.5 * (ahead + back)[own]
+    return replace(record, readings=readings, filled=record.filled | same)
