@@ -105,11 +105,11 @@ def tournament(
     record: Path, *, ring: tuple[Path, Path] | None = None, without: tuple[str, ...] = ()
 ) -> dict[str, Any]:
     """Diagnose a record by the tournament that is to replace the installed diagnosis."""
-    from orbitfb.diagnose.answer import document
     from orbitfb.diagnose.integrity import screen
     from orbitfb.diagnose.load import load as read
-    from orbitfb.diagnose.run import reported
+    from orbitfb.diagnose.result.diagnosis import document
     from orbitfb.diagnose.verdict.engine import diagnose
+    from orbitfb.diagnose.verdict.files import reported
     from orbitfb.physics.places import Ring
 
     loaded = read(record, ring=Ring.load(*(ring or (None, None))))

@@ -12,12 +12,12 @@ import numpy as np
 from scipy.stats import binom, chi2, norm
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.result.blocks import Audit, GoodnessTest
-from orbitfb.diagnose.result.values import numbers
 from orbitfb.diagnose.impact.explained import Explained
 from orbitfb.diagnose.impact.innovations import at_bpms, floor_of, whitened
 from orbitfb.diagnose.impact.windows import Windows
+from orbitfb.diagnose.result.blocks import Audit, GoodnessTest
 from orbitfb.diagnose.result.naming import column_names
+from orbitfb.diagnose.result.values import numbers
 from orbitfb.estimation.transform import Matrix
 
 CHANCE = 0.01
@@ -44,7 +44,7 @@ def audit(its: Explained, windows: Windows) -> Audit:
         windows: Of the record.
     """
     space = its.space
-    white = whitened(its.left - _accepted(its), its.noise, space.transform)
+    white = whitened(its.left - its.loose, its.noise, space.transform)
     errors = at_bpms(white, its.noise)
     level = np.mean(errors**2, axis=0) / floor_of(its.noise)
     echo = _echoes(white)
@@ -69,15 +69,6 @@ def audit(its: Explained, windows: Windows) -> Audit:
         worst_channels={names[place]: float(level[place]) for place in loud},
         worst_ticks={str(int(rows[step])): float(by_row[step]) for step in worst},
     )
-
-
-def _accepted(its: Explained) -> Matrix:
-    """What the small freedom of the values of accepted causes explains besides, (T, n) [m]."""
-    own = np.zeros_like(its.sizes)
-    for block in its.space.blocks:
-        if block.accepted:
-            own[block.columns] = its.sizes[block.columns]
-    return its.space.terms.contribution(own)
 
 
 def _levels(level: Vector, names: tuple[str, ...], rows: int) -> Iterator[GoodnessTest]:

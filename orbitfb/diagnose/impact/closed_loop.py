@@ -12,10 +12,11 @@ import numpy as np
 from scipy.signal import welch
 
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.impact.explained import Explained
+from orbitfb.diagnose.impact.pieces import columns_of
+from orbitfb.diagnose.impact.windows import Windows, interval
 from orbitfb.diagnose.result.blocks import ClosedLoop
 from orbitfb.diagnose.result.values import numbers
-from orbitfb.diagnose.impact.explained import Explained, columns_of
-from orbitfb.diagnose.impact.windows import Windows, interval
 from orbitfb.diagnose.verdict.named import Named
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.transform import Matrix
@@ -109,7 +110,7 @@ def law_of(record: Record) -> tuple[Matrix | None, float]:
 def _ridge(error: Matrix, change: Matrix) -> Matrix:
     normal = error.T @ error
     normal[np.diag_indices_from(normal)] += _RIDGE * np.trace(normal) / len(normal)
-    return np.asarray(-np.linalg.solve(normal, error.T @ change).T)
+    return np.asarray(-np.linalg.solve(normal, error.T @ change).T, dtype=np.float64)
 
 
 def _replayed(record: Record, law: Matrix, moved: Sequence[Matrix]) -> list[Matrix | None]:
@@ -154,7 +155,9 @@ def _mended_response(its: Explained, causes: Sequence[Named]) -> Matrix | None:
             found: list[_Gain] = []
             columns = columns_of(part, space)
             if len(columns):
-                block = next(b for b in space.blocks if b.columns.start <= columns[0] < b.columns.stop)
+                block = next(
+                    b for b in space.blocks if b.columns.start <= columns[0] < b.columns.stop
+                )
                 if not block.law.driven:
                     return None
                 found = [_Gain(int(c) - block.columns.start, float(its.sizes[c])) for c in columns]

@@ -2,8 +2,8 @@
 
 Terms of information H show a size θ with ½ H θ² nats; 5 standard deviations are 12.5 of them. Of a
 law that scales the size follows at once, of another one the values of its grid are halved until the
-smallest that shows is found. What never moves, as an offset, leaves no trace unless it begins within
-the record: half-way, say. A random amplitude of variance κ has the information
+smallest that shows is found. What never moves, as an offset, leaves no trace unless it begins
+within the record: half-way, say. A random amplitude of variance κ has the information
 ½ Σ_b n_b (pᵀΩ_b p)² about κ.
 """
 
@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.result.parts import Detectable
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.terms import Single
+from orbitfb.diagnose.result.parts import Detectable
 from orbitfb.effects.kinds import EffectKind, Parameter, Values
 from orbitfb.effects.laws import DeviceLaw, FieldLaw, Law, RandomLaw
 
@@ -58,7 +58,7 @@ def _sensible(sized: Parameter, size: float) -> float | None:
 
 
 def _sizes(kind: EffectKind, sized: Parameter, law: Law, scorer: Scorer) -> Vector | None:
-    """Smallest size that shows at every place; infinite where none does; None: not of such a law."""
+    """Smallest size that shows at every place, infinite where none does; None of other laws."""
     if isinstance(law, RandomLaw):
         return None if law.relative or law.lag else np.abs(_random(law, scorer) - sized.nominal)
     if isinstance(law, FieldLaw) or (isinstance(law, DeviceLaw) and not law.periodic):
@@ -163,5 +163,3 @@ def _random(law: RandomLaw, scorer: Scorer) -> Vector:
     with np.errstate(divide="ignore"):
         variances = SIGMAS / np.sqrt(information)
     return np.array([law.size(float(one), reading) for one in variances])
-
-

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.result.parts import Gap, GapPiece
-from orbitfb.diagnose.result.values import numbers
 from orbitfb.diagnose.impact.explained import Explained
 from orbitfb.diagnose.impact.windows import Windows, interval
 from orbitfb.diagnose.result.naming import column_names
+from orbitfb.diagnose.result.parts import Gap, GapPiece
+from orbitfb.diagnose.result.values import numbers
 from orbitfb.diagnose.verdict.named import Named
 from orbitfb.estimation.transform import Matrix, StepTransform
 
@@ -47,9 +47,7 @@ class Parts:
     rest: float
 
     @classmethod
-    def of(
-        cls, its: Explained, causes: Sequence[Named], rest: float, windows: Windows
-    ) -> "Parts":
+    def of(cls, its: Explained, causes: Sequence[Named], rest: float, windows: Windows) -> "Parts":
         """Weigh what causes add.
 
         Args:

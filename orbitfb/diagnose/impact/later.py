@@ -1,6 +1,6 @@
 """The causes on a later record: what is named there, with the values told, and what is left."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +8,8 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.refit import Course
-from orbitfb.diagnose.impact.explained import Explained, columns_of
+from orbitfb.diagnose.impact.explained import Explained
+from orbitfb.diagnose.impact.pieces import Differences, columns_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.verdict.named import Named
 from orbitfb.effects.kinds import EffectKind
@@ -49,8 +50,10 @@ class Later:
             causes: In their order.
         """
         record = its.space.signals.record
-        if record.began and later.began:
-            later = replace(later, time=later.time + later.began - record.began)
+        since = later.began - record.began if record.began and later.began else 0.0
+        # Where nobody knows how much later, what grows goes on behind the end of the record.
+        since = max(since, float(record.time[-1]) + record.layout.period)
+        later = replace(later, time=later.time - later.time[0] + since)
         able = [kind for kind in kinds if not kind.unavailable(later)]
         space = Workspace.of(later, able)
         if len(space.blocks) > len(its.space.blocks):
@@ -63,7 +66,7 @@ class Later:
         for cause in causes:
             total: Matrix | None = None
             for part in cause.parts:
-                field, heard = _field(part, its, space, bool(record.began and later.began))
+                field, heard = _field(part, its, space)
                 columns = columns_of(part, its.space)
                 if len(columns):
                     own = np.zeros_like(known)
@@ -80,8 +83,9 @@ class Later:
         if all(one is None for one in fields):
             return cls(None, tuple(dict.fromkeys(untold)))
         found = Explained(
-            space, known, space.terms.contribution(usual), tuple(fields), space.noise
-        )
+            space, known, space.terms.contribution(usual), np.zeros_like(space.plain),
+            tuple(fields), its.pieces, its.differences, space.noise,
+        )  # fmt: skip
         mended = space.explaining(found.named).with_floor()
         return cls(found.over(mended.noise), tuple(dict.fromkeys(untold)))
 
@@ -107,10 +111,10 @@ def _carry(first: Workspace, later: Workspace, sizes: Vector, known: Vector) -> 
 
 
 def _field(
-    part: Candidate, its: Explained, space: Workspace, timed: bool
+    part: Candidate, its: Explained, space: Workspace
 ) -> tuple[Matrix | None, Workspace | None]:
     """What a candidate adds to a later record; and the record as it is then heard."""
-    if part.field is None or (part.kind.grows and not timed):
+    if part.field is None:
         return None, None
     kind, signals = part.kind, space.signals
     first, laws = its.space.courses.laws(kind), space.courses.laws(kind)
@@ -121,11 +125,12 @@ def _field(
         if any(one.law.periodic for one in moved):
             return None, None
         heard: Workspace | None = None
-        field = _summed(moved, space)
+        own = its.differences.get(id(part), {})
+        field = _summed(kind, moved, own, space)
         if kind.target == "bpm":
             for _ in range(_HEARD):
                 heard = (heard or space).hearing(field)
-                field = _summed(moved, heard)
+                field = _summed(kind, moved, own, heard)
         return field, heard
     for law in laws:
         if isinstance(law, FieldLaw):
@@ -142,13 +147,20 @@ def _same(one: Course, first: Sequence[object], laws: Sequence[object]) -> Devic
     return law if isinstance(law, DeviceLaw) else one.law
 
 
-def _summed(moved: Sequence[Course], space: Workspace) -> Matrix:
+def _summed(
+    kind: EffectKind,
+    moved: Sequence[Course],
+    differences: Mapping[int, Differences],
+    space: Workspace,
+) -> Matrix:
+    """What devices add, their differences to first order, shape (T, n) [m]."""
     total = np.zeros_like(space.plain)
-    for one in moved:
+    for number, one in enumerate(moved):
+        own = differences.get(number, {})
+        for name, patterns, courses in one.columns(kind, space.signals) if own else ():
+            total += space.transform.spectrum(courses * own[name]) @ patterns.T
         chosen = list(one.places) if one.places else slice(None)
-        for block, course in zip(
-            one.law.patterns, one.of(space.signals, one.values), strict=True
-        ):
+        for block, course in zip(one.law.patterns, one.of(space.signals, one.values), strict=True):
             wide = np.broadcast_to(course, (len(course), len(one.size))) * one.size
             total += space.transform.spectrum(wide) @ block[:, chosen].T
     return total

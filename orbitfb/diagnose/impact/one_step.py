@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.result.blocks import KStep
-from orbitfb.diagnose.result.parts import Shrink
 from orbitfb.diagnose.impact.explained import Explained
 from orbitfb.diagnose.impact.innovations import at_bpms, errors_ahead, floor_of, whitened
 from orbitfb.diagnose.impact.windows import Windows, interval, quiet_level
+from orbitfb.diagnose.result.blocks import KStep
+from orbitfb.diagnose.result.parts import Shrink
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.transform import Matrix
 
@@ -36,10 +36,11 @@ class OneStep:
     windows: Windows
 
     @classmethod
-    def of(
-        cls, its: Explained, windows: Windows, healthy: StepNoise | None = None
-    ) -> "OneStep":
+    def of(cls, its: Explained, windows: Windows, healthy: StepNoise | None = None) -> "OneStep":
         """Predict every row from those before it.
+
+        The floor is estimated on what a saturated model leaves, which has taken its degrees of
+        freedom from the noise, as the healthy errors have theirs from what the causes leave.
 
         Args:
             its: What the causes add, and the floor.
@@ -49,7 +50,8 @@ class OneStep:
         transform = its.space.transform
         before = whitened(its.nominal, its.noise, transform)
         after = whitened(its.left, its.noise, transform)
-        floor = floor_of(its.noise) * quiet_level(after, windows)
+        wide, own = its.fitted_shares()
+        floor = floor_of(its.noise) * quiet_level(after, windows) * (1.0 - own) / (1.0 - wide)
         if healthy is not None and np.mean(floor_of(healthy)) < np.mean(floor):
             floor = floor_of(healthy)
         return cls(at_bpms(before, its.noise), at_bpms(after, its.noise), floor, windows)

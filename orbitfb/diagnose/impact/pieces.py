@@ -3,10 +3,17 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.impact.waves import wave_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.estimation.transform import Indices
+
+Differences = Mapping[str, Vector]
+"""Relative differences of every device's value from the one of all, by parameter, (k,) each [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,25 +31,38 @@ class Piece:
     onset: int
 
 
-def pieces_of(part: Candidate, space: Workspace, sizes: Vector) -> tuple[Piece, ...]:
+def pieces_of(
+    part: Candidate, space: Workspace, sizes: Vector, differences: Mapping[int, Differences]
+) -> tuple[Piece, ...]:
     """Tell the values of every device of an accepted candidate.
 
     Args:
         part: The candidate.
         space: Of the record, all causes explained.
         sizes: Posterior mean of every column of the errors, shape (k,).
+        differences: Of the devices of a source, by its number, where they differ.
     """
-    return tuple(_pieces(part, space, sizes))
+    return tuple(_pieces(part, space, sizes, differences))
 
 
-def _pieces(part: Candidate, space: Workspace, sizes: Vector) -> Iterator[Piece]:
+def columns_of(part: Candidate, space: Workspace) -> Indices:
+    """Columns of the errors that a candidate has for its own, shape (k,)."""
+    found = list(part.columns)
+    for number in part.raised:
+        block = space.blocks[number].columns
+        found += range(block.start, block.stop)
+    return np.array(found, dtype=np.intp)
+
+
+def _pieces(
+    part: Candidate, space: Workspace, sizes: Vector, differences: Mapping[int, Differences]
+) -> Iterator[Piece]:
     linear = part.kind.linear
     wave = wave_of(part, space)
     if wave is not None:
         for name, values in zip(wave.names, wave.values, strict=True):
             yield Piece((name,), values, part.onset)
-        return
-    if linear is not None and part.columns:
+    elif linear is not None and part.columns:
         for name, column in zip(part.names, part.columns, strict=True):
             yield Piece((name,), {**part.values, linear: float(sizes[column])}, part.onset)
     elif linear is not None and part.raised:
@@ -50,11 +70,22 @@ def _pieces(part: Candidate, space: Workspace, sizes: Vector) -> Iterator[Piece]
             block = space.blocks[number]
             for name, size in zip(block.law.names, sizes[block.columns], strict=True):
                 yield Piece((name,), {**part.values, linear: float(size)}, part.onset)
-    elif len(part.sources) > 1:
-        scaled = {parameter.name for parameter in part.kind.sizes}
-        for name, one in zip(part.names, part.sources, strict=True):
-            size = float(one.size[0])
-            values = {key: size * v if key in scaled else v for key, v in one.values.items()}
-            yield Piece((name,), values, one.onset)
+    elif len(part.sources) > 1 or differences:
+        for number, one in enumerate(part.sources):
+            yield from _of_course(part, one, differences.get(number, {}))
     else:
         yield Piece(part.names, dict(part.values), part.onset)
+
+
+def _of_course(part: Candidate, one: Course, differences: Differences) -> Iterator[Piece]:
+    scaled = {parameter.name for parameter in part.kind.sizes}
+    places = one.places or tuple(range(len(one.law.names)))
+    wide = np.broadcast_to(one.size, len(places))
+    for number, place in enumerate(places):
+        values = {
+            key: value
+            * (float(wide[number]) if key in scaled else 1.0)
+            * (1.0 + float(differences[key][number]) if key in differences else 1.0)
+            for key, value in one.values.items()
+        }
+        yield Piece((one.law.names[place],), values, one.onset)

@@ -4,12 +4,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from orbitfb.diagnose.result.blocks import ScoreMap, ScoreRow
-from orbitfb.diagnose.result.values import numbers
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.ranking import worths_of
 from orbitfb.diagnose.hypotheses.run import Round
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.result.blocks import ScoreMap, ScoreRow
+from orbitfb.diagnose.result.values import numbers
 from orbitfb.diagnose.verdict.named import Named
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
@@ -33,9 +33,7 @@ def score_map(causes: Sequence[Named], first: Round, scorer: Scorer) -> ScoreMap
     for one in first.candidates:
         if one.sources or one.columns:
             chosen.setdefault(one.kind.stage, one)
-    rows = [
-        row for one in chosen.values() for row in _rows(one, scorer, own.get(one.kind.id))
-    ]
+    rows = [row for one in chosen.values() for row in _rows(one, scorer, own.get(one.kind.id))]
     if not rows:
         return None
     places = max(len(row.gain) for row in rows)

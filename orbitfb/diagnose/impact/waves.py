@@ -26,7 +26,7 @@ class Wave:
     """Kicks of one frequency at places.
 
     Args:
-        places: Numbers of the places, the leading one first.
+        places: Numbers of the places, the strongest first.
         names: Of them.
         values: Of the parameters, by place.
         field: Spectrum of what they add to the readings, shape (T, n) [m].
@@ -56,19 +56,17 @@ def wave_of(part: Candidate, space: Workspace) -> Wave | None:
 def _kicks(part: Candidate, law: DeviceLaw, space: Workspace) -> Wave:
     cosine, sine = (parameter.name for parameter in part.kind.parameters[:2])
     none = {**part.values, cosine: 0.0, sine: 0.0}
-    units = [
-        law.course({**none, name: 1.0}, space.signals)[0][:, :1] for name in (cosine, sine)
-    ]
+    units = [law.course({**none, name: 1.0}, space.signals)[0][:, :1] for name in (cosine, sine)]
     waves = space.transform.spectrum(np.hstack(units))
     wanted = np.linalg.lstsq(waves, np.asarray(part.field), rcond=None)[0].T
     weight = _weight(waves, space)
     patterns = np.asarray(sum(law.patterns[1:], law.patterns[0]))
     target, seen = weight @ wanted, weight @ patterns
     chosen, sizes = _pursued(target, seen, part.places[0])
+    order = np.argsort(-np.hypot(*sizes.T))
+    chosen, sizes = [chosen[place] for place in order], sizes[order]
     field = waves @ (patterns[:, chosen] @ sizes).T
-    told = tuple(
-        {**part.values, cosine: float(own[0]), sine: float(own[1])} for own in sizes
-    )
+    told = tuple({**part.values, cosine: float(own[0]), sine: float(own[1])} for own in sizes)
     return Wave(tuple(chosen), tuple(law.names[place] for place in chosen), told, field)
 
 
@@ -86,7 +84,7 @@ def _pursued(target: Matrix, seen: Matrix, first: int) -> tuple[list[int], Matri
     chosen = [first]
     whole = float(np.sum(target**2))
     while True:
-        sizes = np.linalg.lstsq(seen[:, chosen], target, rcond=None)[0]
+        sizes = np.asarray(np.linalg.lstsq(seen[:, chosen], target, rcond=None)[0], np.float64)
         rest = target - seen[:, chosen] @ sizes
         if np.sum(rest**2) < _LEFT * whole or len(chosen) == MOST_DEVICES:
             return chosen, sizes

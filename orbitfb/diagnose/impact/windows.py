@@ -49,10 +49,7 @@ class Windows:
         rng = np.random.default_rng(self.seed)
         count = len(self.edges) - 1
         weight = np.stack(
-            [
-                np.bincount(row, minlength=count)
-                for row in rng.integers(0, count, (DRAWS, count))
-            ]
+            [np.bincount(row, minlength=count) for row in rng.integers(0, count, (DRAWS, count))]
         )
         return weight @ sums
 

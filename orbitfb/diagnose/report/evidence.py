@@ -1,8 +1,8 @@
 """Section of the page that compares evidence: effects, places, slices of the record."""
 
 from orbitfb.diagnose.report import evidence_pictures
-from orbitfb.diagnose.report.svg import known
 from orbitfb.diagnose.report.html import folded, missing, paragraph, section, table, text
+from orbitfb.diagnose.report.svg import known
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.quantities import interval
 

@@ -33,9 +33,9 @@ def _quantiles(its: Audit) -> Panel:
 def _echo(its: Audit) -> Panel:
     found = values(its.autocorrelation)
     limit = its.autocorrelation_limit or 0.0
-    order = np.arange(1, len(found) + 1)
+    order = np.arange(1.0, len(found) + 1)
     panel = Panel(
-        Axis("rows apart", 0.3, len(found) + 0.7, ticks=[(float(n), str(n)) for n in order]),
+        Axis("rows apart", 0.3, len(found) + 0.7, ticks=[(float(n), f"{n:.0f}") for n in order]),
         Axis.over("correlation [1]", found, [1.3 * limit, -1.3 * limit]),
         share=0.5,
     )

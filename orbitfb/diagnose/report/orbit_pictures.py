@@ -57,7 +57,10 @@ def closed_loop(its: ClosedLoop) -> str:
         bars.bars([place - 0.3], [place + 0.3], [height], colour)
     panels = [bars]
     if len(its.frequency_hz) > 1 and known(its.psd_measured):
-        spectra = [("measured", its.psd_measured, INK), ("without the causes", its.psd_without, GREEN)]
+        spectra = [
+            ("measured", its.psd_measured, INK),
+            ("without the causes", its.psd_without, GREEN),
+        ]
         spectra = [one for one in spectra if len(one[1]) == len(its.frequency_hz)]
         lines = Panel(
             Axis.over("frequency [Hz]", its.frequency_hz, log=True),
@@ -68,8 +71,8 @@ def closed_loop(its: ClosedLoop) -> str:
             lines.line(its.frequency_hz, spectrum, colour, label)
         panels.append(lines)
     said = (
-        "The orbit about its reference: as measured, and as the same loop would hold it on the same "
-        "noise and drift without the causes."
+        "The orbit about its reference: as measured, and as the same loop would hold it on the "
+        "same noise and drift without the causes."
     )
     return picture(said, panels)
 
@@ -110,7 +113,7 @@ def in_time(gap: Gap, onsets: Sequence[float]) -> str:
         height=120,
         share=0.5,
     )
-    order = np.arange(len(bands))
+    order = np.arange(len(bands), dtype=np.float64)
     which.bars(order - 0.45, order + 0.45, told, BLUE)
     said = "When the gap shows, and at which frequencies; the parts of each add up to the same."
     return picture(said, [when, which])
@@ -120,7 +123,7 @@ def modes(by_mode: Sequence[float | None]) -> str:
     """Draw the gap by singular mode."""
     heights = values(by_mode)
     count = len(heights) - 1
-    order = np.arange(1, count + 1)
+    order = np.arange(1.0, count + 1)
     panel = Panel(
         Axis.over("singular mode of the response, strongest first", [0.0, 1.06 * count]),
         Axis.over(_SHARE, heights, zero=True),

@@ -155,13 +155,14 @@ class Panel:
             f'height="{max(y1 - y0, 0.4):.1f}" fill="{colour}"/>'
         )
 
-    def word(self, x: float, y: float, content: str, colour: str = INK, centre: bool = False) -> None:
+    def word(
+        self, x: float, y: float, content: str, colour: str = INK, centre: bool = False
+    ) -> None:
         """Text at a point."""
         px, py = self._at(x, y)
         anchor = ' text-anchor="middle"' if centre else ""
         self._marks.append(
-            f'<text x="{px + (0 if centre else 4):.1f}" y="{py + 4:.1f}" fill="{colour}"{anchor}>'
-            f"{text(content)}</text>"
+            f'<text x="{px + 4:.1f}" y="{py + 4:.1f}" fill="{INK}">{text(content)}</text>'
         )
 
     def line(
@@ -202,9 +203,7 @@ class Panel:
         for a, b in zip(values(x), values(y), strict=True):
             if np.isfinite(a) and np.isfinite(b):
                 px, py = self._at(a, b)
-                self._marks.append(
-                    f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3" fill="{colour}"/>'
-                )
+                self._marks.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3" fill="{colour}"/>')
         if ends is not None:
             for a, low, high in zip(values(x), values(ends[0]), values(ends[1]), strict=True):
                 if np.isfinite(low) and np.isfinite(high):

@@ -100,8 +100,8 @@ class Gap(Part):
     )
     by_bpm: dict[str, Number] = Field(
         default_factory=dict,
-        description="parts of the gap by BPM [nats/tick]; by BPM, mode, band and window they add up "
-        "to the part of the causes that have a course in time",
+        description="parts of the gap by BPM [nats/tick]; by BPM, mode, band and window they add "
+        "up to the part of the causes that have a course in time",
     )
     by_corrector: dict[str, Number] = Field(
         default_factory=dict,
@@ -114,8 +114,8 @@ class Gap(Part):
     )
     by_mode: Numbers = Field(
         default=(),
-        description="parts by singular mode, strongest first, and last by what no corrector reaches "
-        "[nats/tick]; they add up",
+        description="parts by singular mode, strongest first, and last by what no corrector "
+        "reaches [nats/tick]; they add up",
     )
     by_band: tuple[GapPiece, ...] = Field(default=(), description="by frequency band [Hz]")
     by_window: tuple[GapPiece, ...] = Field(default=(), description="by time window [s]")

@@ -7,8 +7,8 @@ import csv
 import io
 from collections.abc import Iterable, Iterator, Mapping
 
-from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.blocks import ScoreRow
+from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.parts import Gap, GapPiece
 
 HEADS = (

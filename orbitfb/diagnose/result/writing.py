@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from orbitfb.core.errors import RecordError
+from orbitfb.diagnose.report.document import page
 from orbitfb.diagnose.result.diagnosis import Diagnosis, document
 from orbitfb.diagnose.result.parts import Cause, PlaceValues
-from orbitfb.diagnose.report.document import page
 from orbitfb.diagnose.result.tables import gap_csv
 from orbitfb.effects.files import effects_toml
 from orbitfb.effects.kinds import EffectKind

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.run import Round
-from orbitfb.diagnose.impact.explained import Explained
-from orbitfb.diagnose.impact.pieces import Piece, pieces_of
+from orbitfb.diagnose.impact.pieces import Piece
 from orbitfb.diagnose.result.blocks import (
     AmbiguousSet,
     Tournament,
@@ -29,17 +28,17 @@ _WHERE = 12
 """Devices at which a remainder is said to sit, at most."""
 
 
-def cause_of(one: Named, its: Explained, measured: Measured) -> Cause:
+def cause_of(one: Named, pieces: tuple[Piece, ...], measured: Measured) -> Cause:
     """Write a cause.
 
     Args:
         one: The cause.
-        its: What all of them add.
+        pieces: Values of its devices.
         measured: Tells the values.
     """
-    record = its.space.signals.record
-    pieces = tuple(piece for part in one.parts for piece in pieces_of(part, its.space, its.sizes))
-    devices, planes = _places(one.names, record.layout)
+    record = measured.scorer.space.signals.record
+    own = dict.fromkeys(name for piece in pieces for name in piece.names)
+    devices, planes = _places(tuple(own) if one.names else (), record.layout)
     onset = min(piece.onset for piece in pieces)
     alike = len({(tuple(p.values.items()), p.onset) for p in pieces}) == 1 and len(one.parts) == 1
     return Cause(
@@ -47,9 +46,7 @@ def cause_of(one: Named, its: Explained, measured: Measured) -> Cause:
         stage=one.kind.stage,
         places=devices,
         planes=planes,
-        parameters=measured.values(
-            one.kind, one.parts[0], pieces_of(one.parts[0], its.space, its.sizes)
-        ),
+        parameters=measured.values(one.kind, one.parts[0], pieces),
         probability=one.probability,
         onset_s=_onset(onset, record),
         alternatives=tuple(dict.fromkeys((*one.rivals, *one.kind.also_called))),

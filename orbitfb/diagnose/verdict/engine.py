@@ -1,38 +1,75 @@
-"""Diagnose a record by the tournament of all hypotheses."""
+"""Diagnose a record: gap, where, which effect, how far it shrinks."""
 
 import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from orbitfb.diagnose.answer import Diagnosis, State
-from orbitfb.diagnose.answer_blocks import AmbiguousSet, Tournament, TournamentRow, Unknown
-from orbitfb.diagnose.answer_parts import Cause, NotTested, Provenance
-from orbitfb.diagnose.certain import certain_causes
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.hypotheses.priors import SURE
-from orbitfb.diagnose.hypotheses.run import Round, tournament
+from orbitfb.diagnose.hypotheses.run import tournament
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.impact.audit import audit
+from orbitfb.diagnose.impact.closed_loop import closed_loop
+from orbitfb.diagnose.impact.detectable import detectable
+from orbitfb.diagnose.impact.explained import Explained
+from orbitfb.diagnose.impact.gap import Parts, gap
+from orbitfb.diagnose.impact.later import Later, lacking
+from orbitfb.diagnose.impact.one_step import OneStep, k_steps, shrink
+from orbitfb.diagnose.impact.score_map import score_map
+from orbitfb.diagnose.impact.slices import fingerprints, lag_profile, likeness
+from orbitfb.diagnose.impact.windows import Windows
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.naming import as_in_record, devices_and_planes, geometry
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
-from orbitfb.diagnose.verdict.impact import OneStep, gap, shrink
-from orbitfb.diagnose.verdict.named import Named, named, probabilities
-from orbitfb.diagnose.verdict.state import Judged, judged
-from orbitfb.diagnose.verdict.values import values_of
-from orbitfb.diagnose.wording import headline
+from orbitfb.diagnose.result.diagnosis import Diagnosis, State
+from orbitfb.diagnose.result.headline import headline
+from orbitfb.diagnose.result.naming import as_in_record, geometry
+from orbitfb.diagnose.result.parts import Cause, NotTested, Provenance, Shrink
+from orbitfb.diagnose.result.parts import Finding as Told
+from orbitfb.diagnose.verdict.causes import (
+    ambiguous_sets,
+    cause_of,
+    tournament_of,
+    unknown_of,
+    waterfall_of,
+)
+from orbitfb.diagnose.verdict.named import Named, named
+from orbitfb.diagnose.verdict.proved import SCREENED, beside, proved
+from orbitfb.diagnose.verdict.state import judged
+from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import all_effects
-from orbitfb.records.layout import Layout
+from orbitfb.estimation.noise import StepNoise
 from orbitfb.records.record import Record
 
-_SCREENED = ("bpm-stuck", "missed-read")
-"""Effects that leave exact repeats: the integrity screen is certain of them, or they are not."""
+_ITSELF, _LATER = "the record itself", "the later record"
+
+_SEARCHED = 0.85
+"""Share of the whole work that the tournament is [1], for the progress that is told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Records:
+    """What is diagnosed, and what helps.
+
+    Args:
+        record: In question.
+        reference: Of a time without a gap; None: there is none.
+        later: A later record; None: there is none.
+    """
+
+    record: Record
+    reference: Record | None
+    later: Record | None
 
 
 def diagnose(
     record: Record,
+    reference: Record | None = None,
+    holdout: Record | None = None,
     *,
     seed: int,
     without: frozenset[str] = frozenset(),
@@ -43,52 +80,106 @@ def diagnose(
 
     Args:
         record: In question.
-        seed: Told in the answer.
+        reference: Of a time without a gap: it tells the floor of the noise.
+        holdout: Later than the record: it tells how far the gap shrinks.
+        seed: Of the draws that intervals come from.
         without: Ids of effects that are not to be considered.
         findings: Of the integrity screen; those that prove an effect are causes.
         progress: Is told what is being done, and which share of all.
+
+    Raises:
+        EstimationError: The record is too short, or does not move.
     """
     began = time.monotonic()
-    certain = certain_causes(record, findings, without).without_given()
+    certain = proved(record, findings, without)
     kinds, not_tested = _able(certain.record, without)
     progress("estimating the floor", 0.0)
+    healthy = None
+    if reference is not None:
+        healthy = Workspace.of(beside(reference, certain.record), kinds)
     space = Workspace.of(certain.record, kinds)
-    accepted, rounds = tournament(space, kinds, lambda text: progress(text, 0.5))
-    causes = named(accepted, rounds)
-    verdict = judged(causes, rounds)
-    final = rounds[-1].space
-    step = OneStep.of(final)
-    told = (*certain.causes, *(_cause(one, final) for one in causes))
-    if verdict.state == "unknown":
-        told = certain.causes
-    state = _beside_certain(verdict.state) if certain.causes else verdict.state
-    counts = any(part.field is not None for one in causes for part in one.parts)
-    shrunk = shrink(step, "the record itself", counts) if causes else None
-    the_gap = gap(final, step, causes, verdict.nats)
-    sets = _ambiguous(causes) if state == "ambiguous" else ()
-    unknown = _unknown(verdict, causes)
+    tell = _Telling(progress, len(kinds))
+    accepted, rounds = tournament(space, kinds, tell)
+    progress("taking the gap apart", _SEARCHED)
+    found = named(accepted, rounds)
+    verdict = judged(found, rounds)
+    causes = [] if verdict.state == "unknown" else found
+    its = Explained.of(causes, accepted, rounds)
+    windows = Windows.of(len(its.space.transform), seed)
+    step = OneStep.of(its, windows, None if healthy is None else healthy.noise)
+    parts = Parts.of(its, causes, verdict.nats, windows)
+    the_gap = gap(its, parts, causes, step.above, step.floor)
+    last = Scorer.of(its.space)
+    first = Scorer.of(rounds[0].space) if len(rounds) > 1 else last
+    told = (*certain.causes, *_told(causes, its, last))
+    shrunk, warnings = _shrunk(
+        Records(certain.record, reference, holdout), kinds, its, causes, step, parts,
+        None if healthy is None else healthy.noise,
+    )  # fmt: skip
+    loop = closed_loop(its, causes, windows) if causes else None
+    state = _beside_proved(verdict.state) if certain.causes else verdict.state
+    sets = ambiguous_sets(causes) if state == "ambiguous" else ()
+    unknown = unknown_of(verdict, found)
+    told = as_in_record(told, record.layout)
     return Diagnosis(
         state=state,
         headline=headline(
-            state, gap=the_gap, causes=told, shrink=shrunk, ambiguous=sets, unknown=unknown,
-            effects=len(kinds),
+            state, gap=the_gap, causes=told, shrink=shrunk, closed_loop=loop, ambiguous=sets,
+            unknown=unknown, effects=len(kinds),
         ),
-        causes=as_in_record(told, record.layout),
+        causes=told,
         gap=the_gap,
         shrink=shrunk,
         not_tested=not_tested,
+        detectable=detectable(kinds, last),
+        findings=warnings,
         ambiguous=sets,
         unknown=unknown,
-        tournament=_rows(rounds, accepted),
-        geometry=geometry(record.layout),
-        provenance=_provenance(record, final, seed, time.monotonic() - began),
+        k_steps=k_steps(its, step) if causes and its.counts else (),
+        closed_loop=loop,
+        tournament=tournament_of(rounds, accepted),
+        waterfall=waterfall_of(causes, parts.by_cause.tolist(), parts.whole, step_count(its))
+        if causes else (),
+        audit=audit(its, windows),
+        fingerprints=fingerprints(its, causes),
+        score_map=score_map(causes, rounds[0], first),
+        lag_profile=lag_profile(its),
+        identifiability=likeness(rounds[0].candidates, first),
+        geometry=geometry(certain.record.layout),
+        provenance=_provenance(
+            Records(record, reference, holdout), its, seed, time.monotonic() - began
+        ),
     )  # fmt: skip
 
 
-def _beside_certain(state: State) -> State:
-    """The state where the screen has proved a cause besides."""
-    beside: dict[State, State] = {"no_gap": "named", "unknown": "named_plus_remainder"}
-    return beside.get(state, state)
+def _told(causes: Sequence[Named], its: Explained, scorer: Scorer) -> Iterator[Cause]:
+    """The causes with their values."""
+    measured = Measured(scorer)
+    for one, pieces in zip(causes, its.pieces, strict=True):
+        yield cause_of(one, pieces, measured)
+
+
+def step_count(its: Explained) -> int:
+    """Steps from row to row."""
+    return len(its.space.transform)
+
+
+@dataclass(slots=True)
+class _Telling:
+    """Turns what a tournament tells of its effects into a share of the work."""
+
+    progress: Progress
+    effects: int
+    done: int = 0
+
+    def __call__(self, text: str) -> None:
+        name = text.split(" ")[0]
+        if name in all_effects():
+            self.done += 1
+            # Every round is half of what is left: nobody knows how many there are.
+            rounds, within = divmod(self.done, max(self.effects, 1))
+            share = 1.0 - 0.5 ** (rounds + within / max(self.effects, 1))
+            self.progress(f"testing {all_effects()[name].title}", _SEARCHED * share)
 
 
 def _able(
@@ -98,90 +189,88 @@ def _able(
     able: list[EffectKind] = []
     unable: list[NotTested] = []
     for kind in all_effects().values():
+        if kind.id in SCREENED:
+            continue
         reason = "left out on request" if kind.id in without else kind.unavailable(record)
-        if reason and kind.id not in _SCREENED:
+        if reason:
             unable.append(NotTested(effect=kind.id, reason=reason))
-        elif kind.id not in _SCREENED:
+        else:
             able.append(kind)
     return able, tuple(unable)
 
 
-def _cause(one: Named, space: Workspace) -> Cause:
-    layout: Layout = space.signals.record.layout
-    devices, planes = devices_and_planes(one.names)
-    first = one.parts[0]
-    onset = min(part.onset for part in one.parts)
-    return Cause(
-        effect=one.kind.id,
-        stage=one.kind.stage,
-        places=devices,
-        planes=layout.planes[0] if len(layout.planes) == 1 else planes,
-        parameters=values_of(one.kind, first, one.round.space),
-        probability=one.probability,
-        onset_s=float(space.signals.record.time[onset]) if onset else None,
-        alternatives=tuple(dict.fromkeys((*one.rivals, *one.kind.also_called))),
-        title=one.kind.title,
-        sentence=one.kind.sentence,
-        drop_one_nats=one.evidence,
-    )
+def _beside_proved(state: State) -> State:
+    """The state where the screen has proved a cause besides."""
+    beside: dict[State, State] = {"no_gap": "named", "unknown": "named_plus_remainder"}
+    return beside.get(state, state)
 
 
-def _ambiguous(causes: Sequence[Named]) -> tuple[AmbiguousSet, ...]:
-    first = causes[0]
-    effects = (first.kind.id, *first.rivals)
-    return (
-        AmbiguousSet(
-            effects=effects,
-            why="their courses are alike in this record",
-            splits=first.kind.splits,
-        ),
-    )
-
-
-def _unknown(verdict: Judged, causes: Sequence[Named]) -> Unknown | None:
-    if verdict.state not in ("unknown", "named_plus_remainder"):
-        return None
-    told = sum(one.evidence for one in causes)
-    places = tuple(one.name for one in verdict.left[:12])
-    target = verdict.left[0].target if verdict.left else "bpm"
-    words = {"bpm": "BPM", "corrector": "corrector"}[target]
-    text = (
-        f"What is left follows the motion of {words} {places[0]} by a law that is not in the "
-        "library."
-        if places
-        else ""
-    )
-    return Unknown(
-        places=places, text=text, nearest=causes[0].kind.id if causes else "",
-        nearest_nats=causes[0].evidence if causes else None,
-        explained=told / (told + verdict.nats) if told else 0.0,
-    )  # fmt: skip
-
-
-def _rows(rounds: Sequence[Round], accepted: Sequence[object]) -> Tournament:
-    rows: dict[str, TournamentRow] = {}
-    chances = probabilities(rounds[0].candidates)
-    for one in rounds[0].candidates:
-        rows.setdefault(
-            one.kind.id,
-            TournamentRow(
-                effect=one.kind.id,
-                places=", ".join(one.names[:4]) or "all",
-                nats=one.evidence,
-                probability=chances[one.kind.id],
-                accepted=bool(accepted) and one is rounds[0].candidates[0],
-            ),
+def _shrunk(
+    records: Records,
+    kinds: Sequence[EffectKind],
+    its: Explained,
+    causes: Sequence[Named],
+    step: OneStep,
+    parts: Parts,
+    healthy: StepNoise | None,
+) -> tuple[Shrink | None, tuple[Told, ...]]:
+    """How far the gap shrinks with the causes, on the later record where it can tell that."""
+    if not its.counts:
+        return None, ()
+    own = shrink(step, _ITSELF, float(parts.by_cause.sum()), parts.rest)
+    if records.later is None:
+        return own, ()
+    later = beside(records.later, records.record)
+    missing = lacking(causes, records.record, later)
+    if missing:
+        text = (
+            f"The later record has no channel {', '.join(missing)}, which a cause follows: how far "
+            "the gap shrinks is told on the record itself."
         )
-    return Tournament(rows=tuple(rows.values()))
+        return own, (Told(check="later-channel", severity="warning", text=text),)
+    there = Later.of(later, kinds, its, causes)
+    notes = tuple(_notes(there.untold))
+    if there.explained is None:
+        return own, notes
+    windows = Windows.of(len(there.explained.space.transform), step.windows.seed)
+    found = OneStep.of(there.explained, windows, _quieter(its.noise, healthy))
+    field = there.explained.named
+    pulled = there.explained.noise.pull(
+        there.explained.nominal - 0.5 * field, there.explained.space.transform
+    )
+    share = parts.rest / max(len(step.nominal), 1) * len(found.nominal)
+    return shrink(found, _LATER, float(np.sum(field * pulled)), share), notes
 
 
-def _provenance(record: Record, space: Workspace, seed: int, seconds: float) -> Provenance:
+def _quieter(first: StepNoise, second: StepNoise | None) -> StepNoise:
+    """The floor that is lower on the whole."""
+    if second is None:
+        return first
+    return min(first, second, key=lambda one: float(np.trace(one.walk + 2.0 * one.white)))
+
+
+def _notes(untold: Sequence[str]) -> Iterator[Told]:
+    if untold:
+        text = (
+            f"What {' and '.join(untold)} does later follows from nothing in the records: on the "
+            "later record it counts as unexplained."
+        )
+        yield Told(check="later-course", severity="note", text=text)
+
+
+def _provenance(records: Records, its: Explained, seed: int, seconds: float) -> Provenance:
+    record, reference, later = records.record, records.reference, records.later
     model = np.ascontiguousarray(record.layout.response)
+    noise = its.noise
     return Provenance(
         data_sha256=record.digest,
         seed=seed,
         versions=versions(),
         source=record.source,
+        reference_sha256="" if reference is None else reference.digest,
+        reference_source="" if reference is None else reference.source,
+        holdout_sha256="" if later is None else later.digest,
+        holdout_source="" if later is None else later.source,
         model_sha256=hashlib.sha256(model.tobytes()).hexdigest(),
         library_sha256=hashlib.sha256("\n".join(all_effects()).encode()).hexdigest(),
         ticks=len(record),
@@ -189,8 +278,8 @@ def _provenance(record: Record, space: Workspace, seed: int, seconds: float) -> 
         correctors=len(record.layout.correctors),
         planes="".join(record.layout.planes),
         period_s=record.layout.period,
-        reading_noise_um=1e6 * float(np.sqrt(np.mean(np.diag(space.noise.white)))),
-        drift_um_per_tick=1e6 * float(np.sqrt(np.mean(np.diag(space.noise.walk)))),
+        reading_noise_um=1e6 * float(np.sqrt(np.mean(np.diag(noise.white)))),
+        drift_um_per_tick=1e6 * float(np.sqrt(np.mean(np.diag(noise.walk)))),
         gauge="the healthy scatter of all gains, with mean zero",
         thresholds={"sure_nats": SURE},
         seconds=seconds,

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from orbitfb.diagnose.result.parts import ParameterValue
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.pieces import Piece
 from orbitfb.diagnose.likelihood.errors import variances
+from orbitfb.diagnose.result.parts import ParameterValue
 from orbitfb.effects.kinds import EffectKind, Parameter
 from orbitfb.effects.laws import DeviceLaw, FieldLaw
 from orbitfb.estimation.evidence import NormalTerms
@@ -20,7 +20,8 @@ _NINETY = 1.645
 """Standard deviations of a normal number beyond which it is in one of ten cases, either side."""
 
 _LEAST = 0.02
-"""Least relative standard deviation of a value [1]: no law is right to better than that."""
+"""Least relative standard deviation of a value [1]: no law is right to better than that. The
+frequency of a wave is: it belongs to nothing but time."""
 
 _KNOWN_TO = 1.0
 """Relative standard deviation of a value before the record is seen [1]."""
@@ -211,11 +212,10 @@ def _largest(kind: EffectKind, pieces: tuple[Piece, ...]) -> dict[str, float]:
     return dict(max(pieces, key=lambda one: abs(one.values.get(name, 0.0))).values)
 
 
-def _told(
-    parameter: Parameter, value: float, spread: float | None, meaning: str
-) -> ParameterValue:
+def _told(parameter: Parameter, value: float, spread: float | None, meaning: str) -> ParameterValue:
     """A value with its interval, within the bounds of its parameter."""
-    reach = None if spread is None else _NINETY * abs(value) * max(spread, _LEAST)
+    least = 0.0 if parameter.unit == "Hz" else _LEAST
+    reach = None if spread is None else _NINETY * abs(value) * max(spread, least)
     return ParameterValue(
         value=value,
         low=None if reach is None else max(value - reach, parameter.low),
