@@ -87,7 +87,7 @@ def _worth(scorer: Scorer, patterns: Matrix, motion: Matrix) -> Vector:
 def _basis(motion: Matrix, transform: StepTransform) -> Sequence[Matrix]:
     """Courses of all devices that a free one is made of, each (N, D), as large as the motion."""
     about = motion - motion.mean(axis=0)
-    scale = np.maximum(np.sqrt(np.mean(about**2, axis=0)), 1e-300)
+    scale = np.maximum(np.sqrt(np.mean(about**2, axis=0)), 1e-100)
     courses = [about]
     for lag in range(1, _LAGS + 1):
         late = about.copy()

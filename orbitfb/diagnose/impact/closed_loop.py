@@ -67,7 +67,7 @@ def closed_loop(its: Explained, causes: Sequence[Named], windows: Windows) -> Cl
     added = its.space.transform.summed(its.named)
     # What the loop is run on: what nothing moves, less what the causes added to it.
     moved = record.readings - record.setpoints @ record.layout.response.T
-    runs = _replayed(record, law, (moved, moved - added) if its.counts else (moved,))
+    runs = replayed(record, law, (moved, moved - added) if its.counts else (moved,))
     with_um, without_um = (None if run is None else _rms(run) for run in (runs[0], runs[-1]))
     mended = _mended_response(its, causes)
     note = "" if its.counts else "what is named is noise: it has no course that could be taken out"
@@ -113,8 +113,10 @@ def _ridge(error: Matrix, change: Matrix) -> Matrix:
     return np.asarray(-np.linalg.solve(normal, error.T @ change).T, dtype=np.float64)
 
 
-def _replayed(record: Record, law: Matrix, moved: Sequence[Matrix]) -> list[Matrix | None]:
-    """Orbits about the reference, every stretch from the setpoints that were in force, (N, n) [m].
+def replayed(record: Record, law: Matrix, moved: Sequence[Matrix]) -> list[Matrix | None]:
+    """Run the loop anew: orbits about the reference, (N, n) [m] each; None of one that is lost.
+
+    Every stretch begins with the setpoints that were in force.
 
     Args:
         record: Whose references and dither the runs have.

@@ -51,6 +51,17 @@ def floor_of(noise: StepNoise, ahead: int = 1) -> Vector:
     return back @ (1.0 / moving_root(noise.ratio) + (ahead - 1) * noise.ratio)
 
 
+def independent(noise: StepNoise) -> float:
+    """How many independent readings the errors of a row are worth: (tr C)² / tr C².
+
+    Args:
+        noise: Covariances of walk and noise.
+    """
+    back = (noise.white @ noise.modes) / np.sqrt(moving_root(noise.ratio))
+    covariance = back @ back.T
+    return float(np.trace(covariance) ** 2 / np.sum(covariance**2))
+
+
 def errors_ahead(spectrum: Matrix, errors: Matrix, transform: StepTransform, ahead: int) -> Matrix:
     """Errors of a prediction some rows ahead, shape (T', n) [m].
 

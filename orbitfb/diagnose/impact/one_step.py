@@ -7,7 +7,13 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.impact.explained import Explained
-from orbitfb.diagnose.impact.innovations import at_bpms, errors_ahead, floor_of, whitened
+from orbitfb.diagnose.impact.innovations import (
+    at_bpms,
+    errors_ahead,
+    floor_of,
+    independent,
+    whitened,
+)
 from orbitfb.diagnose.impact.windows import Windows, interval, quiet_level
 from orbitfb.diagnose.result.blocks import KStep
 from orbitfb.diagnose.result.parts import Shrink
@@ -48,13 +54,16 @@ class OneStep:
             healthy: Floor of a time without a gap; the lower one counts.
         """
         transform = its.space.transform
-        before = whitened(its.nominal, its.noise, transform)
-        after = whitened(its.left, its.noise, transform)
+        before, after = (
+            at_bpms(whitened(one, its.noise, transform), its.noise)
+            for one in (its.nominal, its.left)
+        )
         wide, own = its.fitted_shares()
-        floor = floor_of(its.noise) * quiet_level(after, windows) * (1.0 - own) / (1.0 - wide)
+        floor = floor_of(its.noise) * (1.0 - own) / (1.0 - wide)
+        floor *= quiet_level(after, independent(its.noise), windows)
         if healthy is not None and np.mean(floor_of(healthy)) < np.mean(floor):
             floor = floor_of(healthy)
-        return cls(at_bpms(before, its.noise), at_bpms(after, its.noise), floor, windows)
+        return cls(before, after, floor, windows)
 
     @property
     def above(self) -> tuple[Vector, Vector]:

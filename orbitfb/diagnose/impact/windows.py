@@ -60,22 +60,24 @@ def interval(draws: Vector) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def quiet_level(white: Matrix, windows: Windows) -> float:
-    """Level of the quietest window, of that of the floor [1]; 1 where all are alike.
+def quiet_level(errors: Matrix, independent: float, windows: Windows) -> float:
+    """Level of the quietest windows, of that of all of them [1]; 1 where all are alike.
 
     What begins late, comes and goes, or strikes here and there raises a floor that is one for the
     whole record; it does not raise that of the windows without it. The mean square of a window of
-    L rows and n modes scatters by √(2/Ln); a window counts as quieter beyond three times that,
-    and half as much again as the lowest of a dozen lies below their mean.
+    L rows and n independent readings scatters by √(2/Ln); a window counts as quieter where it is
+    further than three times that above the quietest one, which itself lies 1.6 times that below
+    the mean of a dozen.
 
     Args:
-        white: Whitened innovations of what is left, shape (T, n).
+        errors: Of predictions one row ahead, with the causes in the model, shape (T, n) [m].
+        independent: How many independent readings those of a row are worth.
         windows: Of the record.
     """
-    level = windows.sums(np.mean(white**2, axis=1)) / windows.lengths
-    scatter = np.sqrt(2.0 / (windows.lengths * white.shape[1]))
+    level = windows.sums(np.mean(errors**2, axis=1)) / windows.lengths
+    scatter = np.sqrt(2.0 / (windows.lengths * independent))
     lowest = int(np.argmin(level))
     near = level < level[lowest] * (1.0 + 3.0 * scatter[lowest])
     quiet = float(np.average(level[near], weights=windows.lengths[near]))
     usual = float(np.average(level, weights=windows.lengths))
-    return quiet / usual if quiet < usual * (1.0 - 4.5 * scatter[lowest]) else 1.0
+    return quiet / usual if quiet < usual * (1.0 - 3.0 * scatter[lowest]) else 1.0

@@ -155,12 +155,9 @@ class Panel:
             f'height="{max(y1 - y0, 0.4):.1f}" fill="{colour}"/>'
         )
 
-    def word(
-        self, x: float, y: float, content: str, colour: str = INK, centre: bool = False
-    ) -> None:
-        """Text at a point."""
+    def word(self, x: float, y: float, content: str) -> None:
+        """Text behind a point."""
         px, py = self._at(x, y)
-        anchor = ' text-anchor="middle"' if centre else ""
         self._marks.append(
             f'<text x="{px + 4:.1f}" y="{py + 4:.1f}" fill="{INK}">{text(content)}</text>'
         )

@@ -7,6 +7,9 @@ from orbitfb.diagnose.result.diagnosis import State
 from orbitfb.diagnose.result.parts import Cause, Finding, Gap, Shrink
 from orbitfb.diagnose.result.quantities import chance, parameter, percent, quantity
 
+_LEAST_TOLD = 0.1
+"""Probability of a further cause below which the sentence leaves it to the table [1]."""
+
 _TO_DO = {
     "sensor": "Check the reading of {where}: cable, electronics, calibration.",
     "actuator": "Check the power supply and the magnet of {where}.",
@@ -52,7 +55,11 @@ def headline(
             "No gap: the model explains the record down to its noise "
             f"({noise} rms of a prediction one row ahead). No effect is needed."
         )
-    parts = [_named(cause, first=number == 0) for number, cause in enumerate(causes)]
+    parts = [
+        _named(cause, first=number == 0)
+        for number, cause in enumerate(causes)
+        if number == 0 or cause.probability is None or cause.probability >= _LEAST_TOLD
+    ]
     if state == "ambiguous":
         sets = ", and ".join(" or ".join(map(member, one.effects)) for one in ambiguous)
         splits = next((one.splits for one in ambiguous if one.splits), "").rstrip(".")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.errors import EstimationError
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.hypotheses.priors import SURE
 from orbitfb.diagnose.hypotheses.run import tournament
@@ -46,6 +47,10 @@ from orbitfb.estimation.noise import StepNoise
 from orbitfb.records.record import Record
 
 _ITSELF, _LATER = "the record itself", "the later record"
+
+_ONE_COURSE = 1e-12
+"""Second largest variance of the readings' modes, of the largest, below which they are one course
+[1]: rounding leaves that."""
 
 _SEARCHED = 0.85
 """Share of the whole work that the tournament is [1], for the progress that is told."""
@@ -92,6 +97,7 @@ def diagnose(
     """
     began = time.monotonic()
     certain = proved(record, findings, without)
+    _check(certain.record)
     kinds, not_tested = _able(certain.record, without)
     progress("estimating the floor", 0.0)
     healthy = None
@@ -150,6 +156,21 @@ def diagnose(
             Records(record, reference, holdout), its, seed, time.monotonic() - began
         ),
     )  # fmt: skip
+
+
+def _check(record: Record) -> None:
+    """Refuse readings that are all one course: noise and motion cannot be told apart.
+
+    Raises:
+        EstimationError: They are.
+    """
+    moving = record.readings - record.readings.mean(axis=0)
+    spectrum = np.linalg.eigvalsh(moving.T @ moving)
+    if len(spectrum) > 1 and spectrum[-1] > 0.0 and spectrum[-2] < _ONE_COURSE * spectrum[-1]:
+        raise EstimationError(
+            "all BPMs read the same course, each times a factor: no noise of single BPMs, nothing "
+            "to tell it from motion; give readings as they came, not an orbit that was fitted"
+        )
 
 
 def _told(causes: Sequence[Named], its: Explained, scorer: Scorer) -> Iterator[Cause]:
