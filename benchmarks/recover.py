@@ -1,10 +1,9 @@
-"""Simulate every effect at a size that shows, and see whether its scan and its fit get it back.
+"""Simulate every effect at a size that shows, and see whether the tournament finds it.
 
-    python -m benchmarks.recover [--effect ID] [--ticks 1000] [--seeds 3] [--rivals]
+    python -m benchmarks.recover [--effect ID] [--ticks 1000] [--seeds 1] [--default-ring]
 
-The place is drawn by the seed. The scan has to name it; the fit begins away from the truth, once
-from what the scan proposes and once at the true place with values half as large again. A value
-counts as recovered when it is inside the 90 % interval that an answer would state.
+The place is drawn by the seed. The best of all effects together has to be the one that was
+simulated, at its place; its values are printed beside the true ones.
 """
 
 import argparse
@@ -13,28 +12,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.candidate import Candidate
-from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.fit import Fit, fit
-from orbitfb.diagnose.noise_levels import level_candidates
-from orbitfb.diagnose.random_values import state
-from orbitfb.diagnose.randomness import noise_candidates
-from orbitfb.diagnose.scan import Scanner
+from benchmarks.small_ring import small_ring
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.free_course import FreeCourse
+from orbitfb.diagnose.hypotheses.priors import SURE
+from orbitfb.diagnose.hypotheses.run import tournament
+from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.simulate import simulate_record
-from orbitfb.diagnose.strike_scan import latent_candidates
-from orbitfb.diagnose.tournament import tournament
 from orbitfb.effects.build import Since, layout_of
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.orbit_kinds import SourceKind
-from orbitfb.effects.random_kinds import LatentKind, NoiseKind
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.registry import all_effects
 from orbitfb.effects.sensors.bpm_current import CHANNEL, top_up_current
 from orbitfb.physics.effect import generator
 from orbitfb.physics.places import Indices, Planes, Ring
 from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
+
+SCREENED = ("bpm-stuck", "missed-read")
+"""Exact repeats are found by the integrity screen, not by a likelihood."""
+OPEN = ("bpm-polarity", "bpm-swap", "corrector-polarity", "corrector-swap")
+"""Effects with which a closed loop runs away before there is a record: the loop stays open."""
 
 SETTLE = 200
 PERIOD = 0.1
@@ -104,35 +104,58 @@ class Case:
     """An effect in a record.
 
     Args:
-        truth: What was simulated; places as the engine counts them.
+        ring: That has it.
+        kind: The effect.
+        places: As the engine counts them; empty: the ring.
+        values: Of its parameters.
+        onset: Row at which it begins.
         planes: Of the record.
         seed: Of place, plant and effect.
     """
 
-    truth: Cause
+    ring: Ring
+    kind: EffectKind
+    places: tuple[int, ...]
+    values: Values
+    onset: int
     planes: Planes
     seed: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Recovered:
-    """What became of a case: whether the scan's best has the true places (and beginning), the gain
-    of the fit [nats], its values with the ends of their 90 % intervals, and the best other kind
-    with the evidence by which the true one is ahead [nats], if that was asked for."""
+    """What became of a case.
 
-    found: bool
-    gain: float
-    values: Values
-    low: Values
-    high: Values
-    proposed: Candidate | None
-    rival: tuple[str, float] | None = None
+    Args:
+        accepted: Causes in the order in which they were accepted.
+        own: The best candidate of the true effect in the first round; None: there is none.
+        unknown: Whether an unknown law of a device explained more than any effect.
+    """
+
+    accepted: tuple[Candidate, ...]
+    own: Candidate | None
+    unknown: bool
+
+    def places(self, case: Case) -> bool:
+        """Whether the first cause is at the devices that were struck."""
+        struck = columns_of(case.kind, case.places, layout_of(case.ring, case.planes, PERIOD))
+        return bool(self.accepted) and set(self.accepted[0].places) == set(map(int, struck))
+
+    @property
+    def first(self) -> str:
+        """Id of the first cause; empty: there is none."""
+        return self.accepted[0].kind.id if self.accepted else ""
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """Ids that mean the same fault as the first cause."""
+        return (self.first, *self.accepted[0].kind.also_called) if self.accepted else ()
 
 
-def draw(kind: EffectKind, seed: int, ticks: int, later: bool) -> Case:
+def draw(kind: EffectKind, seed: int, ticks: int, ring: Ring) -> Case:
     """Draw a place; take the size from the table."""
     planes = PLANES.get(kind.id, "x")
-    layout = layout_of(Ring.load(), planes, 0.1)
+    layout = layout_of(ring, planes, PERIOD)
     rng = generator(seed, f"recover {kind.id}")
     places: tuple[int, ...] = ()
     if kind.target != "ring":
@@ -142,15 +165,14 @@ def draw(kind: EffectKind, seed: int, ticks: int, later: bool) -> Case:
     values = SIZES.get(kind.id, {})
     if kind.id == "corrector-saturation":
         # the one that leaves the range of its beginning by most: from then on it is clipped
-        quiet = simulate_record(Ring.load(), planes, ticks, seed, dither=DITHER)
+        quiet = simulate_record(ring, planes, ticks, seed, dither=DITHER)
         size, early = np.abs(quiet.setpoints), ticks * 2 // 5
         reached = size[:early].max(axis=0)
         best = int(np.argmax(size[early:].max(axis=0) - reached))
-        corner = 0.05 * float(np.ptp(quiet.setpoints[:, best]))
         places = (best,)
-        values = {"limit": float(reached[best]), "side": 0.0, "rounding": corner}
-    onset = ticks * 2 // 5 if later or kind.id in LATER else 0
-    return Case(Cause(kind, places, values, onset), planes, seed)
+        values = {"limit": float(reached[best]), "side": 0.0}
+    onset = ticks * 2 // 5 if kind.id in LATER else 0
+    return Case(ring, kind, places, values, onset, planes, seed)
 
 
 def _count(kind: EffectKind, layout: Layout) -> int:
@@ -172,23 +194,22 @@ def columns_of(kind: EffectKind, places: tuple[int, ...], layout: Layout) -> Ind
 
 def record_of(case: Case, ticks: int) -> Record:
     """Simulate a case."""
-    ring = Ring.load()
-    layout = layout_of(ring, case.planes, 0.1)
-    truth, kind = case.truth, case.truth.kind
+    layout, kind = layout_of(case.ring, case.planes, PERIOD), case.kind
     rng = generator(case.seed, f"effect {kind.id}")
-    effect = kind.simulate(layout, columns_of(kind, truth.places, layout), truth.values, rng)
-    begin = SETTLE + truth.onset if truth.onset or kind.grows else 0
+    effect = kind.simulate(layout, columns_of(kind, case.places, layout), case.values, rng)
+    begin = SETTLE + case.onset if case.onset or kind.grows else 0
     if kind.id == "periodic-disturbance":
         begin = SETTLE  # its phase is counted from the first row
     own_clock = kind.grows or kind.id == "periodic-disturbance"
     record = simulate_record(
-        ring,
+        case.ring,
         case.planes,
         ticks,
         case.seed,
         [Since(effect, begin, own_clock) if begin else effect],
         dither=DITHER,
         settle=SETTLE,
+        gain=1e-6 if kind.id in OPEN else 0.35,
     )
     if kind.id != "bpm-current":
         return record
@@ -196,107 +217,57 @@ def record_of(case: Case, ticks: int) -> Record:
     return replace(record, auxiliary={CHANNEL: current})
 
 
-def propose(bench: Bench, kind: EffectKind) -> list[Candidate]:
-    if isinstance(kind, NoiseKind):
-        found = [*noise_candidates(bench, kind), *level_candidates(bench, [kind])]
-        return sorted(found, key=lambda c: c.gain - np.log(c.choices), reverse=True)
-    if isinstance(kind, LatentKind):
-        return latent_candidates(bench, kind)
-    return Scanner(bench).candidates(kind)
-
-
-def refine(bench: Bench, cause: Cause) -> Fit:
-    """Fit a cause, and again under the floor that it leaves, as a search does."""
-    first = fit(bench, (cause,))
-    return fit(bench.with_floor(bench.floor_without(first.causes)), first.causes, precise=True)
-
-
-def away(cause: Cause) -> Cause:
-    """Move values away from the truth."""
-    wrong = {
-        p.name: float(np.clip(1.5 * cause.values[p.name], p.low, p.high))
-        for p in cause.kind.parameters
-    }
-    if cause.kind.id == "periodic-disturbance":
-        wrong["frequency"] = cause.values["frequency"]
-    return replace(cause, values=wrong)
-
-
-def recover(
-    case: Case, ticks: int, background: float = 0.0, rivals: bool = False
-) -> Iterator[Recovered]:
-    """Recover a case: from the scan, then from values that are half as large again."""
+def recover(case: Case, ticks: int) -> Recovered:
+    """Let all effects compete for a case."""
     record = record_of(case, ticks)
-    bench = Bench(record, background=background)
-    kind, truth = case.truth.kind, case.truth
-    proposals = propose(bench, kind)
-    best = proposals[0] if proposals else None
-    near = best is not None and (not truth.onset or abs(best.cause.onset - truth.onset) <= 20)
-    found = (
-        near and best is not None and (kind.target == "ring" or best.cause.places == truth.places)
-    )
-    if isinstance(kind, NoiseKind | LatentKind):
-        if best is None:
-            yield Recovered(False, 0.0, {}, {}, {}, None)
-            return
-        stated = state(bench, best.cause)
-        low, high = ({name: ends[end] for name, ends in stated.intervals.items()} for end in (0, 1))
-        yield Recovered(found, best.gain, stated.cause.values, low, high, best)
-        return
-    rival = None
-    if rivals:
-        known = [k for k in all_effects().values() if not k.unavailable(record)]
-        entries = tournament(bench, known)
-        own = max((e.weight for e in entries if e.kind.id == kind.id), default=-np.inf)
-        other = next((e for e in entries if e.kind.id != kind.id), None)
-        rival = ("none", own) if other is None else (other.kind.id, own - other.weight)
-    starts = [away(truth)] if best is None else [best.cause, away(truth)]
-    for start in starts:
-        done = refine(bench, start)
-        names = [p.name for _, p in done.parameters]
-        ends = [done.interval(index) for index in range(len(names))]
-        low, high = ({n: its[end] for n, its in zip(names, ends, strict=True)} for end in (0, 1))
-        yield Recovered(found, done.gain, done.causes[0].values, low, high, best, rival)
+    kinds = [
+        kind
+        for kind in all_effects().values()
+        if not kind.unavailable(record) and kind.id not in SCREENED
+    ]
+    accepted, rounds = tournament(Workspace.of(record, kinds), kinds)
+    first = rounds[0]
+    own = next((one for one in first.candidates if one.kind.id == case.kind.id), None)
+    return Recovered(tuple(accepted), own, not accepted and bool(_telling(first.free)))
+
+
+def _telling(free: tuple[FreeCourse, ...]) -> list[FreeCourse]:
+    return [one for one in free if one.evidence > SURE]
 
 
 def tell(case: Case, result: Recovered) -> str:
-    truth = case.truth
-    words = [
-        f"{truth.kind.id:22} seed {case.seed} onset {truth.onset:4}",
-        "found " if result.found else "MISSED",
-        f"{result.gain:9.1f} nats",
-    ]
-    for name, value in result.values.items():
-        true, low, high = truth.values[name], result.low[name], result.high[name]
-        inside = "" if low <= true <= high else " OUTSIDE"
-        words.append(f"{name} {true:.4g}: {value:.6g} [{low:.6g}, {high:.6g}]{inside}")
-    if result.rival is not None:
-        words.append(f"{result.rival[1]:.1f} nats ahead of {result.rival[0]}")
-    if not result.found and result.proposed is not None:
-        cause = result.proposed.cause
-        words.append(f"(scan: {cause.places[:4]} from {cause.onset}, truth {truth.places})")
-    return "  ".join(words)
+    """Write what became of a case in a line, and in a line each what was accepted."""
+    values = " ".join(f"{name}={value:.4g}" for name, value in case.values.items())
+    if result.first == case.kind.id:
+        verdict = "found" if result.places(case) else "found, other place"
+    else:
+        verdict = "UNKNOWN" if result.unknown else "MISSED"
+    lines = [f"{case.kind.id:22} {verdict:18} place {case.places} row {case.onset} {values}"]
+    lines += [f"    accepted {one.describe()}" for one in result.accepted]
+    if result.first != case.kind.id and result.own is not None:
+        lines.append(f"    own      {result.own.describe()}")
+    return "\n".join(lines)
+
+
+def cases(ids: list[str], ticks: int, seeds: int, ring: Ring) -> Iterator[Case]:
+    """Draw every effect that a likelihood can find, with every seed."""
+    known = all_effects()
+    for name in ids or [one for one in known if one not in SCREENED]:
+        for seed in range(1, seeds + 1):
+            yield draw(known[name], seed, ticks, ring)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--effect", help="id of one effect; all by default")
     parser.add_argument("--ticks", type=int, default=1000)
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--background", type=float, default=0.0, help="scale of healthy errors")
-    parser.add_argument("--later", action="store_true", help="begin in the record")
-    parser.add_argument("--rivals", action="store_true", help="let all kinds compete (slow)")
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--default-ring", action="store_true", help="180 BPMs instead of 45")
     options = parser.parse_args()
-    known = all_effects()
-    for kind in [known[options.effect]] if options.effect else known.values():
-        if kind.id == "bpm-stuck":
-            continue  # left to the integrity screen
-        if options.later and not kind.sudden:
-            continue
-        for seed in range(options.seeds):
-            case = draw(kind, seed, options.ticks, options.later)
-            for result in recover(case, options.ticks, options.background, options.rivals):
-                print(tell(case, result), flush=True)
+    ring = Ring.load() if options.default_ring else small_ring()
+    ids = [options.effect] if options.effect else []
+    for case in cases(ids, options.ticks, options.seeds, ring):
+        print(tell(case, recover(case, options.ticks)), flush=True)
 
 
 if __name__ == "__main__":
