@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from orbitfb.core.errors import ExchangeError
+from orbitfb.core.files.arrays import first_line
 from orbitfb.core.files.bounded import LARGEST_TEXT, parse_json, read_text
 from orbitfb.core.signals import Vector
 from orbitfb.exchange.formats.csv_file import COLUMNS, ROWS, VALUES, CsvSource
@@ -102,8 +103,8 @@ def _numpy(file: Path) -> Raw:
         found = {name: content[name] for name in content.files}
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise ExchangeError(
-            f"{file}: no readable {file.suffix} of numbers and names ({error}); save it again, "
-            "without objects in it"
+            f"{file}: no readable {file.suffix} of numbers and names ({first_line(error)}); save "
+            "it again, without objects in it"
         ) from error
     return _of_parts(file, found)
 

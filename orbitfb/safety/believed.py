@@ -30,6 +30,7 @@ class Believed:
         since: When the ring answered last, monotonic [s].
         found: How often something was found not to answer.
         asking: Whether the loop asks.
+        asked: Ticks at which it did so far.
         closed: Whether it is CLOSED, and heeds answers.
     """
 
@@ -41,6 +42,7 @@ class Believed:
     since: float = float("nan")
     found: int = 0
     asking: bool = False
+    asked: int = 0
     closed: bool = False
 
     def teaches(self, ticks: NDArray[np.int64]) -> Mask:
@@ -63,7 +65,14 @@ class Believed:
         """
         since, found, closed = answering.since, answering.found, answering.owed is not None
         asking = answering.session is not None
-        now = replace(self, since=since, found=found, asking=asking, closed=closed)
+        now = replace(
+            self,
+            since=since,
+            found=found,
+            asking=asking,
+            asked=self.asked + asking,
+            closed=closed,
+        )
         if found != self.found:
             return now._refuse(min(self.quiet, self.until), tick)
         if not closed:

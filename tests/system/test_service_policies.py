@@ -84,6 +84,7 @@ def test_refit_keeps_what_the_judge_accepts_and_activates_nothing(service: Servi
 def test_refit_with_activate_swaps_the_policy(service: Service):
     baseline = service.where["policy"]
     socket.ask(service.data, {"command": "close"})  # a candidate is looked at on closed ticks
+    service.wait_below(20.0)  # and on none at which even the step towards the reference is limited
     report = json.loads(ask(service, "refit", "--activate", "--json"))
     assert report["decision"] == "promoted", report["reason"]
     candidate = report["policy_id"]

@@ -220,7 +220,9 @@ class Service:
             self.statistics.snapshot,
             archive.status,
             recorders[0].status if recorders else None,
-            beside(config, self.machine, below, clocks, self.statistics),
+            beside(
+                config, self.machine, below, clocks, self.statistics, lambda: self.runner.believed
+            ),
         )
         remote = Remote(
             self.runner,

@@ -29,6 +29,7 @@ from orbitfb.physics.places import Ring
 from orbitfb.postmortem.frozen import Frozen
 from orbitfb.postmortem.log_tap import LogTap
 from orbitfb.postmortem.recorder import Listeners, PostMortemRecorder, Run
+from orbitfb.safety.believed import Believed
 
 _log = structlog.stdlib.get_logger("orbitfb.service")
 
@@ -124,6 +125,7 @@ def beside(
     dither: Dither,
     clocks: ClockWatch,
     statistics: LoopStatistics,
+    believed: Callable[[], Believed],
 ) -> Beside:
     """Say where a scrape finds what is not the loop's own.
 
@@ -133,6 +135,7 @@ def beside(
         dither: The dither.
         clocks: Counts how often a clock was set.
         statistics: Know whether settings are not saved.
+        believed: Tells what was asked of the ring.
     """
     return Beside(
         channels=machine.channel_counts,
@@ -143,6 +146,7 @@ def beside(
         most_invalid=config.interlocks.max_invalid_bpms,
         clock_steps=lambda: clocks.steps,
         unsaved=lambda: statistics.unsaved(),  # the doors, which know it, are opened later
+        believed=believed,
     )
 
 

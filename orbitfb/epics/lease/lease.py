@@ -7,7 +7,9 @@ wants the lease watches the text for `time`; if it changes meanwhile, its owner 
 Channel Access has no test-and-set, so that a taker writes, waits and reads back: of two that
 write at once, the last one finds its own text. A holder that could not confirm the lease for
 `time` (its process stood still, the network was away) does not write to the machine before it
-has: somebody else may hold it by then.
+has: somebody else may hold it by then. A holder that finds another text does not write either: if
+that text grows its owner has the machine; if it stands still for `time` it is stale, as one that an
+operator typed or an IOC brought back, and the lease is taken back.
 """
 
 import os
@@ -114,6 +116,7 @@ class Lease:
         self._count = 0
         self._confirmed = float("-inf")
         self._taken_by = ""
+        self._foreign: tuple[tuple[str, ...], float] | None = None
         self.trouble = ""
         """Why the lease could not be confirmed last; empty if it was."""
 
@@ -161,13 +164,30 @@ class Lease:
         try:
             now = self._board.read()
             if self._sign(now) is Sign.THEIRS:
-                self._give_up(now)
+                self._watch(now)
                 return
+            self._foreign = None
             self._write()  # also anew where an IOC has come back without it
             self._confirmed = self._clock.monotonic()
             self.trouble = ""
         except MachineError as error:
             self.trouble = str(error)
+
+    def _watch(self, texts: tuple[str, ...]) -> None:
+        """Look whether a foreign text lives: give the machine up, wait, or take a stale one back.
+
+        What is taken back is ours when the next sign of life finds it so.
+        """
+        now = self._clock.monotonic()
+        if self._foreign is None:
+            self._foreign = texts, now
+            return
+        first, since = self._foreign
+        if texts != first:
+            self._give_up(texts)
+        elif now - since >= self._time:
+            self._confirmed = float("-inf")
+            self._write()
 
     def refusal(self) -> str:
         """Say why the machine must not be written to now; empty when it may."""
@@ -175,6 +195,12 @@ class Lease:
             return (
                 f"the lease of the machine was taken by {self._taken_by}; this controller does not "
                 "take it back: end the other one, then start this one again"
+            )
+        if self._foreign is not None:
+            text = ", ".join(dict.fromkeys(filter(None, self._foreign[0])))
+            return (
+                f"the lease of the machine reads {text}, which is not of this controller; it is "
+                f"taken back if that stands still for {self._time:.3g} s"
             )
         age = self._clock.monotonic() - self._confirmed
         if age < self._time:

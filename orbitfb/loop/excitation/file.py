@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.files.arrays import first_line
 from orbitfb.core.files.bounded import LARGEST_TEXT, parse_toml, read_text
 from orbitfb.core.signals import Channels
 from orbitfb.loop.excitation.design import (
@@ -114,7 +115,8 @@ def _from_arrays(path: Path, channels: Channels, period: float) -> Waveform:
                 raise ConfigError(f"{where}: unpacks to {size} bytes, which no waveform does")
             given = {its.filename.removesuffix(".npy"): _array(archive, its) for its in members}
     except (*_DAMAGED, MemoryError) as error:
-        raise ConfigError(f"{where}: is no file of arrays that can be read: {error}") from None
+        told = first_line(error)
+        raise ConfigError(f"{where}: is no file of arrays that can be read: {told}") from None
     missing = {"waveform", "corr_names"} - set(given)
     if missing:
         raise ConfigError(f"{where}: has no {' and no '.join(sorted(missing))}; {HOW_TO}")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from orbitfb.core.link import ChannelCounts
 from orbitfb.observe.last_diagnosis import DiagnosisFigures
+from orbitfb.safety.believed import Believed
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +21,7 @@ class Beside:
         noise: Noise of one BPM reading to believe before a refit has found it, rms [m].
         most_invalid: Invalid BPMs above which the loop is HELD.
         clock_steps: Counts how often a clock was set.
+        believed: Tells what was asked of the ring, and which ticks it answered.
         unsaved: Whether settings of operators are in force that could not be saved yet.
     """
 
@@ -31,3 +33,4 @@ class Beside:
     most_invalid: float = math.nan
     clock_steps: Callable[[], int] = int
     unsaved: Callable[[], bool] = bool
+    believed: Callable[[], Believed] = Believed

@@ -36,6 +36,28 @@ LOOP = (
         "Ticks that wrote nothing, as the last change did not show in the readbacks yet.",
     ),
     Metric(
+        "orbitfb_answer_asked_ticks_total",
+        "counter",
+        "",
+        (),
+        "Ticks at which the loop asked by small excursions whether the orbit answers: a tick or "
+        "two a minute at a quiet ring.",
+    ),
+    Metric(
+        "orbitfb_answer_silent_total",
+        "counter",
+        "",
+        (),
+        "How often the ring, BPMs or correctors were found not to answer.",
+    ),
+    Metric(
+        "orbitfb_answer_refused_ticks_total",
+        "counter",
+        "",
+        (),
+        "Ticks that teach nobody, as the ring was not seen to answer later on.",
+    ),
+    Metric(
         "orbitfb_limited_ticks_total",
         "counter",
         "",

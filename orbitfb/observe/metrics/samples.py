@@ -48,7 +48,7 @@ def samples_of(
 
 def _loop(snapshot: LoopSnapshot, beside: Beside) -> Samples:
     ticks, closing, state = snapshot.ticks, snapshot.closing, snapshot.state
-    reason = kind_of(snapshot.entry_reason)
+    reason, believed = kind_of(snapshot.entry_reason), beside.believed()
     return {
         "orbitfb_loop_state": [((one.value,), float(one is state)) for one in LoopState],
         "orbitfb_loop_state_entries_total": [
@@ -64,6 +64,9 @@ def _loop(snapshot: LoopSnapshot, beside: Beside) -> Samples:
         "orbitfb_ticks_total": _one(ticks.ticks),
         "orbitfb_missed_ticks_total": _one(ticks.missed),
         "orbitfb_held_back_ticks_total": _one(ticks.held_back),
+        "orbitfb_answer_asked_ticks_total": _one(believed.asked),
+        "orbitfb_answer_silent_total": _one(believed.found),
+        "orbitfb_answer_refused_ticks_total": _one(believed.count),
         "orbitfb_limited_ticks_total": _one(snapshot.correctors.limited),
         "orbitfb_last_tick_timestamp_seconds": _one(ticks.time),
         "orbitfb_tick_period_seconds": _one(ticks.period),

@@ -137,11 +137,33 @@ def test_who_was_asleep_does_not_write_before_it_has_looked(texts: Texts):
     assert "is not confirmed for 4.4 s" in lease.refusal()
     texts.texts[0] = "ws7:12:ab:5"
     lease.beat()
+    assert "reads ws7:12:ab:5, which is not of this controller" in lease.refusal()
+    texts.texts[0] = "ws7:12:ab:6"
+    lease.beat()
     assert lost == ["ws7:12:ab"]
     assert lease.refusal().startswith("the lease of the machine was taken by ws7:12:ab; ")
     lease.beat()
     lease.release()
-    assert lost == ["ws7:12:ab"] and texts.texts == ["ws7:12:ab:5"]
+    assert lost == ["ws7:12:ab"] and texts.texts == ["ws7:12:ab:6"]
+
+
+def test_a_text_that_stands_still_is_taken_back_and_nothing_is_written_meanwhile(texts: Texts):
+    """An operator typed it, or the IOC's autosave brought an old one back."""
+    lost: list[str] = []
+    lease = texts.lease(lost.append)
+    lease.take()
+    texts.texts[0] = "who are you"
+    for _ in range(4):
+        lease.beat()
+        assert "reads who are you" in lease.refusal()
+        assert texts.texts == ["who are you"]
+        texts.clock.advance(TIME / 4)
+    lease.beat()
+    assert texts.texts[0].startswith(lease.owner)
+    assert lease.refusal() != ""  # another may have written at the same time
+    texts.clock.advance(TIME / 4)
+    lease.beat()
+    assert lease.refusal() == "" and lost == []
 
 
 def test_a_network_that_is_gone_stops_the_writing_until_it_is_back(texts: Texts):

@@ -23,6 +23,7 @@ from orbitfb.observe.metrics.catalogue import METRICS
 from orbitfb.observe.metrics.collector import metrics_registry
 from orbitfb.observe.metrics.reference import metrics_table_markdown
 from orbitfb.observe.statistics.running import LoopStatistics
+from orbitfb.safety.believed import Believed
 
 PAGE = Path(__file__).parents[3] / "docs/reference/metrics.md"
 
@@ -64,6 +65,14 @@ def everything_beside():
         noise=1e-7,
         most_invalid=9,
     )
+
+
+def test_what_was_asked_and_not_answered_is_counted(full):
+    beside = Beside(believed=lambda: Believed(asked=7, found=2, count=300))
+    _, values = scrape(full, beside=beside)
+    assert values["orbitfb_answer_asked_ticks_total", ()] == 7
+    assert values["orbitfb_answer_silent_total", ()] == 2
+    assert values["orbitfb_answer_refused_ticks_total", ()] == 300
 
 
 def scrape(statistics, archive=None, postmortems=None, beside=None):

@@ -73,3 +73,9 @@ def test_only_the_last_stretches_are_remembered():
         believed = follow(believed, range(begin, begin + 10))
         believed = follow(believed, range(begin + 10, begin + 20), owed=OWED, since=1.0)
     assert len(believed.refused) == KEPT
+
+
+def test_ticks_at_which_the_loop_asks_are_counted():
+    asked = follow(closed_at_10(), range(20, 25), owed=OWED, since=1.0, session=ASKS)
+    assert (closed_at_10().asked, asked.asked) == (0, 5)
+    assert follow(asked, [25], owed=OWED, since=2.5).asked == 5
