@@ -51,7 +51,7 @@ class OneStep:
         Args:
             its: What the causes add, and the floor.
             windows: Of the record.
-            healthy: Floor of a time without a gap; the lower one counts.
+            healthy: Floor of another time, of about as many rows; the lower one counts.
         """
         transform = its.space.transform
         before, after = (
@@ -60,9 +60,14 @@ class OneStep:
         )
         wide, own = its.fitted_shares()
         floor = floor_of(its.noise) * (1.0 - own) / (1.0 - wide)
-        floor *= quiet_level(after, independent(its.noise), windows)
-        if healthy is not None and np.mean(floor_of(healthy)) < np.mean(floor):
-            floor = floor_of(healthy)
+        readings = independent(its.noise)
+        floor *= quiet_level(after, readings, windows)
+        if healthy is not None:
+            # Both scatter, so that the lower one counts where it is so by more than both.
+            scatter = 2.0 * float(np.sqrt(1.0 / (len(after) * readings)))
+            there = floor_of(healthy) / (1.0 - wide)
+            if np.mean(there) < np.mean(floor) * (1.0 - 3.0 * scatter):
+                floor = there
         return cls(before, after, floor, windows)
 
     @property

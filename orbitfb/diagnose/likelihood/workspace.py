@@ -19,7 +19,14 @@ from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.estimation.evidence import NormalTerms
-from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve
+from orbitfb.estimation.floor import (
+    PRIOR_COUNTS,
+    Moments,
+    Shapes,
+    first_noise,
+    fit_shapes,
+    improve,
+)
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.transform import Indices, Matrix, StepTransform
@@ -31,6 +38,10 @@ it is named: below it the one-step error changes by half a per cent, and nobody 
 
 LEAST_SHARE = 0.1
 """Least scatter of an accepted cause's values, of its limit: 5 %, as good as any value is known."""
+
+LIMITS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+"""Multiples of the usual healthy scatter that a healthy record may show: measured rings have gains
+of 1 to 8 % and optics that beat by 1 to 10 %."""
 
 WIDE = 10.0
 """How many times the healthy scatter the saturated model gives to every device: 10 % of gain, and
@@ -57,6 +68,7 @@ class Workspace:
         courses: Of the laws.
         ground: Shapes that the walk may have.
         weights: Of them in the walk, shape (F,); empty before the first fit.
+        reference: Of a healthy time, whose walk is the prior of this one's; None: there is none.
     """
 
     signals: Signals
@@ -74,6 +86,7 @@ class Workspace:
     courses: Courses
     ground: Shapes
     weights: Vector
+    reference: "Workspace | None" = None
 
     @classmethod
     def of(
@@ -83,6 +96,7 @@ class Workspace:
         *,
         bands: int | None = 16,
         exact: bool = False,
+        reference: "Workspace | None" = None,
     ) -> "Workspace":
         """Estimate the floor of a record.
 
@@ -91,6 +105,8 @@ class Workspace:
             kinds: Effects that are tested: those that healthy rings have become errors.
             bands: Of λ; None: as many as there are values of λ.
             exact: Transform whole stretches.
+            reference: Of a healthy time of the same devices: its walk is what the walk of this
+                record is compared with, and errors that it has are healthy ones.
 
         Raises:
             EstimationError: The record is too short, or does not move.
@@ -103,6 +119,8 @@ class Workspace:
         orbit = predicted(residual, noise, transform) + modelled
         signals = Signals(record, record.setpoints, orbit)
         terms, blocks = healthy_errors(kinds, signals, transform)
+        if reference is not None:
+            blocks = reference.wider(blocks)
         plain = transform.spectrum(residual)
         first, weights = fit_shapes(
             noise, Moments.of(plain, transform), ground, np.zeros_like(noise.walk)
@@ -123,8 +141,24 @@ class Workspace:
             Courses(signals, transform),
             ground,
             weights,
+            reference,
         )
         return space.with_floor().refined(kinds).with_floor()
+
+    def wider(self, blocks: Sequence[ErrorBlock]) -> tuple[ErrorBlock, ...]:
+        """Limits of healthy errors, where this healthy record shows larger ones, for another."""
+        terms = self.errors
+        found: list[ErrorBlock] = []
+        for number, block in enumerate(blocks):
+            best, share = -np.inf, 1.0
+            for tried in LIMITS:
+                shares = [*self.shares[:number], tried, *self.shares[number + 1 :]]
+                variance = variances(self.blocks, shares, len(self.terms))
+                worth = NormalTerms(terms.pull, terms.information, variance).evidence()
+                if worth > best:
+                    best, share = worth, tried
+            found.append(replace(block, limit=share * block.limit))
+        return tuple(found)
 
     def refined(self, kinds: Sequence[EffectKind]) -> "Workspace":
         """Take what the table of places says beyond the linear model for a part of the model.
@@ -175,8 +209,11 @@ class Workspace:
             left = residual - self.terms.contribution(mean)
             moments = Moments.of(left, self.transform)
             mixed, weights = fit_shapes(noise, moments, self.ground, self.held, weights)
-            shape = mixed.walk - self.held
-            noise = improve(mixed, moments, mixed.walk, 4)
+            shape, counts = mixed.walk - self.held, PRIOR_COUNTS
+            if self.reference is not None:
+                shape, counts = self.reference.noise.walk, float(len(self.reference.transform))
+                mixed = StepNoise(shape + self.held, mixed.white)
+            noise = improve(mixed, moments, mixed.walk, 4, counts)
             information = self.terms.information(noise, self.transform)
         fresh = replace(self, noise=noise, shape=shape, information=information, weights=weights)
         return fresh.with_errors()

@@ -66,5 +66,6 @@ def _prefix(values: Sequence[float], unit: str) -> tuple[float, str]:
 
 
 def _digits(value: float) -> str:
-    """Three digits, without an exponent where that is readable."""
+    """Three digits, without an exponent where that is readable, and no zero with a sign."""
+    value += 0.0
     return f"{value:.0f}" if 999.5 <= abs(value) < 1e6 else f"{value:.3g}"

@@ -103,7 +103,7 @@ def diagnose(
     healthy = None
     if reference is not None:
         healthy = Workspace.of(beside(reference, certain.record), kinds)
-    space = Workspace.of(certain.record, kinds)
+    space = Workspace.of(certain.record, kinds, reference=healthy)
     tell = _Telling(progress, len(kinds))
     accepted, rounds = tournament(space, kinds, tell)
     progress("taking the gap apart", _SEARCHED)
