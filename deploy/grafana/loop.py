@@ -1,7 +1,7 @@
 """The pace of the loop, Channel Access, and the service around it."""
 
 from deploy.grafana.dashboard import Dashboard
-from deploy.grafana.loop_beside import ACCESS, ARCHIVE
+from deploy.grafana.loop_beside import ACCESS, ARCHIVE, ENERGY
 from deploy.grafana.panels import GREEN, INFORMATION, RED, YELLOW, Panel, Query, Steps, metric
 
 PERIOD = metric("tick_period_nominal_seconds")
@@ -216,5 +216,10 @@ LOOP = Dashboard(
     "loop",
     "Orbit feedback: Loop",
     "Does the loop keep its pace, does the machine answer, does the archive write.",
-    (("Ticks", _TICKS), ("Channel Access", ACCESS), ("Archive", ARCHIVE)),
+    (
+        ("Ticks", _TICKS),
+        ("Channel Access", ACCESS),
+        ("RF and energy", ENERGY),
+        ("Archive", ARCHIVE),
+    ),
 )

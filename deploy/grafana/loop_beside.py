@@ -1,6 +1,6 @@
 """Rows of the dashboard Loop beside the ticks: Channel Access and the archive."""
 
-from deploy.grafana.panels import GREEN, INFORMATION, RED, YELLOW, Panel, Query, Steps, metric
+from deploy.grafana.panels import BLUE, GREEN, INFORMATION, RED, YELLOW, Panel, Query, Steps, metric
 
 ACCESS = (
     Panel(
@@ -92,5 +92,42 @@ ARCHIVE = (
         6,
         Steps(GREEN, ((1, YELLOW),)),
         7,
+    ),
+)
+
+ENERGY = (
+    Panel(
+        "stat",
+        "RF frequency",
+        "Whether it follows the energy while the loop is closed; left alone: `RfReason-I` and the "
+        "log say why.",
+        "none",
+        (Query(metric("rf_follows"), "RF"),),
+        4,
+        INFORMATION,
+        7,
+        {"texts": {0: ("left alone", BLUE), 1: ("follows", GREEN)}},
+    ),
+    Panel(
+        "timeseries",
+        "Energy of the correctors",
+        "Relative energy that the correctors make; a step of the frequency takes it over once it "
+        "is beyond `rf.dead_band`.",
+        "none",
+        (Query(metric("corrector_energy_ratio"), "energy"),),
+        12,
+        INFORMATION,
+        7,
+    ),
+    Panel(
+        "timeseries",
+        "Steps in 5 min",
+        "Steps of the frequency by the loop.",
+        "none",
+        (Query(f"increase({metric('rf_steps_total')}[5m])", "steps"),),
+        8,
+        INFORMATION,
+        7,
+        {"min": 0, "decimals": 0},
     ),
 )

@@ -45,6 +45,7 @@ from orbitfb.policies.settings import PolicySettings
 from orbitfb.policies.training.supervised_settings import SupervisedSettings
 from orbitfb.policies.training.trajectory_settings import StructuredSettings, TrajectorySettings
 from orbitfb.postmortem.settings import PostMortemSettings
+from orbitfb.safety.frequency import RfSettings
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.sim.settings import SimSettings
@@ -179,6 +180,9 @@ class AppConfig(Settings):
     limits: LimitSettings = Field(default=LimitSettings(), description="Limits of a write.")
     interlocks: InterlockSettings = Field(
         default=InterlockSettings(), description="What holds or trips the loop."
+    )
+    rf: RfSettings = Field(
+        default=RfSettings(), description="The RF frequency, that follows the energy."
     )
     learn: LearnSettings = Field(default=LearnSettings(), description="The learner.")
     diagnose: DiagnoseSettings = Field(

@@ -51,6 +51,23 @@ class Machine(Protocol):
         ...
 
 
+class Oscillator(Protocol):
+    """The RF of a ring, whose frequency can be set; the machine reads it as a slow channel."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Drive limits that the machine states, low and high [Hz]; NaN: none."""
+        ...
+
+    def put(self, frequency: float) -> None:
+        """Send a setpoint [Hz].
+
+        Raises:
+            WriteError: It is away or read-only; nothing was sent.
+        """
+        ...
+
+
 class Policy(Protocol):
     """A law from orbit error to a change of the setpoints."""
 

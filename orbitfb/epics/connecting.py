@@ -4,9 +4,11 @@ import time
 from collections.abc import Collection, Sequence
 
 from orbitfb.core.errors import ConnectError, MachineError, few
+from orbitfb.core.names import RF_FREQUENCY, RF_READBACK
 from orbitfb.core.ports import Clock
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.libca import Context
+from orbitfb.epics.oscillator import EpicsOscillator
 from orbitfb.epics.requests import Getter
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.epics.units import bpm_contradiction, corrector_contradiction
@@ -66,8 +68,16 @@ def wait_for_channels(
 
 def _origin(missing: Sequence[str], settings: EpicsSettings) -> str:
     """Say where in the configuration the names are from."""
-    slow = {its.pv for its in settings.auxiliary.values()}
-    sources = {"epics.auxiliary" if name in slow else "the places table" for name in missing}
+    slow = {its.pv: name for name, its in settings.auxiliary.items()}
+    rf = (RF_FREQUENCY, RF_READBACK)
+    sources = {
+        "the places table"
+        if name not in slow
+        else "epics.auxiliary, rf.setpoint_pv, rf.readback_pv"
+        if slow[name] in rf
+        else "epics.auxiliary"
+        for name in missing
+    }
     return " and ".join(sorted(sources, reverse=True))
 
 
@@ -75,12 +85,13 @@ def _missing(
     groups: Sequence[ChannelGroup], setpoints: ChannelGroup, waived: Collection[str]
 ) -> list[str]:
     """List the PVs that are needed and away; every setpoint is needed, as records tell it."""
-    return [
+    missing = [
         name
         for group in groups
         for name in group.disconnected
         if group is setpoints or name not in waived
     ]
+    return list(dict.fromkeys(missing))  # the RF setpoint is read and written
 
 
 def check_units(context: Context, groups: Sequence[ChannelGroup], settings: EpicsSettings) -> None:
@@ -103,3 +114,29 @@ def check_units(context: Context, groups: Sequence[ChannelGroup], settings: Epic
     wrong += [corrector_contradiction(its.names, stated[its]) for its in (setpoints, readbacks)]
     if told := "\n".join(filter(None, wrong)):
         raise MachineError(told)
+
+
+def check_oscillator(oscillator: EpicsOscillator) -> None:
+    """Refuse an RF whose frequency cannot be set, before anything moves.
+
+    Args:
+        oscillator: Connected.
+
+    Raises:
+        MachineError: Its setpoint may not be written, holds no real number, or states another
+            unit than Hz.
+    """
+    advice = "or set rf.enabled = false, so that the loop leaves the frequency alone"
+    if read_only := oscillator.group.read_only:
+        raise MachineError(
+            f"the RF setpoint {read_only[0]} may not be written; ask for write access for this "
+            f"host and user, {advice}"
+        )
+    if not_real := oscillator.group.not_real:
+        raise MachineError(
+            f"the RF setpoint cannot hold a frequency: {not_real[0]}; name another PV with "
+            f"rf.setpoint_pv, {advice}"
+        )
+    if told := oscillator.contradiction():
+        raise MachineError(f"{told}, {advice}")
+    oscillator.refresh()

@@ -17,10 +17,11 @@ from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
 from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.channels import ChannelGroup, Monitor
-from orbitfb.epics.connecting import check_units, wait_for_channels
+from orbitfb.epics.connecting import check_oscillator, check_units, wait_for_channels
 from orbitfb.epics.inbox import Inbox
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
+from orbitfb.epics.oscillator import EpicsOscillator
 from orbitfb.epics.put_errors import PutErrors
 from orbitfb.epics.reconnecting import Keeper
 from orbitfb.epics.requests import Getter, Putter
@@ -30,7 +31,7 @@ from orbitfb.epics.units import LENGTHS
 from orbitfb.safety.bounds import ROUNDING
 from orbitfb.safety.verdict import name_some
 
-KINDS = ("bpm", "setpoint", "readback", "auxiliary")
+KINDS = ("bpm", "setpoint", "readback", "auxiliary", "rf")
 """Kinds of channels, in the order in which they are opened."""
 
 
@@ -53,6 +54,10 @@ class EpicsMachine:
         counting: BPMs that are not masked, shape (n,): the others are not waited for; None: all.
         movable: Correctors that are not masked, shape (m,): of the others the setpoint alone must
             be there; None: all.
+        rf_pv: Setpoint of the RF frequency, if the loop may change it; empty: it may not.
+
+    Attributes:
+        oscillator: The RF; None: the loop may not change it.
 
     Raises:
         ConnectError: PVs that cannot be reached within `connect_timeout`, all of them.
@@ -67,6 +72,7 @@ class EpicsMachine:
         clock: Clock | None = None,
         counting: Mask | None = None,
         movable: Mask | None = None,
+        rf_pv: str = "",
     ) -> None:
         self._channels = channels
         self._settings = settings
@@ -97,7 +103,7 @@ class EpicsMachine:
         with environment_lock:
             use_network(settings)
             self._context = Context()
-            self._build()
+            self._build(rf_pv)
             atexit.register(self.close)
             self._open()
         self._keeper.start()
@@ -105,6 +111,8 @@ class EpicsMachine:
             wait_for_channels(self._groups, self._setpoints, settings, self._clock, waived)
             self.setpoints()
             check_units(self._context, self._groups, settings)
+            if self.oscillator is not None:
+                check_oscillator(self.oscillator)
         except MachineError:
             self.close()
             raise
@@ -140,7 +148,7 @@ class EpicsMachine:
         """Count the channels of each kind, those that are connected, and those that were lost."""
         return tuple(
             ChannelCounts(kind, len(group), int(np.count_nonzero(group.connected)), group.losses)
-            for kind, group in zip(KINDS, self._groups, strict=True)
+            for kind, group in zip(KINDS, self._groups, strict=False)
         )
 
     def auxiliary_ages(self) -> Mapping[str, float]:
@@ -270,7 +278,7 @@ class EpicsMachine:
         """Close."""
         self.close()
 
-    def _build(self) -> None:
+    def _build(self, rf_pv: str) -> None:
         context, channels, inbox = self._context, self._channels, self._inbox
         bpms, readbacks = self._orbit_assembler, self._readback_assembler
         self._auxiliary = AuxiliaryChannels(context, self._settings.auxiliary)
@@ -293,6 +301,10 @@ class EpicsMachine:
             ),
             self._auxiliary.group,
         )
+        self.oscillator: EpicsOscillator | None = None
+        if rf_pv:
+            self.oscillator = EpicsOscillator(context, rf_pv, self._settings.answer_timeout)
+            self._groups = (*self._groups, self.oscillator.group)
         self._servers, self._doubles = ServerWatch(self._groups), Doubles()
         context.listeners.append(self._doubles.hear)
         self._getter = Getter(context, self._setpoints, self._settings.answer_timeout)
@@ -319,6 +331,8 @@ class EpicsMachine:
         self._orbit_assembler.look()
         self._readback_assembler.look()
         self._refresh_limits()
+        if self.oscillator is not None:
+            self.oscillator.refresh()
 
     def _refresh_limits(self) -> None:
         with self._limits_lock:  # nobody goes on with old ones while another thread asks

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orbitfb.core.names import RF_STEP
 from orbitfb.core.signals import Channels, LoopState, TickRecord
 from orbitfb.core.transitions import Transitions
 
@@ -126,7 +127,8 @@ def transitions_of(columns: Columns) -> Transitions:
     """Pair each row with the next one; the last row has none and gives no transition.
 
     A transition is usable if both ticks have a reading, follow each other with no orbit missed
-    between, and a_n had left before the stamp of s_{n+1} (or nothing was written).
+    between, a_n had left before the stamp of s_{n+1} (or nothing was written), and the loop did not
+    step the RF frequency: what that does to the orbit is no answer to the correctors.
 
     Args:
         columns: One unbroken run of one loop, in order. The result may share its memory.
@@ -136,6 +138,8 @@ def transitions_of(columns: Columns) -> Transitions:
     followed = (np.diff(tick) == 1) & (columns["missed"][second] == 0)
     read = np.isfinite(time[first]) & np.isfinite(time[second])
     in_force = np.isnan(written[first]) | (written[first] <= time[second])
+    if (steps := columns.get(AUXILIARY + RF_STEP)) is not None:
+        in_force &= ~(np.abs(steps[second]) > 0.0)
     auxiliary = {
         name[len(AUXILIARY) :]: column[first]
         for name, column in columns.items()

@@ -48,6 +48,7 @@ def choose(
     mine: Mask,
     resting: Mask,
     done: Callable[[str], float],
+    besides: Vector | None = None,
 ) -> Choice:
     """Decide and limit; correctors that would go beyond their limit leave the solution.
 
@@ -61,6 +62,7 @@ def choose(
         mine: Correctors that the loop moves, shape (m,).
         resting: Those whose setpoints the policy leaves as they are for now, shape (m,).
         done: Told the phase of the tick that has just ended.
+        besides: Change that goes with a step of the RF frequency, shape (m,) [A]; None: none does.
     """
     names = rules.channels.correctors
     bounds = guard.bounds(rules.limits.setpoint, len(mine))
@@ -80,6 +82,8 @@ def choose(
         if resting.any():
             change = np.where(resting, 0.0, change)
         requested = gain * change + shaken
+        if besides is not None:
+            requested = requested + besides
         done("decide")
         limited = limit(requested, memory.setpoints, rules.limits, names, bounds)
         spent = done("limit") - began > _SHARE * rules.loop.period

@@ -16,8 +16,9 @@ from orbitfb.core.signals import LoopState, Mask, Reading, Vector
 from orbitfb.loop import comeback
 from orbitfb.loop import memory as remember
 from orbitfb.loop.adjustments import Adjustments, approach
-from orbitfb.loop.choice import choose
+from orbitfb.loop.choice import Choice, choose
 from orbitfb.loop.excitation.dither import Dither
+from orbitfb.loop.frequency import Follower, Step
 from orbitfb.loop.guard import NONE, Guard, Safeguards
 from orbitfb.loop.inquiry import WAITS, Inquiry
 from orbitfb.loop.inspection import Asker, inspect, mine_of
@@ -48,6 +49,7 @@ class Engine:
         safeguards: What there is to fall back on.
         heed: Told which BPMs count, shape (n,), whenever that changes; None: nobody.
         random: Draws the questions to the ring; None: one that nobody can foretell.
+        follower: Lets the RF frequency follow; None: it is left alone.
 
     Attributes:
         wanted: What operators want; any thread may put another value here.
@@ -64,8 +66,9 @@ class Engine:
         safeguards: Safeguards = NONE,
         heed: Callable[[Mask], None] | None = None,
         random: np.random.Generator | None = None,
+        follower: Follower | None = None,
     ) -> None:
-        self._machine, self._clock = machine, clock
+        self._machine, self._clock, self._follower = machine, clock, follower
         deadline = rules.loop.policy_deadline * rules.loop.period
         self._guard = Guard(slot, safeguards, clock, deadline)
         self._flaws = np.zeros(len(rules.channels.bpms), dtype=np.int8)
@@ -123,6 +126,8 @@ class Engine:
     def believed(self, reading: Reading) -> Reading:
         """Let BPMs be not valid that operators have disabled, or that cannot be believed."""
         reading, self._flaws, self.memory = screened(reading, self.memory, self._rules)
+        if self._follower is not None:
+            reading = self._follower.tell(reading)
         enabled = self._adjustments.enabled
         if enabled.all():
             return reading
@@ -178,6 +183,8 @@ class Engine:
         checked = inspect(self._asker, self.memory, reading, self._rules, self._flaws, closing)
         checked = worse(checked, found)
         self.memory = comeback.remember_good(checked.memory, checked, self._rules)
+        if self._follower is not None:
+            self.memory = self._follower.look(self.memory, reading)
         return checked, missed
 
     def _state_setpoints(self, reading: Reading) -> tuple[LoopMemory, str]:
@@ -244,10 +251,19 @@ class Engine:
         waits = closed and self._inquiry.waits(memory)
         deciding, gain = self.policy, (0.0 if waits else ramp) * self._adjustments.gain
         mine, heeded = self._mine(), self._inquiry.heeded(memory, checked)
-        resting = heeded.resting
-        choice = choose(
-            guard, heeded.checked, memory, rules, gain, dither, mine, resting, work.done
-        )
+        may_step = closed and ramp == 1.0 and not waits and not heeded.reason
+        step = self._step(reading, mine) if may_step else None
+
+        def chosen(step: Step | None) -> Choice:
+            besides = None if step is None else step.change
+            resting, its = heeded.resting, heeded.checked
+            return choose(
+                guard, its, memory, rules, gain, dither, mine, resting, work.done, besides
+            )
+
+        choice = chosen(step)
+        if step is not None and not self._put(step, choice):
+            step, choice = None, chosen(None)
         limited, policy_state = choice.limited, choice.policy_state
         if not limited.verdict.may_act:
             self.move(Event.TRIP, f"policy {deciding.policy_id}: {limited.verdict.reason}")
@@ -268,7 +284,7 @@ class Engine:
         if self._write(work, reading, limited):
             self._dither.settle(limited.scale * choice.dither)
             asked = limited.scale == 1.0 and np.array_equal(choice.dither[mine], dither[mine])
-            self._expect(work.applied, question if asked else None)
+            self._expect(work.applied, question if asked else None, step, reading)
             settled = ramp == 1.0 and not doubts and choice.settled
             if settled and policy_state is not self.memory.policy_state:
                 self.memory = replace(self.memory, policy_state=policy_state)
@@ -295,8 +311,38 @@ class Engine:
         if not self._write(work, reading, step.limited):
             self.memory = comeback.stop(self.memory, "a write failed")
 
-    def _expect(self, applied: Vector, question: Vector | None) -> None:
-        """Remember what the change just written should do to the orbit."""
+    def _step(self, reading: Reading, mine: Mask) -> Step | None:
+        """Ask whether the RF frequency is to be stepped with this tick."""
+        if self._follower is None:
+            return None
+        step, self.memory = self._follower.propose(self.memory, reading, self._guard.response, mine)
+        return step
+
+    def _put(self, step: Step, choice: Choice) -> bool:
+        """Put a step of the RF frequency, if all that goes with it may be sent."""
+        whole = choice.limited.verdict.may_act and choice.limited.scale == 1.0 and choice.settled
+        if self._follower is None or not whole:
+            return False
+        now = self._clock.monotonic()
+        sent, self.memory = self._follower.put(step, self.memory, now)
+        return sent
+
+    def _expect(
+        self,
+        applied: Vector,
+        question: Vector | None,
+        step: Step | None = None,
+        reading: Reading | None = None,
+    ) -> None:
+        """Remember what was just sent should do to the orbit.
+
+        A step of the frequency and what goes with it undo each other: nothing is expected of them.
+        """
+        if step is not None and reading is not None and self._follower is not None:
+            moved = self._guard.predict(applied)
+            if moved is not None:
+                self.memory = self._follower.sent(step, self.memory, reading, moved)
+            applied = applied - step.change
         answer = self._guard.predict(applied)
         if answer is not None:
             answers = predict(answer, self.memory.answers, self._rules.interlocks)

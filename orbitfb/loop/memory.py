@@ -13,6 +13,7 @@ from orbitfb.loop.timing.pacing import Pace
 from orbitfb.safety.answering import Answering, opened
 from orbitfb.safety.arrival import Sent
 from orbitfb.safety.bpms import BpmMemory
+from orbitfb.safety.frequency import Frequency
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.safety.prediction import Answers
@@ -96,6 +97,7 @@ class LoopMemory:
             [A]; NaN or None: not asked for.
         refusals: Correctors whose puts do not stay.
         answering: What was asked of the orbit without a sign of an answer.
+        frequency: What is remembered of the RF frequency.
     """
 
     state: LoopState
@@ -126,6 +128,7 @@ class LoopMemory:
     seen: Vector | None = None
     refusals: Refusals = field(default_factory=Refusals)
     answering: Answering = field(default_factory=Answering)
+    frequency: Frequency = field(default_factory=Frequency)
 
     @property
     def setpoints(self) -> Vector:

@@ -17,6 +17,7 @@ from orbitfb.loop.adjustments import Adjustments
 from orbitfb.loop.commands import CommandQueue, Order
 from orbitfb.loop.engine import Engine
 from orbitfb.loop.excitation.dither import Dither
+from orbitfb.loop.frequency import Follower
 from orbitfb.loop.guard import NONE, Safeguards
 from orbitfb.loop.memory import Rules
 from orbitfb.loop.settings import LoopSettings
@@ -51,6 +52,7 @@ class Runner:
         heed: Told which BPMs count, shape (n,), whenever operators change it; None: nobody.
         random: Draws the questions to the ring; None: one that nobody can foretell, as a machine
             needs it. With a seed the same loop asks the same.
+        follower: Lets the RF frequency follow; None: it is left alone.
 
     Attributes:
         failure: What led to FAULT, for the log; None otherwise.
@@ -78,6 +80,7 @@ class Runner:
         safeguards: Safeguards = NONE,
         heed: Callable[[Mask], None] | None = None,
         random: np.random.Generator | None = None,
+        follower: Follower | None = None,
     ) -> None:
         channels = machine.channels
         n, m = len(channels.bpms), len(channels.correctors)
@@ -88,7 +91,16 @@ class Runner:
         rules = Rules(settings, limits, interlocks, reference.copy(), channels, counting)
         self._rules, self._clock = rules, clock
         self._engine = Engine(
-            machine, slot, rules, clock, dither or Dither.off(m), start, safeguards, heed, random
+            machine,
+            slot,
+            rules,
+            clock,
+            dither or Dither.off(m),
+            start,
+            safeguards,
+            heed,
+            random,
+            follower,
         )
         self._subscribers = tuple(subscribers)
         self._nothing = np.zeros(m)

@@ -11,6 +11,7 @@ import numpy as np
 from orbitfb import __version__
 from orbitfb.core.ports import Clock
 from orbitfb.core.signals import LoopState, Mask, TickRecord, Vector
+from orbitfb.loop.frequency import Sight
 from orbitfb.observe.plain import plain
 from orbitfb.observe.statistics.snapshot import Happening, LoopSnapshot
 
@@ -33,6 +34,7 @@ class Sources:
         gap: Says the gap between model and machine in a sentence.
         peaks: Gives the largest orbit RMS of late by plane [m], the monotonic time [s] in.
         noise: Noise of one BPM reading to believe before a refit has found it, rms [m].
+        rf: Gives how the RF frequency is.
     """
 
     snapshot: Callable[[], LoopSnapshot]
@@ -42,6 +44,7 @@ class Sources:
     gap: Callable[[LoopSnapshot], str]
     peaks: Callable[[float], Mapping[str, float]]
     noise: float = math.nan
+    rf: Callable[[], Sight] = Sight
 
 
 class PageView:
@@ -86,6 +89,7 @@ class PageView:
                     "floor_source": source,
                     **_figures(snapshot),
                     "rms_peak_um": self._peaks(snapshot),
+                    "rf": _rf(self._sources.rf()),
                     "gap": _gap(snapshot, self._sources.gap(snapshot)),
                     "happenings": [
                         {"time": its.time, "kind": its.kind, "text": its.text}
@@ -167,6 +171,16 @@ def _figures(snapshot: LoopSnapshot) -> dict[str, Any]:
             "policy": last.policy_id,
         },
         "alarms": {cause.value: count for cause, count in snapshot.alarms.items()},
+    }
+
+
+def _rf(sight: Sight) -> dict[str, Any]:
+    return {
+        "follows": sight.following,
+        "reason": sight.reason,
+        "frequency_Hz": sight.frequency,
+        "energy_ppm": sight.energy / MICRO,
+        "steps": sight.steps,
     }
 
 

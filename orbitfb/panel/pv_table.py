@@ -67,6 +67,7 @@ def panel_pvs(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]:
         *_loop(),
         *_figures(extent),
         *_policies(),
+        *_frequency(),
         *_adjustments(settings, extent),
         *vector_pvs(extent.lengths()),
     )
@@ -178,6 +179,30 @@ def _policies() -> tuple[PanelPv, ...]:
             {"command": "activate", "policy": None},
         ),
         _text("Activate-Cmd", "Puts the policy of this id in force.", Order("activate", "policy")),
+    )
+
+
+def _frequency() -> tuple[PanelPv, ...]:
+    orders = [{"command": "rf", "follow": follow} for follow in (True, False)]
+    return (
+        PanelPv(
+            "RfState-I",
+            Kind.CHOICE,
+            "Whether the RF frequency follows the energy; STOPPED is a MINOR alarm.",
+            states=("OFF", "FOLLOWS", "STOPPED"),
+            minor=("STOPPED",),
+        ),
+        _text("RfReason-I", "Why the frequency does not follow, or waits."),
+        _number("RfFrequency-I", "Frequency that the loop has put, or found.", "Hz", 3),
+        _number("RfStep-I", "Last step of the frequency.", "Hz", 3),
+        _count("RfSteps-I", "Steps of the frequency since the start."),
+        _number("RfEnergy-I", "Energy that the correctors make since the loop settled.", "1e-6", 3),
+        _choice(
+            "Rf-Cmd",
+            "Lets the frequency follow, or leaves it alone.",
+            ("-", "follow", "leave"),
+            *orders,
+        ),
     )
 
 

@@ -27,6 +27,12 @@ _GUIDANCE = {
         "stay. Look at the service (orbitfb health, systemctl status orbitfb).",
         10,
     ),
+    "RfState-I": (
+        "Orbit feedback leaves the RF frequency alone",
+        "The orbit is corrected all the same, the energy is not. RfReason says why. Mend it, then "
+        "write follow to Rf-Cmd, or leave if the frequency is to stay.",
+        10,
+    ),
     "BpmsInvalid-I": (
         "Orbit feedback leaves out BPMs",
         "They are disconnected, invalid, frozen or beyond belief; the rest is corrected without "
@@ -70,7 +76,7 @@ def alarm_tree(prefix: str, pvs: Sequence[PanelPv]) -> str:
             continue
         title, details, delay = _GUIDANCE[pv.name]
         entry = Xml.SubElement(tree, "pv", name=prefix + pv.name)
-        latching = pv.name != "BpmsInvalid-I"
+        latching = pv.name not in ("BpmsInvalid-I", "RfState-I")
         for name, text in (
             ("description", title),
             ("enabled", "true"),

@@ -16,6 +16,7 @@ from orbitfb.core.signals import Channels, Vector
 from orbitfb.physics.disturbances import GroundMotion, InitialOrbit, Kicks, QuadrupoleOrbits
 from orbitfb.physics.drift import Drift, DriftSettings
 from orbitfb.physics.effect import Effect, generator
+from orbitfb.physics.frequency import frequency_response
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.response import response
@@ -88,6 +89,7 @@ class Plant:
         self.channels: Channels = ring.channels(planes)
         self._tick = 0
         self._nominal = response(ring, planes)
+        self._per_hertz = frequency_response(ring, planes)
         self._kicks, own = _own_effects(ring, planes, self.settings, seed)
         self.effects: tuple[Effect, ...] = (*own, *effects)
 
@@ -114,11 +116,13 @@ class Plant:
             orbit = effect.respond(orbit, currents, tick)
         return orbit.copy()
 
-    def step(self, setpoints: Vector) -> PlantState:
+    def step(self, setpoints: Vector, frequency_change: float = 0.0) -> PlantState:
         """Let one tick pass.
 
         Args:
             setpoints: Absolute, in force during this tick, shape (m,) [A].
+            frequency_change: RF frequency beyond the nominal one during this tick [Hz]; it moves
+                the beam along the dispersion, in plane x.
 
         Returns:
             The orbit of this tick.
@@ -139,6 +143,8 @@ class Plant:
         orbit = self._nominal @ currents
         for effect in self.effects:
             orbit = effect.respond(orbit, currents, tick)
+        if frequency_change:
+            orbit = orbit + self._per_hertz * frequency_change
         for effect in self.effects:
             orbit = effect.disturb(orbit, tick)
         reading = orbit

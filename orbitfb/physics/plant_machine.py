@@ -6,10 +6,39 @@ import numpy as np
 
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
+from orbitfb.core.names import RF_FREQUENCY, RF_READBACK
 from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
 from orbitfb.physics.plant import Plant, PlantState
 
 _STORED_CURRENT = 0.4
+
+
+class PlantOscillator:
+    """The RF of a simulated ring in process: it takes what is put at once.
+
+    Args:
+        frequency: At the start [Hz].
+        reach: Drive limits, plus and minus from there [Hz].
+
+    Attributes:
+        frequency: In force [Hz].
+        limits: Drive limits, low and high [Hz].
+    """
+
+    def __init__(self, frequency: float, reach: float = 1000.0) -> None:
+        self.frequency = frequency
+        self.limits = (frequency - reach, frequency + reach)
+
+    def put(self, frequency: float) -> None:
+        """Put a frequency in force [Hz].
+
+        Raises:
+            WriteError: It is beyond the limits.
+        """
+        low, high = self.limits
+        if not low <= frequency <= high:
+            raise WriteError(f"{frequency} Hz is not from {low} to {high} Hz; nothing was put")
+        self.frequency = frequency
 
 
 class PlantMachine:
@@ -27,6 +56,7 @@ class PlantMachine:
     Attributes:
         current: Stored current that the machine reports [A]; set it to play a beam loss.
         true_orbit_rms: Of the orbit read last [m].
+        oscillator: The RF, which moves the beam.
     """
 
     def __init__(
@@ -44,6 +74,7 @@ class PlantMachine:
         self._start = clock.wall() - plant.tick * period
         self._setpoints = np.zeros(len(plant.channels.correctors))
         self._masked = np.zeros(len(plant.channels.bpms), dtype=np.bool_)
+        self.oscillator = PlantOscillator(plant.ring.rf_frequency)
         self._failing_reads = 0
         self._failing_writes = 0
         self._last: tuple[PlantState, float] | None = None
@@ -87,7 +118,8 @@ class PlantMachine:
             readback=state.readback.copy(),
             auxiliary={
                 "current": self.current,
-                "rf_frequency": self.plant.ring.rf_frequency,
+                RF_FREQUENCY: self.oscillator.frequency,
+                RF_READBACK: self.oscillator.frequency,
                 "true_orbit_rms": self.true_orbit_rms,
             },
             received=self._clock.monotonic(),
@@ -158,7 +190,8 @@ class PlantMachine:
 
     def _pass_one_tick(self) -> tuple[PlantState, float]:
         stamp = self._start + (self.plant.tick + 1) * self._period
-        state = self.plant.step(self._setpoints)
+        change = self.oscillator.frequency - self.plant.ring.rf_frequency
+        state = self.plant.step(self._setpoints, change)
         self._clock.advance(max(0.0, stamp - self._clock.wall()))
         return state, stamp
 

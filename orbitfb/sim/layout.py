@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbitfb.core.names import CURRENT_PV, RF_PV
+from orbitfb.core.names import CURRENT_PV, RF_PV, RF_READBACK_PV
 from orbitfb.core.signals import Channels, Vector
 from orbitfb.sim.ring import RingState
 from orbitfb.sim.settings import SimSettings
@@ -58,10 +58,10 @@ class Layout:
         readings: What every tick publishes, in the order in which clients see it: readbacks and
             BPMs in the order of the channels, stored current, RF, true rms, tick. The last BPM
             completes an orbit whose readbacks are there already: clients need not wait again.
-        setpoints: Setpoints in the order of the channels [A].
+        setpoints: Setpoints in the order of the channels [A], then that of the RF [Hz].
         kick: The random kick [mm].
         stored: The stored current that the simulated ring is to have [mA].
-        rf_frequency: What the oscillator shows [Hz].
+        rf_frequency: What the oscillator shows at the start [Hz].
         planes: x, y or xy.
     """
 
@@ -76,21 +76,29 @@ class Layout:
         return len(self.readings) + len(self.setpoints) + len(self.knobs)
 
     @property
+    def correctors(self) -> int:
+        """How many of the setpoints are those of correctors."""
+        return len(self.setpoints) - 1
+
+    @property
     def knobs(self) -> tuple[PvSpec, ...]:
         """What a tester turns; no machine has them."""
         return self.kick, self.stored
 
-    def values(self, state: RingState, tick: int, stored: float | None = None) -> Vector:
+    def values(
+        self, state: RingState, tick: int, stored: float | None = None, rf: float | None = None
+    ) -> Vector:
         """Give the values of `readings` at a tick, in the units of the PVs.
 
         Args:
             state: Of the ring.
             tick: Its number.
             stored: Stored current [mA]; None: what it is at the start.
+            rf: RF frequency [Hz]; None: what it is at the start.
         """
         true_rms = float(np.sqrt(np.mean(np.square(state.true_orbit)))) * MILLI
         current = self.stored.initial if stored is None else stored
-        slow = (current, self.rf_frequency, true_rms, float(tick))
+        slow = (current, self.rf_frequency if rf is None else rf, true_rms, float(tick))
         return np.concatenate((state.readback, state.reading * MILLI, slow))
 
 
@@ -102,6 +110,8 @@ def lay_out(channels: Channels, settings: SimSettings) -> Layout:
 
     drive = both(settings.corrector_limit)
     warning = both(settings.corrector_limit * settings.corrector_warning)
+    rf = settings.rf_frequency or 0.0
+    rf_range = (rf - settings.rf_range, rf + settings.rf_range)
     most = (0.0, max(_MOST_CURRENT, settings.stored_current * MILLI))
 
     def ammeters(names: Sequence[str], drive_range: Range) -> tuple[PvSpec, ...]:
@@ -123,17 +133,20 @@ def lay_out(channels: Channels, settings: SimSettings) -> Layout:
     )
     slow = (
         PvSpec(CURRENT_PV, "mA", 3, display=most),
-        PvSpec(RF_PV, "Hz", 1),
+        PvSpec(RF_READBACK_PV, "Hz", 3, display=rf_range),
         PvSpec(TRUE_RMS_PV, "mm", 6, display=(0.0, 1.0)),
         PvSpec(TICK_PV, "", 0),
     )
     return Layout(
         readings=(*ammeters(channels.readback_pvs, NO_RANGE), *bpms, *slow),
-        setpoints=ammeters(channels.setpoint_pvs, drive),
+        setpoints=(
+            *ammeters(channels.setpoint_pvs, drive),
+            PvSpec(RF_PV, "Hz", 3, display=rf_range, drive=rf_range, initial=rf),
+        ),
         kick=PvSpec(KICK_PV, "mm", 3, drive=(0.0, settings.kick_limit * MILLI)),
         stored=PvSpec(
             STORED_PV, "mA", 3, display=most, drive=most, initial=settings.stored_current * MILLI
         ),
-        rf_frequency=settings.rf_frequency or 0.0,
+        rf_frequency=rf,
         planes=channels.planes,
     )

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from orbitfb.core.names import CURRENT_PV, RF_PV
+from orbitfb.core.names import CURRENT_PV, RF_PV, RF_READBACK_PV
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.sim.layout import (
     KICK_PV,
@@ -18,7 +18,8 @@ from orbitfb.sim.settings import SimSettings
 
 _SINGLE = {
     CURRENT_PV: "stored current",
-    RF_PV: "RF frequency",
+    RF_PV: "RF frequency: setpoint; it moves the beam in plane x",
+    RF_READBACK_PV: "RF frequency: readback",
     TRUE_RMS_PV: "rms of the true orbit (simulator only)",
     TICK_PV: "count of ticks (simulator only)",
     KICK_PV: "kick the beam: rms of a random orbit step (simulator only)",
@@ -62,6 +63,7 @@ def pv_families(ring: Ring, planes: Planes, settings: SimSettings) -> tuple[PvFa
     for plane in planes:
         own = _take(readbacks, correctors)
         families.append(PvFamily(f"corrector readback, {plane}", own, False))
+    families.append(PvFamily(_SINGLE[RF_PV], layout.setpoints[-1:], True))
     families += [PvFamily(_SINGLE[spec.name], (spec,), False) for spec in readings]
     families += [PvFamily(_SINGLE[spec.name], (spec,), True) for spec in layout.knobs]
     return tuple(families)

@@ -37,8 +37,13 @@ class SimulatedRing(Protocol):
         """Ticks made so far."""
         ...
 
-    def step(self, setpoints: Vector) -> RingState:
-        """Advance by one tick under absolute setpoints, shape (m,) [A]."""
+    def step(self, setpoints: Vector, frequency_change: float = 0.0) -> RingState:
+        """Advance by one tick.
+
+        Args:
+            setpoints: Absolute, shape (m,) [A].
+            frequency_change: RF frequency beyond that at the start [Hz].
+        """
         ...
 
     def kick(self, rms: float) -> None:

@@ -40,7 +40,8 @@ class RingServer:
         self.front: Front = kind(self.layout, self._turned)
         self._stored = self.layout.stored.initial
         self._ticker: Ticker | None = None
-        self._awaited: Mask = np.ones(len(self.layout.setpoints), dtype=np.bool_)
+        self._correctors = slice(self.layout.correctors)
+        self._awaited: Mask = np.ones(self.layout.correctors, dtype=np.bool_)
         self.failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def start(self) -> None:
@@ -61,19 +62,21 @@ class RingServer:
         if self.front.busy or self.failed.done():
             return
         stamp = now()
-        written = self.front.written
+        written = self.front.written[self._correctors]
         if written.any():
             self._awaited = written
         try:
-            state = self._ring.step(self.front.setpoints)
-            values = self.layout.values(state, self._ring.tick, self._stored)
+            setpoints = self.front.setpoints
+            rf = float(setpoints[-1])
+            state = self._ring.step(setpoints[self._correctors], rf - self.layout.rf_frequency)
+            values = self.layout.values(state, self._ring.tick, self._stored, rf)
             self.front.show(values, stamp)
         except Exception as error:  # `serve` raises it; event loop and clients would swallow it
             self.failed.set_exception(error)
 
     def _tick_if_complete(self) -> None:
         """Tick once all have come that came before: a controller may leave some alone."""
-        if self.front.busy or (self._awaited & ~self.front.written).any():
+        if self.front.busy or (self._awaited & ~self.front.written[self._correctors]).any():
             return
         self.tick()
         if self._ticker is not None:

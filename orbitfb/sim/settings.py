@@ -55,7 +55,13 @@ class SimSettings(Settings):
     rf_frequency: float | None = Field(
         default=None,
         gt=0,
-        description="RF frequency that the oscillator shows [Hz]; the ring's if not set.",
+        description="RF frequency of the oscillator at the start [Hz]; the ring's if not set.",
+    )
+    rf_range: float = Field(
+        default=1000.0,
+        gt=0,
+        description="Drive limit of the RF setpoint, plus and minus from the frequency at the "
+        "start [Hz].",
     )
     kick_limit: float = Field(
         default=5.0e-3, gt=0, description="Largest random kick, rms at the BPMs [m]."

@@ -19,7 +19,7 @@ from orbitfb.sim.job import SimJob
 
 CHANNELS = Ring.load().channels("x")
 TICK, RMS = "SR:SIM{Ring}Tick-I", "SR:SIM{Ring}Rms:True-I"
-CURRENT, KICK, RF = "SR:C03-BI{DCCT:1}I:Real-I", "SR:SIM{Ring}Kick-SP", "RF{Osc:1}Freq:SP"
+CURRENT, KICK, RF = "SR:C03-BI{DCCT:1}I:Real-I", "SR:SIM{Ring}Kick-SP", "RF{Osc:1}Freq:I"
 READINGS = (*CHANNELS.readback_pvs, *CHANNELS.orbit_pvs, CURRENT, RF, RMS, TICK)
 DOUBLE, TIME_DOUBLE, CONTROL_DOUBLE = 6, 20, 34
 _HEADER = struct.Struct(">HHHHII")

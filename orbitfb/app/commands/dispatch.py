@@ -34,6 +34,7 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     "enable-bpms": ("enabled",),
     "enable-correctors": ("enabled",),
     "dither": ("orbit_cost",),
+    "rf": ("follow",),
     "try": ("singular_values", "regularisation"),
     "apply": (),
     "refit": ("activate",),

@@ -11,6 +11,7 @@ import numpy as np
 import structlog
 
 from orbitfb.app.commands.answers import Remote
+from orbitfb.app.commands.frequency import FrequencyCommands
 from orbitfb.app.commands.preview import Latest
 from orbitfb.app.service.active_policy import Keeper
 from orbitfb.app.service.interfaces import Parts, check_panel, open_doors
@@ -22,6 +23,7 @@ from orbitfb.app.service.reports import (
     say_and_log,
     say_excitation,
 )
+from orbitfb.app.setup.frequency import follower_of, rf_model, with_rf
 from orbitfb.app.setup.lease import take_lease
 from orbitfb.app.setup.simulated_ring import SimulatedRing
 from orbitfb.app.setup.startup import (
@@ -67,6 +69,7 @@ from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
 from orbitfb.observe.logs import configure_logs
 from orbitfb.observe.metrics.collector import metrics_registry
+from orbitfb.observe.rf_news import RfNews
 from orbitfb.observe.server_news import ServerNews
 from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.observe.terminal import Terminal
@@ -110,6 +113,7 @@ class Service:
         directory = config.data_directory
         ring = config.ring.load()
         self.channels = ring.channels(config.ring.planes)
+        model = rf_model(config, ring, ioc, lambda line: say_and_log(say, line))
         waveform = planned(config, ring, excite, duration) if excite else None
         epics = find_ring(config, ioc)
         check_panel(config, self.channels)
@@ -126,11 +130,14 @@ class Service:
         self._own_ring = SimulatedRing(sim_job(config), stack) if ioc == SIMULATED else None
         if self._own_ring is not None:
             epics = self._own_ring.settings(config)
+        if model is not None:
+            epics = with_rf(epics, config)
         take_ring(epics, self.channels, stack)
         self.lease = take_lease(config, epics, self._lease_lost, stack)
         clock = SystemClock()
         counting, movable = mask_of(self.channels, config.masks)
-        self.machine = EpicsMachine(self.channels, epics, clock, counting, movable)
+        rf_pv = "" if model is None else config.rf.setpoint_pv
+        self.machine = EpicsMachine(self.channels, epics, clock, counting, movable, rf_pv)
         stack.callback(self.machine.close)
         names, limit = self.channels.correctors, config.limits.setpoint
         if told := narrower(limit, self.machine.drive_limits, names):
@@ -172,7 +179,14 @@ class Service:
         trips = TripNotes(self.store, config.interlocks)
         stack.callback(trips.close)
         news = ServerNews(lambda: self.machine.doubled, self._reports.servers_told)
-        told = (self.events, latest, clocks, trips, news, *recorders)
+        follower = follower_of(self.machine.oscillator, model, config, self._obstacle)
+        frequency = FrequencyCommands(follower)
+        if follower is not None:
+            rf_news = RfNews(lambda: follower.sight, clock, self._reports.rf_told)
+            news_of_rf = (rf_news,)
+        else:
+            news_of_rf = ()
+        told = (self.events, latest, clocks, trips, news, *news_of_rf, *recorders)
         self.runner = Runner(
             machine,
             self.slot,
@@ -192,6 +206,7 @@ class Service:
             ),
             heed=self.machine.count_bpms,
             random=questioner(config, ioc),
+            follower=follower,
         )
         self.watch = gap_watch(config, ring, self.history, self._reports, stack)
         self.learner: LearnerThread | None = None
@@ -221,7 +236,13 @@ class Service:
             archive.status,
             recorders[0].status if recorders else None,
             beside(
-                config, self.machine, below, clocks, self.statistics, lambda: self.runner.believed
+                config,
+                self.machine,
+                below,
+                clocks,
+                self.statistics,
+                lambda: self.runner.believed,
+                lambda: frequency.sight,
             ),
         )
         remote = Remote(
@@ -248,6 +269,7 @@ class Service:
             self.statistics,
             self.lease,
             lambda: Bounds.of(limit, len(names), self.machine.drive_limits),
+            frequency,
         )
         opened = open_doors(config, doors, remote, stack)
         http = ObserveServer(

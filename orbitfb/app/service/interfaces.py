@@ -10,6 +10,7 @@ import structlog
 from orbitfb.app.commands.adjust import Adjuster, Base
 from orbitfb.app.commands.autosave import FILE
 from orbitfb.app.commands.dispatch import Commands, Handler
+from orbitfb.app.commands.frequency import FrequencyCommands
 from orbitfb.app.commands.preview import Latest, Trial
 from orbitfb.app.commands.vectors import Sources as VectorSources
 from orbitfb.app.commands.vectors import Vectors
@@ -52,6 +53,7 @@ class Parts:
         statistics: Figures of the loop.
         lease: Of the machine; None: there is none.
         bounds: Gives the limits of the setpoints that are in force.
+        frequency: The RF.
     """
 
     channels: Channels
@@ -65,6 +67,7 @@ class Parts:
     statistics: LoopStatistics
     lease: Lease | None
     bounds: Callable[[], Bounds]
+    frequency: FrequencyCommands
 
     @property
     def lease_shown(self) -> dict[str, Any]:
@@ -157,6 +160,7 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
             gap_text,
             peaks.since,
             config.learn.identify.reading_noise,
+            lambda: parts.frequency.sight,
         ),
         SystemClock(),
         config.observe.stale_after,
@@ -173,10 +177,23 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
         )
     )
     commands = Commands(
-        {"": remote, "page": view, "close": close, **adjuster.handlers, **trial.handlers},
+        {
+            "": remote,
+            "page": view,
+            "close": close,
+            **adjuster.handlers,
+            **trial.handlers,
+            **parts.frequency.handlers,
+        },
         statistics,
         Figures(config.observe.stale_after),
-        lambda: {**adjuster.shown(), **trial.shown(), **vectors.shown(), **parts.lease_shown},
+        lambda: {
+            **adjuster.shown(),
+            **trial.shown(),
+            **vectors.shown(),
+            **parts.frequency.shown(),
+            **parts.lease_shown,
+        },
     )
     control = ControlServer(directory, commands)
     stack.callback(control.close)

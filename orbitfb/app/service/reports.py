@@ -20,6 +20,7 @@ from orbitfb.epics.machine import EpicsMachine
 from orbitfb.history.buffer import History
 from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.excitation.movement import Excitation, Progress
+from orbitfb.loop.frequency import Sight
 from orbitfb.observe.clock_watch import ClockWatch
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.last_diagnosis import LastDiagnosis
@@ -85,6 +86,10 @@ class Reports:
         _log.warning("servers_of_pvs", problem=text)
         self._statistics.happened("ring", text)
 
+    def rf_told(self, text: str) -> None:
+        """Take what is to know of the RF frequency; the log has it already."""
+        self._statistics.happened("rf", text)
+
     def postmortem_written(self, path: Path, frozen: Frozen) -> None:
         """Take that the last seconds are on disk."""
         cause = frozen.cause
@@ -126,6 +131,7 @@ def beside(
     clocks: ClockWatch,
     statistics: LoopStatistics,
     believed: Callable[[], Believed],
+    rf: Callable[[], Sight],
 ) -> Beside:
     """Say where a scrape finds what is not the loop's own.
 
@@ -136,6 +142,7 @@ def beside(
         clocks: Counts how often a clock was set.
         statistics: Know whether settings are not saved.
         believed: Tells what was asked of the ring.
+        rf: Gives how the RF frequency is.
     """
     return Beside(
         channels=machine.channel_counts,
@@ -144,6 +151,7 @@ def beside(
         period=config.loop.period,
         noise=config.learn.identify.reading_noise,
         most_invalid=config.interlocks.max_invalid_bpms,
+        rf=rf,
         clock_steps=lambda: clocks.steps,
         unsaved=lambda: statistics.unsaved(),  # the doors, which know it, are opened later
         believed=believed,

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from orbitfb.core.errors import WriteError
-from orbitfb.core.ports import Machine
+from orbitfb.core.ports import Machine, Oscillator
 from orbitfb.core.signals import Applied, Channels, Mask, Reading, Vector
 
 
@@ -52,3 +52,30 @@ class GuardedMachine:
     def close(self) -> None:
         """Let go of the machine; setpoints stay where they are."""
         self._machine.close()
+
+
+class GuardedOscillator:
+    """Any RF; a put is refused while there is a reason to.
+
+    Args:
+        oscillator: The RF.
+        refusal: Says why it must not be written to now; empty when it may.
+    """
+
+    def __init__(self, oscillator: Oscillator, refusal: Callable[[], str]) -> None:
+        self._oscillator, self._refusal = oscillator, refusal
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Drive limits that the machine states, low and high [Hz]; NaN: none."""
+        return self._oscillator.limits
+
+    def put(self, frequency: float) -> None:
+        """Send a setpoint [Hz].
+
+        Raises:
+            WriteError: There is a reason not to, or the machine refuses.
+        """
+        if reason := self._refusal():
+            raise WriteError(f"{reason}; nothing was sent")
+        self._oscillator.put(frequency)

@@ -73,6 +73,22 @@ BEAM = (
     Metric("orbitfb_stored_current_amperes", "gauge", "amperes", (), "Stored current, last orbit."),
     Metric("orbitfb_rf_frequency_hertz", "gauge", "hertz", (), "RF frequency, last orbit."),
     Metric(
+        "orbitfb_rf_follows",
+        "gauge",
+        "",
+        (),
+        "1: the RF frequency follows the energy while the loop is closed; 0: it is left alone.",
+    ),
+    Metric("orbitfb_rf_steps_total", "counter", "", (), "Steps of the RF frequency by the loop."),
+    Metric(
+        "orbitfb_corrector_energy_ratio",
+        "gauge",
+        "ratio",
+        (),
+        "Relative energy that the correctors make since the loop settled, which a step of the "
+        "RF frequency takes over.",
+    ),
+    Metric(
         "orbitfb_bpm_noise_meters",
         "gauge",
         "meters",

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from orbitfb.core.link import ChannelCounts
+from orbitfb.loop.frequency import Sight
 from orbitfb.observe.last_diagnosis import DiagnosisFigures
 from orbitfb.safety.believed import Believed
 
@@ -23,6 +24,7 @@ class Beside:
         clock_steps: Counts how often a clock was set.
         believed: Tells what was asked of the ring, and which ticks it answered.
         unsaved: Whether settings of operators are in force that could not be saved yet.
+        rf: Gives how the RF frequency is.
     """
 
     channels: Callable[[], tuple[ChannelCounts, ...]] = tuple
@@ -34,3 +36,4 @@ class Beside:
     clock_steps: Callable[[], int] = int
     unsaved: Callable[[], bool] = bool
     believed: Callable[[], Believed] = Believed
+    rf: Callable[[], Sight] = Sight

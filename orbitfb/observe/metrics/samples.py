@@ -78,6 +78,7 @@ def _loop(snapshot: LoopSnapshot, beside: Beside) -> Samples:
 def _beam(snapshot: LoopSnapshot, beside: Beside) -> Samples:
     orbit, correctors, slow = snapshot.orbit, snapshot.correctors, snapshot.auxiliary
     source, noise = snapshot.noise_floor(beside.noise)
+    rf = beside.rf()
     return {
         "orbitfb_orbit_rms_meters": [((plane,), rms.now) for plane, rms in orbit.planes.items()],
         "orbitfb_orbit_rms_window_meters": [
@@ -102,6 +103,9 @@ def _beam(snapshot: LoopSnapshot, beside: Beside) -> Samples:
         ],
         "orbitfb_stored_current_amperes": _one(slow.get("current", math.nan)),
         "orbitfb_rf_frequency_hertz": _one(slow.get("rf_frequency", math.nan)),
+        "orbitfb_rf_follows": _one(float(rf.following)),
+        "orbitfb_rf_steps_total": _one(rf.steps),
+        "orbitfb_corrector_energy_ratio": _one(rf.energy),
     }
 
 

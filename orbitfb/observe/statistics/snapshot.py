@@ -129,7 +129,7 @@ class Happening:
         number: Count since the start, from 1.
         time: Wall clock [s since the epoch].
         kind: `state`, `policy`, `refit`, `alarm`, `archive`, `gap`, `postmortem`, `command`,
-            `lease` or `ring`.
+            `lease`, `rf` or `ring`.
         text: What happened, in a few words.
     """
 

@@ -211,6 +211,9 @@ function loop(its) {
   say("ticks", count(its.ticks));
   say("missed", count(its.missed));
   say("period", `${quantity(its.period_ms, "ms")}, jitter ${quantity(its.jitter_ms, "ms")}`);
+  const rf = its.rf;
+  const energy = rf.energy_ppm === null ? "" : `, energy of the correctors ${rf.energy_ppm.toFixed(1)} ppm`;
+  say("rf", rf.follows ? `follows, ${rf.steps} steps${energy}` : `left alone: ${rf.reason}`);
   say("latency", `p50 ${quantity(its.latency50_ms, "ms")}, p99 ${quantity(its.latency99_ms, "ms")}`);
   say("service", `orbitfb ${its.version}, since ${moment(its.started, its.time)}`);
 }

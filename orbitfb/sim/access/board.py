@@ -81,6 +81,7 @@ class Board:
         self.readings = len(layout.readings)
         count = len(self.names)
         self.value: Vector = np.zeros(count)
+        self.value[self.readings :] = [spec.initial for spec in layout.setpoints]
         self.head: Words = np.full(count, stamp.seconds, dtype=np.uint64)
         self.tail: Words = np.full(count, stamp.nanoseconds, dtype=np.uint64) << _SHIFT
         self.written: Mask = np.zeros(len(layout.setpoints), dtype=np.bool_)
@@ -91,7 +92,7 @@ class Board:
 
     @property
     def setpoints(self) -> Vector:
-        """The setpoints in force, shape (m,) [A]: a view."""
+        """The setpoints in force, in the order and the units of the layout: a view."""
         return self.value[self.readings :]
 
     def show(self, values: Vector, stamp: Stamp) -> None:

@@ -59,7 +59,7 @@ class FastFront:
 
     @property
     def setpoints(self) -> Vector:
-        """Setpoints in force, shape (m,) [A]: a copy."""
+        """Setpoints in force, in the order and the units of the layout: a copy."""
         return self.board.setpoints.copy()
 
     @property

@@ -19,7 +19,7 @@ class Front(Protocol):
 
     @property
     def setpoints(self) -> Vector:
-        """Setpoints in force, shape (m,) [A]: a copy."""
+        """Setpoints in force, in the order and the units of the layout: a copy."""
         ...
 
     @property

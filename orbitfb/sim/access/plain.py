@@ -24,7 +24,7 @@ class PlainSetpoint(ScalarChannel):
     """A setpoint that tells when it has been written."""
 
     def __init__(self, spec: PvSpec, written: Callable[[], None]) -> None:
-        super().__init__(spec)
+        super().__init__(spec, spec.initial)
         self._written = written
 
     async def write(self, value: Any, **options: Any) -> None:
@@ -58,7 +58,7 @@ class PlainFront:
 
     @property
     def setpoints(self) -> Vector:
-        """Setpoints in force, shape (m,) [A]."""
+        """Setpoints in force, in the order and the units of the layout."""
         return np.array([float(channel.value) for channel in self._setpoints])
 
     @property

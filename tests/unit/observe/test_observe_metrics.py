@@ -17,6 +17,7 @@ from orbitfb.core.postmortem import PostMortemStatus
 from orbitfb.core.refit import Alarm, AlarmCause, Decision
 from orbitfb.core.signals import LoopState
 from orbitfb.history.archive import ArchiveStatus
+from orbitfb.loop.frequency import Sight
 from orbitfb.observe.last_diagnosis import DiagnosisFigures, LastDiagnosis
 from orbitfb.observe.metrics.beside import Beside
 from orbitfb.observe.metrics.catalogue import METRICS
@@ -64,6 +65,7 @@ def everything_beside():
         period=0.1,
         noise=1e-7,
         most_invalid=9,
+        rf=lambda: Sight(True, "", 5e8, 1e-6, 3, 0.2),
     )
 
 

@@ -9,7 +9,7 @@ from caproto import AlarmStatus
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orbitfb.core.names import CURRENT_PV, RF_PV
+from orbitfb.core.names import CURRENT_PV, RF_PV, RF_READBACK_PV
 from orbitfb.core.signals import Channels
 from orbitfb.sim.access.board import AlarmLimits, Board, Entry
 from orbitfb.sim.access.channels import ScalarChannel
@@ -46,12 +46,14 @@ def test_the_layout_has_the_order_that_clients_see():
         *CHANNELS.readback_pvs,
         *CHANNELS.orbit_pvs,
         CURRENT_PV,
-        RF_PV,
+        RF_READBACK_PV,
         TRUE_RMS_PV,
         TICK_PV,
     ]
+    assert [spec.name for spec in LAYOUT.setpoints] == [*CHANNELS.setpoint_pvs, RF_PV]
+    assert LAYOUT.correctors == 2
     assert [spec.name for spec in LAYOUT.knobs] == [KICK_PV, STORED_PV]
-    assert len(LAYOUT) == 3 + 2 + 2 + 4 + 2
+    assert len(LAYOUT) == 3 + 2 + 3 + 4 + 2
 
 
 def test_values_leave_in_the_units_of_the_pvs():
@@ -64,6 +66,7 @@ def test_values_leave_in_the_units_of_the_pvs():
     rms = 5.0 / np.sqrt(3.0)
     np.testing.assert_allclose(values, [1.5, -2.5, 1.0, -2e-3, 0.0, 300.0, 5e8, rms, 17.0])
     assert LAYOUT.values(state, 17)[5] == 400.0
+    assert LAYOUT.values(state, 17, rf=5.001e8)[6] == 5.001e8
 
 
 def test_all_readings_of_a_tick_carry_its_stamp(board):
@@ -78,12 +81,15 @@ def test_setpoints_are_judged_one_by_one(board):
     values = np.array([18.0, -18.0, 18.1, np.nan, np.inf, -np.inf, 0.0])
     which = np.zeros(len(values), dtype=np.intp)
     assert board.allowed(which, values).tolist() == [True, True] + [False] * 4 + [True]
+    rf = np.full(4, 2)
+    frequencies = np.array([5e8 - 1000.0, 5e8 + 1000.0, 5e8 + 1000.1, 0.0])
+    assert board.allowed(rf, frequencies).tolist() == [True, True, False, False]
 
 
 def test_the_last_of_several_values_for_a_setpoint_stays(board):
     board.write(np.array([1, 0, 1]), np.array([1.0, 2.0, 17.0]), LATE)
-    assert board.setpoints.tolist() == [2.0, 17.0]
-    assert board.written.all()
+    assert board.setpoints.tolist() == [2.0, 17.0, 5e8]
+    assert board.written.tolist() == [True, True, False]
     assert board.get(9) == Entry(2.0, LATE, 0, 0)
     assert board.get(10) == Entry(17.0, LATE, AlarmStatus.HIGH, 1)
 

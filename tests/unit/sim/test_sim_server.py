@@ -30,8 +30,9 @@ class Ring:
         self.tick = 0
         self.kicks = []
 
-    def step(self, setpoints):
+    def step(self, setpoints, frequency_change=0.0):
         self.tick += 1
+        self.frequency_change = frequency_change
         orbit = np.full(3, setpoints.sum() * 1e-3)
         return State(orbit, orbit, setpoints.copy())
 
@@ -128,7 +129,7 @@ def test_what_is_refused_neither_changes_nor_counts(settings):
                 with pytest.raises(ValueError, match="Cannot write"):
                     await pvs["c{2}:SP"].write(bad)
             assert ring.tick == 1
-            assert server.front.setpoints.tolist() == [2.0, 0.0]
+            assert server.front.setpoints.tolist() == [2.0, 0.0, 0.0]
             assert pvs["c{2}:SP"].alarm.severity == 2
             assert pvs["c{1}:SP"].alarm.severity == 0
             with pytest.raises(ValueError, match="Cannot write"):
@@ -204,5 +205,28 @@ def test_a_write_that_brings_limits_along_is_refused(settings):
                     await pvs[name].auth_write("here", "me", [0.0], data_type, b"\0" * 80)
             with pytest.raises(ValueError, match="Cannot write"):
                 await pvs[name].auth_write("here", "me", [1e6], ChannelType.DOUBLE, None)
+
+    asyncio.run(scenario())
+
+
+def test_the_rf_setpoint_moves_the_ring_within_its_limits(settings):
+    async def scenario():
+        ring = Ring()
+        server = RingServer(ring, settings.model_copy(update={"rf_frequency": 5e8}))
+        server.start()
+        rf = channels(server)["RF{Osc:1}Freq:SP"]
+        try:
+            await asyncio.sleep(0)
+            await rf.write(5e8 + 2.5)
+            assert ring.tick == 1  # no corrector: nobody waits for it
+            for bad in (5e8 + 1000.1, float("nan")):
+                with pytest.raises(ValueError, match="Cannot write"):
+                    await rf.write(bad)
+            server.tick()
+            await asyncio.sleep(0.01)
+            assert ring.frequency_change == 2.5
+            assert await value(channels(server)["RF{Osc:1}Freq:I"]) == 5e8 + 2.5
+        finally:
+            server.stop()
 
     asyncio.run(scenario())

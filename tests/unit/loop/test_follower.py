@@ -1,0 +1,168 @@
+"""The RF frequency follows an energy that drifts: the whole loop on a simulated ring in process."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbitfb.core.clock import ManualClock
+from orbitfb.core.errors import RingError, WriteError
+from orbitfb.core.signals import LoopState
+from orbitfb.effects.build import plant_with
+from orbitfb.effects.settings import EffectSettings
+from orbitfb.loop.frequency import Follower
+from orbitfb.loop.runner import Runner
+from orbitfb.loop.settings import LoopSettings
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.physics.frequency import frequency_model, undoing
+from orbitfb.physics.places import Ring
+from orbitfb.physics.plant import PlantSettings
+from orbitfb.physics.plant_machine import PlantMachine
+from orbitfb.physics.response import response
+from orbitfb.policies.svd import SvdPolicy, SvdSettings
+from orbitfb.safety.frequency import RfSettings
+from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.limits import LimitSettings
+
+RING = Ring.load()
+RESPONSE = response(RING, "x")
+MODEL = frequency_model(RING, "x")
+RATE, NOISE = 8e-7, 0.2e-6
+M = RESPONSE.shape[1]
+
+
+class Bench:
+    """A closed loop under an energy ramp, on virtual time."""
+
+    def __init__(self, model=MODEL, settings=None, follows=True) -> None:
+        ramp = EffectSettings.model_validate({"id": "energy-ramp", "values": {"rate": RATE}})
+        plant = plant_with(RING, "x", PlantSettings(initial_orbit_rms=0.0), 1, (ramp,), 0.1)
+        clock = ManualClock()
+        self.machine = PlantMachine(plant, clock)
+        self.oscillator = self.machine.oscillator
+        its = settings or RfSettings()
+        self.follower = Follower(self.oscillator, model, its, NOISE, 1.0) if follows else None
+        self.runner = Runner(
+            self.machine,
+            PolicySlot(SvdPolicy(RESPONSE, SvdSettings())),
+            LoopSettings(),
+            LimitSettings(),
+            InterlockSettings(answer_question=0.0),  # whose questions are drawn without a seed
+            np.zeros(len(RESPONSE)),
+            clock,
+            start=LoopState.CLOSED,
+            follower=self.follower,
+        )
+        self.energies, self.steps, self.true = [], [], []
+
+    def run(self, ticks: int) -> None:
+        for _ in range(ticks):
+            record = self.runner.step()
+            moved = self.oscillator.frequency - RING.rf_frequency
+            drifted = RATE * 0.1 * self.machine.plant.tick
+            energy = float(MODEL.energy @ (record.setpoints + record.applied))
+            self.energies.append(energy + MODEL.per_hertz * moved + drifted)
+            self.steps.append(record.reading.auxiliary.get("rf_step", 0.0))
+            self.true.append(self.machine.true_orbit_rms)
+
+
+def test_the_energy_stays_and_the_orbit_with_it():
+    alone, follows = Bench(follows=False), Bench()
+    alone.run(1000)
+    follows.run(1000)
+    assert alone.energies[-1] < -6e-5
+    assert np.abs(follows.energies).max() < 5e-6
+    currents = follows.machine.setpoints()
+    assert np.sqrt(np.mean(currents**2)) < 0.01
+    assert np.count_nonzero(follows.steps) > 20 and np.abs(follows.steps).max() <= 1.0
+    assert np.mean(np.square(follows.true)) < 1.03**2 * np.mean(np.square(alone.true))
+    assert follows.runner.state is LoopState.CLOSED
+
+
+def test_by_command_it_is_left_alone_and_follows_from_there_again():
+    bench = Bench()
+    bench.run(100)
+    bench.follower.wanted = False
+    before = bench.oscillator.frequency
+    bench.run(100)
+    assert bench.oscillator.frequency == before
+    assert bench.follower.sight.reason == "off by command"
+    bench.follower.wanted = True
+    bench.run(100)
+    assert bench.oscillator.frequency != before and bench.follower.sight.following
+
+
+def test_a_dispersion_of_the_wrong_sign_is_told_before_anything_moves():
+    table = replace(RING.table, dispersion=-RING.table.dispersion)
+    with pytest.raises(RingError, match="they have the same sign in every ring"):
+        frequency_model(replace(RING, table=table), "x")
+    with pytest.raises(RingError, match="no dispersion"):
+        frequency_model(replace(RING, table=replace(table, dispersion=0 * table.s)), "x")
+    with pytest.raises(RingError, match="plane x alone"):
+        frequency_model(RING, "y")
+
+
+@pytest.mark.parametrize("sign", [-1.0, 0.0])
+def test_an_rf_that_turns_the_other_way_or_does_nothing_is_let_go_after_three_small_steps(sign):
+    bench = Bench()
+    start, put = bench.oscillator.frequency, bench.oscillator.put
+    seen = [start]
+    plant, step = bench.machine.plant, bench.machine.plant.step
+    plant.step = lambda setpoints, change: step(setpoints, sign * change)
+    bench.oscillator.put = lambda frequency: (seen.append(frequency), put(frequency))
+    bench.run(300)
+    assert "does not answer the RF" in bench.follower.sight.reason
+    assert len(seen) == 1 + 3 and abs(seen[-1] - start) < 0.5
+    assert bench.runner.state is LoopState.CLOSED
+
+
+def test_somebody_else_may_set_the_frequency_and_has_it_then():
+    bench = Bench()
+    bench.run(100)
+    bench.oscillator.frequency += 1.0
+    bench.run(50)
+    assert "somebody else sets" in bench.follower.sight.reason
+    theirs = bench.oscillator.frequency
+    bench.run(100)
+    assert bench.oscillator.frequency == theirs and not bench.follower.sight.following
+    bench.follower.again()
+    bench.run(100)
+    assert bench.follower.sight.following
+
+
+def test_a_put_that_fails_is_told_and_tried_again():
+    bench = Bench()
+    put = bench.oscillator.put
+
+    def away(_frequency: float) -> None:
+        raise WriteError("the RF is away")
+
+    bench.oscillator.put = away
+    bench.run(100)
+    assert not any(bench.steps)
+    assert bench.runner.state is LoopState.CLOSED
+    bench.oscillator.put = put
+    bench.run(100)
+    assert any(bench.steps)
+
+
+def test_ticks_in_which_the_frequency_moved_do_not_teach():
+    from orbitfb.history.buffer import History
+
+    bench = Bench()
+    history = History(bench.machine.channels, 500)
+    bench.runner.subscribe(history)
+    bench.run(300)
+    rows = history.snapshot()
+    steps = np.array(bench.steps)[rows.tick + 1]
+    assert np.count_nonzero(steps) > 3
+    assert not rows.usable[steps != 0.0].any() and rows.usable[steps == 0.0].mean() > 0.9
+
+
+def test_correctors_that_move_undo_the_dispersion_orbit():
+    movable = np.ones(M, dtype=bool)
+    movable[::7] = False
+    change = undoing(RESPONSE, MODEL.response, movable)
+    assert not change[~movable].any()
+    left = MODEL.response + RESPONSE @ change
+    assert np.linalg.norm(left) < 0.1 * np.linalg.norm(MODEL.response)
