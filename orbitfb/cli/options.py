@@ -46,8 +46,8 @@ EffectSpecs = Annotated[
         metavar="SPEC",
         help="Effect of the simulated ring, ID:KEY=VALUE,…, as in "
         "corrector-lag:tau=0.1s,cells=3-5,from=30s,planes=x; names=A+B instead of cells; without "
-        "these on all devices; parameters left out are typical; cells go along the ring, 5-3 past "
-        "its beginning; may be given again; `orbitfb effects` lists them [those of the "
+        "these on all devices; omitted parameters take typical values; 5-3 wraps around the ring; "
+        "repeatable; `orbitfb effects` lists them [those of the "
         "configuration].",
     ),
 ]

@@ -54,8 +54,8 @@ def run(
     excite: Annotated[
         Path | None,
         typer.Option(
-            help="Move the setpoints besides as this file says, once, some time after the loop "
-            "has closed (TOML or .npz, as a diagnosis recommends it); it is logged as dither."
+            help="Add the excitation in this file once, some time after the loop has closed (TOML "
+            "or .npz, as a diagnosis recommends it); it is logged as dither."
         ),
     ] = None,
     metrics_port: Annotated[

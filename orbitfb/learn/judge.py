@@ -234,12 +234,12 @@ def _decide(
         )
     if evidence.nats < -settings.evidence:
         return False, (
-            "rows that were not used yet speak for the incumbent's response by "
+            "new data fit the present response better than the candidate's, by "
             f"{-evidence.nats:.1f} nats (limit {settings.evidence:.1f})"
         )
     compared = (
-        f"predicted true orbit {_in_words(ours.rms)} against {_in_words(theirs.rms)} of the "
-        "incumbent"
+        f"expected beam motion {_in_words(ours.rms)}, with the running policy "
+        f"{_in_words(theirs.rms)}"
     )
     interval = f"[{100 * gain.low:.2g}, {100 * gain.high:.2g}] % over the responses drawn"
     if not gain.mean >= cost:

@@ -103,8 +103,8 @@ class Shadow:
             )
         ours, theirs = figures["shadow_rms_candidate"], figures["shadow_rms_incumbent"]
         compared = (
-            f"in shadow for {seen} ticks it would have left {ours * _UM:.4f} µm rms, the incumbent "
-            f"left {theirs * _UM:.4f} µm"
+            f"a trial run of {seen} ticks gave {ours * _UM:.4f} µm rms, the running policy "
+            f"{theirs * _UM:.4f} µm"
         )
         if ours > theirs * (1.0 + self._settings.margin):
             return Verdict(False, f"{compared}: worse", figures)

@@ -109,5 +109,5 @@ def _judge_corrector(
     if not table.linearity[j] <= settings.linearity:
         return f"is not linear: {table.linearity[j]:.2g} of its column"
     if np.isfinite(following) and not abs(following - 1.0) <= settings.following:
-        return f"does not follow: its readback changes by {following:.3g} of its setpoint"
+        return f"does not follow: its readback changes by {following:.3g} times the setpoint change"
     return ""

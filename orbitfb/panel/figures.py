@@ -109,7 +109,7 @@ def gap_text(snapshot: LoopSnapshot) -> str:
     """Say the gap between model and machine in a sentence."""
     gap = snapshot.gap
     if gap is None:
-        return "not looked at yet"
+        return "no comparison with the model yet"
     if not gap.resolved:
         return f"none that is certain in {gap.ticks} ticks"
     where = f" at {', '.join(gap.places[:3])}" if gap.places else ""

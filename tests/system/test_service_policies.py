@@ -65,7 +65,7 @@ def test_refit_keeps_what_the_judge_accepts_and_activates_nothing(service: Servi
     text = ask(service, "refit")
     assert re.search(r"^trigger +on-demand$", text, re.MULTILINE)
     assert re.search(
-        r"^reason +predicted true orbit \S+ µm rms against \S+ µm rms of the incumbent: .*$",
+        r"^reason +expected beam motion \S+ µm rms, with the running policy \S+ µm rms: .*$",
         text,
         re.MULTILINE,
     )

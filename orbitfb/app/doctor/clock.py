@@ -38,7 +38,7 @@ def _synchronised() -> Finding:
             _PART,
             "synchronised",
             Verdict.WARNING,
-            "the kernel knows of nobody that keeps the clock right",
+            "the clock is not synchronised (no NTP)",
             "run chrony or another NTP client, unless the host of this container does: orbits "
             "older than epics.stale_after by their stamps are refused",
             {"synchronised": False},

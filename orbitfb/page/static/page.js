@@ -100,8 +100,8 @@ function build() {
   const planes = [...layout.planes];
   charts = { planes: [], trend: null };
   for (const plane of planes) at("figures").append(tile(`rms-${plane}`, `Orbit RMS ${plane}`));
-  at("figures").append(tile("worst", "Largest error"), tile("bpms", "BPMs that count"),
-    tile("nearest", "Nearest to its limit"), tile("current", "Beam current"), tile("pace", "Loop"));
+  at("figures").append(tile("worst", "Largest error"), tile("bpms", "BPMs in use"),
+    tile("nearest", "Corrector closest to limit"), tile("current", "Beam current"), tile("pace", "Loop"));
   const bpms = [halves(layout.bpm_s), halves(layout.bpms), { unit: "µm" }];
   const correctors = [halves(layout.corrector_s), halves(layout.correctors), { unit: "A", limit: layout.limit }];
   const along = (id, title, [s, names, options]) => planes.map((hue, index) => new RingChart(

@@ -61,7 +61,7 @@ function notify(its, link, late, silent, restarted, layout) {
     const old = its ? `What is grey is of ${timeOfDay(its.time)}. ` : "";
     words = `NOT LIVE: ${link.problem || "no picture comes"}. ${old}Trying again.`;
   } else if (silent) words = "The loop does not tick: what is grey is old.";
-  else if (orbitOld(its, layout)) words = "No orbit comes: what is grey is old.";
+  else if (orbitOld(its, layout)) words = "No orbit data: greyed values are out of date.";
   else if (restarted && its.time - restarted < RESTART_TOLD) {
     words = `The service was started again at ${timeOfDay(its.started)}.`;
     calm = true;

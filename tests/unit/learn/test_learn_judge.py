@@ -90,7 +90,12 @@ def test_accepts_what_is_better():
         (GOOD, 0.0, JudgeSettings(margin=0.002), "not better by the 0.2 % that a swap costs"),
         (0.01 * GOOD, 0.0, JudgeSettings(), "not better"),
         (-GOOD, 0.0, JudgeSettings(), "would grow"),
-        (GOOD, -50.0, JudgeSettings(), "speak for the incumbent's response by 50.0 nats"),
+        (
+            GOOD,
+            -50.0,
+            JudgeSettings(),
+            "new data fit the present response better than the candidate's, by 50.0 nats",
+        ),
         (2.2 * GOOD, 0.0, JudgeSettings(change_limit=1e-3), "would change the setpoints"),
         (np.full((4, 4), np.nan), 0.0, JudgeSettings(), "not finite"),
     ],
