@@ -174,6 +174,37 @@ def solve(
     return StepPosterior(rows, covariances)
 
 
+def follow(
+    statistics: StepStatistics,
+    before: StepPosterior,
+    weights: Matrix,
+    levels: Indices,
+    variance: float,
+) -> StepPosterior:
+    """Find the posterior of Θ after further rows.
+
+    Args:
+        statistics: Of the rows.
+        before: What was known, every level with a covariance of its own.
+        weights: Of the nodes at every level, shape (levels, nodes).
+        levels: Level of every mode, shape (n,).
+        variance: r², that of the reading noise [m²].
+
+    Raises:
+        EstimationError: A covariance is not positive definite.
+    """
+    size = before.rows.shape[1]
+    sums = (weights / variance) @ statistics.sums.reshape(len(NODES), -1)
+    rows = before.rows.copy()
+    covariances = np.empty_like(before.covariances)
+    for level, said in enumerate(sums.reshape(len(weights), size, -1)):
+        information, members = said[:, :size], levels == level
+        covariances[level] = _inverse(_inverse(before.covariances[level]) + information)
+        pull = said[:, size:][:, members] - information @ before.rows[members].T
+        rows[members] += pull.T @ covariances[level]
+    return StepPosterior(rows, covariances)
+
+
 def _inverse(matrix: Matrix) -> Matrix:
     """Invert a symmetric positive definite matrix."""
     factor, failed = _POTRF(matrix, lower=1)

@@ -133,7 +133,8 @@ class Learner:
         if self._degraded:
             return
         surprised = absorbed.rows > 0 and absorbed.chi2_other > limit
-        self._degraded = surprised or seen is not None
+        # While R drifts quickly the policy follows as often as the rows are looked at.
+        self._degraded = surprised or seen is not None or self._identifier.drift > 0
         if seen is not None:
             self._alarm = Alarm(
                 self.last_tick or 0,

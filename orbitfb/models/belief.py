@@ -1,10 +1,15 @@
 """What is believed about R if it drifts slowly, and what if quickly; which is likelier.
 
-Beliefs are posteriors of one regression (`orbitfb.estimation.statistics`) around the first R̂. They
-differ in the size of the drift Q per tick, and so in what old rows are worth: the prior grows by Q
-per tick, a row counts 1/e after `memory` rows, and on average R has moved by Q over half of the
-memory since the rows that count. A ring that seems to rest is not believed to rest for ever: a kick
-that was answered once tells some directions so well that nothing since has tested them.
+Both are posteriors of one regression (`orbitfb.estimation.statistics`) around the first R̂, and
+differ in the size of the drift Q per tick:
+
+- `Keeping`: a slow one. All rows are one regression; the prior grows by Q per tick, a row counts
+  1/e after `memory` rows, and on average R has moved by Q over half of the memory since the rows
+  that count. A ring that seems to rest is not believed to rest for ever: a kick that was answered
+  once tells some directions so well that nothing since has tested them.
+- `Following`: a quick one. R walks at random, chunk by chunk: what was known of it before a chunk,
+  less certain by Q per tick, is the prior of the next one (the filter of R. Kalman, J. Basic Eng.
+  82 (1960) 35), so that no old row, however loud, holds R̂ where it was.
 
 Each predicts the next rows before they are used. The logarithms of their probabilities move by the
 log densities of these; besides, R may change its ways once in `memory` rows (the forward recursion
@@ -20,6 +25,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.estimation.statistics import (
     StepPosterior,
     StepStatistics,
+    follow,
     node_weights,
     solve,
 )
@@ -37,8 +43,8 @@ temperatures do to gains and optics of a healthy ring in a quarter of an hour, w
 noise floor cannot show."""
 
 
-class Belief:
-    """The posterior of R − R̂₀ under one assumption about its drift.
+class Keeping:
+    """The posterior of R − R̂₀ from all rows, if R drifts slowly.
 
     Args:
         prior: Covariance of a row in the beginning, shape (k, k) [(m/A)²].
@@ -67,8 +73,8 @@ class Belief:
         """Let R drift for some ticks."""
         self._ticks += count
 
-    def close(self, statistics: StepStatistics) -> None:
-        """Take rows in for good."""
+    def close(self, statistics: StepStatistics, levels: Indices, variance: float) -> None:
+        """Take rows in for good; arguments as those of `solve`."""
         self._statistics.fade(float(np.exp(-statistics.rows / self._memory)))
         self._statistics.add(statistics)
 
@@ -87,7 +93,52 @@ class Belief:
         return StepPosterior(found.rows, found.covariances + moved)
 
 
-def make_beliefs(response: Vector, settings: IdentifySettings) -> tuple[Belief, ...]:
+class Following:
+    """The posterior of R − R̂₀ if R drifts quickly.
+
+    Args:
+        prior: Covariance of a row in the beginning, shape (k, k) [(m/A)²].
+        drift: What a tick adds to it, shape (k, k).
+        modes: Count n.
+
+    Attributes:
+        posterior: What rows are predicted with.
+    """
+
+    def __init__(self, prior: Vector, drift: Vector, modes: int) -> None:
+        self._prior, self._drift, self._modes = prior, drift, modes
+        self.forget(1.0)
+
+    def forget(self, widening: float) -> None:
+        """Begin anew with a prior that is so many times as wide."""
+        rows = np.zeros((self._modes, len(self._prior)))
+        covariances = np.repeat(widening * self._prior[None], len(LADDER), axis=0)
+        self._known = self.posterior = StepPosterior(rows, covariances)
+        self._ticks = 0
+
+    def pass_ticks(self, count: int) -> None:
+        """Let R drift for some ticks."""
+        self._ticks += count
+
+    def close(self, statistics: StepStatistics, levels: Indices, variance: float) -> None:
+        """Take rows in for good; arguments as those of `solve`."""
+        self._known = self.solve(statistics, levels, variance)
+        self._ticks = 0
+
+    def solve(self, tail: StepStatistics, levels: Indices, variance: float) -> StepPosterior:
+        """Give the posterior of all rows.
+
+        Args:
+            tail: Of rows that were not taken in for good.
+            levels: Level of every mode, shape (n,).
+            variance: Of the reading noise [m²].
+        """
+        moved = self._known.covariances + self._ticks * self._drift
+        before = StepPosterior(self._known.rows, moved)
+        return follow(tail, before, WEIGHTS, levels, variance) if tail.rows else before
+
+
+def make_beliefs(response: Vector, settings: IdentifySettings) -> tuple[Keeping, Following]:
     """Say what is believed before there are rows: a slow drift, and a quick one.
 
     Args:
@@ -107,9 +158,8 @@ def make_beliefs(response: Vector, settings: IdentifySettings) -> tuple[Belief, 
     prior = _bordered(prior, settings.creep**2)
     drift = _bordered(drift, settings.creep**2 / settings.creep_memory)
     # The memory goes with 1/√Q, the time in which a scalar Kalman filter forgets.
-    return tuple(
-        Belief(prior, size**2 * drift, modes, settings.memory / size) for size in (SLOW, 1.0)
-    )
+    keeping = Keeping(prior, SLOW**2 * drift, modes, settings.memory / SLOW)
+    return keeping, Following(prior, drift, modes)
 
 
 def _bordered(covariance: Vector, creep: float) -> Vector:

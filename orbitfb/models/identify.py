@@ -21,12 +21,7 @@ import numpy as np
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
-from orbitfb.estimation.statistics import (
-    LONGEST,
-    StepPosterior,
-    StepSpectrum,
-    StepStatistics,
-)
+from orbitfb.estimation.statistics import LONGEST, StepPosterior
 from orbitfb.models.absorbed import Absorbed, total
 from orbitfb.models.belief import Likelihoods, make_beliefs
 from orbitfb.models.comparison import Contrast
@@ -37,12 +32,16 @@ from orbitfb.models.noise import LADDER, NoiseEstimate
 from orbitfb.models.prediction import Sums, no_sums, sums_of
 from orbitfb.models.rows import Rows
 from orbitfb.models.settings import IdentifySettings
+from orbitfb.models.tail import Tail
 
 _USUAL_KICKS = 0.1
 """Kicks per tick that are the orbit's [1]."""
 _MANY_KICKS = 3.0
 """Kicks beyond those that say that R is not what it was."""
 _WIDENINGS = 12
+_QUICK = 100
+"""Rows of a chunk while R drifts quickly: what it moves by in them is far below the doubt that the
+drift makes in the memory of the filter, some thousand rows."""
 _NO_SURPRISE = 2.0
 """Mean squared normalised difference of rows that a prior explains, with room for their scatter."""
 
@@ -129,10 +128,11 @@ class Identifier:
         while begin < len(rows):
             # R̂ is made anew before it lags behind what the rows have told.
             longest = max(self._settings.block, self._seen // 2)
-            end = begin + min(longest - self._unsolved, LONGEST - len(self._changes))
+            room = max(self._longest_tail() - len(self._tail), 1)
+            end = begin + min(max(longest - self._unsolved, 1), room)
             pieces.append(self._absorb_piece(rows.take(begin, end), theirs))
             begin = end
-            if len(self._changes) >= LONGEST:
+            if len(self._tail) >= self._longest_tail():
                 self._close_tail()
             elif self._unsolved >= longest:
                 self._solve()
@@ -151,10 +151,7 @@ class Identifier:
         differences = self._differences(rows, changes)
         pull, information = self._ask_dither(rows, changes, differences)
         before = self._sums if self._sums is not None else self._sum_up(theirs)
-        self._changes = np.concatenate([self._changes, changes])
-        self._steps = np.concatenate([self._steps, differences - changes @ self._first.T])
-        self._starts = np.concatenate([self._starts, rows.starts])
-        self._spectrum = StepSpectrum.of(self._changes, self._steps, self._starts)
+        self._tail.push(changes, differences - changes @ self._first.T, rows.starts)
         self._sums = self._sum_up(theirs)
         self._latest = None
         self._unsolved += len(rows)
@@ -235,10 +232,10 @@ class Identifier:
         return float(np.sum(moved * left / variance)), float(np.sum(moved**2 / variance))
 
     def _sum_up(self, theirs: Vector) -> Sums:
-        if self._spectrum is None:
+        if self._tail.spectrum is None:
             return no_sums(len(self._first), len(self._beliefs))
         return sums_of(
-            self._spectrum,
+            self._tail.spectrum,
             [belief.posterior for belief in self._beliefs],
             self._chosen,
             theirs - self._first,
@@ -248,26 +245,22 @@ class Identifier:
 
     def _begin_tail(self) -> None:
         """Begin a chunk."""
-        modes, columns = self._first.shape
-        self._changes = np.zeros((0, columns))
-        self._steps = np.zeros((0, modes))
-        self._starts = np.zeros(0, dtype=np.bool_)
-        self._spectrum: StepSpectrum | None = None
+        modes, coefficients = self._first.shape
+        self._tail = Tail(coefficients, modes)
         self._sums: Sums | None = None
         self._latest: StepPosterior | None = None
         self._unsolved = 0
 
-    def _tail(self) -> StepStatistics:
-        statistics = StepStatistics(self._first.shape[1], len(self._first))
-        if self._spectrum is not None:
-            statistics.take(self._spectrum)
-        return statistics
+    def _longest_tail(self) -> int:
+        """Rows of a chunk: short while R drifts quickly, for within a chunk it is one R."""
+        return _QUICK if self._likely.best else LONGEST
 
     def _close_tail(self) -> None:
         """Take a whole chunk in for good; the next one begins with an orbit that is not known."""
-        statistics = self._tail()
+        self._learn_noise()
+        statistics, noise = self._tail.statistics(), self._noise
         for belief in self._beliefs:
-            belief.close(statistics)
+            belief.close(statistics, noise.levels, noise.reading_variance)
         self._begin_tail()
         self._solve()
 
@@ -283,13 +276,13 @@ class Identifier:
         self._learn_noise()
         noise = self._noise
         belief = self._beliefs[self._chosen]
-        self._latest = belief.solve(self._tail(), noise.levels, noise.reading_variance)
+        self._latest = belief.solve(self._tail.statistics(), noise.levels, noise.reading_variance)
         return self._latest
 
     def _solve(self) -> None:
         """Learn the noise, then R under every belief, for what is predicted from now on."""
         self._learn_noise()
-        tail, noise = self._tail(), self._noise
+        tail, noise = self._tail.statistics(), self._noise
         for belief in self._beliefs:
             belief.posterior = belief.solve(tail, noise.levels, noise.reading_variance)
         self._chosen, self._sums = self._likely.best, None
