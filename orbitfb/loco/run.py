@@ -12,7 +12,7 @@ from orbitfb.loco.fit import Fit, PlaneFit, row_and_column_gains
 from orbitfb.loco.measured import Measured, Pair, bpm_labels, corrector_labels
 from orbitfb.loco.names import Named, name_devices
 from orbitfb.loco.optics import RingOptics
-from orbitfb.loco.screen import DEAD, dead_rows, exchanges, row_sizes, what_it_looks_like
+from orbitfb.measure.screen import DEAD, dead_rows, exchanges, what_it_looks_like
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Plane, Ring
 
@@ -105,17 +105,9 @@ def check(measured: Measured, nominal: dict[Plane, Matrix]) -> None:
         if not np.isfinite(data).any():
             raise RingError(f"plane {plane}: no number was measured")
         other = nominal.get("y" if plane == "x" else "x")
-        told = what_it_looks_like(_even(data, nominal[plane]), nominal[plane], other)
+        told = what_it_looks_like(data, nominal[plane], other)
         if told:
             raise RingError(f"plane {plane}: the response is not taken: {told}")
-
-
-def _even(data: Matrix, model: Matrix) -> Matrix:
-    """Bring all rows and then columns to the size of the optics: one device must not decide."""
-    sizes = row_sizes(data, model)
-    rows = data / np.where(sizes > 0, sizes, 1.0)[:, None]
-    sizes = row_sizes(rows.T, model.T)
-    return rows / np.where(sizes > 0, sizes, 1.0)
 
 
 def _mend(

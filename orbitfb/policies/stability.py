@@ -71,6 +71,23 @@ def growth_on(policy: Policy, response: Vector) -> float:
     return _growth(answers, inside.settings)
 
 
+def unstable_on(policy: Policy, response: Vector) -> str:
+    """Say that a loop would lose the beam on a measured response; "" when it would not.
+
+    Args:
+        policy: One that names its slope at zero.
+        response: Measured, shape (n, m) [m/A]; what is masked is zero.
+    """
+    growth = growth_on(policy, response)
+    if growth <= HIGHEST:
+        return ""
+    return (
+        f"would lose the beam: on the measured response (ring.response) the orbit grows by "
+        f"{growth:.4g} per tick; put a policy in force that is made for that response "
+        "(`orbitfb policies list`), or measure again"
+    )
+
+
 def _answers(policy: Policy) -> tuple[Vector, Any]:
     """Give the eigenvalues of R K, shape (k,), complex, and the settings of the law."""
     inside: Any = policy

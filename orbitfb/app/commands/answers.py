@@ -8,14 +8,15 @@ from typing import Any
 
 from orbitfb.core.errors import ControlError
 from orbitfb.core.ports import Policy
-from orbitfb.core.signals import Channels, LoopState
+from orbitfb.core.signals import Channels, LoopState, Vector
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
+from orbitfb.loop.states import Event
 from orbitfb.observe.plain import plain
 from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.observe.statistics.summary import summary
-from orbitfb.policies.stability import is_unstable, warning_of
+from orbitfb.policies.stability import is_unstable, unstable_on, warning_of
 from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.policies.store.kinds import StoredPolicy
 
@@ -40,6 +41,7 @@ class Remote:
         period: Of the loop [s]; a command takes effect at a tick, so it waits for a few.
         dress: Makes of a stored policy the one that may act: masked correctors do not move.
         freeze: Freezes the last seconds to a file, for who asks; None when that is off.
+        measured: The response that was measured, shape (n, m) [m/A]; None: that of the optics.
     """
 
     runner: Runner
@@ -52,6 +54,7 @@ class Remote:
     period: float
     dress: Callable[[StoredPolicy], Policy] = lambda policy: policy
     freeze: Callable[[str], Future[Path]] | None = None
+    measured: Vector | None = None
 
     def __call__(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         """Carry out a request.
@@ -87,6 +90,10 @@ class Remote:
         return {"postmortem": str(path)}
 
     def _command(self, name: str) -> Mapping[str, Any]:
+        if name == Event.CLOSE and self.measured is not None:
+            policy = self.slot.current
+            if problem := unstable_on(policy, self.measured):
+                raise ControlError(f"close refused: policy {policy.policy_id} {problem}")
         patience = min(max(5.0, 3 * self.period), LONGEST_PATIENCE)
         future = self.runner.command(name)
         try:
@@ -125,8 +132,9 @@ class Remote:
         policy = self.dress(self.store.load(policy_id, self.channels))
         failure = self.store.failures().get(policy_id)
         unstable = warning_of(policy)
-        warning = "; ".join(filter(None, (failure.words if failure else "", unstable)))
-        barred = failure is not None or is_unstable(unstable)
+        lost = "" if self.measured is None else unstable_on(policy, self.measured)
+        warning = "; ".join(filter(None, (failure.words if failure else "", unstable, lost)))
+        barred = failure is not None or is_unstable(unstable) or bool(lost)
         if barred and not force and self.runner.state in (LoopState.CLOSED, LoopState.HELD):
             raise ControlError(
                 f"policy {policy_id}: {warning}; the loop is {self.runner.state}, so that it "

@@ -148,7 +148,7 @@ def measure_response(
         write_response(out, result.table, result.base, channels, judgement, about)
         journal.forget()
         _log.info("response_measured", file=str(out), bad_correctors=len(judgement.correctors))
-    answer = answer_of(result, judgement, nominal, counting, out, about)
+    answer = answer_of(result, judgement, nominal, counting, out, about, channels)
     if request.activate:
         answer |= activate(config, out, channels, counting, moving)
     return answer

@@ -46,7 +46,7 @@ from orbitfb.app.setup.stored_policies import (
 )
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.clock import SystemClock
-from orbitfb.core.errors import ControlError
+from orbitfb.core.errors import ConfigError, ControlError
 from orbitfb.core.files.ownership import Lock
 from orbitfb.core.ports import Machine
 from orbitfb.core.signals import LoopState
@@ -75,7 +75,7 @@ from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import Surroundings
 from orbitfb.policies.masking import mask_of
-from orbitfb.policies.stability import is_unstable, warning_of
+from orbitfb.policies.stability import is_unstable, unstable_on, warning_of
 from orbitfb.policies.trips import TripNotes
 from orbitfb.safety.bounds import Bounds, narrower
 
@@ -155,6 +155,10 @@ class Service:
         nominal = baseline(config, ring, lambda line: say_and_log(say, line))
         check_policy(nominal, config)
         first = keeper.first(nominal, movable, ioc == SIMULATED, asked)
+        measured = nominal.response if config.ring.response is not None else None
+        lost = "" if measured is None else unstable_on(first, measured)
+        if lost and start is LoopState.CLOSED:
+            raise ConfigError(f"the loop does not start closed: policy {first.policy_id} {lost}")
         self.slot = PolicySlot(first)
         self.statistics = LoopStatistics(self.channels, bounds.largest, clock, counting)
         if warning := warning_of(first):
@@ -255,7 +259,8 @@ class Service:
             directory.resolve() / "archive",
             config.loop.period,
             lambda policy: masked(policy, movable),
-            *(its.request for its in recorders),
+            next((its.request for its in recorders), None),
+            measured,
         )
         doors = Parts(
             self.channels,

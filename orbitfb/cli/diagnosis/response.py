@@ -89,7 +89,6 @@ def diagnose_response(
     from orbitfb.loco.schema import document
     from orbitfb.loco.writing import write
     from orbitfb.physics.places import Ring
-    from orbitfb.policies.svd import SvdSettings
 
     def quantity(option: str, text: str, unit: str) -> float:
         try:
@@ -110,7 +109,7 @@ def diagnose_response(
         loaded = load(request, known)
         with progress_bar(as_json) as progress:
             result = diagnose(known, loaded.measured, progress)
-        growth = growths(known, loaded.measured, result.nominal, SvdSettings())
+        growth = growths(known, loaded.measured, result.nominal)
         answer = answer_of(result, path.name, loaded.notes, growth)
         written = write(answer, result, out)
     if as_json:

@@ -21,6 +21,7 @@ from orbitfb.exchange.response.parts import (
 )
 from orbitfb.exchange.units import PER_CURRENT, PER_KICK, RESPONSE, factor
 from orbitfb.measure.column import Table
+from orbitfb.measure.growth import growth_told
 from orbitfb.measure.judging import Judgement, judge, labels
 from orbitfb.measure.response_file import write_response
 from orbitfb.measure.settings import MeasureSettings
@@ -136,6 +137,7 @@ def _answer(
         "size_over_optics": round(found.size, 4),
         "planes": channels.planes,
         "implausible": problem,
+        "loop": growth_told(table.response, nominal, channels),
         "bad_correctors": judgement.correctors,
         "bad_bpms": judgement.bpms,
     }

@@ -162,7 +162,7 @@ def test_a_wrong_unit_is_seen_and_the_right_one_named(tmp_path, matrix):
     [
         (lambda m: m.T, "--transpose"),
         (lambda m: -m, "opposite sign"),
-        (lambda m: m[::-1], "another order"),
+        (lambda m: m[::-1], "opposite order"),
         (lambda m: m[:, :100], "shape (180, 100)"),
     ],
 )
@@ -228,3 +228,41 @@ def test_both_planes_need_to_be_told_apart(tmp_path):
         file["b"], file["c"] = BPMS * 2, CORRECTORS * 2
     options = ("--matrix", "R", "--bpm-names", "b", "--corrector-names", "c", "--unit", "m/A")
     assert "either plane" in refused("rm.h5", *options, "--planes", "xy")
+
+
+def flagged() -> dict:
+    """Import what has bad devices in it, and give the card of the file."""
+    words = ["import", "response", "rm.mat", "--matrix", "RM.data", "--order", "table"]
+    assert app([*words, "--unit", "m/A"], standalone_mode=False) == 1
+    return read_response(Path("response.safetensors"), CHANNELS).card
+
+
+def test_single_devices_of_another_size_are_told_and_the_rest_is_taken(tmp_path, matrix, capsys):
+    """A BPM in other units, a strong corrector, and names that are one row off."""
+    write_v5(tmp_path / "rm.mat", matrix * np.where(np.arange(180) == 4, 10.0, 1.0))
+    answer = flagged()
+    assert list(answer["bad_correctors"]) == [Ring.load().names("COR")[4]]
+    assert "times as large" in next(iter(answer["bad_correctors"].values()))
+    row = np.where(np.arange(180) == 4, 1000.0, 1.0)[:, None]
+    write_v5(tmp_path / "rm.mat", matrix * row)
+    answer = flagged()
+    assert list(answer["bad_bpms"]) == [Ring.load().names("BPM")[4]]
+    assert "lose the beam" in capsys.readouterr().out
+
+
+def test_a_shift_of_the_names_is_told_with_its_size(tmp_path, matrix):
+    write_v5(tmp_path / "rm.mat", np.roll(matrix, 1, axis=0))
+    said = refused("rm.mat", "--matrix", "RM.data", "--order", "table", "--unit", "m/A")
+    assert "rows are shifted by 1" in said
+
+
+def test_exchanged_and_reversed_devices_are_told(tmp_path, matrix):
+    spoilt = matrix.copy()
+    spoilt[:, [4, 9]] = spoilt[:, [9, 4]]
+    spoilt[7] *= -1
+    write_v5(tmp_path / "rm.mat", spoilt)
+    answer = flagged()
+    names = Ring.load().names("COR")
+    assert set(answer["bad_correctors"]) == {names[4], names[9]}
+    assert names[9] in answer["bad_correctors"][names[4]]
+    assert "opposite sign" in answer["bad_bpms"][Ring.load().names("BPM")[7]]

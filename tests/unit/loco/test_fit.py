@@ -10,7 +10,6 @@ from orbitfb.loco.answer import answer_of, verdict
 from orbitfb.loco.growth import growths
 from orbitfb.loco.run import diagnose
 from orbitfb.loco.schema import ResponseDiagnosis, document
-from orbitfb.policies.svd import SvdSettings
 from tests.unit.loco.synthetic_responses import NOISE, synthetic
 
 
@@ -66,7 +65,7 @@ def test_devices_that_stand_out_are_named_and_no_others(faulty) -> None:
 
 def test_the_answer_is_whole_json_and_says_gauge_and_optics(faulty) -> None:
     truth, found = faulty
-    growth = growths(truth.ring, truth.measured, found.nominal, SvdSettings())
+    growth = growths(truth.ring, truth.measured, found.nominal)
     answer = answer_of(found, "m.csv", (), growth)
     again = ResponseDiagnosis.model_validate_json(document(answer))
     assert again == answer
@@ -81,7 +80,7 @@ def test_the_answer_is_whole_json_and_says_gauge_and_optics(faulty) -> None:
 
 def test_a_reversed_bpm_makes_the_loop_grow_and_it_is_told(faulty) -> None:
     truth, found = faulty
-    growth = growths(truth.ring, truth.measured, found.nominal, SvdSettings())
+    growth = growths(truth.ring, truth.measured, found.nominal)
     by_plane = {its.planes: its for its in growth}
     assert by_plane["y"].per_tick > 1.0001
     assert "lose the beam" in by_plane["y"].text
@@ -160,6 +159,7 @@ def test_a_single_wild_element_is_an_outlier_and_is_shown() -> None:
         (lambda m: np.roll(m, 1, axis=0), "rows are shifted by 1"),
         (lambda m: -np.roll(m, 1, axis=0), "opposite sign"),
         (lambda m: -m, "opposite sign of the optics"),
+        (lambda m: m.T, "transposed"),
         (lambda m: m[::-1], "opposite order"),
         (lambda m: np.random.default_rng(1).permutation(m), "another ring"),
     ],

@@ -1,6 +1,7 @@
 """What a running service answers: refusals that need no machine, no thread and no socket."""
 
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -55,6 +56,24 @@ def test_activate_stores_and_swaps(store: PolicyStore):
     answer = answers({"command": "activate", "policy": THIRD.policy_id})
     assert answer == {"policy": THIRD.policy_id, "before": SECOND.policy_id}
     assert store.active() == answers.slot.current.policy_id == THIRD.policy_id
+
+
+def test_closing_is_refused_where_the_measured_response_would_lose_the_beam(store: PolicyStore):
+    """The policy in force is made for the optics; one BPM reads the other way round."""
+    measured = NOMINAL.copy()
+    measured[7] *= -1.0
+    runner = SimpleNamespace(command=lambda name: _done(name), state="CLOSED", reason="")
+    answers = replace(served(store, runner=runner), measured=measured)
+    with pytest.raises(ControlError, match=r"close refused: .* grows by 1\.\d+ per tick"):
+        answers({"command": "close"})
+    assert answers({"command": "open"})["state"] == "open"
+    assert replace(answers, measured=NOMINAL)({"command": "close"})["state"] == "close"
+
+
+def _done(name: str) -> Future[str]:
+    future: Future[str] = Future()
+    future.set_result(name)
+    return future
 
 
 def test_roll_back_stores_and_swaps(store: PolicyStore):

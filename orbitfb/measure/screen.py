@@ -14,7 +14,7 @@ DEAD = 0.1
 _ALIKE = 0.5
 """Least cosine of two responses of one ring [1]."""
 
-_SIGN = 0.85
+SIGN = 0.85
 """Least size of a negative cosine that is a matter of the sign alone [1]: names that are shifted by
 one have −0.6, measured responses of the right order 0.9 and more."""
 
@@ -53,12 +53,17 @@ def cosine(data: Matrix, model: Matrix) -> float:
 
 
 def row_sizes(data: Matrix, model: Matrix) -> Vector:
-    """Size of every row over that of the optics, by least squares; NaN: not measured."""
-    there = np.isfinite(data)
-    known, own = np.where(there, data, 0.0), np.where(there, model, 0.0)
-    power = np.sum(own**2, axis=1)
-    size = np.sqrt(np.sum(known**2, axis=1) / np.maximum(power, 1e-300))
-    return np.where(there.any(axis=1), size, np.nan)
+    """Size of every row over that of the optics; NaN: not measured.
+
+    By the medians of the sizes: one column of another size does not change the rows.
+    """
+    there = np.isfinite(data) & (model != 0.0)  # of the other plane the optics say nothing
+    measured = there.any(axis=1)
+    sizes = np.full(len(data), np.nan)
+    known = np.where(there, np.abs(data), np.nan)[measured]
+    own = np.where(there, np.abs(model), np.nan)[measured]
+    sizes[measured] = np.nanmedian(known, axis=1) / np.maximum(np.nanmedian(own, axis=1), 1e-300)
+    return sizes
 
 
 def dead_rows(data: Matrix, model: Matrix) -> Indices:
@@ -129,10 +134,15 @@ def what_it_looks_like(data: Matrix, model: Matrix, other: Matrix | None) -> str
         model: By the optics, shape (n, m).
         other: By the optics in the other plane, if it has that shape.
     """
-    found = cosine(data, model)
+    found = cosine(evened(data, model), model)
+    square = data.shape[0] == data.shape[1]
+    as_is, turned = cosine(data, model), cosine(data.T, model) if square else 0.0
+    if turned > max(_ALIKE, as_is + 0.1):
+        return f"it is transposed (cosine {turned:.2f}, as it stands {as_is:.2f}); give --transpose"
     if found >= _ALIKE:
         return ""
-    if found <= -_SIGN:
+    data = evened(data, model)
+    if found <= -SIGN:
         return (
             f"it has the opposite sign of the optics (cosine {found:.2f}); a response is orbit per "
             "setpoint, not the correction: turn its sign where it was made"
@@ -142,11 +152,24 @@ def what_it_looks_like(data: Matrix, model: Matrix, other: Matrix | None) -> str
             f"it is of the other plane (cosine {cosine(data, other):.2f} with that, {found:.2f} "
             "with its own); exchange the blocks or the planes"
         )
-    if data.shape[0] == data.shape[1] and abs(cosine(data.T, model)) >= _ALIKE:
-        return (
-            f"it is transposed (cosine {cosine(data.T, model):.2f}, as it stands {found:.2f}); "
-            "give --transpose"
-        )
+    if told := order_told(data, model):
+        return told
+    return (
+        f"it does not look like the response of this table (cosine {found:.2f}): another ring, "
+        "another working point or another order; see --places, --ring and the names"
+    )
+
+
+def evened(data: Matrix, model: Matrix) -> Matrix:
+    """Bring all rows and then columns to the size of the optics: one device must not decide."""
+    sizes = row_sizes(data, model)
+    rows = data / np.where(sizes > 0, sizes, 1.0)[:, None]
+    sizes = row_sizes(rows.T, model.T)
+    return rows / np.where(sizes > 0, sizes, 1.0)
+
+
+def order_told(data: Matrix, model: Matrix) -> str:
+    """Say by how many rows or columns the names are off; "" when no shift makes it alike."""
     for what, first, second in (("rows", data, model), ("columns", data.T, model.T)):
         order = order_of(first, second)
         if abs(order.cosine) >= _ALIKE and (order.shift or order.reversed):
@@ -154,10 +177,7 @@ def what_it_looks_like(data: Matrix, model: Matrix, other: Matrix | None) -> str
             sign = ", with the opposite sign" if order.cosine < 0 else ""
             return (
                 f"its {what} {kind} by {order.shift}{sign} (cosine {order.cosine:.2f} with that, "
-                f"{found:.2f} as it stands): a line of names too many or too few, or the "
-                "beginning of the ring elsewhere; correct the names"
+                f"{cosine(data, model):.2f} as it stands): a line of names too many or too few, or "
+                "the beginning of the ring elsewhere; correct the names"
             )
-    return (
-        f"it does not look like the response of this table (cosine {found:.2f}): another ring, "
-        "another working point or another order; see --places, --ring and the names"
-    )
+    return ""
