@@ -48,6 +48,10 @@ STAKE = 1.5
 """Times `answer_reach` that a BPM or a corrector, or the correctors together, may owe before it has
 no say [1]: half as much again for the time that asking takes."""
 
+MOST = 2.0
+"""Times `answer_reach` that one may owe before the loop waits for it alone [1]: what the BPMs
+beside one that has no say ask for moves the orbit there too, so that it goes on owing more."""
+
 FEW = 0.05
 """Share of the devices that may have no say at once [1]: a cell of both kinds. If more owe as much
 the loop waits for their answers instead, as the rest could not hold the orbit."""
@@ -194,7 +198,8 @@ class Answering:
             return False
         others, owing = self.owed.correctors, self._owing(settings)
         if owing is not None:
-            if owing.mean() > FEW:
+            most = float(self.owed.sizes(self.ring).max())
+            if owing.mean() > FEW or most > MOST * reach:
                 return True
             others = np.where(owing[-len(others) :], 0.0, others)  # those in doubt rest
         return owes or _rms(self.ring.response @ others) > STAKE * reach

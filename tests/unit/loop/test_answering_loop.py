@@ -171,7 +171,8 @@ def test_devices_in_doubt_have_no_say(ring):
     bench = Bench(ring, seed=3)
     engine, n, m = bench.runner._engine, 180, 180
     owed = Owed.nothing(n, m)
-    owed.correctors[77], owed.bpms[60] = 4.0, 1e-3
+    size = np.sqrt(np.mean(bench.machine.machine.plant.nominal_response[:, 77] ** 2))
+    owed.correctors[77], owed.bpms[60] = 18e-6 / size, 18e-6
     session = replace(Session.begin(n, m), answered=True, orbits=GRACE)
     answering = replace(engine.memory.answering, owed=owed, session=session)
     engine.memory = replace(engine.memory, answering=answering)

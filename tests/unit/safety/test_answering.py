@@ -13,7 +13,7 @@ from orbitfb.safety.questions import Question, Ring
 
 N, M = 40, 40
 SETTINGS = InterlockSettings()
-MUCH = 10 * 10e-6
+MUCH = 1.8 * SETTINGS.answer_reach
 
 
 @pytest.fixture
@@ -42,6 +42,12 @@ def test_if_many_owe_too_much_the_loop_waits(memory):
     memory = owing(memory, range(int(FEW * (N + M)) + 1))
     assert memory.doubted(SETTINGS) is None
     assert memory.waits(SETTINGS)
+
+
+def test_for_one_that_owes_more_and_more_the_loop_waits(memory):
+    memory = owing(memory, [3])
+    owed = replace(memory.owed, bpms=1.2 * memory.owed.bpms)
+    assert replace(memory, owed=owed).waits(SETTINGS)
 
 
 def test_a_kick_is_corrected_before_anybody_is_doubted(memory):
