@@ -288,6 +288,11 @@ def _fitted(config: AppConfig) -> tuple[AppConfig, list[str]]:
             f"close, as epics.auxiliary has no channel {watched!r}; name its PV there, or set "
             "interlocks.current_min = false"
         )
+    if (fast := config.interlocks.fast_feedback_channel) and fast not in known:
+        problems.append(
+            f"interlocks.fast_feedback_channel = {fast!r}: the loop could never close, as "
+            "epics.auxiliary has no channel of this name; name the PV of its status there"
+        )
     return config, problems
 
 

@@ -136,7 +136,8 @@ def check(
         refusing=refusing,
     )
     causes = {index: why for index, why in told.items() if following.lost[index]}
-    sound = worst(fresh, quota, current, following.verdict)
+    beside = interlocks.fast_feedback(reading.auxiliary, settings, why)
+    sound = worst(fresh, quota, current, beside, following.verdict)
     after = replace(
         memory,
         last=last,

@@ -28,6 +28,11 @@ class InterlockSettings(Settings):
     current_channel: str = Field(
         default="current", description="Auxiliary channel that carries the stored current."
     )
+    fast_feedback_channel: str = Field(
+        default="",
+        description="Auxiliary channel that is not 0 while a fast orbit feedback is closed; empty: "
+        "there is none that moves the same correctors.",
+    )
     distortion_rms: float = Field(default=1e-3, gt=0, description="Largest rms orbit error [m].")
     distortion_max: float = Field(
         default=3e-3, gt=0, description="Largest |orbit error| at a BPM [m]."
@@ -180,6 +185,32 @@ def stored_current(
         "that the loop needs"
     )
     return Verdict(Action.TRIP, "stored_current", reason)
+
+
+def fast_feedback(
+    auxiliary: Mapping[str, float],
+    settings: InterlockSettings,
+    why: Mapping[str, str] | None = None,
+) -> Verdict:
+    """Leave the beam to a fast feedback as long as it is closed: two loops fight each other.
+
+    Args:
+        auxiliary: Slow channels, SI.
+        settings: Which of them is its status.
+        why: Why slow channels are not known, by name.
+    """
+    channel = settings.fast_feedback_channel
+    if not channel:
+        return FINE
+    status = auxiliary.get(channel, float("nan"))
+    if status == 0.0:
+        return FINE
+    reason = f"the fast feedback is closed ({channel} is {status:g})"
+    if not np.isfinite(status):
+        cause = (why or {}).get(channel, "")
+        reason = f"whether the fast feedback is closed ({channel}) is not known"
+        reason += f": {cause}" if cause else ""
+    return Verdict(Action.HOLD, "fast_feedback", reason)
 
 
 def orbit_distortion(rms: float, largest: float, settings: InterlockSettings) -> Verdict:

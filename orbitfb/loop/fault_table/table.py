@@ -61,6 +61,13 @@ FAULTS = (
         ("test_the_stored_current_trips", "test_a_stored_current_that_drops_while_held_trips"),
     ),
     Fault(
+        "a fast orbit feedback is closed, or its status is not known",
+        "close is refused; a closed loop is HELD until the fast one is open",
+        (_HELD,),
+        ("interlocks.fast_feedback_channel", "epics.auxiliary"),
+        ("test_beside_a_fast_feedback_that_is_closed_nothing_is_written",),
+    ),
+    Fault(
         "the orbit error is too large (rms, largest) or grows too fast",
         "TRIPPED; setpoints stay, or go back to the last good ones in limited steps if so "
         "configured: no further once anything is wrong",

@@ -1,6 +1,7 @@
 """The runner on a scripted ring: one test per rule."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -453,3 +454,29 @@ def test_what_no_readback_tells_is_still_reread_before_a_held_loop_writes():
     bench.machine.inside[3] += 0.05  # less than the tolerance of the readback
     assert bench.step().state is LoopState.CLOSED
     assert bench.machine.writes[-1][3] == 0.05
+
+
+def test_beside_a_fast_feedback_that_is_closed_nothing_is_written():
+    bench = Bench(interlocks={"fast_feedback_channel": "fofb"})
+    read, status = bench.machine.read, {"fofb": 1.0}
+
+    def reading(timeout):
+        its = read(timeout)
+        return replace(its, auxiliary={**its.auxiliary, **status})
+
+    bench.machine.read = reading
+    refused = bench.runner.command("close")
+    assert bench.step().state is LoopState.OPEN
+    with pytest.raises(ControlError, match=r"the fast feedback is closed \(fofb is 1\)"):
+        refused.result(timeout=0)
+    status["fofb"] = 0.0
+    bench.close()
+    bench.step("good", "good")
+    written = len(bench.machine.writes)
+    for told, words in ((1.0, "is closed"), (np.nan, "is not known")):
+        status["fofb"] = told
+        assert bench.step("good", "good").state is LoopState.HELD
+        assert words in bench.records[-1].reason
+    assert written == len(bench.machine.writes)
+    status["fofb"] = 0.0
+    assert bench.step(*["good"] * 5).state is LoopState.CLOSED
