@@ -127,7 +127,8 @@ class Identifier:
         begin = 0
         while begin < len(rows):
             # R̂ is made anew before it lags behind what the rows have told.
-            longest = max(self._settings.block, self._seen // 2)
+            few, many = self._settings.block, self._seen // 2
+            longest = few if self._likely.best else max(few, many)
             room = max(self._longest_tail() - len(self._tail), 1)
             end = begin + min(max(longest - self._unsolved, 1), room)
             pieces.append(self._absorb_piece(rows.take(begin, end), theirs))
