@@ -58,7 +58,7 @@ class FaultyRing:
         """What the current suffers from."""
         return [fault for fault in self.faults if "current" in fault or "current_old" in fault]
 
-    def step(self, setpoints: np.ndarray) -> Shown:
+    def step(self, setpoints: np.ndarray, frequency_change: float = 0.0) -> Shown:
         """Let a tick pass."""
         faults, now = list(self.faults), time.monotonic()
         known = {fault["id"] for fault in faults}
@@ -69,7 +69,7 @@ class FaultyRing:
             self._began.setdefault(fault["id"], now)
         actual, errors = self._powered(np.array(setpoints), faults)
         sign = next((fault["sign"] for fault in faults if "sign" in fault), 1.0)
-        state = self._ring.step(sign * actual)
+        state = self._ring.step(sign * actual, frequency_change)
         orbit, readback = state.true_orbit.copy(), sign * state.readback
         reading = state.reading.copy()
         for fault in faults:

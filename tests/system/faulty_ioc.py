@@ -51,7 +51,7 @@ class FaultyRing:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._ring, name)
 
-    def step(self, setpoints: np.ndarray) -> Shown:
+    def step(self, setpoints: np.ndarray, frequency_change: float = 0.0) -> Shown:
         faults, actual = self.faults, np.array(setpoints)
         readback_errors = {}
         for key, kind in faults.get("correctors", {}).items():
@@ -64,7 +64,7 @@ class FaultyRing:
                 readback_errors[index] = np.nan if kind == "away" else float(kind)
         for index in [i for i in self._held if str(i) not in faults.get("correctors", {})]:
             del self._held[index]
-        state = self._ring.step(faults.get("sign", 1.0) * actual)
+        state = self._ring.step(faults.get("sign", 1.0) * actual, frequency_change)
         reading = np.roll(state.reading, faults.get("shift", 0))
         for key, kind in faults.get("bpms", {}).items():
             index = int(key)
