@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from orbitfb.loco.fit import Fit
+from orbitfb.loco.parameters import Fit
 
 ALIKE = 0.95
 """Cosine of what two gradients do to the response from which they are alike [1]."""

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.loco.fit import MOST_NOISE, OUTLIER, STANDS_OUT, Fit, Groups, Noise
 from orbitfb.loco.measured import CROSS, Measured, Pair
 from orbitfb.loco.noise import separable, spreads
 from orbitfb.loco.normal import Piece, normal_equations
+from orbitfb.loco.parameters import MOST_NOISE, OUTLIER, STANDS_OUT, Fit, Groups, Noise
 from orbitfb.loco.posterior import WIDE, Posterior, evidence_spread, posterior, robust_spread
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Plane

@@ -6,7 +6,8 @@ import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.loco.coupling import Coupling
-from orbitfb.loco.fit import Fit, PlaneFit
+from orbitfb.loco.fit import PlaneFit
+from orbitfb.loco.parameters import Fit
 from orbitfb.physics.optics import Matrix
 
 GAUGE = (

@@ -6,9 +6,10 @@ import numpy as np
 
 from orbitfb.loco.coupling import Coupling
 from orbitfb.loco.estimates import Estimate
-from orbitfb.loco.fit import LEAST_SPREAD, STANDS_OUT, Fit, PlaneFit
+from orbitfb.loco.fit import PlaneFit
 from orbitfb.loco.measured import Measured, bpm_labels, corrector_labels
 from orbitfb.loco.noise import spreads
+from orbitfb.loco.parameters import LEAST_SPREAD, STANDS_OUT, Fit
 from orbitfb.loco.posterior import WIDE, posterior
 from orbitfb.physics.places import Plane, Ring, plane_row
 

@@ -84,10 +84,10 @@ def diagnose_response(
     from orbitfb.core.units import parse_quantity
     from orbitfb.loco.answer import answer_of
     from orbitfb.loco.growth import growths
+    from orbitfb.loco.output.writing import write
     from orbitfb.loco.reading import Request, load
     from orbitfb.loco.run import diagnose
     from orbitfb.loco.schema import document
-    from orbitfb.loco.writing import write
     from orbitfb.physics.places import Ring
 
     def quantity(option: str, text: str, unit: str) -> float:

@@ -4,11 +4,11 @@ import tempfile
 from pathlib import Path
 
 from orbitfb.core.errors import ExchangeError
-from orbitfb.loco.effects import fragment
-from orbitfb.loco.page import page
+from orbitfb.loco.output.effects import fragment
+from orbitfb.loco.output.page import page
+from orbitfb.loco.output.tables import corrections_csv, csv_of, fitted_csv
 from orbitfb.loco.run import Result
 from orbitfb.loco.schema import ResponseDiagnosis, document
-from orbitfb.loco.tables import corrections_csv, csv_of, fitted_csv
 
 
 def write(answer: ResponseDiagnosis, result: Result, directory: Path) -> tuple[Path, ...]:

@@ -1,0 +1,1 @@
+"""The files of an answer: tables, page with pictures, effects of a simulated ring."""
