@@ -18,6 +18,11 @@ from orbitfb.core.signals import Vector
 from orbitfb.estimation.transform import Indices, Matrix
 
 
+ROUNDING = 1e-12
+"""Share of the information of a term that may be rounding [1]: sums of thousands of numbers are
+right to that, and terms that are nearly alike must not seem to be apart."""
+
+
 def given_size(pull: Vector, information: Vector, size: Vector | float = 1.0) -> Vector:
     """Log likelihood ratio of terms of a given size."""
     return pull * size - 0.5 * information * size**2
@@ -32,6 +37,45 @@ def normal_size(pull: Vector, information: Vector, variance: Vector | float) -> 
 def best_size(pull: Vector, information: Vector, variance: Vector | float = np.inf) -> Vector:
     """Most likely size of each term for itself, with a normal prior."""
     return pull / np.maximum(information + 1.0 / np.asarray(variance), 1e-300)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalPriors:
+    """Normal priors of terms and their information, factored once for any pull.
+
+    Args:
+        used: Terms that have a variance.
+        scale: Their prior standard deviations.
+        factor: Cholesky factor of 1 + scale · information · scale.
+    """
+
+    used: Indices
+    scale: Vector
+    factor: tuple[Matrix, bool]
+
+    @classmethod
+    def of(cls, information: Matrix, variance: Vector) -> "NormalPriors":
+        """Factor.
+
+        Args:
+            information: Shape (k, k).
+            variance: Shape (k,), zero for those that are left out.
+        """
+        used = np.flatnonzero(variance > 0.0)
+        scale = np.sqrt(variance[used])
+        inner = scale[:, None] * information[np.ix_(used, used)] * scale
+        inner[np.diag_indices_from(inner)] *= 1.0 + ROUNDING
+        inner[np.diag_indices_from(inner)] += 1.0
+        factor = cho_factor(inner, lower=True) if len(used) else (inner, True)
+        return cls(used, scale, factor)
+
+    def evidence(self, pull: Vector) -> float:
+        """Log evidence of the terms over none at all, given their pull, shape (k,)."""
+        if not len(self.used):
+            return 0.0
+        scaled = self.scale * pull[self.used]
+        square = float(scaled @ cho_solve(self.factor, scaled))
+        return 0.5 * square - float(np.sum(np.log(np.diag(self.factor[0]))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,28 +97,16 @@ class NormalTerms:
         """Terms that have a variance."""
         return np.flatnonzero(self.variance > 0.0)
 
-    def _factor(self) -> tuple[tuple[Matrix, bool], Vector]:
-        used = self.used
-        scale = np.sqrt(self.variance[used])
-        inner = scale[:, None] * self.information[np.ix_(used, used)] * scale
-        inner[np.diag_indices_from(inner)] += 1.0
-        return cho_factor(inner, lower=True), scale
-
     def evidence(self) -> float:
         """Log evidence over no term at all."""
-        if not len(self.used):
-            return 0.0
-        (factor, lower), scale = self._factor()
-        pull = scale * self.pull[self.used]
-        square = float(pull @ cho_solve((factor, lower), pull))
-        return 0.5 * square - float(np.sum(np.log(np.diag(factor))))
+        return NormalPriors.of(self.information, self.variance).evidence(self.pull)
 
     def mean(self) -> Vector:
         """Posterior mean of every size, shape (k,)."""
         found = np.zeros(len(self.pull))
         if len(self.used):
-            factor, scale = self._factor()
-            found[self.used] = scale * cho_solve(factor, scale * self.pull[self.used])
+            its = NormalPriors.of(self.information, self.variance)
+            found[its.used] = its.scale * cho_solve(its.factor, its.scale * self.pull[its.used])
         return found
 
     def beyond(self, pull: Vector, information: Matrix, cross: Matrix) -> tuple[Vector, Matrix]:
@@ -85,10 +117,10 @@ class NormalTerms:
             information: Of them, shape (k', k').
             cross: Between these and them, shape (k, k').
         """
-        used = self.used
-        if not len(used):
+        if not len(self.used):
             return pull, information
-        factor, scale = self._factor()
-        seen = scale[:, None] * cross[used]
-        solved = cho_solve(factor, seen)
-        return pull - solved.T @ (scale * self.pull[used]), information - seen.T @ solved
+        its = NormalPriors.of(self.information, self.variance)
+        seen = its.scale[:, None] * cross[its.used]
+        solved = cho_solve(its.factor, seen)
+        left = pull - solved.T @ (its.scale * self.pull[its.used])
+        return left, information - seen.T @ solved

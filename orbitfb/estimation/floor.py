@@ -88,7 +88,9 @@ def improve(
     iterations: int,
     counts: float = PRIOR_COUNTS,
 ) -> StepNoise:
-    """Go some steps of expectation maximisation.
+    """Go some steps up the likelihood, by minorisation (H. Zhou et al., J. Comput. Graph. Stat. 28
+    (2019) 350, for matrices): unlike expectation maximisation it is quick also where the walk is
+    small beside the noise.
 
     Args:
         noise: To begin with.
@@ -98,16 +100,30 @@ def improve(
         counts: What the prior is worth, in steps.
     """
     walk, white = noise.walk, np.diag(noise.white).copy()
-    total = float(moments.count.sum())
     for _ in range(iterations):
         pull, expected, noisy, usual = _sums(walk, white, moments)
-        moved = total * walk + walk @ (pull - expected) @ walk
-        shaken = total * white + white**2 * (noisy - usual)
-        walk = (counts * shape + moved) / (counts + total)
-        walk = (walk + walk.T) / 2.0
-        white = shaken / total
+        walk = _nearer(walk, pull, expected, shape, counts)
+        white = white * np.sqrt(noisy / usual)
         white = np.maximum(white, _LEAST_VARIANCE * float(np.median(white)))
     return StepNoise(walk, np.diag(white))
+
+
+def _nearer(walk: Matrix, pull: Matrix, expected: Matrix, shape: Matrix, counts: float) -> Matrix:
+    """Solve Q E Q + c Q = Q₀ P Q₀ + c S: the maximum of what bounds the log likelihood from below.
+
+    Args:
+        walk: Q₀.
+        pull: P, what the data pull.
+        expected: E, what the covariance expects.
+        shape: S, prior mean.
+        counts: c, what the prior is worth.
+    """
+    root = np.linalg.cholesky(expected)
+    wanted = root.T @ (walk @ pull @ walk + counts * shape) @ root
+    size, modes = np.linalg.eigh((wanted + wanted.T) / 2.0)
+    solved = np.sqrt(np.maximum(size, 0.0) + counts**2 / 4.0) - counts / 2.0
+    along = np.linalg.solve(root.T, modes)
+    return (along * solved) @ along.T
 
 
 @dataclass(frozen=True, slots=True, eq=False)

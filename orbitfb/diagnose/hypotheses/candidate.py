@@ -37,7 +37,8 @@ class Candidate:
         columns: Columns of the healthy errors whose own variance it sets, with that variance.
         noisy: Whether it says something of the noise alone.
         sources: Courses of its devices, if any: their values stay free when it is accepted.
-        finer: Search the neighbourhood of its values, which a grid gave; None: that is done.
+        finer: Evaluate it exactly, and search the neighbourhood of its values, which a grid gave;
+            None: that is done.
     """
 
     kind: EffectKind

@@ -13,14 +13,21 @@ from orbitfb.diagnose.hypotheses.priors import (
     SIZE_WIDTH,
     VALUE_COST,
 )
-from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, worths_of
+from orbitfb.diagnose.hypotheses.ranking import (
+    Ranked,
+    any_size,
+    any_size_at,
+    scales,
+    within,
+    worths_of,
+)
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import best_set
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
-from orbitfb.estimation.evidence import given_size
+from orbitfb.estimation.evidence import best_size, given_size
 from orbitfb.estimation.transform import Matrix
 
 _FINENESS = 1.0 / 300.0
@@ -99,26 +106,25 @@ def _refined(
     top: _Found,
     cost: float,
 ) -> Candidate:
-    """The best value of the grid, by exact evidence; it knows how to search between."""
+    """The best value of the grid, as scanned; it knows how to be exact, and to search between."""
 
     def exact(values: Values) -> Candidate:
         return _candidate(kind, law, scorer, top.places, values, 0, top.free, cost)
 
-    best = exact(top.values)
-    name = _running(grid)
-    if name is None:
-        return best
-    return replace(best, finer=lambda: _finer(exact, best, top, name, grid))
+    names = tuple(law.names[place] for place in top.places)
+    return Candidate(
+        kind, top.places, names, top.values, top.evidence - cost,
+        finer=lambda: _finer(exact, top, grid),
+    )  # fmt: skip
 
 
 def _finer(
-    exact: Callable[[Values], Candidate],
-    best: Candidate,
-    top: _Found,
-    name: str,
-    grid: Sequence[Values],
+    exact: Callable[[Values], Candidate], top: _Found, grid: Sequence[Values]
 ) -> Candidate:
-    """Search between the neighbours of the best value in the grid."""
+    """Be exact, and search between the neighbours of the best value in the grid."""
+    best, name = exact(top.values), _running(grid)
+    if name is None or best.evidence <= 0.0:
+        return best
     line = sorted({one[name] for one in grid})
     place = line.index(top.values[name])
     low, high = line[max(place - _REACH, 0)], line[min(place + _REACH, len(line) - 1)]
@@ -263,8 +269,8 @@ def _candidate(
     pull, information = scorer.evaluate([field])
     size = 1.0
     if free:
-        size = float(pull[0] / max(information[0, 0] + SIZE_WIDTH**-2, 1e-300))
-        gain = float(any_size(pull, information[0])[0])
+        size = within(kind, values, float(best_size(pull, information[0], SIZE_WIDTH**2)[0]))
+        gain = any_size_at(pull, information[0], size)
     else:
         gain = float(given_size(pull, information[0])[0])
     gain -= cost + _choices(law, places)

@@ -16,7 +16,7 @@ from orbitfb.diagnose.hypotheses.priors import (
     SIZE_WIDTH,
     VALUE_COST,
 )
-from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales
+from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, within
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
@@ -49,10 +49,17 @@ def scan_each_own(
     if len(rank.alone) == 1 and not free:
         return []
     number = np.argmax(rank.alone, axis=0)
-    chosen = _grown(kind, law, scorer, rank, number, free)
+    chosen, evidence = _grown(kind, law, scorer, rank, number, free)
     if len(chosen) < (1 if rank.own else 2):
         return []
-    return [_candidate(kind, law, scorer, rank, number, sorted(chosen), free)]
+    places = tuple(sorted(chosen))
+    return [
+        Candidate(
+            kind, places, tuple(law.names[place] for place in places),
+            rank.values(int(number[chosen[0]]), chosen[0]), evidence,
+            finer=lambda: _candidate(kind, law, scorer, rank, number, list(places), free),
+        )
+    ]  # fmt: skip
 
 
 def _grown(
@@ -62,8 +69,8 @@ def _grown(
     rank: Ranked,
     number: np.ndarray,
     free: bool,
-) -> list[int]:
-    """Devices that explain more than they cost, the strongest first."""
+) -> tuple[list[int], float]:
+    """Devices that explain more than they cost, the strongest first, and their evidence."""
     spectra = [
         np.zeros((len(scorer.space.transform), len(number)), dtype=np.float32) for _ in law.patterns
     ]
@@ -76,6 +83,7 @@ def _grown(
     information = scorer.marginal(kind, law.patterns, spectra, information)
     cost = _cost(len(number), len(rank.alone))
     chosen: list[int] = []
+    evidence = 0.0
     for _ in range(MOST_DEVICES):
         gain = _gain(pull, information, chosen, free)
         gain[chosen] = -np.inf
@@ -83,7 +91,8 @@ def _grown(
         if gain[device] < cost + MORE:
             break
         chosen.append(device)
-    return chosen
+        evidence += float(gain[device]) - cost
+    return chosen, evidence
 
 
 def _gain(pull: Vector, information: Matrix, chosen: list[int], free: bool) -> Vector:
@@ -130,7 +139,12 @@ def _candidate(
     pull, information = scorer.evaluate(fields)
     if free:
         terms = NormalTerms(pull, information, np.full(len(chosen), SIZE_WIDTH**2))
-        sizes, evidence = terms.mean(), terms.evidence()
+        best, evidence = terms.mean(), terms.evidence()
+        sizes = np.array(
+            [within(kind, one.values, float(size)) for one, size in zip(sources, best, strict=True)]
+        )
+        beyond = sizes - best
+        evidence -= 0.5 * float(beyond @ (information @ beyond) + beyond @ beyond / SIZE_WIDTH**2)
     else:
         sizes = np.ones(len(chosen))
         evidence = float(pull.sum() - 0.5 * information.sum())

@@ -1,6 +1,6 @@
 """Rows that are struck, nobody knows which: a mixture over rows of being struck and not."""
 
-from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from orbitfb.diagnose.hypotheses.row_sums import moving_root
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import EventLaw
-from orbitfb.estimation.transform import Matrix
+from orbitfb.estimation.transform import Indices, Matrix
 
 _SHARES = (0.003, 0.01, 0.03, 0.08, 0.2)
 """Shares of the rows that are struck."""
@@ -25,54 +25,71 @@ def scan_events(kind: EffectKind, law: EventLaw, scorer: Scorer) -> list[Candida
     """Find what is struck, and how often or how strongly."""
     if law.single:
         return [_tails(kind, scorer)]
-    best: tuple[float, str, tuple[int, ...], Matrix, dict[str, float], Vector] | None = None
-    count = 0
-    response = scorer.space.signals.record.layout.response
-    for name, members, shapes in _parts(law, response):
-        count += 1
-        pull, information = _rows(scorer, shapes)
-        weigh = _jitter if law.often else _struck
-        evidence, values, strength = weigh(kind, scorer, pull, information)
+    strikes = _Strikes.of(law, scorer)
+    weigh = _jitter if law.often else _struck
+    best: tuple[float, str, tuple[int, ...], dict[str, float], Vector] | None = None
+    parts = {"": np.arange(strikes.moves.shape[1]), **law.parts}
+    for name, members in parts.items():
+        evidence, values, strength = weigh(kind, scorer, *strikes.rows(members))
         if best is None or evidence > best[0]:
-            best = (evidence, name, members, shapes, values, strength)
+            places = tuple(map(int, members)) if name else ()
+            best = (evidence, name, places, values, strength)
     if best is None:
         return []
-    evidence, name, members, shapes, values, strength = best
-    field = _field(scorer, shapes, strength)
-    names = (name,) if members else ()
-    gain = evidence - float(np.log(count)) - VALUE_COST
-    return [Candidate(kind, members, names, values, gain, field=field)]
+    evidence, name, places, values, strength = best
+    field = _field(scorer, strikes.shapes(places), strength)
+    gain = evidence - float(np.log(len(parts))) - VALUE_COST
+    return [Candidate(kind, places, (name,) if name else (), values, gain, field=field)]
 
 
-def _parts(law: EventLaw, response: Matrix) -> Iterator[tuple[str, tuple[int, ...], Matrix]]:
-    """All at once, then every part for itself: its members, and the change by a strike."""
-    yield "all", (), law.shapes
-    drives = bool(np.any(law.moves))
-    for name, members in law.parts.items():
-        if drives:
-            yield name, tuple(map(int, members)), law.moves[:, members] @ response[:, members].T
-        else:
-            shape = np.zeros_like(law.shapes)
-            shape[:, members] = law.shapes[:, members]
-            yield name, tuple(map(int, members)), shape
-
-
-def _rows(scorer: Scorer, shapes: Matrix) -> tuple[Vector, Vector]:
-    """Pull and information of a change at one row alone, for every step's row, shape (T,) each.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Strikes:
+    """Changes of the readings at single rows, as sums over devices: correctors, or the BPMs.
 
     Args:
-        scorer: Of the record.
-        shapes: Change of the reading, shape (N, n) [m].
+        moves: Of every device at every row, shape (N, D).
+        patterns: What one unit of it does to the readings, shape (n, D) [m].
+        along: Pull of a unit at the row of every step, shape (T, D).
+        gram: Information of units at one row, shape (D, D).
+        every: Rows of the steps, shape (T,).
     """
-    space = scorer.space
-    noise, rows = space.noise, space.transform.step_rows()
-    shape = shapes[rows]
-    following = np.vstack([scorer.late[1:], np.zeros_like(scorer.late[:1])])
-    pull = np.einsum("tn,tn->t", shape, scorer.late - following)
-    flat = 1.0 / np.sqrt(noise.ratio**2 + 4.0 * noise.ratio + 1e-12)
-    weight = 2.0 * flat * (1.0 - moving_root(noise.ratio))
-    information = ((shape @ noise.modes) ** 2) @ weight
-    return pull, information
+
+    moves: Matrix
+    patterns: Matrix
+    along: Matrix
+    gram: Matrix
+    every: Indices
+
+    @classmethod
+    def of(cls, law: EventLaw, scorer: Scorer) -> "_Strikes":
+        """Look along the devices that a law strikes."""
+        space = scorer.space
+        response = space.signals.record.layout.response
+        drives = bool(np.any(law.moves))
+        moves, patterns = (
+            (law.moves, response) if drives else (law.shapes, np.eye(law.shapes.shape[1]))
+        )
+        ratio = space.noise.ratio
+        following = np.vstack([scorer.late[1:], np.zeros_like(scorer.late[:1])])
+        flat = 1.0 / np.sqrt(ratio**2 + 4.0 * ratio + 1e-12)
+        weight = 2.0 * flat * (1.0 - moving_root(ratio))
+        seen = patterns.T @ space.noise.modes
+        return cls(
+            moves, patterns, (scorer.late - following) @ patterns, (seen * weight) @ seen.T,
+            space.transform.step_rows(),
+        )  # fmt: skip
+
+    def rows(self, members: Indices) -> tuple[Vector, Vector]:
+        """Pull and information of some devices struck at one row alone, shape (T,) each."""
+        moves = self.moves[np.ix_(self.every, members)]
+        pull = np.einsum("td,td->t", moves, self.along[:, members])
+        inner = moves @ self.gram[np.ix_(members, members)]
+        return pull, np.einsum("td,td->t", inner, moves)
+
+    def shapes(self, places: tuple[int, ...]) -> Matrix:
+        """Change of the readings at every row by some devices, or all, shape (N, n) [m]."""
+        chosen = list(places) if places else slice(None)
+        return self.moves[:, chosen] @ self.patterns[:, chosen].T
 
 
 def _struck(

@@ -3,17 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.priors import VALUE_COST
-from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.hypotheses.scores import Scorer, Turned
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.transform import Matrix
-
-Turned = NDArray[np.complex128]
 
 _FINER = 2
 """Frequencies per that of the record's length, of the first look."""
@@ -60,7 +57,7 @@ def strongest_line(scorer: Scorer, patterns: Matrix, shaped: bool) -> Line:
     """
     count = len(scorer.late)
     cycles = np.arange(_LOWEST * _FINER, count * _FINER // 2) / (count * _FINER)
-    turned = np.fft.rfft(scorer.late, n=_FINER * count, axis=0)[_LOWEST * _FINER :][: len(cycles)]
+    turned = scorer.fourier(_FINER)[_LOWEST * _FINER :][: len(cycles)]
     gain = _gains(scorer, turned, cycles, patterns, shaped)
     top = float(cycles[np.unravel_index(int(np.argmax(gain)), gain.shape)[0]])
     near = top + np.arange(-_FINEST, _FINEST + 1) / (_FINEST * _FINER * count)
@@ -129,7 +126,8 @@ def _gains(
         return best
     information = weight @ ((patterns.T @ noise.modes) ** 2).T
     square = np.abs(turned @ patterns) ** 2 * eigenvalue / np.maximum(information, 1e-300)
-    return np.max([0.5 * square * v / (1.0 + v) - np.log1p(v) for v in _VARIANCES], axis=0)
+    best = np.clip(0.5 * square, 1.0 + _VARIANCES[0], 1.0 + _VARIANCES[-1])  # 1 + variance
+    return np.asarray(0.5 * square * (1.0 - 1.0 / best) - np.log(best))
 
 
 def _field(

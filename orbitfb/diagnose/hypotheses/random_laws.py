@@ -50,7 +50,7 @@ def scan_random(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
     steady = _steady(kind, law, space, weighed)
     if not law.walk:
         return [steady]
-    found = [steady, _strokes(kind, law, scorer)]
+    found = [steady, *_strokes(kind, law, scorer)]
     if law.together:
         line = strongest_line(scorer, law.patterns, shaped=False)
         size = float(np.hypot(line.cosine, line.sine)) * 2.0 * np.sin(np.pi * line.cycles)
@@ -88,8 +88,10 @@ def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighe
     return _candidate(kind, law, space, place, float(size[place]), gain)
 
 
-def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> Candidate:
+def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate]:
     """Amplitudes that come in a few rows only, one after the other: matching pursuit.
+
+    A single one is a jump, which is another effect.
 
     S. Mallat and Z. Zhang, IEEE Trans. Signal Process. 41 (1993) 3397, with the row that is most
     likely struck instead of the largest projection, until none is worth its choice among all rows.
@@ -108,10 +110,12 @@ def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> Candidate:
         if found[0] > best[0]:
             best = (found[0], place, found[1])
     gain, place, strokes = best
+    if np.count_nonzero(strokes) < 2:
+        return []
     evidence = gain - float(np.log(len(own))) - VALUE_COST
     whole = _candidate(kind, law, space, place, float(np.mean(strokes**2)), evidence)
     field = np.outer(transform.turn(strokes[:, None])[:, 0], law.patterns[:, place])
-    return replace(whole, walk=None, field=field)
+    return [replace(whole, walk=None, field=field)]
 
 
 def _pursued(pull: Vector, weights: Vector, transform: StepTransform) -> tuple[float, Vector]:

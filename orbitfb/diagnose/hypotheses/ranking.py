@@ -11,7 +11,7 @@ from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import Worth
 from orbitfb.effects.kinds import EffectKind, OwnValues, Values
 from orbitfb.effects.laws import DeviceLaw
-from orbitfb.estimation.evidence import given_size, normal_size
+from orbitfb.estimation.evidence import best_size, given_size, normal_size
 from orbitfb.estimation.transform import Matrix
 
 _FINALISTS = 3
@@ -58,10 +58,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
         spectra = scorer.space.courses.spectra(law, values)
         if not any(np.any(one) for one in spectra):
             continue
-        pull, information = np.zeros(devices), np.zeros(devices)
-        for pattern, spectrum in zip(law.patterns, spectra, strict=True):
-            part, weight = scorer.apart(pattern, spectrum, error)
-            pull, information = pull + part, information + weight
+        pull, information = scorer.apart(law, values, error)
         worths = [worth for worth, _ in worths_of(kind)]
         alone[number] = np.max([worth(pull, information) for worth in worths], axis=0)
         if number >= len(grid):
@@ -96,6 +93,24 @@ def worths_of(kind: EffectKind) -> list[tuple[Worth, bool]]:
 def scales(kind: EffectKind) -> bool:
     """Whether a course may have any size: one that runs over a grid of its sizes has them there."""
     return bool(kind.linear) or len(kind.sizes) > 1
+
+
+def within(kind: EffectKind, values: Values, size: float) -> float:
+    """Keep a size where its parameters have a meaning: no share of a field is above one."""
+    for parameter in kind.sizes:
+        unit = values[parameter.name]
+        if unit:
+            ends = sorted((parameter.low / unit, parameter.high / unit))
+            size = min(max(size, ends[0]), ends[1])
+    return size
+
+
+def any_size_at(pull: Vector, information: Vector, size: float) -> float:
+    """Log evidence of a term of any size, which is most likely this one: that of its best, less
+    what is lost where the best has no meaning."""
+    best = float(best_size(pull, information, SIZE_WIDTH**2)[0])
+    lost = 0.5 * float(information[0] + SIZE_WIDTH**-2) * (size - best) ** 2
+    return float(any_size(pull, information)[0]) - lost
 
 
 def any_size(pull: Vector, information: Vector) -> Vector:

@@ -15,12 +15,14 @@ class OwnError:
     """The healthy error of some devices, each for itself.
 
     Args:
+        first: Number of the first of its columns among all errors.
         spectrum: Transformed steps of its courses, shape (T, k).
         steps: The same from row to row, shape (T, k).
         variance: Of its size before the record is seen, shape (k,).
         information: Of its size, shape (k,).
     """
 
+    first: int
     spectrum: Single
     steps: Matrix
     variance: Vector

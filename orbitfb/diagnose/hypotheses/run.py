@@ -11,6 +11,7 @@ from orbitfb.diagnose.hypotheses.events import scan_events
 from orbitfb.diagnose.hypotheses.fields import scan_field
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
 from orbitfb.diagnose.hypotheses.healthy import scan_errors
+from orbitfb.diagnose.hypotheses.jumps import jumps_of, scan_jumps
 from orbitfb.diagnose.hypotheses.lines import scan_lines
 from orbitfb.diagnose.hypotheses.pairs import scan_pairs
 from orbitfb.diagnose.hypotheses.priors import FINALISTS, MISFIT, ROUNDS, SURE
@@ -94,26 +95,36 @@ def candidates_of(
         for law in space.courses.laws(kind):
             found += _scan(kind, law, scorer)
         tell(f"{kind.id} {time.process_time() - began:.2f} s")
-    return _refined(strongest(found))
+    return _refined(strongest(found), scorer)
 
 
-def _refined(candidates: list[Candidate]) -> list[Candidate]:
-    """Refine the values of the finalists, until all that lead are refined."""
+def _refined(candidates: list[Candidate], scorer: Scorer) -> list[Candidate]:
+    """Evaluate the finalists exactly, and refine their values, until all that lead are."""
     while True:
         for place, one in enumerate(candidates[:FINALISTS]):
             if one.finer is not None and one.evidence > 0.0:
                 fine = one.finer()
-                candidates[place] = (
-                    fine if fine.evidence > one.evidence else replace(one, finer=None)
-                )
+                better = one.field is None or fine.evidence > one.evidence
+                candidates[place] = fine if better else replace(one, finer=None)
                 break
         else:
-            return candidates
+            break
         candidates = strongest(candidates)
+    for place, one in enumerate(candidates[:FINALISTS]):
+        if one.field is not None and one.evidence > 0.0:
+            gain = one.evidence + scorer.eased(one.field)
+            candidates[place] = replace(one, evidence=gain)
+    return strongest(candidates)
 
 
 def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
     """Scan a law by its form."""
+    if isinstance(law, DeviceLaw | FieldLaw):
+        usual = {p.name: p.typical for p in kind.parameters}
+        jumps = jumps_of(law, usual, scorer) if kind.sudden else None
+        if jumps is not None:
+            names = law.names if isinstance(law, DeviceLaw) else ()
+            return scan_jumps(kind, jumps, names, usual, scorer)
     if isinstance(law, DeviceLaw):
         if law.periodic:
             return scan_lines(kind, law, scorer)

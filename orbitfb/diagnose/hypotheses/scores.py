@@ -4,19 +4,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.row_sums import OwnError, moving_root, sums_since, whitened_by
 from orbitfb.diagnose.hypotheses.seen import Beside, Seen
+from orbitfb.diagnose.likelihood.errors import SHARES, variances
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.effects.kinds import EffectKind
-from orbitfb.estimation.evidence import NormalTerms
+from orbitfb.effects.kinds import EffectKind, OwnValues
+from orbitfb.effects.laws import DeviceLaw
+from orbitfb.estimation.evidence import NormalPriors, NormalTerms
 from orbitfb.estimation.transform import Indices, Matrix
 
-_FOURTH = 4
+_SIXTEENTH = 16
 """Every which frequency is summed where a value is only to be ranked among others."""
+
+Turned = NDArray[np.complex128]
 
 _GROUPS = 3
 """Groups of modes, by the walk over the noise, that share one whitening filter for onsets."""
@@ -38,6 +43,8 @@ class Scorer:
         members: Frequencies of every band.
         kept: What patterns see, by their identity.
         nearby: Errors of the devices of a kind, by the kind.
+        smaller: The healthy errors as they are, and as they may be once a cause is known.
+        turned: Fourier transform of `late` with so many frequencies per that of its length.
     """
 
     space: Workspace
@@ -51,6 +58,8 @@ class Scorer:
     members: tuple[Indices, ...]
     kept: dict[int, Seen] = field(default_factory=dict)
     nearby: dict[str, Beside | None] = field(default_factory=dict)
+    turned: dict[int, Turned] = field(default_factory=dict)
+    smaller: list[NormalPriors] = field(default_factory=list)
 
     @classmethod
     def of(cls, space: Workspace) -> "Scorer":
@@ -79,13 +88,9 @@ class Scorer:
         Returns:
             a, shape (k,), and H, shape (k, k).
         """
-        modes = self.space.noise.modes.astype(np.float32)
-        single = [one.astype(np.float32) for one in fields]
-        weighed = [((one @ modes) * self.weights) @ modes.T for one in single]
+        weighed = [self.space.noise.pull(one, self.space.transform) for one in fields]
         pull = np.array([float(np.sum(self.pulled * one)) for one in fields])
-        information = np.array(
-            [[float(np.sum(a * b, dtype=np.float64)) for b in single] for a in weighed]
-        )
+        information = np.array([[float(np.sum(a * b)) for b in fields] for a in weighed])
         if not len(self.errors.used):
             return pull, information
         used = self.errors.variance > 0.0
@@ -166,11 +171,43 @@ class Scorer:
         return self.nearby[target]
 
     def all_together(self, patterns: Matrix, spectrum: Single) -> float:
-        """Information of all devices with one common value, from every fourth frequency."""
+        """Information of all devices with one common value, from every sixteenth frequency."""
         if spectrum.shape[1] == 1:
             spectrum = np.broadcast_to(spectrum, (len(spectrum), patterns.shape[1]))
-        seen = spectrum[::_FOURTH] @ self.seen(patterns).modes
-        return float(_FOURTH * np.sum(seen * seen * self.weights[::_FOURTH], dtype=np.float64))
+        seen = spectrum[::_SIXTEENTH] @ self.seen(patterns).modes
+        return float(_SIXTEENTH * np.sum(seen * seen * self.weights[::_SIXTEENTH], dtype=np.float64))
+
+    def eased(self, field: Matrix) -> float:
+        """Log evidence gained if the healthy errors are smaller once a cause is known [nats].
+
+        Without the cause they stand in for it as far as their limits allow; a record whose cause
+        is known shows how small they are.
+
+        Args:
+            field: Spectrum of what the cause adds to the readings, shape (T, n) [m].
+        """
+        space = self.space
+        if not len(self.errors.used):
+            return 0.0
+        if not self.smaller:
+            self.smaller.extend(
+                NormalPriors.of(space.information, np.maximum(share**2 * usual, space.single))
+                for usual in [variances(space.blocks, space.shares, len(space.terms))]
+                for share in SHARES[::-1]
+            )
+        pull = space.terms.pull(space.noise.pull(space.residual - field, space.transform))
+        usual, *others = (one.evidence(pull) for one in self.smaller)
+        return max(0.0, *(one - usual for one in others))
+
+    def fourier(self, finer: int) -> Turned:
+        """Fourier transform of `late` over its rows, shape (F, n).
+
+        Args:
+            finer: Frequencies per that of the record's length.
+        """
+        if finer not in self.turned:
+            self.turned[finer] = np.fft.rfft(self.late, n=finer * len(self.late), axis=0)
+        return self.turned[finer]
 
     def drive_pull(self) -> Matrix:
         """∂log L/∂current of every corrector at every row, shape (N, m) [1/A]."""
@@ -201,7 +238,10 @@ class Scorer:
                 continue
             spectrum = self.space.terms.spectrum[:, columns]
             steps = self.space.transform.turn(spectrum)
-            return OwnError(spectrum, steps, variance, np.diag(self.errors.information)[columns])
+            return OwnError(
+                block.columns.start, spectrum, steps, variance,
+                np.diag(self.errors.information)[columns],
+            )  # fmt: skip
         return None
 
     def since(
@@ -235,23 +275,28 @@ class Scorer:
         return pull, information if own is None else own.marginal(information, cross), onsets
 
     def apart(
-        self, patterns: Matrix, spectrum: Single, own: OwnError | None
+        self, law: DeviceLaw, values: OwnValues, own: OwnError | None
     ) -> tuple[Vector, Vector]:
-        """Pull and information of every device for itself.
+        """Pull and information of every device for itself, shape (D,) each.
 
         Args:
-            patterns: Shape (n, D) [m].
-            spectrum: Transformed steps of the courses, shape (T, D) or (T, 1).
+            law: Of the devices.
+            values: Of its parameters.
             own: Healthy error of the devices, which is marginalised.
         """
-        seen, transform = self.seen(patterns), self.space.transform
-        wide = np.broadcast_to(spectrum, seen.pulled.shape)
-        pull = np.einsum("td,td->d", seen.pulled, wide)
-        information = np.einsum("bd,bd->d", seen.own, transform.by_band(wide * wide))
-        if own is None:
-            return pull, information
-        cross = np.einsum("bd,bd->d", seen.own, transform.by_band(wide * own.spectrum))
-        return pull, own.marginal(information, cross)
+        courses = self.space.courses
+        spectra, powers = courses.spectra(law, values), courses.powers(law, values)
+        crosses = powers if own is None else courses.powers(law, values, (own.first, own.spectrum))
+        count = law.patterns[0].shape[1]
+        pull, information, cross = np.zeros(count), np.zeros(count), np.zeros(count)
+        for pattern, spectrum, power, beside in zip(
+            law.patterns, spectra, powers, crosses, strict=True
+        ):
+            seen = self.seen(pattern)
+            pull += np.einsum("td,td->d", seen.pulled, np.broadcast_to(spectrum, seen.pulled.shape))
+            information += np.sum(seen.own * power, axis=0)
+            cross += np.sum(seen.own * beside, axis=0)
+        return pull, information if own is None else own.marginal(information, cross)
 
     def quick(self, pattern: Vector, course: Matrix, own: OwnError | None) -> tuple[Vector, Vector]:
         """Pull and information of several courses of one pattern, each for itself.

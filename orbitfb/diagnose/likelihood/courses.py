@@ -37,6 +37,7 @@ class Courses:
     _laws: dict[str, Sequence[Law]] = field(default_factory=dict)
     _grids: dict[str, Sequence[Values]] = field(default_factory=dict)
     _spectra: dict[_Key, tuple[Single, ...]] = field(default_factory=dict)
+    _powers: dict[tuple[_Key, int | None], tuple[Single, ...]] = field(default_factory=dict)
     _bytes: int = 0
 
     def hearing(self, signals: Signals) -> "Courses":
@@ -51,6 +52,7 @@ class Courses:
         for key, spectra in self._spectra.items():
             if key[0] in driven:
                 kept._keep(key, spectra)
+        kept._powers.update((key, its) for key, its in self._powers.items() if key[0][0] in driven)
         return kept
 
     def laws(self, kind: EffectKind) -> Sequence[Law]:
@@ -78,6 +80,30 @@ class Courses:
             courses = law.course(cast(Values, values), self.signals)
             known = tuple(self.transform.quick_spectrum(course) for course in courses)
             self._keep(key, known)
+        return known
+
+    def powers(
+        self, law: DeviceLaw, values: OwnValues, beside: tuple[int, Single] | None = None
+    ) -> tuple[Single, ...]:
+        """Products of a law's courses with themselves, or with others, summed by band.
+
+        Args:
+            law: One of `laws`.
+            values: Of its parameters.
+            beside: A number that tells other courses from others still, and their transformed
+                steps, shape (T, D).
+
+        Returns:
+            A block per block, shape (B, D) each, or (B, 1).
+        """
+        key = (_key(law, values), beside[0] if beside else None)
+        known = self._powers.get(key)
+        if known is None:
+            known = tuple(
+                self.transform.by_band(one * (one if beside is None else beside[1]))
+                for one in self.spectra(law, values)
+            )
+            self._powers[key] = known
         return known
 
     def field(self, law: FieldLaw, values: Values) -> Single:

@@ -21,13 +21,14 @@ class Terms:
         patterns: Different patterns, shape (n, P) [m].
         pattern: Which of them a column has, shape (k,).
         spectrum: Transformed steps of the courses, shape (T, k).
-        grams: Σ_f∈b course_c(f) course_c'(f), shape (B, k, k).
+        grams: Σ_f∈b course_c(f) course_c'(f), shape (B, k, k): in double precision, because
+            courses of neighbours are nearly alike.
     """
 
     patterns: Matrix
     pattern: Indices
     spectrum: Single
-    grams: Single
+    grams: Matrix
 
     @classmethod
     def of(
@@ -35,8 +36,7 @@ class Terms:
     ) -> "Terms":
         """Transform courses, shape (N, k), and sum their products by band."""
         spectrum = transform.spectrum(courses).astype(np.float32)
-        parts = [spectrum[transform.members(band)] for band in range(len(transform.count))]
-        return cls(patterns, pattern, spectrum, np.stack([part.T @ part for part in parts]))
+        return cls(patterns, pattern, spectrum, _grams(spectrum, transform))
 
     def __len__(self) -> int:
         return len(self.pattern)
@@ -46,12 +46,11 @@ class Terms:
     ) -> "Terms":
         """These columns and others behind them."""
         spectrum = np.hstack([self.spectrum, transform.quick_spectrum(courses)])
-        parts = [spectrum[transform.members(band)] for band in range(len(transform.count))]
         return Terms(
             np.hstack([self.patterns, patterns]),
             np.concatenate([self.pattern, self.patterns.shape[1] + pattern]),
             spectrum,
-            np.stack([part.T @ part for part in parts]),
+            _grams(spectrum, transform),
         )
 
     def pull(self, pulled: Matrix, used: Mask | None = None) -> Vector:
@@ -61,14 +60,16 @@ class Terms:
             pulled: Ω_f z_f, shape (T, n) [1/m].
             used: Columns that are asked for, shape (k,); the others are zero. None: all.
         """
-        along = pulled.astype(np.float32) @ self.patterns.astype(np.float32)
         found = np.zeros(len(self))
+        along: dict[tuple[int, int], Matrix] = {}
         for part in self._runs():
             if used is not None and not np.any(used[part]):
                 continue
             first = int(self.pattern[part.start])
-            seen = along[:, first : first + part.stop - part.start]
-            found[part] = np.einsum("fc,fc->c", seen, self.spectrum[:, part])
+            its = (first, first + part.stop - part.start)
+            if its not in along:
+                along[its] = pulled @ self.patterns[:, slice(*its)]
+            found[part] = np.einsum("fc,fc->c", along[its], self.spectrum[:, part])
         return found
 
     def _runs(self) -> list[slice]:
@@ -77,12 +78,23 @@ class Terms:
         edges = [0, *cuts.tolist(), len(self)] if len(self) else [0]
         return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
-    def information(self, noise: StepNoise, transform: StepTransform) -> Matrix:
-        """Σ_b (Pᵀ Ω_b P) ∘ (courseᵀ course)_b, shape (k, k)."""
-        precision = noise.precision(transform, self.patterns)
-        total = np.zeros((len(self), len(self)))
-        for weight, gram in zip(precision, self.grams, strict=True):
-            total += weight[np.ix_(self.pattern, self.pattern)] * gram
+    def information(
+        self, noise: StepNoise, transform: StepTransform, first: int = 0
+    ) -> Matrix:
+        """Σ_b (Pᵀ Ω_b P) ∘ (courseᵀ course)_b of the columns from `first` on, shape (k, k−first).
+
+        Args:
+            noise: The floor.
+            transform: Of the record.
+            first: Number of a column.
+        """
+        used, own = np.unique(self.pattern[first:], return_inverse=True)
+        seen = self.patterns.T @ noise.modes
+        total = np.zeros((len(self), len(self) - first))
+        inverse = noise.inverse_variance(transform)
+        for weight, gram in zip(inverse, self.grams, strict=True):
+            precision = (seen * weight) @ seen[used].T
+            total += precision[np.ix_(self.pattern, own)] * gram[:, first:]
         return total
 
     def cross(
@@ -107,3 +119,10 @@ class Terms:
         for column, values in zip(self.pattern[used], scaled.T, strict=True):
             by_pattern[:, column] += values
         return by_pattern @ self.patterns.T
+
+
+def _grams(spectrum: Single, transform: StepTransform) -> Matrix:
+    """Products of courses by band, shape (B, k, k)."""
+    bands = range(len(transform.count))
+    parts = (spectrum[transform.members(band)].astype(np.float64) for band in bands)
+    return np.stack([part.T @ part for part in parts])
