@@ -105,6 +105,7 @@ class RandomLaw:
         rare: Whether the strokes are few and large.
         relative: Whether its size is told as a ratio to the reading noise of the same BPM.
         lag: Rows between the readings whose covariance it changes.
+        smooth: Whether its course is smooth: the variance of its steps then goes with 1/λ.
         size: First parameter that belongs to a κ, for BPMs of a given noise rms [m].
     """
 
@@ -117,6 +118,7 @@ class RandomLaw:
     relative: bool
     lag: int
     size: Callable[[float, float], float]
+    smooth: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

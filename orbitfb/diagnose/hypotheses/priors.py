@@ -27,9 +27,9 @@ ROUNDS = 4
 SCATTER = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Multiples of the healthy scatter that are tried for all devices at once."""
 
-SHAPE_COUNTS = 32.0
-"""Steps that the ground's families are worth where a walk is compared with them: they are right to
-a quarter of the variance of a mode, and the scatter of a variance of ν normal values is √(2/ν)."""
+LEAK = 0.02
+"""Share of the walk along a pattern that the ground's shapes may have wrong besides a factor of
+two of what they leave there [1]: patterns that few quadrupoles move share the errors of others."""
 
 FINALISTS = 6
 """Candidates whose values are refined between those of the grid: a grid whose steps are 1.5 apart

@@ -8,7 +8,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.lines import strongest_line
 from orbitfb.diagnose.hypotheses.noise_laws import scan_colour, scan_level
-from orbitfb.diagnose.hypotheses.priors import MORE, SHAPE_COUNTS, STROKES, VALUE_COST
+from orbitfb.diagnose.hypotheses.priors import LEAK, MORE, STROKES, VALUE_COST
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
@@ -18,6 +18,9 @@ from orbitfb.estimation.transform import Matrix, StepTransform
 
 _SIZES = np.geomspace(1e-3, 1e4, 36)
 """Variances that are tried, in units of what the floor leaves uncertain of the pattern."""
+
+_UNSURE = (0.0, 0.1, 0.3, 1.0)
+"""Shares of what the ground's walk along a pattern may be wrong by, which are free [1]."""
 
 _PLACES = 4
 """Places whose strokes are sought one by one: those with the largest single one."""
@@ -48,7 +51,7 @@ def scan_random(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
     pulled = noise.pull(left, exact)
     weighed = _Weighed(noise, pulled, exact.turn(pulled))
     steady = _steady(kind, law, space, weighed)
-    if not law.walk:
+    if not law.walk or law.smooth:
         return [steady]
     found = [steady, *_strokes(kind, law, scorer)]
     if law.together:
@@ -70,22 +73,49 @@ def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighe
     normal = (weighed.pulled @ law.patterns) ** 2 / weights
     by_band = transform.by_band(normal) * precision
     eigenvalue = (np.bincount(transform.band, transform.eigenvalue) / transform.count)[:, None]
-    weight = np.ones_like(eigenvalue) if law.walk else eigenvalue
+    power = -1.0 if law.smooth else 0.0 if law.walk else 1.0
+    weight = eigenvalue**power
     scale = np.sum(count * precision * weight, axis=0) / count.sum()
     best, size = np.zeros(law.patterns.shape[1]), np.zeros(law.patterns.shape[1])
-    for factor in _SIZES:
-        variance = factor / np.maximum(scale, 1e-300) * weight
+
+    def gained(variance: Matrix) -> Vector:
         grown = 1.0 + variance * precision
-        gain = np.sum(-0.5 * count * np.log(grown) + 0.5 * variance * by_band / grown, axis=0)
+        return np.asarray(
+            np.sum(-0.5 * count * np.log(grown) + 0.5 * variance * by_band / grown, axis=0)
+        )
+
+    for factor in _SIZES:
+        gain = gained(factor / np.maximum(scale, 1e-300) * weight)
         better = gain > best
         best[better], size[better] = gain[better], (factor / scale)[better]
-    shown = np.sum(count * (precision * weight) ** 2, axis=0) / np.max(
-        (precision * weight) ** 2, axis=0
-    )
-    best = best * SHAPE_COUNTS / (SHAPE_COUNTS + shown) if law.walk else best
+    if law.walk:
+        usual = _unsure(law.patterns, space.shape + space.held, precision)
+        best = best - np.max([gained(share * usual[None, :]) for share in _UNSURE], axis=0)
     place = int(np.argmax(best))
     gain = float(best[place]) - np.log(len(best)) - VALUE_COST
-    return _candidate(kind, law, space, place, float(size[place]), gain)
+    found = _candidate(kind, law, space, place, float(size[place]), gain)
+    if not law.smooth:
+        return found
+    variance = (float(size[place]) * weight[:, 0])[transform.band]
+    own = weights[:, place]
+    course = variance * (weighed.pulled @ law.patterns[:, place]) / (1.0 + variance * own)
+    swing = np.ptp(transform.summed(course[:, None]))
+    values = {**found.values, kind.parameters[0].name: float(swing)}
+    field = np.outer(course, law.patterns[:, place])
+    return replace(found, values=values, walk=None, field=field)
+
+
+def _unsure(patterns: Matrix, walk: Matrix, precision: Matrix) -> Vector:
+    """Walk along patterns by which that of the ground may be wrong, shape (D,).
+
+    Args:
+        patterns: Shape (n, D).
+        walk: Of the ground, shape (n, n) [m²].
+        precision: Of the patterns in every band, shape (B, D).
+    """
+    length = np.maximum(np.sum(patterns**2, axis=0), 1e-300)
+    along = np.einsum("nd,nm,md->d", patterns, walk, patterns, optimize=True) / length**2
+    return np.maximum(1.0 / np.maximum(precision.max(axis=0), 1e-300), LEAK * along)
 
 
 def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate]:

@@ -13,6 +13,8 @@ GIRDER = 3.0
 SLAB = 20.0
 """Distance over which neighbouring girders move together, on one slab of concrete [m]."""
 
+SITE = 200.0
+"""Distance over which the ground of a site moves together, as by temperature and tides [m]."""
 
 TOGETHER = 6
 """Quadrupoles in a row that may move as one body: a girder carries three to six of them."""
@@ -21,11 +23,11 @@ TOGETHER = 6
 def ground_shapes(layout: Layout) -> Shapes:
     """Covariances of orbits that moving magnets make, each of any scale.
 
-    Quadrupoles that move each alone; together over a girder and over a slab, for which the ring's
-    places are needed; the dispersion's orbit, because ground that moves together changes the path
-    length and, at a fixed radio frequency, the energy; BPMs that move themselves; and every row
-    of quadrupoles that stand side by side, because nobody tells where girders begin and end, and
-    some lie on worse ground than others.
+    Quadrupoles that move each alone; together over a girder, a slab and the site, for which the
+    ring's places are needed; BPMs that move themselves; and every row of quadrupoles that stand
+    side by side, because nobody tells where girders begin and end, and some lie on worse ground
+    than others. A quadrupole that moves also changes the path length, and at a fixed radio
+    frequency the energy: as far as that goes, so far does the energy of a healthy ring walk.
     """
     count = len(layout.bpms)
     own = np.eye(count)
@@ -41,18 +43,33 @@ def ground_shapes(layout: Layout) -> Shapes:
     apart = np.minimum(apart, around - apart)
     for plane in layout.planes:
         orbit = layout.orbit_per_kick("QUAD", plane)
+        if plane == "x":
+            orbit = orbit + _by_energy(layout)
         families.append(_unit(orbit @ orbit.T))
-        families += [_unit(orbit @ np.exp(-apart / reach) @ orbit.T) for reach in (GIRDER, SLAB)]
+        reaches = (GIRDER, SLAB, SITE)
+        families += [_unit(orbit @ np.exp(-apart / reach) @ orbit.T) for reach in reaches]
         body = np.zeros_like(orbit)
         for length in range(TOGETHER):
             body = body + np.roll(orbit, -length, axis=1)
             rows.append(body)
-    dispersion = layout.dispersion()
-    if np.any(dispersion):
-        families.append(_unit(np.outer(dispersion, dispersion)))
     single = np.hstack(rows)
     norm = np.linalg.norm(single, axis=0)
     return Shapes((*families, own), single[:, norm > 0.0] / norm[norm > 0.0])
+
+
+def _by_energy(layout: Layout) -> Matrix:
+    """Orbit that a kick makes by the energy it costs, shape (n, k) [m/rad].
+
+    A kick θ where the dispersion is η lengthens the path by η θ; at a fixed radio frequency the
+    energy gives way by δ = −η θ / (α_c C) (H. Wiedemann, Particle Accelerator Physics, ch. 8).
+    """
+    ring = layout.known_ring
+    compaction = float(ring.parameters.alpha_c)
+    if not compaction:
+        return np.zeros((len(layout.bpms), len(ring.places("QUAD"))))
+    eta = np.nan_to_num(ring.table.dispersion[ring.places("QUAD")])
+    energy = -eta / (compaction * float(ring.parameters.circumference_m))
+    return np.outer(np.nan_to_num(layout.dispersion()), energy)
 
 
 def _unit(covariance: Matrix) -> Matrix:

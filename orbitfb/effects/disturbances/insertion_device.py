@@ -7,6 +7,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kicks import Moved, source_names, source_patterns, together
 from orbitfb.effects.kinds import Parameter, Values
+from orbitfb.effects.laws import Law, RandomLaw, Signals
 from orbitfb.effects.orbit_kinds import Courses, SourceKind
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
@@ -87,6 +88,26 @@ class InsertionDevice(SourceKind):
         """The period where there is a gap, the duration where there is none."""
         kick, period, duration, _ = self.parameters
         return (kick, period if gaps_of(record) else duration)
+
+    def laws(self, signals: Signals) -> Sequence[Law]:
+        """By the gap, or a ramp; where no gap is recorded also any smooth course, to and fro."""
+        usual = super().laws(signals)
+        if gaps_of(signals.record):
+            return usual
+        layout = signals.record.layout
+        to_and_fro = RandomLaw(
+            patterns=self.patterns(layout),
+            names=self.places_of(layout),
+            groups={},
+            walk=True,
+            together=False,
+            rare=False,
+            relative=False,
+            lag=0,
+            size=lambda variance, reading: float(np.sqrt(variance)),
+            smooth=True,
+        )
+        return (*usual, to_and_fro)
 
     def follows(self, values: Values, record: Record) -> tuple[str, ...]:
         """Its gap, where there is one."""
