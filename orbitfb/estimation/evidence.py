@@ -17,7 +17,6 @@ from scipy.linalg import cho_factor, cho_solve
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.transform import Indices, Matrix
 
-
 ROUNDING = 1e-12
 """Share of the information of a term that may be rounding [1]: sums of thousands of numbers are
 right to that, and terms that are nearly alike must not seem to be apart."""

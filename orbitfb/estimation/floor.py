@@ -93,9 +93,10 @@ def improve(
     iterations: int,
     counts: float = PRIOR_COUNTS,
 ) -> StepNoise:
-    """Go some steps up the likelihood, by minorisation (H. Zhou et al., J. Comput. Graph. Stat. 28
-    (2019) 350, for matrices): unlike expectation maximisation it is quick also where the walk is
-    small beside the noise.
+    """Go some steps up the likelihood, by minorisation.
+
+    H. Zhou et al., J. Comput. Graph. Stat. 28 (2019) 350, for matrices: unlike expectation
+    maximisation it is quick also where the walk is small beside the noise.
 
     Args:
         noise: To begin with.

@@ -36,6 +36,7 @@ class Candidate:
         raised: Standard deviation of healthy errors that it raises: block number and share.
         columns: Columns of the healthy errors whose own variance it sets, with that variance.
         noisy: Whether it says something of the noise alone.
+        courseless: Whether its course is whatever the record shows at its place.
         sources: Courses of its devices, if any: their values stay free when it is accepted.
         finer: Evaluate it exactly, and search the neighbourhood of its values, which a grid gave;
             None: that is done.
@@ -54,6 +55,7 @@ class Candidate:
     raised: Mapping[int, float] = dataclasses.field(default_factory=dict)
     columns: Mapping[int, float] = dataclasses.field(default_factory=dict)
     noisy: bool = False
+    courseless: bool = False
     sources: tuple[Course, ...] = ()
     finer: "Callable[[], Candidate] | None" = None
 

@@ -118,9 +118,7 @@ def _refined(
     )  # fmt: skip
 
 
-def _finer(
-    exact: Callable[[Values], Candidate], top: _Found, grid: Sequence[Values]
-) -> Candidate:
+def _finer(exact: Callable[[Values], Candidate], top: _Found, grid: Sequence[Values]) -> Candidate:
     """Be exact, and search between the neighbours of the best value in the grid."""
     best, name = exact(top.values), _running(grid)
     if name is None or best.evidence <= 0.0:

@@ -130,12 +130,14 @@ def _candidate(
         Course(law, (place,), rank.values(int(number[place]), place), np.ones(1))
         for place in chosen
     ]
-    if len(rank.alone) > 1:
-        refined = [_nearer(kind, law, scorer, one) for one in sources[:MOST_REFINED]]
-        sources = [*refined, *sources[MOST_REFINED:]]
     fields = [
         field_of(law, scorer, one.of(signals, one.values), one.places, one.size) for one in sources
     ]
+    for place in range(min(MOST_REFINED, len(sources)) if len(rank.alone) > 1 else 0):
+        others = np.asarray(sum(fields)) - fields[place]
+        near = _nearer(kind, law, scorer, sources[place], scorer.without(others))
+        sources[place] = near
+        fields[place] = field_of(law, scorer, near.of(signals, near.values), near.places, near.size)
     pull, information = scorer.evaluate(fields)
     if free:
         terms = NormalTerms(pull, information, np.full(len(chosen), SIZE_WIDTH**2))
@@ -168,8 +170,10 @@ def _candidate(
     )
 
 
-def _nearer(kind: EffectKind, law: DeviceLaw, scorer: Scorer, source: Course) -> Course:
-    """Search the value of one device around that of the grid, the others left out of account."""
+def _nearer(
+    kind: EffectKind, law: DeviceLaw, scorer: Scorer, source: Course, late: Matrix
+) -> Course:
+    """Search the value of one device around that of the grid, on what the others leave."""
     name = next((p.name for p in kind.parameters if p.log and p.name in source.values), None)
     if name is None or source.values[name] <= 0.0:
         return source
@@ -182,7 +186,7 @@ def _nearer(kind: EffectKind, law: DeviceLaw, scorer: Scorer, source: Course) ->
         values = {**source.values, name: float(np.exp(bent))}
         pull, information = np.zeros(1), np.zeros(1)
         for block, course in zip(pattern, source.of(signals, values), strict=True):
-            part, weight = scorer.quick(block, course, error)
+            part, weight = scorer.quick(block, course, error, late)
             pull, information = pull + part, information + weight
         return -float(worth(pull, information)[0])
 

@@ -35,6 +35,10 @@ FINALISTS = 6
 """Candidates whose values are refined between those of the grid: a grid whose steps are 1.5 apart
 loses a tenth of the evidence at most, so the best one is among those."""
 
+COURSELESS = 0.5
+"""Share of the evidence of a random course from which a law with a course is told before it [1]:
+what a law leaves of the same motion, an onset or a second value, is less than half."""
+
 MISFIT = 0.004
 """Share of the best evidence by which the evidences of models that are all a little wrong may
 differ by chance [1]."""

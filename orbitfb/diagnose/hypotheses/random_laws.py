@@ -183,5 +183,5 @@ def _candidate(
     places = () if law.together else (place,)
     names = () if law.together else (law.names[place],)
     if law.walk:
-        return Candidate(kind, places, names, values, gain, walk=spread)
+        return Candidate(kind, places, names, values, gain, walk=spread, courseless=True)
     return Candidate(kind, places, names, values, gain, white=np.diag(spread).copy(), noisy=True)

@@ -106,8 +106,7 @@ def within(kind: EffectKind, values: Values, size: float) -> float:
 
 
 def any_size_at(pull: Vector, information: Vector, size: float) -> float:
-    """Log evidence of a term of any size, which is most likely this one: that of its best, less
-    what is lost where the best has no meaning."""
+    """Log evidence of a term of any size, less what is lost where its best one has no meaning."""
     best = float(best_size(pull, information, SIZE_WIDTH**2)[0])
     lost = 0.5 * float(information[0] + SIZE_WIDTH**-2) * (size - best) ** 2
     return float(any_size(pull, information)[0]) - lost

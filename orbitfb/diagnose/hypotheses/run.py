@@ -14,7 +14,7 @@ from orbitfb.diagnose.hypotheses.healthy import scan_errors
 from orbitfb.diagnose.hypotheses.jumps import jumps_of, scan_jumps
 from orbitfb.diagnose.hypotheses.lines import scan_lines
 from orbitfb.diagnose.hypotheses.pairs import scan_pairs
-from orbitfb.diagnose.hypotheses.priors import FINALISTS, MISFIT, ROUNDS, SURE
+from orbitfb.diagnose.hypotheses.priors import COURSELESS, FINALISTS, MISFIT, ROUNDS, SURE
 from orbitfb.diagnose.hypotheses.random_laws import scan_random
 from orbitfb.diagnose.hypotheses.ranking import ranked
 from orbitfb.diagnose.hypotheses.scores import Scorer
@@ -114,7 +114,22 @@ def _refined(candidates: list[Candidate], scorer: Scorer) -> list[Candidate]:
         if one.field is not None and one.evidence > 0.0:
             gain = one.evidence + scorer.eased(one.field)
             candidates[place] = replace(one, evidence=gain)
-    return strongest(candidates)
+    return strongest(_by_course(candidates))
+
+
+def _by_course(candidates: list[Candidate]) -> list[Candidate]:
+    """Put a random course behind a law that says half of what it does.
+
+    A walk or a smooth course fits whatever moves at its place, over a floor of the ground's shapes
+    alone: the same motion counts for up to twice as much as with a law's course.
+    """
+    told = max((one.evidence for one in candidates if not one.courseless), default=0.0)
+    return [
+        replace(one, evidence=COURSELESS * one.evidence)
+        if one.courseless and told > COURSELESS * one.evidence > 0.0
+        else one
+        for one in candidates
+    ]
 
 
 def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:

@@ -175,7 +175,9 @@ class Scorer:
         if spectrum.shape[1] == 1:
             spectrum = np.broadcast_to(spectrum, (len(spectrum), patterns.shape[1]))
         seen = spectrum[::_SIXTEENTH] @ self.seen(patterns).modes
-        return float(_SIXTEENTH * np.sum(seen * seen * self.weights[::_SIXTEENTH], dtype=np.float64))
+        return float(
+            _SIXTEENTH * np.sum(seen * seen * self.weights[::_SIXTEENTH], dtype=np.float64)
+        )
 
     def eased(self, field: Matrix) -> float:
         """Log evidence gained if the healthy errors are smaller once a cause is known [nats].
@@ -208,6 +210,15 @@ class Scorer:
         if finer not in self.turned:
             self.turned[finer] = np.fft.rfft(self.late, n=finer * len(self.late), axis=0)
         return self.turned[finer]
+
+    def without(self, field: Matrix) -> Matrix:
+        """Ω z from row to row without a field, shape (T, n) [1/m].
+
+        Args:
+            field: Spectrum of what it adds to the readings, shape (T, n) [m].
+        """
+        transform = self.space.transform
+        return self.late - transform.turn(self.space.noise.pull(field, transform.exact()))
 
     def drive_pull(self) -> Matrix:
         """∂log L/∂current of every corrector at every row, shape (N, m) [1/A]."""
@@ -298,16 +309,19 @@ class Scorer:
             cross += np.sum(seen.own * beside, axis=0)
         return pull, information if own is None else own.marginal(information, cross)
 
-    def quick(self, pattern: Vector, course: Matrix, own: OwnError | None) -> tuple[Vector, Vector]:
+    def quick(
+        self, pattern: Vector, course: Matrix, own: OwnError | None, late: Matrix | None = None
+    ) -> tuple[Vector, Vector]:
         """Pull and information of several courses of one pattern, each for itself.
 
         Args:
             pattern: Shape (n,) [m].
             course: Shape (N, k).
             own: Healthy error of the device, which is marginalised.
+            late: Ω z from row to row, shape (T, n); None: that of all that is left to explain.
         """
         steps = self.space.transform.steps(course)
-        pull = (self.late @ pattern) @ steps
+        pull = ((self.late if late is None else late) @ pattern) @ steps
         seen = (pattern @ self.space.noise.modes) ** 2
         information, cross = np.zeros(len(pull)), np.zeros(len(pull))
         for root, group in zip(self.roots, self.groups, strict=True):

@@ -50,11 +50,7 @@ def _rows(part: Candidate, scorer: Scorer, cause: Named | None) -> Iterator[Scor
         values = {p.name: p.typical if p.name == kind.linear else values[p.name]
                   for p in kind.parameters}  # fmt: skip
     devices = np.arange(len(law.names))
-    error = scorer.own_error(kind, devices)
-    pull, information = np.zeros(len(devices)), np.zeros(len(devices))
-    for pattern, spectrum in zip(law.patterns, space.courses.spectra(law, values), strict=True):
-        own, weight = scorer.apart(pattern, spectrum, error)
-        pull, information = pull + own, information + weight
+    pull, information = scorer.apart(law, values, scorer.own_error(kind, devices))
     gain = np.max([worth(pull, information) for worth, _ in worths_of(kind)], axis=0)
     fitted: set[int] = set()
     if cause is not None:

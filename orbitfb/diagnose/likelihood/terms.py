@@ -78,9 +78,7 @@ class Terms:
         edges = [0, *cuts.tolist(), len(self)] if len(self) else [0]
         return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
-    def information(
-        self, noise: StepNoise, transform: StepTransform, first: int = 0
-    ) -> Matrix:
+    def information(self, noise: StepNoise, transform: StepTransform, first: int = 0) -> Matrix:
         """Σ_b (Pᵀ Ω_b P) ∘ (courseᵀ course)_b of the columns from `first` on, shape (k, k−first).
 
         Args:
