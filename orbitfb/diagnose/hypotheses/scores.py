@@ -88,9 +88,10 @@ class Scorer:
         Returns:
             a, shape (k,), and H, shape (k, k).
         """
-        weighed = [self.space.noise.pull(one, self.space.transform) for one in fields]
-        pull = np.array([float(np.sum(self.pulled * one)) for one in fields])
-        information = np.array([[float(np.sum(a * b)) for b in fields] for a in weighed])
+        double = [np.asarray(one, dtype=np.float64) for one in fields]
+        weighed = [self.space.noise.pull(one, self.space.transform) for one in double]
+        pull = np.array([float(np.sum(self.pulled * one)) for one in double])
+        information = np.array([[float(np.sum(a * b)) for b in double] for a in weighed])
         if not len(self.errors.used):
             return pull, information
         used = self.errors.variance > 0.0

@@ -5,7 +5,14 @@ import pytest
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.estimation.evidence import NormalTerms, normal_size
-from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve
+from orbitfb.estimation.floor import (
+    LARGEST,
+    Moments,
+    Shapes,
+    first_noise,
+    fit_shapes,
+    improve,
+)
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.transform import StepTransform
@@ -158,3 +165,48 @@ def test_courses_come_back_from_their_spectrum() -> None:
     back = transform.summed(transform.spectrum(courses))
     assert back[:40] == pytest.approx(courses[:40] - courses[0])
     assert back[40:] == pytest.approx(courses[40:] - courses[40])
+
+
+def test_a_free_walk_climbs_at_every_step_and_comes_close_to_the_truth() -> None:
+    """Small beside the noise it is what expectation maximisation finds only after dozens."""
+    rng = np.random.default_rng(11)
+    count, rows = 6, 2001
+    root = rng.standard_normal((count, count))
+    truth = StepNoise(0.02 * root @ root.T, np.diag(rng.uniform(0.5, 2.0, count)))
+    starts = np.zeros(rows, dtype=np.bool_)
+    starts[0] = True
+    transform = StepTransform.of(starts, 16)
+    walk = (rng.standard_normal((rows, count)) @ np.linalg.cholesky(truth.walk).T).cumsum(axis=0)
+    readings = walk + rng.standard_normal((rows, count)) * np.sqrt(np.diag(truth.white))
+    spectrum = transform.spectrum(readings)
+    moments = Moments.of(spectrum, transform)
+    noise = first_noise(transform.steps(readings), np.eye(count))
+    shape = noise.walk
+    heights = [noise.log_likelihood(spectrum, transform)]
+    for _ in range(30):
+        noise = improve(noise, moments, shape, 1, counts=1.0)
+        heights.append(noise.log_likelihood(spectrum, transform))
+    assert np.all(np.diff(heights) > -0.5)  # the prior of one step may cost that
+    assert heights[-1] > truth.log_likelihood(spectrum, transform) - 8.0  # it began 1,000 below
+    assert np.linalg.norm(noise.walk - truth.walk) < 0.3 * np.linalg.norm(truth.walk)
+
+
+def test_no_body_of_a_healthy_ground_moves_like_all_others_together() -> None:
+    rng = np.random.default_rng(12)
+    count, rows = 20, 1001
+    bodies = rng.standard_normal((count, 200))
+    bodies /= np.linalg.norm(bodies, axis=0)
+    starts = np.zeros(rows, dtype=np.bool_)
+    starts[0] = True
+    transform = StepTransform.of(starts, 16)
+    moved = 0.03 * rng.standard_normal((rows, 200)).cumsum(axis=0)
+    moved[:, 7] = rng.standard_normal(rows).cumsum()  # all others together move as much
+    readings = moved @ bodies.T + 0.3 * rng.standard_normal((rows, count))
+    shapes = Shapes((np.eye(count),), bodies)
+    moments = Moments.of(transform.spectrum(readings), transform)
+    noise = first_noise(transform.steps(readings), np.eye(count))
+    _, weights = fit_shapes(noise, moments, shapes, np.zeros((count, count)))
+    share = weights * shapes.seen(np.eye(count))
+    assert share[8] == max(share[1:])
+    assert share[8] <= 1.1 * LARGEST / len(shapes) * share.sum()
+    assert share[8] > 0.9 * LARGEST / len(shapes) * share.sum()

@@ -1,5 +1,6 @@
 """The tournament on small records made here: no ring, a response of random numbers."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,42 @@ def test_gains_of_two_bpms_are_named_with_their_sizes_and_nothing_is_left() -> N
     assert accepted[0].places == (2, 9)
     assert accepted[0].sizes == pytest.approx((0.3, -0.25), abs=0.04)
     assert rounds[-1].candidates[0].evidence < SURE
+
+
+def reversed_fourth(currents: Matrix) -> Matrix:
+    kicked = currents[-1:].copy()
+    kicked[:, 4] *= -1.0
+    return kicked
+
+
+def test_a_corrector_the_wrong_way_round_in_a_large_motion_is_no_scatter_of_all_gains() -> None:
+    """Ten thousand nats of one device, told to the nat beside healthy errors that are alike."""
+    record = make_record(17, currents=reversed_fourth, gain=0.01)  # else it runs away
+    kinds = kinds_for(record)
+    first = candidates_of(Workspace.of(record, kinds), kinds, lambda text: None)
+    assert (first[0].kind.id, first[0].places) == ("corrector-polarity", (4,))
+    wide = next(one for one in first if one.kind.id == "corrector-gain" and not one.places)
+    assert first[0].evidence > wide.evidence + SURE
+
+
+def test_a_reading_that_jumps_is_an_offset_from_that_row_on() -> None:
+    record = make_record(18)
+    readings = record.readings.copy()
+    readings[400:, 6] += 15 * NOISE
+    jumped = replace(record, readings=readings)
+    found = winner(jumped, kinds_for(jumped))
+    assert (found.kind.id, found.places, found.onset) == ("bpm-offset", (6,), 400)
+    assert found.values["offset"] == pytest.approx(15 * NOISE, rel=0.25)
+
+
+def test_a_size_without_a_meaning_is_not_told() -> None:
+    """More of the current than there is cannot stay behind."""
+    for seed in (11, 12, 13):
+        record = make_record(seed)
+        kinds = [kind for kind in kinds_for(record) if kind.id == "corrector-hysteresis"]
+        for one in candidates_of(Workspace.of(record, kinds), kinds, lambda text: None):
+            if one.field is not None:
+                assert abs(one.values["share"]) <= 1.0
 
 
 class Sticky(ActuatorKind):
