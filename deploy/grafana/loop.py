@@ -1,7 +1,7 @@
 """The pace of the loop, Channel Access, and the service around it."""
 
 from deploy.grafana.dashboard import Dashboard
-from deploy.grafana.loop_beside import ACCESS, ARCHIVE, ENERGY
+from deploy.grafana.loop_beside import ACCESS, ANSWERS, ARCHIVE, ENERGY
 from deploy.grafana.panels import GREEN, INFORMATION, RED, YELLOW, Panel, Query, Steps, metric
 
 PERIOD = metric("tick_period_nominal_seconds")
@@ -219,6 +219,7 @@ LOOP = Dashboard(
     (
         ("Ticks", _TICKS),
         ("Channel Access", ACCESS),
+        ("Does the orbit answer", ANSWERS),
         ("RF and energy", ENERGY),
         ("Archive", ARCHIVE),
     ),

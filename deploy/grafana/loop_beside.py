@@ -131,3 +131,40 @@ ENERGY = (
         {"min": 0, "decimals": 0},
     ),
 )
+
+ANSWERS = (
+    Panel(
+        "timeseries",
+        "Ticks that ask, last 5 min",
+        "The loop moves the correctors a little and looks whether the orbit answers: rarely at a "
+        "quiet ring, at every tick while something is in doubt.",
+        "none",
+        (Query(f"increase({metric('answer_asked_ticks_total')}[5m])", "asked"),),
+        8,
+        INFORMATION,
+        7,
+        {"min": 0, "decimals": 0},
+    ),
+    Panel(
+        "timeseries",
+        "Found without an answer, last 15 min",
+        "The ring, BPMs or correctors: the log names them.",
+        "none",
+        (Query(f"increase({metric('answer_silent_total')}[15m])", "found", "bars"),),
+        8,
+        Steps(GREEN, ((1, RED),)),
+        7,
+        {"min": 0, "decimals": 0},
+    ),
+    Panel(
+        "timeseries",
+        "Ticks that teach nobody, last 5 min",
+        "Rows of the archive that no refit uses: the ring was not seen to answer after them.",
+        "none",
+        (Query(f"increase({metric('answer_refused_ticks_total')}[5m])", "left out"),),
+        8,
+        INFORMATION,
+        7,
+        {"min": 0, "decimals": 0},
+    ),
+)
