@@ -91,6 +91,10 @@ def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighe
     if law.walk:
         usual = _unsure(law.patterns, space.shape + space.held, precision)
         best = best - np.max([gained(share * usual[None, :]) for share in _UNSURE], axis=0)
+    else:  # what a walk of the same pattern explains is no noise
+        flat = np.mean(precision, axis=0)[None, :]
+        walks = [gained(np.broadcast_to(size / flat, precision.shape)) for size in _SIZES]
+        best = best - np.maximum(np.max(walks, axis=0), 0.0)
     place = int(np.argmax(best))
     gain = float(best[place]) - np.log(len(best)) - VALUE_COST
     found = _candidate(kind, law, space, place, float(size[place]), gain)

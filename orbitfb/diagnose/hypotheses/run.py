@@ -58,7 +58,7 @@ def tournament(
     while True:
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
-        candidates = candidates_of(space, left, tell)
+        candidates = [one for one in candidates_of(space, left, tell) if not _echo(one, accepted)]
         free = scan_free(Scorer.of(space))[:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
@@ -74,6 +74,18 @@ def tournament(
             return accepted, rounds  # nothing of the library is as good as a law without a name
         accepted.append(candidates[0])
         space = candidates[0].accepted(space)
+
+
+def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:
+    """Whether it says of BPMs that are causes already that their noise, or what they read, is odd.
+
+    A BPM that averages, scales or delays does so to its noise as well, and what its law leaves
+    wanders with the orbit.
+    """
+    if one.kind.target != "bpm" or not (one.noisy or one.courseless):
+        return False
+    known = [set(its.places) for its in accepted if its.kind.target == "bpm" and not its.noisy]
+    return any(not places or (one.places and set(one.places) <= places) for places in known)
 
 
 def _light(candidates: list[Candidate]) -> list[Candidate]:

@@ -199,8 +199,13 @@ class Scorer:
                 for share in SHARES[::-1]
             )
         pull = space.terms.pull(space.noise.pull(space.residual - field, space.transform))
-        usual, *others = (one.evidence(pull) for one in self.smaller)
-        return max(0.0, *(one - usual for one in others))
+        gains = [
+            max(found) - found[0]
+            for found in (
+                [one.evidence(its) for one in self.smaller] for its in (pull, self.errors.pull)
+            )
+        ]
+        return max(gains[0] - gains[1], 0.0)
 
     def fourier(self, finer: int) -> Turned:
         """Fourier transform of `late` over its rows, shape (F, n).
