@@ -1,5 +1,6 @@
 """The matrices of a file as they stand in it, with the names and units that it gives them."""
 
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ _MATRICES = ("response", "matrix", "R", "RM")
 _BPMS = ("bpms", "bpm_names", "output_names", "outputs", "rows")
 _CORRECTORS = ("correctors", "corrector_names", "input_names", "inputs", "columns")
 _UNITS = ("units", "unit")
+_MOST_ARRAYS, _LARGEST, _PACKED = 64, 1 << 30, 200
+"""Most arrays of a file, most bytes of them, and how many times they may be packed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +84,44 @@ def raw_blocks(
     return (_named(source, matrix, bpm_names, corrector_names),)
 
 
+def names_inside(file: Path) -> frozenset[str]:
+    """Read the names of what is at the top of an `.npz` or HDF5 file; none of another format.
+
+    Raises:
+        ExchangeError: It cannot be read.
+    """
+    suffix = file.suffix.lower()
+    if suffix == ".npz":
+        with _unpacked(file) as archive:
+            return frozenset(name.removesuffix(".npy") for name in archive.namelist())
+    if suffix in (".h5", ".hdf5", ".hdf"):
+        return frozenset(name.partition("/")[0] for name in open_source(file).listing())
+    return frozenset()
+
+
+def _unpacked(file: Path) -> zipfile.ZipFile:
+    """Open an `.npz` file whose arrays are few and not absurdly packed.
+
+    Raises:
+        ExchangeError: It is none, or claims more than a response can be.
+    """
+    try:
+        archive = zipfile.ZipFile(file)
+    except (OSError, zipfile.BadZipFile) as error:
+        raise ExchangeError(
+            f"{file}: no readable .npz ({first_line(error)}); save it again with numpy.savez"
+        ) from error
+    members = archive.infolist()
+    size = sum(one.file_size for one in members)
+    if len(members) > _MOST_ARRAYS or size > _LARGEST or size > _PACKED * file.stat().st_size:
+        archive.close()
+        raise ExchangeError(
+            f"{file}: {len(members)} arrays of {size} bytes when unpacked: a response is smaller; "
+            f"save the matrix, its names and sigmas alone"
+        )
+    return archive
+
+
 def _packed(file: Path) -> Raw:
     tensors, card = read_packed(file, "response", _ADVICE, ExchangeError)
     planes = str(card.get("planes", "x"))
@@ -97,9 +138,10 @@ def _packed(file: Path) -> Raw:
 
 def _numpy(file: Path) -> Raw:
     try:
+        if file.suffix.lower() == ".npy":  # mapped: a header cannot claim more than there is
+            return Raw(file.name, _matrix(np.load(file, "r", allow_pickle=False), file))
+        _unpacked(file).close()
         content = np.load(file, allow_pickle=False)
-        if isinstance(content, np.ndarray):
-            return Raw(file.name, _matrix(content, file))
         found = {name: content[name] for name in content.files}
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise ExchangeError(

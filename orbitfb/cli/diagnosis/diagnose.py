@@ -1,13 +1,11 @@
 """The command that diagnoses a record."""
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from orbitfb.cli.diagnosis.progress import progress_bar, told_when_interrupted
 from orbitfb.cli.options import (
     AsJson,
     PlacesTable,
@@ -20,12 +18,9 @@ from orbitfb.cli.record_first import DEFAULT, RecordFirst
 
 if TYPE_CHECKING:
     from orbitfb.diagnose.answer import Diagnosis
-    from orbitfb.diagnose.progress import Progress
 
 NOT_INTACT = 3
 """Exit code when the record failed the integrity screen."""
-INTERRUPTED = 130
-"""Exit code after ctrl-C, as shells have it."""
 _UNBROKEN = 10_000
 """Width of lines that are no terminal's: a file or a program wants a row in one line."""
 
@@ -154,40 +149,6 @@ def beside(record: Path) -> Path:
     whole = record.resolve()
     name = whole.name if whole.is_dir() else whole.stem
     return whole.with_name(f"{name}.diagnosis")
-
-
-@contextmanager
-def told_when_interrupted() -> Iterator[None]:
-    """Say that what ctrl-C ended has written nothing."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        print("orbitfb: interrupted; nothing was written", file=sys.stderr)
-        raise typer.Exit(INTERRUPTED) from None
-
-
-@contextmanager
-def progress_bar(quiet: bool) -> "Iterator[Progress]":
-    """Draw a bar on standard error while a diagnosis runs."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-
-    columns = (
-        TextColumn("{task.description:<14}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-    )
-    console = Console(stderr=True)
-    # A bar that is no terminal's is an empty line before whatever is said next.
-    hidden = quiet or not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
-        task = bar.add_task("reading", total=1.0)
-
-        def progress(what: str, share: float) -> None:
-            bar.update(task, description=what, completed=share)
-
-        yield progress
 
 
 def _show(answer: "Diagnosis", written: tuple[Path, ...]) -> None:

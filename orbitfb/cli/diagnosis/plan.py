@@ -52,7 +52,8 @@ def diagnose_plan(
     Without --for all effects compete, and the best two are to be told apart. Exit code 3: the
     record is not intact, and nothing is written.
     """
-    from orbitfb.cli.diagnosis.diagnose import NOT_INTACT, progress_bar, told_when_interrupted
+    from orbitfb.cli.diagnosis.diagnose import NOT_INTACT
+    from orbitfb.cli.diagnosis.progress import progress_bar, told_when_interrupted
     from orbitfb.core.errors import ConfigError
     from orbitfb.diagnose.experiments.asked import plan_for
     from orbitfb.diagnose.experiments.file import check_file

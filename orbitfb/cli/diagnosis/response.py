@@ -47,24 +47,16 @@ def is_response(path: Path) -> bool:
     A record has times and setpoints; a response has one matrix. Files of formats that records
     never come in are responses; of `.npz` and HDF5 the names in it tell.
     """
-    import numpy as np
+    from orbitfb.core.errors import ExchangeError
+    from orbitfb.loco.raw import names_inside
 
     if path.is_dir() or not path.exists():
         return False
-    suffix = path.suffix.lower()
-    if suffix in _SUFFIXES:
+    if path.suffix.lower() in _SUFFIXES:
         return True
-    names: set[str] = set()
     try:
-        if suffix == ".npz":
-            with np.load(path, allow_pickle=False) as content:
-                names = set(content.files)
-        elif suffix in (".h5", ".hdf5", ".hdf"):
-            import h5py
-
-            with h5py.File(path, "r") as file:
-                names = set(file)
-    except (OSError, ValueError, EOFError):
+        names = names_inside(path)
+    except ExchangeError:
         return False  # the reader of records says what is wrong with it
     return bool(names & {"response", "R", "RM", "matrix"}) and not names & {"orbit", "orbits"}
 
@@ -79,7 +71,7 @@ def diagnose_response(
     as_json: bool,
 ) -> None:
     """Fit, diagnose, write and show a measured response."""
-    from orbitfb.cli.diagnosis.diagnose import progress_bar, told_when_interrupted
+    from orbitfb.cli.diagnosis.progress import progress_bar, told_when_interrupted
     from orbitfb.core.errors import ConfigError
     from orbitfb.core.units import parse_quantity
     from orbitfb.loco.answer import answer_of

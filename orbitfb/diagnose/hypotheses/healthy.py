@@ -8,7 +8,7 @@ from scipy.linalg import cho_factor, cho_solve
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.priors import MORE, MOST_DEVICES, SCATTER, SIZE_WIDTH
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.likelihood.errors import ErrorBlock, variances
+from orbitfb.diagnose.likelihood.errors import SHARES, ErrorBlock, variances
 from orbitfb.estimation.evidence import NormalTerms
 
 
@@ -72,6 +72,7 @@ def _few(block: ErrorBlock, terms: NormalTerms, base: float) -> Iterator[Candida
         chosen.append(device)
     if not chosen:
         return
+    last += _eased(terms, variance, columns[chosen])
     mean = NormalTerms(terms.pull, terms.information, variance).mean()
     places = tuple(sorted(chosen))
     sizes = tuple(float(mean[columns[place]]) for place in places)
@@ -86,6 +87,26 @@ def _few(block: ErrorBlock, terms: NormalTerms, base: float) -> Iterator[Candida
         sizes=sizes,
         columns={int(columns[place]): wide for place in places},
     )
+
+
+def _eased(terms: NormalTerms, variance: np.ndarray, chosen: np.ndarray) -> float:
+    """Log evidence gained if all other errors are smaller once these few are known [nats].
+
+    Args:
+        terms: The errors, with what they are allowed now.
+        variance: With the few wide, shape (k,).
+        chosen: Columns of the few.
+    """
+
+    def best(allowed: np.ndarray, kept: np.ndarray) -> float:
+        found = []
+        for share in SHARES[::-1]:
+            smaller = share**2 * allowed
+            smaller[kept] = allowed[kept]
+            found.append(NormalTerms(terms.pull, terms.information, smaller).evidence())
+        return max(found) - found[0]
+
+    return max(best(variance, chosen) - best(terms.variance, chosen[:0]), 0.0)
 
 
 def _marginal(

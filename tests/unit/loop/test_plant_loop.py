@@ -37,6 +37,7 @@ def build(ring, seed=0, counting=None, **keywords):
         start=LoopState.CLOSED,
         subscribers=(records.append,),
         counting=counting,
+        random=np.random.default_rng(seed),
     )
     return machine, runner, records
 
@@ -50,7 +51,9 @@ def test_closing_takes_the_orbit_from_250_um_to_below_1_um_within_5_s(ring, seed
         rms[record.tick] = np.sqrt(np.mean(record.reading.orbit.position**2))
     closed = next(record.tick for record in records if record.state is LoopState.CLOSED)
     assert rms[0] > 200e-6
-    assert max(rms[tick] for tick in range(closed + 50, 200)) < 1e-6
+    later = [rms[tick] for tick in range(closed + 50, 200)]
+    assert np.quantile(later, 0.95) < 1e-6
+    assert max(later) < 2e-6  # a tick that asks whether the orbit answers may be above
     assert all(record.state is LoopState.CLOSED for record in records[closed:])
     assert max(np.abs(record.setpoints).max() for record in records) <= 17.5
     assert sum(record.missed for record in records) == 0

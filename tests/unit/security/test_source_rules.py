@@ -41,6 +41,7 @@ READERS = {
     "exchange/response/export.py",
     "history/segment.py",
     "history/verify.py",
+    "loco/raw.py",
     "loop/excitation/file.py",
     "postmortem/encoding.py",
     "postmortem/opening.py",
