@@ -134,7 +134,8 @@ class Learner:
             return
         surprised = absorbed.rows > 0 and absorbed.chi2_other > limit
         # While R drifts quickly the policy follows as often as the rows are looked at.
-        self._degraded = surprised or seen is not None or self._identifier.drift > 0
+        follows = self.settings.follow_drift and self._identifier.drift > 0
+        self._degraded = surprised or seen is not None or follows
         if seen is not None:
             self._alarm = Alarm(
                 self.last_tick or 0,

@@ -122,6 +122,11 @@ class LearnSettings(Settings):
         description="Mean squared normalised innovation of the running policy's response that "
         "brings a refit forward at once [1].",
     )
+    follow_drift: bool = Field(
+        default=True,
+        description="Whether a refit is due at every look while R drifts quickly; else it waits "
+        "for `every`.",
+    )
     changes: ChangeSettings = Field(
         default=ChangeSettings(),
         description="Detection of a slow change of the response, which brings a refit forward.",

@@ -125,7 +125,7 @@ def _read(data: Datasets, path: Path) -> PostMortem:
         raise data.wrong(ABOUT, f"has planes {planes!r}, which are none of {', '.join(_PLANES)}")
     words = ("bpms", "correctors", "orbit_pvs", "setpoint_pvs", "readback_pvs")
     names = [data.texts(f"channels/{word}", MOST_NAMES, LONGEST_NAME) for word in words]
-    channels = Channels(planes, *names)
+    channels = Channels(planes, names[0], names[1], names[2], names[3], names[4])
     counts = (len(channels.bpms), len(channels.correctors))
     for word, its, wanted in zip(words[2:], names[2:], (*counts[:1], *counts[1:] * 2), strict=True):
         if len(its) != wanted:

@@ -33,9 +33,8 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     # with the response of before the drift, which the interlocks would notice at last
     patient += "[interlocks]\ndivergence_ticks = 100000\nprediction_ticks = 0\n"
     patient += "answer_reach = false\n"
-    asked = (
-        "[learn]\nevery = 1000000\nchi2_trigger = 1e9\n[learn.changes]\nminimum_sensitivity = 1e9\n"
-    )
+    asked = "[learn]\nevery = 1000000\nfollow_drift = false\nchi2_trigger = 1e9\n"
+    asked += "[learn.changes]\nminimum_sensitivity = 1e9\n"
     config.write_text(asked + patient)
     options = ("--rate", RATE_HZ, "--drift", "strong", "--drift-ticks", 100, "--config", config)
     with Service(directory / "data", "sim", *options) as running:
