@@ -84,9 +84,11 @@ class Ring:
             movable: Correctors that may be asked, shape (m,).
         """
         _, sizes, modes = np.linalg.svd(response * movable, full_matrices=False)
-        flat = movable[:, None] * modes.T / np.sqrt(sizes**2 + (FLAT * sizes[0]) ** 2)
+        least = FLAT * max(float(sizes[0]), float(np.finfo(np.float32).tiny))
+        flat = movable[:, None] * modes.T / np.sqrt(sizes**2 + least**2)
         moves = response @ flat
-        scale = np.sqrt(len(response)) / np.linalg.norm(moves)
+        size = float(np.linalg.norm(moves))
+        scale = np.sqrt(len(response)) / size if size else 0.0  # no corrector moves: none is asked
         patterns = scale * flat
         square = response.T @ response
         apart = _inverse((patterns @ patterns.T) * square)

@@ -132,3 +132,11 @@ def test_what_was_said_is_forgotten_where_it_is_asked_anew(ring):
     anew = devices.anew(np.arange(N + M) == 4)
     assert anew.sure[4] == 0.0
     assert (np.delete(anew.sure, 4) == np.delete(devices.sure, 4)).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_ring_of_which_no_corrector_moves_is_asked_nothing(ring):
+    nobody = Ring.of(ring.response, np.zeros(M, dtype=np.bool_))
+    assert not nobody.patterns.any()
+    assert not nobody.moves.any()
+    assert np.isfinite(nobody.apart).all()
