@@ -13,9 +13,9 @@ from orbitfb.diagnose.departure import Departure
 from orbitfb.diagnose.entry import Entry
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit
-from orbitfb.diagnose.naming import devices_and_planes
 from orbitfb.diagnose.nearby import Nearby, nearby
 from orbitfb.diagnose.random_values import state
+from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.rounds import Round
 from orbitfb.diagnose.search import Outcome
 from orbitfb.diagnose.worth import Worths

@@ -9,7 +9,7 @@ from orbitfb.diagnose.answer_parts import Cause
 from orbitfb.diagnose.explain import Cause as Explaining
 from orbitfb.diagnose.finding import Finding, listed
 from orbitfb.diagnose.integrity_repeats import HELD, shared_repeats
-from orbitfb.diagnose.naming import devices_and_planes
+from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.tournament import Shown
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.disturbances.insertion_device import gaps_of, is_gap

@@ -20,8 +20,8 @@ from orbitfb.diagnose.blocks import Draws, Interval, interval
 from orbitfb.diagnose.explain import explain
 from orbitfb.diagnose.gap_maps import corrector_scores
 from orbitfb.diagnose.gap_parts import bands, bins, windows
-from orbitfb.diagnose.naming import column_names
 from orbitfb.diagnose.replay import NOMINAL, Model, Replay
+from orbitfb.diagnose.result.naming import column_names
 from orbitfb.diagnose.surplus import Surplus
 from orbitfb.diagnose.unseen import Unseen
 from orbitfb.diagnose.worth import Gains, shapley

@@ -8,7 +8,7 @@ from orbitfb.diagnose.answer_values import Number, numbers, rows
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.gap_parts import band_edges
 from orbitfb.diagnose.ladder import Ladder
-from orbitfb.diagnose.naming import column_names
+from orbitfb.diagnose.result.naming import column_names
 from orbitfb.diagnose.surplus import Surplus
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices

@@ -22,7 +22,7 @@ from orbitfb.diagnose.gof_lines import line_tests
 from orbitfb.diagnose.gof_pairs import pairs_test
 from orbitfb.diagnose.gof_places import place_tests
 from orbitfb.diagnose.gof_slow import slow_tests
-from orbitfb.diagnose.naming import column_names
+from orbitfb.diagnose.result.naming import column_names
 from orbitfb.physics.optics import Matrix
 
 RATE = 0.01

@@ -10,7 +10,7 @@ from orbitfb.diagnose.answer_blocks import GoodnessTest
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.gap_maps import rows_ago
 from orbitfb.diagnose.ladder import Ladder
-from orbitfb.diagnose.naming import column_names
+from orbitfb.diagnose.result.naming import column_names
 from orbitfb.physics.optics import Matrix
 
 BPMS = "BPM that follows another device"

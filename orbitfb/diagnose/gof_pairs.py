@@ -8,7 +8,7 @@ from scipy import stats
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.answer_blocks import GoodnessTest
 from orbitfb.diagnose.device_groups import Group, groups_of
-from orbitfb.diagnose.naming import column_names
+from orbitfb.diagnose.result.naming import column_names
 from orbitfb.physics.optics import Matrix
 from orbitfb.records.layout import Devices
 

@@ -7,7 +7,7 @@ from orbitfb.diagnose.answer_blocks import GoodnessTest
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.gap_maps import lagged
 from orbitfb.diagnose.ladder import Ladder
-from orbitfb.diagnose.naming import column_names
+from orbitfb.diagnose.result.naming import column_names
 from orbitfb.effects.kicks import source_names, source_patterns
 from orbitfb.physics.optics import Matrix
 

@@ -6,43 +6,9 @@ import numpy as np
 
 from orbitfb.diagnose.answer_blocks import Geometry
 from orbitfb.diagnose.answer_parts import Cause
+from orbitfb.diagnose.result.naming import column_names
 from orbitfb.effects.registry import all_effects
-from orbitfb.physics.places import Planes
 from orbitfb.records.layout import Devices, Layout
-
-
-def column_names(devices: Devices) -> tuple[str, ...]:
-    """Name the columns for the keys of `by_bpm` and `by_corrector`.
-
-    The bare names where they are unique, otherwise (both planes) each with its plane.
-    """
-    if len(set(devices.names)) == len(devices):
-        return devices.names
-    return tuple(devices.label(column) for column in range(len(devices)))
-
-
-def devices_and_planes(labels: Sequence[str]) -> tuple[tuple[str, ...], Planes]:
-    """Name devices without their planes, as far as that says the same.
-
-    Args:
-        labels: Names, such as `CL1B_C24 (x)` where a plane belongs to them.
-
-    Returns:
-        The devices and the planes in which they are meant. Names keep their planes where some
-        devices are meant in one and others in the other.
-    """
-    devices: dict[str, dict[str, None]] = {"x": {}, "y": {}}
-    for label in labels:
-        name, _, plane = label.removesuffix(")").rpartition(" (")
-        if plane not in devices or not name:
-            return tuple(labels), "xy"
-        devices[plane][name] = None
-    x, y = devices["x"], devices["y"]
-    if x.keys() == y.keys():
-        return tuple(x), "xy"
-    if not y:
-        return tuple(x), "x"
-    return (tuple(labels), "xy") if x else (tuple(y), "y")
 
 
 def as_in_record(causes: Sequence[Cause], layout: Layout) -> tuple[Cause, ...]:

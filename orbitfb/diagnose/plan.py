@@ -14,16 +14,17 @@ import numpy as np
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.bench import Bench
-from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.plan_answer import ENOUGH, Option, advice, beside, longer, movement
-from orbitfb.diagnose.plan_candidates import (
+from orbitfb.diagnose.experiments.file import Plan
+from orbitfb.diagnose.experiments.proposals import (
     ORBIT_LIMIT,
     Limits,
     Proposal,
     orbit_rms,
     proposals,
 )
-from orbitfb.diagnose.plan_file import Plan
+from orbitfb.diagnose.experiments.suspects import Suspect
+from orbitfb.diagnose.explain import Cause
+from orbitfb.diagnose.plan_answer import ENOUGH, Option, advice, beside, longer, movement
 from orbitfb.diagnose.plan_outlook import base_rows, loop_gains, outlook
 from orbitfb.diagnose.plan_response import separation
 from orbitfb.diagnose.progress import Progress
@@ -100,7 +101,9 @@ def plan(
             f"{record.source}: no stretch has {_FEWEST_ROWS} rows to plan an experiment from"
         )
     gains = loop_gains(record)
-    listed = list(proposals(record.layout, [first, *rivals], limits))
+    listed = list(
+        proposals(record.layout, [_suspect(one, record) for one in (first, *rivals)], limits)
+    )
     rated: list[Vector] = []
     for index, proposal in enumerate(listed):
         tell("planning", index / (len(listed) + _FINALISTS))
@@ -172,6 +175,15 @@ def plan_for(
         rivals = [entry.cause for entry in entries if entry.kind.id != first.kind.id][:1]
     rest: Progress = lambda what, share: tell(what, 0.6 + 0.4 * share)  # noqa: E731
     return plan(bench, first, rivals, limits, seed, rest)
+
+
+def _suspect(cause: Cause, record: Record) -> Suspect:
+    """Tell a cause by the columns that it strikes."""
+    kind, places = cause.kind, list(cause.places)
+    if isinstance(kind, PairKind):
+        pairs = kind.pairs(record.layout)
+        places = [int(column) for pair in places for column in pairs[pair]]
+    return Suspect(kind, tuple(places), cause.values)
 
 
 def _somewhere(kind: EffectKind, record: Record) -> Cause:

@@ -7,9 +7,9 @@ import numpy as np
 
 from orbitfb.diagnose.ambiguity import declared
 from orbitfb.diagnose.answer_parts import Experiment
+from orbitfb.diagnose.experiments.file import Plan
+from orbitfb.diagnose.experiments.proposals import Limits, Proposal
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.plan_candidates import Limits, Proposal
-from orbitfb.diagnose.plan_file import Plan
 from orbitfb.diagnose.wording import quantity
 from orbitfb.records.layout import Layout
 

@@ -4,12 +4,10 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
-
-from orbitfb.core.errors import RecordError
 from orbitfb.diagnose.answer import Diagnosis
 from orbitfb.diagnose.answer_parts import Finding, Provenance
 from orbitfb.diagnose.budget import SEARCH_SECONDS
+from orbitfb.diagnose.companion import read_beside
 from orbitfb.diagnose.engine import diagnose
 from orbitfb.diagnose.finding import Finding as Found
 from orbitfb.diagnose.integrity import screen
@@ -19,17 +17,7 @@ from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
 from orbitfb.diagnose.wording import headline
 from orbitfb.physics.places import Planes, Ring
-from orbitfb.records.layout import Devices
 from orbitfb.records.record import Record
-
-_SAME_PERIOD = 0.1
-"""Share by which the periods of two records may differ: what moves per tick goes with it."""
-
-_SAME_MODEL = 1e-3
-"""Difference of two models that comes of the type they are saved in, of their largest value [1]."""
-
-_MOST_SHARED = 0.5
-"""Share of its rows that a record may have in common with another one of few bits [1]."""
 
 
 def diagnose_files(
@@ -65,7 +53,7 @@ def diagnose_files(
     progress("reading", 0.0)
     loaded = load(record, planes=planes, ring=ring)
     others = [
-        None if path is None else _beside(loaded.record, path, planes, ring)
+        None if path is None else read_beside(loaded.record, path, planes, ring)
         for path in (reference, holdout)
     ]
     progress("screening", 0.0)
@@ -85,61 +73,6 @@ def diagnose_files(
     )
     merged = tuple(dict.fromkeys((*findings, *answer.findings)))
     return answer.model_copy(update={"findings": merged})
-
-
-def _beside(record: Record, path: Path, planes: Planes | None, ring: Ring | None) -> Record:
-    """Read a record that is to be looked at together with the one in question."""
-    loaded = load(path, planes=planes, ring=ring)
-    other, own = loaded.record.layout, record.layout
-    for array, its, wanted in (
-        ("bpm_names", other.bpms, own.bpms),
-        ("corr_names", other.correctors, own.correctors),
-    ):
-        if its != wanted:
-            raise RecordError(
-                f"{path}: array '{array}' is not that of {record.source}: "
-                f"{_first_difference(its, wanted)}; give a record of the same devices in the "
-                "same order"
-            )
-    if abs(other.period - own.period) > _SAME_PERIOD * own.period:
-        raise RecordError(
-            f"{path}: array 't' says that orbits are {other.period:g} s apart, in {record.source} "
-            f"they are {own.period:g} s apart; give a record of the same rate"
-        )
-    error, largest = np.abs(other.response - own.response).max(), np.abs(own.response).max()
-    if error > _SAME_MODEL * largest:
-        raise RecordError(
-            f"{path}: array 'model_R' is not that of {record.source}: it differs by up to "
-            f"{error * 1e3:.3g} mm/A, the largest there is {largest * 1e3:.3g} mm/A; give both the "
-            "model that is in question"
-        )
-    if _shared(record, loaded.record) > _MOST_SHARED:
-        raise RecordError(
-            f"{path}: array 'orbit' has the rows of {record.source}, and the same data tells "
-            "nothing more; give a record of another time, or leave the option out"
-        )
-    for finding in (*loaded.findings, *screen(loaded.record)):
-        if finding.severity == "failure":
-            raise RecordError(f"{path}: not intact: {finding.text}")
-    return loaded.record
-
-
-def _shared(first: Record, second: Record) -> float:
-    """Share of the rows of the shorter record that are, to the last bit, in the other one."""
-    rows = [
-        {row.tobytes() for row in np.hstack([its.readings, its.setpoints])}
-        for its in (first, second)
-    ]
-    return len(rows[0] & rows[1]) / min(map(len, rows))
-
-
-def _first_difference(its: Devices, wanted: Devices) -> str:
-    if len(its) != len(wanted):
-        return f"it names {len(its)} devices in place of {len(wanted)}"
-    for column in range(len(its)):
-        if its.label(column) != wanted.label(column):
-            return f"column {column} is {its.label(column)} in place of {wanted.label(column)}"
-    return "the devices are in other cells"
 
 
 def reported(findings: Iterable[Found]) -> tuple[Finding, ...]:

@@ -17,7 +17,7 @@ from orbitfb.diagnose.answer_blocks import ScoreMap, ScoreRow
 from orbitfb.diagnose.answer_values import numbers
 from orbitfb.diagnose.bench import Bench
 from orbitfb.diagnose.explain import Cause
-from orbitfb.diagnose.naming import column_names
+from orbitfb.diagnose.result.naming import column_names
 from orbitfb.diagnose.scan_onsets import holding
 from orbitfb.diagnose.scan_shapes import Scoring
 from orbitfb.diagnose.search import Outcome

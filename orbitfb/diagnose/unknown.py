@@ -8,7 +8,7 @@ from orbitfb.diagnose.answer_blocks import Audit, Unknown
 from orbitfb.diagnose.answering import place_names
 from orbitfb.diagnose.departure import Departure
 from orbitfb.diagnose.gof_verdict import COURSES, clearest, stage_of
-from orbitfb.diagnose.naming import column_names, devices_and_planes
+from orbitfb.diagnose.result.naming import column_names, devices_and_planes
 from orbitfb.diagnose.rounds import Round
 from orbitfb.diagnose.search import Outcome
 

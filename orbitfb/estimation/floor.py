@@ -24,9 +24,9 @@ LEAST_STEPS = 40
 """Steps below which walk and noise cannot be told apart: λ then has too few values."""
 
 LARGEST = 36.0
-"""Most that one body of a healthy ground moves, over an even share of all that moves [1]: of 1,800
-bodies of the default ring 2 %. The largest of healthy records has 0.4 %, a kick of 10 µm that comes
-and goes at one place 96 %."""
+"""Most that one body of a healthy ground moves, over an even share of all that moves [1]; of 1,800
+bodies of the default ring 2 %. Chosen by hand between ground, whose largest body has a few even
+shares, and a source at one place, which has nearly all; no command calibrates it yet."""
 
 _RESTART = 1e-3
 """Share of an even part that a weight begins with at least: one that is zero could not grow."""

@@ -8,7 +8,8 @@ from orbitfb.core.signals import LoopState, Mask, Reading, Vector
 from orbitfb.loop.guard import Guard
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
-from orbitfb.safety.answering import Found, Seen, Sent, interrupted, look, note
+from orbitfb.safety.answering import Found, Seen, interrupted, look, note
+from orbitfb.safety.owing import Sent
 from orbitfb.safety.questions import Question
 from orbitfb.safety.verdict import FINE, Action, Verdict, name_some
 

@@ -15,10 +15,8 @@ import numpy as np
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.safety.expectation import Expectation, Owed, shown
 from orbitfb.safety.interlocks import InterlockSettings
-from orbitfb.safety.questions import Question, Ring, Sight, Test, ask_devices, ask_ring
-
-LAGS = 3
-"""Orbits at which an answer may come: in time, or one or two late."""
+from orbitfb.safety.owing import HALF, LAGS, Answering, Sent, Session, rms
+from orbitfb.safety.questions import Ring, Sight, Test, ask_devices, ask_ring
 
 ANSWERED = 4.0
 """z from which a device answers: by chance once in exp(4² / 2) = 3,000 questions at most, and then
@@ -35,174 +33,12 @@ half of it means that it answers, if by a part."""
 SUSPECT = 3.0
 """z from which a corrector is suspected: BPMs beside it seem silent too, so that they wait."""
 
-LOUD = 40.0
-"""What is at stake over a question [1]: an answer costs a part of 40 of what it is about."""
-
-LOUDEST = 0.1
-"""Largest question over the orbit error [1], where that is large: it adds half a percent to it."""
-
 SETTLED = 20
 """Orbits after which it is known what is usual."""
-
-STAKE = 1.5
-"""Times `answer_reach` that a BPM or a corrector, or the correctors together, may owe before it has
-no say [1]: half as much again for the time that asking takes."""
-
-MOST = 2.0
-"""Times `answer_reach` that one may owe before the loop waits for it alone [1]: what the BPMs
-beside one that has no say ask for moves the orbit there too, so that it goes on owing more."""
-
-FEW = 0.05
-"""Share of the devices that may have no say at once [1]: a cell of both kinds. If more owe as much
-the loop waits for their answers instead, as the rest could not hold the orbit."""
-
-GRACE = 30
-"""Orbits of asking before the loop waits for the answers of devices: a kick is corrected
-meanwhile. For the first answer of the ring it waits at once: that comes in a few orbits."""
-
-HALF = 0.5
-"""Share of `answer_reach` below which nobody is in doubt any more [1], once somebody was."""
 
 PATIENCE = 300
 """Orbits of only asking after which no answer counts as none: a hundred times what a ring needs
 whose noise is as large as the question."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sent:
-    """What was sent after an orbit.
-
-    Args:
-        change: Of the setpoints, shape (m,) [A].
-        moved: R times it, shape (n,) [m].
-        question: The part of it that was drawn; None: none was.
-    """
-
-    change: Vector
-    moved: Vector
-    question: Question | None = None
-
-    def standing(self) -> "Sent":
-        """Give what is sent if nothing is: no change, and the question stands."""
-        return Sent(np.zeros_like(self.change), np.zeros_like(self.moved), self.question)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Session:
-    """Asking.
-
-    Args:
-        whole: Of the ring.
-        devices: Of the BPMs and correctors.
-        answered: Whether the ring has.
-        waited: Orbits in a row at which the loop only asked.
-        orbits: Orbits since it began.
-        doubted: Whether a device was in doubt at its beginning; else the ring is asked alone.
-    """
-
-    whole: Test
-    devices: Test
-    answered: bool = False
-    waited: int = 0
-    orbits: int = 0
-    doubted: bool = True
-
-    @classmethod
-    def begin(cls, n: int, m: int, doubted: bool = True) -> "Session":
-        """Begin to ask n BPMs and m correctors."""
-        return cls(Test.none(LAGS + 1, 1), Test.none(2, n + m), doubted=doubted)
-
-    def anew(self, n: int, m: int) -> "Session":
-        """Hear everybody anew, as others are asked; how long the loop has asked still counts."""
-        begun = Session.begin(n, m, self.doubted)
-        return replace(begun, answered=self.answered, waited=self.waited, orbits=self.orbits)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Answering:
-    """What is remembered from tick to tick.
-
-    Args:
-        ring: Of the policy in force; None: not known.
-        expected: Of the next orbit; None before the first.
-        sent: After the last orbits, newest first.
-        owed: What was asked for without a sign of an answer; None: the loop is not closed.
-        session: Asking; None: nobody is in doubt.
-        lag: Orbits by which the ring answers late.
-        since: When it answered last, or the loop closed, monotonic [s].
-        left: BPMs that are left out as they do not answer, shape (n,); None: none.
-        found: How often something was found not to answer.
-        gap: Orbits that were missed before the next one.
-    """
-
-    ring: Ring | None = None
-    expected: Expectation | None = None
-    sent: tuple[Sent, ...] = ()
-    owed: Owed | None = None
-    session: Session | None = None
-    lag: int = 0
-    since: float = float("nan")
-    left: Mask | None = None
-    found: int = 0
-    gap: int = 0
-
-    def question(self, settings: InterlockSettings, error: float = 0.0) -> float:
-        """Say how large a question is wanted: orbit, rms over the BPMs [m]; 0: none is.
-
-        Args:
-            settings: How large it may be on a good orbit, and what may be owed.
-            error: Usual size of the orbit error [m].
-        """
-        ring, owed, expected = self.ring, self.owed, self.expected
-        reach = settings.answer_reach
-        if self.session is None or ring is None or owed is None or expected is None:
-            return 0.0
-        if reach is None or settings.answer_question == 0:
-            return 0.0
-        loud = min(LOUDEST * error, HALF * reach)
-        most = max(settings.answer_question, loud)
-        if self.waits(settings):
-            return most
-        # A corrector is told by the count of questions, not by how loud they are.
-        stake = max(float(np.abs(owed.bpms).max(initial=0.0)), _rms(owed.ring))
-        noise = float(np.median(expected.spread))
-        return min(max(stake / LOUD, noise, loud), most)
-
-    def doubted(self, settings: InterlockSettings) -> Mask | None:
-        """Find the BPMs and correctors that have no say, shape (n + m,); None: all have."""
-        doubted = self._owing(settings)
-        return doubted if doubted is not None and doubted.mean() <= FEW else None
-
-    def _owing(self, settings: InterlockSettings) -> Mask | None:
-        """Find who owes so much that it must have answered by now; None: nobody."""
-        reach, session = settings.answer_reach, self.session
-        if reach is None or self.owed is None or session is None or self.ring is None:
-            return None
-        if session.orbits < GRACE:
-            return None
-        owing = self.owed.sizes(self.ring) > STAKE * reach
-        return owing if owing.any() else None
-
-    def waits(self, settings: InterlockSettings) -> bool:
-        """Say whether the loop only asks: the ring owes too much."""
-        reach = settings.answer_reach
-        if reach is None or self.owed is None or self.session is None:
-            return False
-        arrived = self.owed.ring.copy()
-        for item in self.sent[: self.lag]:
-            arrived -= item.moved
-        owes = _rms(arrived) > reach
-        if owes and not self.session.answered:
-            return True
-        if self.ring is None or self.session.orbits < GRACE:
-            return False
-        others, owing = self.owed.correctors, self._owing(settings)
-        if owing is not None:
-            most = float(self.owed.sizes(self.ring).max())
-            if owing.mean() > FEW or most > MOST * reach:
-                return True
-            others = np.where(owing[-len(others) :], 0.0, others)  # those in doubt rest
-        return owes or _rms(self.ring.response @ others) > STAKE * reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -375,7 +211,7 @@ def _begin(
     owed, expected, reach = memory.owed, memory.expected, settings.answer_reach
     if owed is None or expected is None or reach is None or expected.orbits < SETTLED:
         return memory
-    doubted = _doubted(owed, ring, valid, reach).any() or _rms(owed.ring) > reach
+    doubted = _doubted(owed, ring, valid, reach).any() or rms(owed.ring) > reach
     if not doubted and time - memory.since < settings.answer_after:
         return memory
     if settings.answer_question == 0 or not ring.movable.any():
@@ -399,7 +235,7 @@ def _judge(
     whole = session.whole.first(LAGS)
     waited = session.waited + 1 if memory.waits(settings) else 0
     if float(whole.silence[0]) >= SILENT or waited > PATIENCE:
-        asked = _rms(owed.ring)
+        asked = rms(owed.ring)
         reason = (
             f"the orbit does not answer the setpoints: {asked * 1e6:.3g} µm rms were asked for "
             "since it last did; BPMs that do not see the beam, power supplies that do not move it, "
@@ -445,7 +281,3 @@ def _judge(
 def _doubted(owed: Owed, ring: Ring, valid: Mask, reach: float) -> Mask:
     """Find who owes more than a reach [m], shape (n + m,)."""
     return (owed.sizes(ring) > reach) & np.concatenate((valid, ring.movable))
-
-
-def _rms(orbit: Vector) -> float:
-    return float(np.sqrt(np.mean(orbit**2)))

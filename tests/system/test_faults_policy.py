@@ -149,6 +149,7 @@ def test_after_a_distortion_the_setpoints_go_back_if_wanted(session: Session):
         loop.until(lambda its: "returned to the last good setpoints" in its.reason)
         time.sleep(3 / RATE)
         orbit = loop.until(lambda its: its.reading is not None)
+    # On a busy computer the first of its steps, 27 um, may come late and count as good.
     assert rms(tripped) > 5e-5 > rms(orbit)
     np.testing.assert_allclose(session.setpoints(), before, atol=0.5)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from orbitfb.core.signals import Channels, Vector
 from orbitfb.diagnose.experiments.suspects import Suspect
+from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.loop.excitation.design import ExcitationPart, ExcitationSettings, design
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
@@ -188,6 +189,8 @@ def _part(
 def _wanted(layout: Layout, suspect: Suspect) -> Iterator[tuple[str, Vector]]:
     """What should move, as the derivative by the setpoints, in one plane at a time."""
     kind, places = suspect.kind, list(suspect.places)
+    if isinstance(kind, NoiseKind) and kind.target == "bpm":  # a place may be a group of them
+        places = np.flatnonzero(kind.patterns(layout)[:, places].any(axis=1)).tolist()
     several = np.linspace(0, len(places) - 1, min(_MOST_PLACES, len(places)))
     chosen = [places[int(index)] for index in several]
     for place in chosen:

@@ -29,7 +29,8 @@ SCATTER = (2.0, 4.0, 8.0, 16.0, 32.0)
 
 LEAK = 0.02
 """Share of the walk along a pattern that the ground's shapes may have wrong besides a factor of
-two of what they leave there [1]: patterns that few quadrupoles move share the errors of others."""
+two of what they leave there [1]: patterns that few quadrupoles move share the errors of others.
+Chosen by hand."""
 
 FINALISTS = 10
 """Candidates that are evaluated exactly, and whose values are refined between those of the grid: a
@@ -38,7 +39,8 @@ of a grid that are 1.5 apart lose a tenth."""
 
 COURSELESS = 0.5
 """Share of the evidence of a random course from which a law with a course is told before it [1]:
-what a law leaves of the same motion, an onset or a second value, is less than half."""
+chosen by hand. The random course is weighed over another floor, which counts the same motion for
+more."""
 
 MISFIT = 0.004
 """Share of the best evidence by which the evidences of models that are all a little wrong may

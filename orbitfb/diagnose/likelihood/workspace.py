@@ -48,8 +48,8 @@ AGAIN = 12
 already, and a cause changes what is left little."""
 
 FREELY = 8
-"""Steps up the likelihood in which the walk may leave the shapes: four of them gain what thirty of
-expectation maximisation do, twenty more gain 20 nats of 400."""
+"""Steps up the likelihood in which the walk may leave the shapes; chosen by hand: more hardly raise
+it."""
 
 WIDE = 10.0
 """How many times the healthy scatter the saturated model gives to every device: 10 % of gain, and

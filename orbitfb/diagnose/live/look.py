@@ -19,7 +19,7 @@ from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.live.quick import memory, quick_workspace
 from orbitfb.diagnose.live.rows import cut_at_jumps
-from orbitfb.diagnose.naming import devices_and_planes
+from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.verdict.named import probabilities
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, PairLaw

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from orbitfb.cli.app import app
 from orbitfb.core.errors import ConfigError, RecordError
-from orbitfb.diagnose import answer_parts, writing
+from orbitfb.diagnose import answer_parts, companion, writing
 from orbitfb.diagnose.answer import read_diagnosis
 from orbitfb.diagnose.budget import SEARCH_SECONDS
 from orbitfb.diagnose.finding import Finding
@@ -57,8 +57,9 @@ def engine(monkeypatch):
 
     its.page = writing.page  # some seconds of pictures: one test looks at them
     monkeypatch.setattr(writing, "page", lambda diagnosis: "<html></html>")
-    monkeypatch.setattr(run, "load", load)
-    monkeypatch.setattr(run, "screen", lambda record: its.findings)
+    for module in (run, companion):
+        monkeypatch.setattr(module, "load", load)
+        monkeypatch.setattr(module, "screen", lambda record: its.findings)
     yield its
     sys.modules.pop("orbitfb.diagnose.run", None)
 

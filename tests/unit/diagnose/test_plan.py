@@ -11,12 +11,13 @@ from orbitfb.core.signals import Channels
 from orbitfb.diagnose import plan_response
 from orbitfb.diagnose.background import Background
 from orbitfb.diagnose.bench import Bench
+from orbitfb.diagnose.experiments.file import Plan
+from orbitfb.diagnose.experiments.proposals import proposals
+from orbitfb.diagnose.experiments.suspects import Suspect
 from orbitfb.diagnose.explain import Cause
 from orbitfb.diagnose.fit import Fit, fit
 from orbitfb.diagnose.plan import limits_of, plan, plan_for
 from orbitfb.diagnose.plan_answer import ENOUGH
-from orbitfb.diagnose.plan_candidates import proposals
-from orbitfb.diagnose.plan_file import Plan
 from orbitfb.diagnose.plan_outlook import answered, loop_gains, outlook
 from orbitfb.diagnose.plan_response import separation
 from orbitfb.diagnose.simulate import simulate_record
@@ -159,7 +160,7 @@ def test_noise_of_a_group_is_planned_for_at_the_bpms_of_the_group() -> None:
     patterns = walk.patterns(LAYOUT)
     group = patterns.shape[1] - 2  # a cell: the last one is the whole plane
     members = {LAYOUT.bpms.label(int(column)) for column in np.flatnonzero(patterns[:, group])}
-    cause = Cause(walk, (group,), {"step": 1e-8})
+    cause = Suspect(walk, (group,), {"step": 1e-8})
     moved = {
         one.label.removeprefix("the orbit at ")
         for one in proposals(LAYOUT, [cause], limits_of())

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbitfb.safety.answering import FEW, GRACE, Answering, Sent, Session, interrupted, look, note
 from orbitfb.safety.answering import Seen as Orbit
+from orbitfb.safety.answering import interrupted, look, note
 from orbitfb.safety.expectation import Expectation, Owed
 from orbitfb.safety.interlocks import InterlockSettings
+from orbitfb.safety.owing import FEW, GRACE, Answering, Sent, Session
 from orbitfb.safety.questions import Question, Ring
 
 N, M = 40, 40
