@@ -8,6 +8,7 @@ from orbitfb.core.signals import LoopState, Mask, Reading, Vector
 from orbitfb.loop.guard import Guard
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
+from orbitfb.loop.timing.waiting import too_early
 from orbitfb.safety.answering import Found, Seen, interrupted, look, note
 from orbitfb.safety.owing import Sent
 from orbitfb.safety.questions import Question
@@ -50,6 +51,7 @@ class Inquiry:
         self._settings, self._names, self._guard = rules.interlocks, rules.channels, guard
         self._random = random or np.random.default_rng()
         self._asked: Question | None = None
+        self._early = False
 
     def look(self, memory: LoopMemory, reading: Reading, mine: Mask) -> tuple[Verdict, LoopMemory]:
         """Compare an orbit with what was asked of it.
@@ -61,12 +63,16 @@ class Inquiry:
 
         Returns:
             A trip if the ring does not answer, and the memory: BPMs that do not are left out of the
-            next orbit, correctors from this one on.
+            next orbit, correctors from this one on. An orbit that is older than the last change is
+            not looked at.
         """
-        response = self._guard.response
+        response, self._early = self._guard.response, False
         if response is None:
             return FINE, memory
         orbit, closed = reading.orbit, memory.state is LoopState.CLOSED
+        self._early = closed and too_early(memory, reading, mine)
+        if self._early:
+            return FINE, memory
         seen = Seen(orbit.position, orbit.valid, response, mine, closed, reading.received)
         found, answering = look(seen, memory.answering, self._settings)
         memory = replace(memory, answering=answering)
@@ -146,6 +152,10 @@ class Inquiry:
             question: The part of it that was drawn, if it was sent as it was; None: none was.
             mine: Correctors that the loop moves, shape (m,).
         """
+        if self._early and not change.any():  # what was sent before has not been looked for yet
+            return memory
+        if self._early:
+            memory = self.missed(memory, 1)
         asked, ring = self._asked, memory.answering.ring
         if question is None or ring is None or not np.array_equal(ring.movable, mine):
             asked = None

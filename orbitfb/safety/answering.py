@@ -16,7 +16,7 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.safety.expectation import Expectation, Owed, shown
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.owing import HALF, LAGS, Answering, Sent, Session, rms
-from orbitfb.safety.questions import Ring, Sight, Test, ask_devices, ask_ring
+from orbitfb.safety.questions import Ring, Sight, Test, ask_at_any, ask_devices, ask_ring
 
 ANSWERED = 4.0
 """z from which a device answers: by chance once in exp(4² / 2) = 3,000 questions at most, and then
@@ -101,7 +101,7 @@ def look(seen: Seen, memory: Answering, settings: InterlockSettings) -> tuple[Fo
     position = np.where(valid, seen.position, expected.model + moved)
     after = expected.follow(position, moved, change, valid)
     if not seen.closed or settings.answer_reach is None:
-        idle = replace(memory, expected=after, sent=(), owed=None, session=None)
+        idle = replace(memory, expected=after, sent=(), heard=(), owed=None, session=None)
         return NOTHING, replace(idle, since=float("nan"))
     owed = memory.owed
     if owed is None:
@@ -118,10 +118,15 @@ def look(seen: Seen, memory: Answering, settings: InterlockSettings) -> tuple[Fo
     sight = Sight(position, valid, surprise, expected.spread, after.recent)
     questions = tuple(item.question for item in memory.sent)
     if valid.any() and not sight.kicked(questions[: LAGS + 1]):
+        memory, over = memory.hear(position)
         whole = ask_ring(session.whole, sight, questions, ring, memory.lag)
+        for question, heard in over:
+            whole = ask_at_any(whole, sight, question, heard, ring)
         at = [*questions[memory.lag : memory.lag + 2], None, None]
         devices = ask_devices(session.devices, sight, at[0], at[1], ring)
         session = replace(session, whole=whole, devices=devices)
+    else:
+        memory = replace(memory, heard=())
     return _judge(seen, replace(memory, session=session), session, ring, valid, settings)
 
 
@@ -180,7 +185,7 @@ def _prepared(seen: Seen, memory: Answering) -> tuple[Answering, Ring]:
     if memory.session is not None:
         session = memory.session.anew(n, m)
     sent = tuple(replace(item, question=None) for item in memory.sent)
-    return replace(memory, ring=ring, session=session, sent=sent), ring
+    return replace(memory, ring=ring, session=session, sent=sent, heard=()), ring
 
 
 def _heed_steps(
@@ -234,7 +239,7 @@ def _judge(
         return NOTHING, memory
     whole = session.whole.first(LAGS)
     waited = session.waited + 1 if memory.waits(settings) else 0
-    if float(whole.silence[0]) >= SILENT or waited > PATIENCE:
+    if session.silence >= SILENT or waited > PATIENCE:
         asked = rms(owed.ring)
         reason = (
             f"the orbit does not answer the setpoints: {asked * 1e6:.3g} µm rms were asked for "
@@ -252,7 +257,7 @@ def _judge(
     if float(whole.sure[0]) >= ANSWERED:
         if whole.lag != lag:
             lag, devices = whole.lag, Test.none(2, n + m)
-        session, answered = replace(session, whole=Test.none(LAGS + 1, 1)), True
+        session, answered = replace(session, whole=Test.none(LAGS + 2, 1)), True
     told = devices.told
     sure = (devices.sure >= ANSWERED) | ((told >= TOLD) & (devices.doubt < 0.5 * told))
     owed, devices = owed.paid(False, sure), devices.anew(sure)

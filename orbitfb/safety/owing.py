@@ -85,7 +85,14 @@ class Session:
     @classmethod
     def begin(cls, n: int, m: int, doubted: bool = True) -> "Session":
         """Begin to ask n BPMs and m correctors."""
-        return cls(Test.none(LAGS + 1, 1), Test.none(2, n + m), doubted=doubted)
+        return cls(Test.none(LAGS + 2, 1), Test.none(2, n + m), doubted=doubted)
+
+    @property
+    def silence(self) -> float:
+        """Evidence z that the ring answers at no lag, nor at now this one, now that [1]."""
+        each = self.whole.first(LAGS).silence[0]
+        any_lag = self.whole.last(1).silence[0]
+        return float(min(each, any_lag))
 
     def anew(self, n: int, m: int) -> "Session":
         """Hear everybody anew, as others are asked; how long the loop has asked still counts."""
@@ -108,6 +115,8 @@ class Answering:
         left: BPMs that are left out as they do not answer, shape (n,); None: none.
         found: How often something was found not to answer.
         gap: Orbits that were missed before the next one.
+        heard: Questions that may still be answered, and the sum of what was read since less what
+            was read before, each of shape (n,) [m].
     """
 
     ring: Ring | None = None
@@ -120,6 +129,20 @@ class Answering:
     left: Mask | None = None
     found: int = 0
     gap: int = 0
+    heard: tuple[tuple[Question, Vector], ...] = ()
+
+    def hear(self, position: Vector) -> tuple["Answering", list[tuple[Question, Vector]]]:
+        """Add an orbit, shape (n,) [m], to what the last questions heard.
+
+        Returns:
+            The memory, and those whose time is over.
+        """
+        asked = [item.question for item in self.sent[:LAGS] if item.question is not None]
+        known = {id(question): (question, total) for question, total in self.heard}
+        nothing = np.zeros_like(position)
+        now = {id(item): known.pop(id(item), (item, nothing)) for item in asked}
+        heard = tuple((item, total + position - item.still) for item, total in now.values())
+        return replace(self, heard=heard), list(known.values())
 
     def question(self, settings: InterlockSettings, error: float = 0.0) -> float:
         """Say how large a question is wanted: orbit, rms over the BPMs [m]; 0: none is.

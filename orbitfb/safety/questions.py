@@ -152,7 +152,9 @@ class Sight:
         """Say whether something else moved the whole orbit, by far more than usual.
 
         Such an orbit says nothing, and would drown what others said: neither that the ring
-        answered, nor that it did not, nor that it answered late, explains it.
+        answered, nor that it did not, nor that it answered late, explains it, and it is large
+        beside the question, too. A ring of the other sign, or whose BPMs are exchanged, moves the
+        beam by as much as was asked, but elsewhere: that is an answer, if a wrong one.
 
         Args:
             questions: That may show, newest first.
@@ -163,7 +165,8 @@ class Sight:
         still = self.position - asked[0].still
         left = [self.surprise, self.surprise + asked[0].asked, still]
         left += [still - question.asked for question in asked]
-        return min(float(np.median((part / self.spread)[self.valid] ** 2)) for part in left) > (
+        usual = np.hypot(self.spread, max(question.size for question in asked))
+        return min(float(np.median((part / usual)[self.valid] ** 2)) for part in left) > (
             MEDIAN * CLIP**2
         )
 
@@ -236,6 +239,15 @@ class Test:
             self.little[:rows], self.little_power[:rows], self.much[:rows], self.much_power[:rows]
         )
 
+    def last(self, rows: int) -> "Test":
+        """Take the last rows alone."""
+        return Test(
+            self.little[-rows:],
+            self.little_power[-rows:],
+            self.much[-rows:],
+            self.much_power[-rows:],
+        )
+
     @property
     def sure(self) -> Vector:
         """Evidence z for an answer at the best lag, shape (devices,) [1]."""
@@ -273,14 +285,15 @@ def ask_ring(
     """Look for the answer of the ring as a whole.
 
     Args:
-        test: So far, a row for every lag, and one for what the surprise says at once.
+        test: So far, a row for every lag, one for what the surprise says at once, and one for all
+            lags together.
         sight: The orbit.
         questions: Sent before it, newest first; None: none was.
         ring: The response.
         usual: Lag at which the ring answers, for all that is known.
     """
     weight, most = np.where(sight.valid, sight.spread**-2.0, 0.0), CLIP * sight.spread
-    for lag, question in enumerate(questions[: len(test.little) - 1]):
+    for lag, question in enumerate(questions[: len(test.little) - 2]):
         if question is None:
             continue
         besides, asked = sight.position - question.still, question.asked
@@ -293,8 +306,27 @@ def ask_ring(
             known = np.clip(sight.surprise + (1.0 - LITTLE) * asked, -most, most)
             value = np.array([(weight * asked) @ known])
             power = np.array([np.sum((weight * asked) ** 2 * sight.noise)])
-            test = test.add(-1, value, power, np.zeros(1), np.zeros(1))
+            test = test.add(-2, value, power, np.zeros(1), np.zeros(1))
     return test
+
+
+def ask_at_any(test: Test, sight: Sight, question: Question, heard: Vector, ring: Ring) -> Test:
+    """Look for the answer of the ring among all the orbits at which it may come.
+
+    A computer that is busy sends one change in time and the next one late: an answer at now this
+    lag, now that one, is none at each of them.
+
+    Args:
+        test: So far, with the same rows.
+        sight: The last orbit.
+        question: Whose time is over.
+        heard: Sum of y − f of those orbits, shape (n,) [m].
+        ring: The response.
+    """
+    weight, most = np.where(sight.valid, sight.spread**-2.0, 0.0), CLIP * sight.spread
+    left = weight * np.clip(heard - MUCH * question.asked, -most, most)
+    power = np.array([question.size**2 * np.sum((left @ ring.moves) ** 2)])
+    return test.add(-1, np.zeros(1), np.zeros(1), np.array([left @ question.asked]), power)
 
 
 def ask_devices(

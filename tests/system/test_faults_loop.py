@@ -61,8 +61,7 @@ def test_a_wrong_response_is_found_before_the_orbit_is_lost(
     told = ("does not answer as the response matrix says", "grew for", "another ring, sign")
     assert any(words in status["reason"] for words in told)
     tripped = session.service.events("loop_state_changed")[-1]
-    at_once = "as the response" in status["reason"]
-    assert tripped["tick"] - first < (15 if at_once else 150)
+    assert tripped["tick"] - first < 30  # 8 orbits are asked; some pass before the loop closes
     archived = transitions(session.service.data)
     assert rms_where(archived.closed, archived.orbit, archived.valid)[-10:].max() < 1e-3
     session.again()

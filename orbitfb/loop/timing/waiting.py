@@ -37,11 +37,8 @@ def wait_for_change(
     Returns:
         Whether to write nothing, the memory, and what keeps the loop from going on.
     """
-    tells = mine
-    for mask in (reading.away, reading.behind):
-        tells = tells if mask is None else tells & ~mask
     usual = memory.sent.late >= RARE
-    part, sent = arrived(reading.readback, memory.setpoints, tells, memory.sent)
+    part, sent = arrived(reading.readback, memory.setpoints, _tells(reading, mine), memory.sent)
     if part is not None and usual and _acted(memory, checked, rules):
         part, sent = None, replace(sent, change=None, waited=0)
     memory = replace(memory, sent=sent)
@@ -56,6 +53,30 @@ def wait_for_change(
         memory, trouble = ask()
         memory = replace(memory, sent=replace(sent, change=None, waited=0))
     return True, remember.note(memory, reason, may_act=True), trouble
+
+
+def too_early(memory: LoopMemory, reading: Reading, mine: Mask) -> bool:
+    """Say whether an orbit was taken before the last change acted, at a machine that is in time.
+
+    Such an orbit answers nothing yet: whether the ring answers is asked of the next.
+
+    Args:
+        memory: Of a loop that is CLOSED.
+        reading: The orbit, with its readbacks.
+        mine: Correctors that the loop moves, shape (m,).
+    """
+    if memory.sent.late >= RARE:
+        return False
+    part, _ = arrived(reading.readback, memory.setpoints, _tells(reading, mine), memory.sent)
+    return part is not None
+
+
+def _tells(reading: Reading, mine: Mask) -> Mask:
+    """Find the correctors whose readbacks tell whether a change has acted, shape (m,)."""
+    tells = mine
+    for mask in (reading.away, reading.behind):
+        tells = tells if mask is None else tells & ~mask
+    return tells
 
 
 def _acted(memory: LoopMemory, checked: Checked, rules: Rules) -> bool:

@@ -155,6 +155,32 @@ def test_a_loop_that_misses_orbits_hears_the_answers_to_what_it_asks(ring, misse
     assert not waits[-1]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_ring_that_answers_now_in_time_now_late_answers(ring, seed):
+    bench = Bench(ring, seed=seed)
+    bench.machine.tardy = 0.5
+    for _ in range(5):
+        bench.runner.command("open")
+        bench.machine.machine.plant.kick(60e-6)
+        bench.steps(3)
+        bench.runner.command("close")
+        bench.steps(100)
+        assert bench.runner.state is LoopState.CLOSED, bench.runner.reason
+
+
+def test_a_ring_of_the_other_sign_is_told_in_a_few_questions(ring):
+    bench = Bench(ring)
+    bench.runner.command("open")
+    bench.machine.gain[:] = -1.0
+    bench.machine.write(bench.machine.setpoints())
+    bench.steps(4)
+    bench.runner.command("close")
+    bench.steps(1)
+    before = len(bench.records)
+    assert "does not answer the setpoints" in bench.steps(600)
+    assert len(bench.records) - before < 20
+
+
 def test_a_ring_that_is_kicked_again_and_again_is_corrected_meanwhile(ring):
     bench, random = Bench(ring, seed=9), np.random.default_rng(9)
     squares = []

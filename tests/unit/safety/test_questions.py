@@ -1,9 +1,12 @@
 """Questions to a ring: who answers is believed, who does not is told, by numbers alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from orbitfb.safety.questions import Question, Ring, Sight, ask_devices, ask_ring
+from orbitfb.safety.owing import Answering, Sent, Session
+from orbitfb.safety.questions import Question, Ring, Sight, ask_at_any, ask_devices, ask_ring
 from orbitfb.safety.questions import Test as Sums
 
 N, M, LAGS = 30, 24, 3
@@ -33,7 +36,7 @@ class Bench:
         self.disturbance = disturbance
         self.random = np.random.default_rng(2)
         self.valid = np.ones(N, dtype=np.bool_)
-        self.whole, self.devices = Sums.none(LAGS + 1, 1), Sums.none(2, N + M)
+        self.whole, self.devices = Sums.none(LAGS + 2, 1), Sums.none(2, N + M)
         self.sent, self.orbit = [], 0
 
     def ask(self, count):
@@ -47,7 +50,7 @@ class Bench:
             position = position + NOISE * self.random.standard_normal(N)
             position = position + self.disturbance(self.orbit)
             spread = np.full(N, 1.1 * NOISE)
-            sight = Sight(position, self.valid, position - asked, spread, excursion)
+            sight = self.sight = Sight(position, self.valid, position - asked, spread, excursion)
             self.whole = ask_ring(self.whole, sight, tuple(self.sent), self.ring, 0)
             before = self.sent[1] if len(self.sent) > 1 else None
             self.devices = ask_devices(self.devices, sight, self.sent[0], before, self.ring)
@@ -98,6 +101,21 @@ def test_a_ring_that_answers_late_answers(ring):
     assert first.sure[0] >= SURE
     assert first.lag == 1
     assert bench.silence < SILENT
+
+
+def test_a_ring_that_answers_now_in_time_now_late_is_not_silent(ring):
+    bench, memory, random = Bench(ring), Answering(), np.random.default_rng(4)
+    session = Session.begin(N, M)
+    for _ in range(300):
+        bench.late = int(random.integers(LAGS))
+        bench.ask(1)
+        sent = tuple(Sent(q.excursion, q.asked, q) for q in bench.sent[: LAGS + 1])
+        memory, over = replace(memory, sent=sent).hear(bench.sight.position)
+        for question, heard in over:
+            bench.whole = ask_at_any(bench.whole, bench.sight, question, heard, ring)
+        session = replace(session, whole=bench.whole)
+        assert session.silence < SILENT
+    assert bench.silence >= SILENT  # at each lag it is
 
 
 def test_one_bpm_that_is_blind_is_the_one_that_is_told(ring):
