@@ -96,6 +96,8 @@ class Reading:
         unknown: Why slow channels are not known, by name, for those that are not.
         moves: How often a PV came back from another server than before.
         moved: The last of these moves, in words.
+        by_others: Correctors whose setpoint somebody else has put since the last read, shape
+            (m,); None: none.
     """
 
     orbit: Orbit
@@ -109,6 +111,7 @@ class Reading:
     unknown: Mapping[str, str] = field(default_factory=dict[str, str])
     moves: int = 0
     moved: str = ""
+    by_others: Mask | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,11 +43,13 @@ class Monitor:
         records: One record per channel, written in place.
         arrived: Called after each event; True when a vector has become complete. None: not counted.
         complete: Called when `arrived` said so, before the next event is written.
+        heard: Called with the channel's index after each event; None: nobody.
     """
 
     records: NDArray[np.void]
     arrived: Callable[[], bool] | None = None
     complete: Callable[[], None] | None = None
+    heard: Callable[[int], None] | None = None
 
 
 class ChannelGroup:
@@ -225,6 +227,16 @@ def _event_handler(monitor: Monitor) -> Callable[[EventArguments], None]:
     def keep(arguments: EventArguments) -> None:
         if arguments.status == ECA_NORMAL:
             move(arguments.user, arguments.data, size)
+
+    if (heard := monitor.heard) is not None:
+        begin = monitor.records.ctypes.data
+
+        def keep_and_tell(arguments: EventArguments) -> None:
+            if arguments.status == ECA_NORMAL:
+                move(arguments.user, arguments.data, size)
+                heard((arguments.user - begin) // size)
+
+        return keep_and_tell
 
     if arrived is None or complete is None:
         return keep

@@ -23,6 +23,7 @@ from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.oscillator import EpicsOscillator
 from orbitfb.epics.put_errors import PutErrors
+from orbitfb.epics.put_watch import PutWatch
 from orbitfb.epics.reconnecting import Keeper
 from orbitfb.epics.requests import Getter, Putter
 from orbitfb.epics.servers import Doubles, ServerWatch
@@ -92,6 +93,7 @@ class EpicsMachine:
         if counting is not None:
             self._orbit_assembler.count(counting)
         waived = _waived(channels, counting, movable)
+        self._put_watch = PutWatch(size)
         self._readback_assembler = Assembler(len(channels.readback_pvs), settings.stamp_window)
         self._inbox = Inbox(
             self._orbit_assembler,
@@ -195,6 +197,7 @@ class EpicsMachine:
             unknown,
             self._servers.changes,
             self._servers.told,
+            self._put_watch.take(),
         )
 
     def setpoints(self) -> Vector:
@@ -250,6 +253,7 @@ class EpicsMachine:
                 f"{np.count_nonzero(unread)} of {len(values)} setpoints were away and have not "
                 f"been read since: {name_some(unread, self._setpoints.names)}; nothing was sent"
             )
+        self._put_watch.sends(values, which)  # beforehand: the answer may be quicker than we
         self._putter.put(values, which)
         self._last = np.where(which, values, self._last)
         return Applied(values, self._inbox.time.now(), self._clock.monotonic())
@@ -282,8 +286,12 @@ class EpicsMachine:
         context, channels, inbox = self._context, self._channels, self._inbox
         bpms, readbacks = self._orbit_assembler, self._readback_assembler
         self._auxiliary = AuxiliaryChannels(context, self._settings.auxiliary)
+        watch = self._put_watch
         self._setpoints = ChannelGroup(
-            context, channels.setpoint_pvs, changed=self._setpoint_changed
+            context,
+            channels.setpoint_pvs,
+            Monitor(watch.records, heard=watch.heard),
+            self._setpoint_changed,
         )
         self._groups = (
             ChannelGroup(
@@ -326,6 +334,8 @@ class EpicsMachine:
         self._comings[index] += 1
         self._unread[index] = True
         self._limits_due |= up
+        if up:
+            self._put_watch.came(index)
 
     def _after_look(self) -> None:
         self._orbit_assembler.look()

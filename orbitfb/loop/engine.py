@@ -21,7 +21,7 @@ from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.frequency import Follower, Step
 from orbitfb.loop.guard import NONE, Guard, Safeguards
 from orbitfb.loop.inquiry import WAITS, Inquiry
-from orbitfb.loop.inspection import Asker, inspect, mine_of
+from orbitfb.loop.inspection import Asker, inspect, look_for_second, mine_of
 from orbitfb.loop.intake import Intake, await_orbit
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.slot import PolicySlot
@@ -74,7 +74,8 @@ class Engine:
         self._flaws = np.zeros(len(rules.channels.bpms), dtype=np.int8)
         self._asker = Asker(machine, self._guard)
         self._rules, self._dither = rules, dither
-        self._inquiry = Inquiry(rules, self._guard, random)
+        self._random = random or np.random.default_rng()
+        self._inquiry = Inquiry(rules, self._guard, self._random)
         self._counting, self._heed = rules.counting, heed
         self.wanted: Adjustments = Adjustments.none(rules.reference, len(rules.channels.correctors))
         self._adjustments: Adjustments = self.wanted
@@ -182,6 +183,8 @@ class Engine:
         found, self.memory = self._inquiry.look(self.memory, reading, self._mine())
         checked = inspect(self._asker, self.memory, reading, self._rules, self._flaws, closing)
         checked = worse(checked, found)
+        draw = self._random.random
+        checked = look_for_second(checked, reading, self._rules, self._mine(), closing, draw)
         self.memory = comeback.remember_good(checked.memory, checked, self._rules)
         if self._follower is not None:
             self.memory = self._follower.look(self.memory, reading)

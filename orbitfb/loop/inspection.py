@@ -6,6 +6,7 @@ their readback says that it is elsewhere, so that every record tells it, and onc
 given to the loop: it takes over from the setpoint in force.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from orbitfb.loop import comeback
 from orbitfb.loop.asking import Answer, ask_setpoints
 from orbitfb.loop.guard import Guard
 from orbitfb.loop.memory import LoopMemory, Rules
-from orbitfb.loop.tick import Checked, check
+from orbitfb.loop.tick import Checked, check, worse
 from orbitfb.safety.bpms import Flaws
 from orbitfb.safety.culprit import culprit
 from orbitfb.safety.prediction import Answers
@@ -160,6 +161,34 @@ def inspect(
     if trouble and checked.verdict.action < Action.HOLD:
         checked = replace(checked, verdict=Verdict(Action.HOLD, "setpoints", trouble))
     return replace(checked, memory=replace(checked.memory, seen=seen))
+
+
+def look_for_second(
+    checked: Checked,
+    reading: Reading,
+    rules: Rules,
+    mine: Mask,
+    closing: bool,
+    draw: Callable[[], float],
+) -> Checked:
+    """Look for a second controller; a loop that neither writes nor waits to may have one.
+
+    Args:
+        checked: The orbit as it was looked at so far.
+        reading: Tells which setpoints others have put.
+        rules: Settings and names.
+        mine: Correctors that the loop moves, or would, shape (m,).
+        closing: Whether the loop is asked to close.
+        draw: Gives a number from 0 to 1 at random.
+    """
+    state, names = checked.memory.state, rules.channels.correctors
+    closed = state is LoopState.CLOSED
+    verdict, second = checked.memory.second.look(
+        reading.by_others, mine, rules.interlocks, names, closed, draw
+    )
+    checked = replace(checked, memory=replace(checked.memory, second=second))
+    matters = closing or closed or state is LoopState.HELD
+    return worse(checked, verdict) if matters else checked
 
 
 def _blame(

@@ -19,6 +19,7 @@ from orbitfb.safety.limits import LimitSettings
 from orbitfb.safety.owing import Answering
 from orbitfb.safety.prediction import Answers
 from orbitfb.safety.refusals import Refusals
+from orbitfb.safety.second_controller import SecondController
 from orbitfb.safety.watch import Growth, LastOrbit, Rise
 
 
@@ -99,6 +100,7 @@ class LoopMemory:
         refusals: Correctors whose puts do not stay.
         answering: What was asked of the orbit without a sign of an answer.
         frequency: What is remembered of the RF frequency.
+        second: What is remembered of a second controller.
     """
 
     state: LoopState
@@ -130,6 +132,7 @@ class LoopMemory:
     refusals: Refusals = field(default_factory=Refusals)
     answering: Answering = field(default_factory=Answering)
     frequency: Frequency = field(default_factory=Frequency)
+    second: SecondController = field(default_factory=SecondController)
 
     @property
     def setpoints(self) -> Vector:

@@ -1,15 +1,18 @@
 """Which policy was in force when the loop tripped: a subscriber of the loop that tells the store.
 
-The trip is the policy's unless the beam was lost, or the loop had written nothing for a tick: a
-loop that is HELD does not act.
+The trip is the policy's unless the beam was lost, somebody else moved the correctors, or the loop
+had written nothing for a tick: a loop that is HELD does not act.
 """
 
 import threading
+
+import numpy as np
 
 from orbitfb.core.retry import EVERY, Retry
 from orbitfb.core.signals import LoopState, TickRecord
 from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.safety.interlocks import InterlockSettings, stored_current
+from orbitfb.safety.second_controller import are_moved
 from orbitfb.safety.verdict import Action
 
 
@@ -43,7 +46,7 @@ class TripNotes:
             self._current = known
         if record.state is not LoopState.TRIPPED or last is None:
             return
-        if last.state is LoopState.CLOSED and not self._beam_lost(record, before):
+        if last.state is LoopState.CLOSED and not self._has_another_cause(record, before):
             with self._lock:
                 self._notes[last.policy_id] = record.reason
             self.writer.ask()
@@ -52,9 +55,12 @@ class TripNotes:
         """Write what is not written yet."""
         self.writer.stop()
 
-    def _beam_lost(self, record: TickRecord, before: float) -> bool:
+    def _has_another_cause(self, record: TickRecord, before: float) -> bool:
         if record.reading is None:
             return False
+        others = record.reading.by_others
+        if are_moved(others, np.ones_like(record.setpoints, dtype=np.bool_), self._interlocks):
+            return True
         verdict = stored_current(record.reading.auxiliary, self._interlocks, before=before)
         return verdict.action is Action.TRIP
 

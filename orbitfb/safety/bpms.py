@@ -106,13 +106,14 @@ def screen(
         A `Flaw` for every BPM, shape (n,), and the new memory.
     """
     known = valid & np.isfinite(position)
-    zero = known & (position == 0.0) if settings.bpm_zero else np.zeros_like(known)
     same = known & (position == memory.last)
     repeats, habit = memory.repeats, memory.habit or Habit.none(len(position))
+    zero = known & (position == 0.0) & ~habit.is_coarse & settings.bpm_zero
     limit = habit.frozen_from(settings.bpm_frozen_ticks)
     if not np.array_equal(same, known):  # an orbit that repeats itself as a whole: `repeated`
         changed = known & ~same & np.isfinite(memory.last)
-        habit = habit.learn(changed, repeats, limit)
+        teaches = changed & (memory.last != 0.0)  # a dead channel that comes back is not coarse
+        habit = habit.learn(teaches, repeats, limit)
         repeats = np.where(same, repeats + 1, 0)
     frozen = np.zeros_like(known)
     if settings.frozen_ticks and settings.bpm_frozen_ticks:

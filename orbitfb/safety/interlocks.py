@@ -53,7 +53,9 @@ class InterlockSettings(Settings):
         default=2, ge=1, description="Invalid BPMs in a row along the ring; more hold the loop."
     )
     bpm_zero: bool = Field(
-        default=True, description="Whether a reading of exactly 0 is no reading (a dead channel)."
+        default=True,
+        description="Whether a reading of exactly 0 is no reading (a dead channel); of a BPM whose "
+        "last digit is as large as its noise only if it stays 0.",
     )
     bpm_frozen_ticks: int = Field(
         default=2,
@@ -141,6 +143,13 @@ class InterlockSettings(Settings):
         default=60.0,
         gt=0,
         description="Time without a sign of an answer after which the loop asks too [s].",
+    )
+    second_controller_ticks: int = Field(
+        default=10,
+        ge=0,
+        description="Orbits at which somebody else has moved more of the loop's correctors than "
+        "may be lost, half of those at which nobody has taken off, from which that is a second "
+        "controller: the loop trips; 0 = never (setpoint records that move by themselves).",
     )
     frozen_ticks: int = Field(
         default=1,

@@ -17,8 +17,14 @@ CHANCE = 3e-9
 """Chance of a run that is none: once a day at 10 Hz among 360 BPMs, 1 / (360 · 10 · 86 400)."""
 
 BEFORE = 20.0
-"""Changes of which each BPM is thought to have made one: a single repeat at the start of a loop
-then stands for a chance of 1/21, not of 1."""
+"""Readings for which what all BPMs do stands with each: a single repeat at the start of a loop then
+stands for a chance of 1/21, not of 1. BPMs of one kind know each other's last digit: each of them
+alone takes 10 s to learn it, and meanwhile too many are left out for a loop to close."""
+
+COARSE = 0.01
+"""Share of repeats, which is also about the chance of one certain value at a quiet orbit, from
+which a reading of exactly 0 is a number like any other. If it were none, such a BPM would be left
+out for it and the five readings of its proving, 6 % of the time: more than may be at once."""
 
 KEPT = 0.999
 """Share of what is known that a change leaves: 1,000 changes are remembered, 100 s at 10 Hz."""
@@ -44,13 +50,25 @@ class Habit:
         """Know nothing of n BPMs."""
         return cls(np.zeros(size), np.zeros(size))
 
+    @property
+    def share(self) -> Vector:
+        """Share of its readings at which each BPM repeats itself, shape (n,)."""
+        known = self.repeats + self.changes
+        usually = float(self.repeats.sum() / (known.sum() + BEFORE))
+        return (self.repeats + BEFORE * usually) / (known + BEFORE)
+
+    @property
+    def is_coarse(self) -> Mask:
+        """Whether the last digit of each is so large that it reads exactly 0 by chance, (n,)."""
+        return self.share >= COARSE
+
     def frozen_from(self, least: int) -> NDArray[np.int64]:
         """Give the repeats in a row from which each BPM is frozen, shape (n,).
 
         Args:
             least: For a BPM that never repeats itself.
         """
-        share = self.repeats / (self.repeats + self.changes + BEFORE)
+        share = self.share
         usual = np.zeros(len(share))
         some = share > 0
         usual[some] = np.ceil(np.log(CHANCE) / np.log(share[some]))

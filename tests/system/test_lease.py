@@ -67,6 +67,27 @@ def test_one_of_two_controllers_writes_and_a_stale_lease_is_taken_over(
         assert holder(ioc.port) == ""  # given back
 
 
+def test_two_controllers_without_a_lease_see_each_other(
+    ioc: Ioc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """The machine serves none; the second is of a user whose file locks are others."""
+    there = tmp_path / "elsewhere"
+    there.mkdir(mode=0o700)
+    where, config = f"127.0.0.1:{ioc.port}", tmp_path / "config.toml"
+    config.write_text('[lease]\npv = "NO:SUCH{PV}"\nwait = 0.2\n')
+    options = ("--start", "closed", "--config", config)
+    with Service(tmp_path / "first", where, *options) as first:
+        first.wait_state("CLOSED")
+        with monkeypatch.context() as context:
+            context.setenv("XDG_RUNTIME_DIR", str(there))
+            with Service(tmp_path / "second", where, *options) as second:
+                second.wait_state("TRIPPED")
+                status = second.status()
+                assert "as a second controller does" in status["reason"]
+                second.stop()
+        assert first.status()["state"] == "CLOSED"
+
+
 def test_a_required_lease_that_is_not_there(ioc: Ioc):
     lease = {"lease.pv": "NO:SUCH{PV}", "lease.required": True, "lease.wait": 0.2}
     config = load_config(None, lease)

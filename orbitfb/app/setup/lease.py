@@ -51,7 +51,7 @@ def take_lease(
             raise OwnershipError(
                 f"{told}; let the machine's IOC serve it, or name another with lease.pv"
             )
-        _log.warning("no_lease", problem=f"{told}: another controller is not noticed until it is")
+        _log.warning("no_lease", problem=f"{told}: another controller is noticed by its puts alone")
     stop, clock = threading.Event(), SystemClock()
     if missing:
         lease = LateLease(

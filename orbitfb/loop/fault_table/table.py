@@ -188,6 +188,19 @@ FAULTS = (
         ("test_one_of_two_controllers_writes_and_a_stale_lease_is_taken_over",),
     ),
     Fault(
+        "another controller writes, and no lease keeps it apart",
+        "close is refused, a loop that waits to close trips; of two that closed at once one trips "
+        "and says which setpoints the other moves",
+        (_TRIPPED,),
+        ("interlocks.second_controller_ticks",),
+        (
+            "test_of_two_that_close_at_once_one_opens_and_says_why",
+            "test_one_that_comes_later_does_not_close",
+            "test_the_machine_hears_its_setpoints",
+            "test_two_controllers_without_a_lease_see_each_other",
+        ),
+    ),
+    Fault(
         "an error that nobody foresaw",
         "setpoints stay; start the program again",
         (LoopState.FAULT,),

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from store_examples import make_policy, ring
 
@@ -12,9 +13,15 @@ from orbitfb.safety.interlocks import InterlockSettings
 
 
 def record(state, policy, current=0.4, reason=""):
-    reading = None if current is None else SimpleNamespace(auxiliary={"current": current})
+    slow = {"current": current}
+    reading = None if current is None else SimpleNamespace(auxiliary=slow, by_others=None)
     return SimpleNamespace(
-        state=LoopState(state), policy_id=policy, reading=reading, reason=reason, tick=1
+        state=LoopState(state),
+        policy_id=policy,
+        reading=reading,
+        reason=reason,
+        tick=1,
+        setpoints=np.zeros(20),
     )
 
 
@@ -46,6 +53,16 @@ def test_a_policy_that_came_in_this_very_tick_has_not_acted(store, bad):
 @pytest.mark.parametrize("after", [0.0, 0.2, float("nan")])
 def test_a_lost_beam_is_not_the_policys_fault(store, bad, after):
     assert told(store, record("CLOSED", bad), record("TRIPPED", bad, after)) == {}
+
+
+def test_what_somebody_else_moves_is_not_the_policys_fault(store, bad):
+    def moved(count):
+        last = record("TRIPPED", bad)
+        last.reading.by_others = np.arange(20) < count
+        return last
+
+    assert told(store, record("CLOSED", bad), moved(20)) == {}
+    assert list(told(store, record("CLOSED", bad), moved(1))) == [bad]
 
 
 @pytest.mark.parametrize("before", ["HELD", "OPEN", "SHADOW", "TRIPPED"])

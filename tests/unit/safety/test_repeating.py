@@ -40,6 +40,30 @@ def test_readings_five_times_as_coarse_as_their_noise_are_learnt_too():
     assert (late <= SETTINGS.max_invalid_bpms).mean() > 0.99
 
 
+@pytest.mark.parametrize("digit", [0.1e-6, 0.2e-6, 0.4e-6])
+def test_coarse_readings_of_a_corrected_orbit_are_believed_after_some_ticks(digit):
+    """They are often exactly 0, and all are alike: a loop need not wait until each is known."""
+    flaws, _ = run(readings(400, digit, offset=1e-6))
+    assert ((flaws[12:] > 0).sum(axis=1) <= SETTINGS.max_invalid_bpms).all()
+    assert (flaws[100:] > 0).mean() < 0.01
+
+
+def test_a_dead_channel_among_coarse_ones_is_found_within_its_own_time():
+    orbits = readings(500, 0.2e-6, offset=1e-6)
+    orbits[400:, 7] = 0.0
+    flaws, _ = run(orbits)
+    found = np.flatnonzero(flaws[400:, 7] == Flaw.FROZEN)
+    assert found[0] <= 30 and len(found) == 100 - found[0]
+
+
+def test_a_channel_that_dies_now_and_then_does_not_teach_that_zeros_are_readings():
+    orbits = readings(3000, 0.0, offset=1e-6)
+    for begin in range(50, 3000, 20):
+        orbits[begin : begin + 8, 7] = 0.0
+    flaws, _ = run(orbits)
+    assert (flaws[orbits[:, 7] == 0.0, 7] > 0).all()
+
+
 @pytest.mark.parametrize(("digit", "most"), [(0.0, 2), (0.2e-6, 30)])
 def test_a_bpm_that_hangs_is_found_within_its_own_time(digit, most):
     orbits = readings(1100, digit)
