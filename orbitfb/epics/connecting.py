@@ -45,9 +45,9 @@ def wait_for_channels(
     missing = _missing(groups, setpoints, waived)
     if missing:
         total = sum(len(group) for group in groups)
-        places = " ".join(filter(None, (settings.address_list, settings.name_servers)))
         advice = (
-            f"Is the IOC running, and reachable at '{places}' port {settings.server_port}? "
+            f"Is the IOC running, and reachable at '{settings.searched}' port "
+            f"{settings.server_port}? "
             f"Are the names right ({_origin(missing, settings)})? "
             "`orbitfb doctor` with the same --ioc and --config counts them by kind."
         )

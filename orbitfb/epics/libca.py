@@ -6,8 +6,11 @@ prototypes are those of cadef.h, bound to a second handle of the same library, s
 own are not touched.
 """
 
+import atexit
 import ctypes
 import importlib
+import os
+import threading
 from collections.abc import Callable
 from types import ModuleType
 
@@ -73,6 +76,9 @@ CONNECTION_HANDLER = ctypes.CFUNCTYPE(None, ConnectionArguments)
 ACCESS_HANDLER = ctypes.CFUNCTYPE(None, AccessArguments)
 EXCEPTION_HANDLER = ctypes.CFUNCTYPE(None, ExceptionArguments)
 
+END_TIMEOUT = 2.0
+"""How long a context with name servers may take to end [s]: one whose servers answer takes 5 ms."""
+
 _LONGEST_HOST = 256
 """Bytes of a host name with its port; DNS allows 253 characters and libca keeps fewer."""
 
@@ -113,6 +119,9 @@ def pyepics() -> ModuleType:
         except layer.ChannelAccessException as cause:
             message = f"pyepics cannot load libca ({cause}); reinstall pyepics or set PYEPICS_LIBCA"
             raise MachineError(message) from cause
+        # At the end of the process pyepics would end a context that nobody used; where there are
+        # name servers libca waits for that for ever. Our contexts end with whoever made them.
+        atexit.unregister(layer.finalize_libca)
     return layer
 
 
@@ -163,6 +172,7 @@ class Context:
         self.library.ca_detach_context()
         self.check("ca_context_create", self.library.ca_context_create(1))
         self._handle: int = self.library.ca_current_context()
+        self._has_name_servers = bool(os.environ.get("EPICS_CA_NAME_SERVERS"))
         self.library.ca_replace_printf_handler(_print_nothing)
         # A circuit that breaks is told past that handler, to the terminal; the loop says it itself.
         self.library.eltc(0)
@@ -217,6 +227,19 @@ class Context:
             listener(arguments)
 
     def destroy(self) -> None:
-        """End the context: its channels, subscriptions and threads."""
+        """End the context: its channels, subscriptions and threads.
+
+        libca waits for ever for a name server that does not answer. Where there are any the wait is
+        bounded; what does not end by then ends with the process.
+        """
+        if not self._has_name_servers:
+            self._end()
+            return
+        self.detach()
+        ending = threading.Thread(target=self._end, name="epics-end", daemon=True)
+        ending.start()
+        ending.join(END_TIMEOUT)
+
+    def _end(self) -> None:
         self.attach()
         self.library.ca_context_destroy()

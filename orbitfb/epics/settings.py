@@ -118,3 +118,8 @@ class EpicsSettings(Settings):
     auxiliary: dict[str, AuxiliarySettings] = Field(
         default_factory=_default_auxiliary, description="Slow channels by name."
     )
+
+    @property
+    def searched(self) -> str:
+        """Where PVs are searched for: addresses and name servers, separated by blanks."""
+        return " ".join(filter(None, (self.address_list, self.name_servers)))

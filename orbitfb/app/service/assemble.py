@@ -288,7 +288,7 @@ class Service:
             Surroundings(
                 metrics=http.address,
                 duration=duration,
-                ring=f"{epics.address_list}:{epics.server_port}",
+                ring=f"{epics.searched}:{epics.server_port}",
                 trouble=lambda: self.ring_failure or archive.status().problem,
             ),
         )
@@ -297,7 +297,7 @@ class Service:
         self.final = self.statistics.snapshot()
         self._where = {
             "ioc": ioc,
-            "addresses": epics.address_list,
+            "addresses": epics.searched,
             "port": epics.server_port,
             "servers": self.machine.servers(),
             "metrics": http.address,
@@ -308,7 +308,7 @@ class Service:
             **opened.where,
         }
         _log.info("service_started", **self._where)
-        place, same = f"{epics.address_list}:{epics.server_port}", config.measure.same_setpoint
+        place, same = f"{epics.searched}:{epics.server_port}", config.measure.same_setpoint
         if astray := left_astray(directory, self.machine, place, ioc, same):
             _log.warning("setpoints_astray", problem=astray)
             self.statistics.happened("measurement", astray)
