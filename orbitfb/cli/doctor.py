@@ -1,5 +1,6 @@
 """The command for the first call to support."""
 
+import sys
 from typing import Annotated
 
 import typer
@@ -41,6 +42,9 @@ def doctor(
 
     if not 0 < deadline <= 3600:
         raise ConfigError(f"--deadline {deadline:g}: give seconds above 0, at most 3600")
+    if ioc is not None and ioc != "sim":
+        searching = f"searching for the PVs of the ring: {deadline:g} s at most, then it is heard"
+        print(searching, file=sys.stderr, flush=True)
     options = {"data_directory": data, "ring.planes": planes}
     found = examine(config_file, options, ioc, live, deadline)
     print(text.as_json(as_answer(found)) if as_json else as_text(found))

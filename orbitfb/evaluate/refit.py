@@ -11,7 +11,7 @@ the true R.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -94,7 +94,9 @@ class RefitResult:
     reports: tuple[RefitReport, ...]
 
 
-def evaluate_refit(settings: RefitEvaluationSettings) -> RefitResult:
+def evaluate_refit(
+    settings: RefitEvaluationSettings, progress: Callable[[str], None] = lambda _: None
+) -> RefitResult:
     """Run the four loops and compare them.
 
     Figures, with `second half` the last half of the run and R the true one at its end:
@@ -115,8 +117,9 @@ def evaluate_refit(settings: RefitEvaluationSettings) -> RefitResult:
 
     Args:
         settings: What to run.
+        progress: Told what begins.
     """
-    loops, learner, reports = _run(settings)
+    loops, learner, reports = _run(settings, progress)
     told, frozen, ours = loops["told"], loops["frozen"], loops["ours"]
     half = settings.ticks // 2
     rms = {law: float(np.sqrt(np.mean(loops[law].true_rms[half:] ** 2))) for law in LAWS}
@@ -168,7 +171,7 @@ def write(result: RefitResult, directory: Path) -> None:
 
 
 def _run(
-    settings: RefitEvaluationSettings,
+    settings: RefitEvaluationSettings, progress: Callable[[str], None]
 ) -> tuple[dict[str, ClosedLoop], Learner, list[RefitReport]]:
     """Run the loops one after another, each on a plant of its own with the same seed."""
     ring = Ring.load()
@@ -179,7 +182,8 @@ def _run(
             ring, settings.planes, plant_settings, settings.seed, settings.effects, settings.period
         )
 
-    def begin(policy: Policy) -> ClosedLoop:
+    def begin(law: str, policy: Policy) -> ClosedLoop:
+        progress(f"{law}: {settings.ticks} ticks")
         return ClosedLoop(plant(), policy, settings.ticks)
 
     def law(response: Vector) -> SvdPolicy:
@@ -187,11 +191,11 @@ def _run(
 
     truth = law(plant().response)
     baseline = law(_first_response(settings, plant()))
-    loops = {"frozen": begin(baseline).run()}
+    loops = {"frozen": begin("frozen", baseline).run()}
     if settings.drift != "none":
-        loops["told"] = begin(truth).run(lambda loop: law(loop.plant.response), _LOOK)
+        loops["told"] = begin("told", truth).run(lambda loop: law(loop.plant.response), _LOOK)
     elif settings.start != "true":
-        loops["told"] = begin(truth).run()
+        loops["told"] = begin("told", truth).run()
     else:
         loops["told"] = loops["frozen"]
 
@@ -199,11 +203,11 @@ def _run(
         recent = loop.transitions(loop.tick - max(settings.naive_every, 500))
         return law(naive_least_squares(select_rows(recent, _TOLERANCE)))
 
-    loops["naive"] = begin(baseline).run(naive, settings.naive_every)
+    loops["naive"] = begin("naive", baseline).run(naive, settings.naive_every)
     build = builder(PolicySettings(svd=settings.policy))
     learner = Learner(baseline.response, settings.learn, build, seed=settings.seed)
     reports: list[RefitReport] = []
-    loops["ours"] = begin(baseline).run(Supervision(learner, reports), settings.learn.check)
+    loops["ours"] = begin("ours", baseline).run(Supervision(learner, reports), settings.learn.check)
     return loops, learner, reports
 
 

@@ -69,12 +69,13 @@ class Measurement:
         seed: int = 0,
         progress: Callable[[int, int], None] = lambda _done, _all: None,
         bounds: Bounds | None = None,
+        played: Callable[[float], None] = lambda _share: None,
     ) -> None:
         self._bounds = bounds or Bounds.of(limits.setpoint, len(movable))
         self._machine, self._nominal, self._settings = machine, nominal, settings
         self._limits, self._watch, self._movable = limits, watch, movable
         self._journal, self._clock, self._progress = journal, clock, progress
-        self._seed = seed
+        self._seed, self._played = seed, played
 
     def run(self, table: Table) -> Result:
         """Measure what is not in a table yet.
@@ -125,7 +126,7 @@ class Measurement:
                 ]
             else:
                 columns = measure_at_once(
-                    group, amplitudes, wave, mover, self._watch, self._settings
+                    group, amplitudes, wave, mover, self._watch, self._settings, self._played
                 )
         finally:
             patience = self._settings.restore_timeout

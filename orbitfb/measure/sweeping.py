@@ -1,6 +1,6 @@
 """Many correctors at once: play the waveform at two sizes, demodulate what the orbits showed."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -35,6 +35,7 @@ def measure_at_once(
     mover: Mover,
     watch: Watch,
     settings: MeasureSettings,
+    played: Callable[[float], None] = lambda _: None,
 ) -> list[Column]:
     """Measure several columns at once; the correctors are left where the waveform ends.
 
@@ -45,12 +46,21 @@ def measure_at_once(
         mover: Moves them.
         watch: Gives orbits.
         settings: How long to let settle.
+        played: Told after each orbit which share of the passes is over.
 
     Raises:
         MeasurementError: It must be given up.
         MachineError: The machine does not do what it should.
     """
-    passes = [_one_pass(correctors, amplitudes * size, wave, mover, watch) for size in SIZES]
+    count = len(SIZES)
+
+    def told(before: int) -> Callable[[float], None]:
+        return lambda share: played((before + share) / count)
+
+    passes = [
+        _one_pass(correctors, amplitudes * size, wave, mover, watch, told(before))
+        for before, size in enumerate(SIZES)
+    ]
     shown = [demodulate(wave, samples, orbits) for samples, orbits, _, _ in passes]
     samples, _, readbacks, time = passes[-1]
     following = _following(wave, samples, readbacks)
@@ -77,7 +87,12 @@ def measure_at_once(
 
 
 def _one_pass(
-    correctors: Sequence[int], amplitudes: Vector, wave: Multisine, mover: Mover, watch: Watch
+    correctors: Sequence[int],
+    amplitudes: Vector,
+    wave: Multisine,
+    mover: Mover,
+    watch: Watch,
+    told: Callable[[float], None],
 ) -> tuple[Vector, Vector, Vector, float]:
     """Play the waveform once: samples in force, orbits, readbacks, time of the last one."""
     samples: list[float] = []
@@ -87,6 +102,7 @@ def _one_pass(
         level = wave.levels(np.array([sample]))[0]
         mover.offset(correctors, amplitudes * level * grown)
         reading = watch.orbit()
+        told((sample + _LEAD + 1) / (wave.ticks + _LEAD))
         if sample >= 0:
             samples.append(sample)
             readings.append(reading)

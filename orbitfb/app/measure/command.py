@@ -135,6 +135,7 @@ def measure_response(
             config.seed,
             _progress(say),
             bounds,
+            _waveform(say),
         )
         say(f"measuring {int(moving.sum())} correctors at {where}; Ctrl-C puts the setpoints back")
         _log.info("response_measurement_started", ring=where, correctors=int(moving.sum()))
@@ -202,6 +203,19 @@ def _progress(say: Say) -> Callable[[int, int], None]:
             say(f"{done} of {total} correctors are done")
 
     return progress
+
+
+def _waveform(say: Say) -> Callable[[float], None]:
+    told = 0
+
+    def played(share: float) -> None:
+        nonlocal told
+        part = int(share * _TOLD_TIMES)
+        if 0 < part < _TOLD_TIMES and part != told:
+            told = part
+            say(f"{part / _TOLD_TIMES:.0%} of the waveform is played")
+
+    return played
 
 
 def _lease_lost(owner: str) -> None:

@@ -1,5 +1,6 @@
 """Commands that measure what a method is worth."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -50,7 +51,7 @@ def evaluate_refit_command(
     }
     asked_for = validated(RefitEvaluationSettings, {**asked, **common})
     make_out(out)
-    result = evaluate_refit(asked_for)
+    result = evaluate_refit(asked_for, say_begun)
     write(result, out)
     show({**result.figures}, as_json=False)
     print(f"written: {out / 'refit.json'}, {out / 'refit.png'}")
@@ -161,6 +162,11 @@ def evaluate_campaign_command(
     write(grid, rows, out)
     print(table(grid, rows))
     print(f"written: {out / 'campaign.json'}, {out / 'campaign.md'}, {out / 'campaign.png'}")
+
+
+def say_begun(what: str) -> None:
+    """Say what begins: on standard error, as it is no result."""
+    print(what, file=sys.stderr, flush=True)
 
 
 def _tell(done: int, total: int) -> None:

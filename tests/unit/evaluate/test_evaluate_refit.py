@@ -9,8 +9,17 @@ from orbitfb.evaluate.refit import RefitEvaluationSettings, evaluate_refit, writ
 
 
 @pytest.fixture(scope="module")
-def still():
-    return evaluate_refit(RefitEvaluationSettings(ticks=1200, seed=4))
+def begun():
+    return []
+
+
+@pytest.fixture(scope="module")
+def still(begun):
+    return evaluate_refit(RefitEvaluationSettings(ticks=1200, seed=4), begun.append)
+
+
+def test_it_says_what_begins(still, begun):
+    assert begun == [f"{law}: 1200 ticks" for law in ("frozen", "naive", "ours")]
 
 
 def test_ours_does_no_harm_on_a_still_ring(still):

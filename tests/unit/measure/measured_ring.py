@@ -146,7 +146,7 @@ class Bench:
         self.movable[list(self.correctors)] = True
         self.journal = Journal(self.directory / "measurement", CHANNELS, "here")
         self.stop = False
-        self.told = []
+        self.told, self.played = [], []
 
     @property
     def true(self):
@@ -167,6 +167,7 @@ class Bench:
             self.journal,
             self.clock,
             progress=lambda done, total: self.told.append((done, total)),
+            played=self.played.append,
         )
         return measurement.run(table or Table.empty(180, 180))
 

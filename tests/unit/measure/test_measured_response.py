@@ -43,6 +43,13 @@ def test_with_noise_it_is_as_uncertain_as_it_says(tmp_path, at_once):
     assert apart(bench.measured(result), bench.true) < 0.01
 
 
+def test_how_much_of_the_waveform_is_played_is_told_after_each_orbit(tmp_path):
+    bench = Bench(tmp_path, correctors=tuple(range(0, 180, 20)))
+    bench.run(at_once=0)
+    assert len(bench.played) > 400 and bench.played[-1] == 1.0
+    assert min(np.diff(bench.played)) > 0 and max(np.diff(bench.played)) < 0.01
+
+
 @pytest.mark.parametrize("at_once", [1, 0])
 def test_on_a_ring_that_moves_as_rings_do(tmp_path, at_once):
     bench = Bench(tmp_path, PlantSettings(), correctors=tuple(range(0, 180, 12)))
