@@ -51,16 +51,22 @@ class Habit:
         return cls(np.zeros(size), np.zeros(size))
 
     @property
+    def usual(self) -> float:
+        """Share of readings at which any BPM repeats itself."""
+        return float(self.repeats.sum() / (self.repeats.sum() + self.changes.sum() + BEFORE))
+
+    @property
     def share(self) -> Vector:
         """Share of its readings at which each BPM repeats itself, shape (n,)."""
-        known = self.repeats + self.changes
-        usually = float(self.repeats.sum() / (known.sum() + BEFORE))
-        return (self.repeats + BEFORE * usually) / (known + BEFORE)
+        return (self.repeats + BEFORE * self.usual) / (self.repeats + self.changes + BEFORE)
 
     @property
     def is_coarse(self) -> Mask:
-        """Whether the last digit of each is so large that it reads exactly 0 by chance, (n,)."""
-        return self.share >= COARSE
+        """Whether the last digit of each is so large that it reads exactly 0 by chance, (n,).
+
+        One that repeats itself alone among all is rather one that has hung.
+        """
+        return (self.share >= COARSE) & (self.usual >= COARSE)
 
     def frozen_from(self, least: int) -> NDArray[np.int64]:
         """Give the repeats in a row from which each BPM is frozen, shape (n,).

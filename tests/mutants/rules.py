@@ -336,4 +336,32 @@ MUTANTS = (
         "while False and",
         ("epics/test_epics_lease.py",),
     ),
+    Mutant(
+        "what was not sent from here was put by somebody else",
+        "orbitfb.epics.put_watch",
+        "        others[which[~ours & np.isfinite(values)]] = True\n",
+        "        others[which[ours & np.isfinite(values)]] = False\n",
+        ("epics/test_put_watch.py",),
+    ),
+    Mutant(
+        "a closed loop gives way to a second controller",
+        "orbitfb.safety.second_controller",
+        "Action.TRIP if gives_way else Action.WARN",
+        "Action.WARN",
+        ("safety/test_second_controller.py", "loop/test_two_loops.py"),
+    ),
+    Mutant(
+        "a loop does not close beside a second controller",
+        "orbitfb.loop.inspection",
+        "    matters = closing or closed or state is LoopState.HELD\n",
+        "    matters = closed\n",
+        ("loop/test_two_loops.py",),
+    ),
+    Mutant(
+        "a dead channel that reads exactly 0 is not believed",
+        BPMS,
+        "zero = known & (position == 0.0) & ~habit.is_coarse & settings.bpm_zero",
+        "zero = np.zeros_like(known)",
+        ("safety/test_bpms.py",),
+    ),
 )

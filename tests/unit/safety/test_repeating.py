@@ -56,6 +56,14 @@ def test_a_dead_channel_among_coarse_ones_is_found_within_its_own_time():
     assert found[0] <= 30 and len(found) == 100 - found[0]
 
 
+def test_a_bpm_that_has_hung_is_not_believed_when_it_reads_nought():
+    orbits = readings(200, 0.0, offset=1e-6)
+    orbits[20:60, 7] = orbits[20, 7]
+    orbits[90:, 7] = 0.0
+    flaws, _ = run(orbits)
+    assert (flaws[90:, 7] == Flaw.ZERO).any() and (flaws[90:, 7] > 0).all()
+
+
 def test_a_channel_that_dies_now_and_then_does_not_teach_that_zeros_are_readings():
     orbits = readings(3000, 0.0, offset=1e-6)
     for begin in range(50, 3000, 20):
