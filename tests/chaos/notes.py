@@ -57,7 +57,9 @@ class Notes:
         strange = self._tick - self._moved[which[finite]] >= FORGIVEN
         self._sums["puts"] += len(values)
         self._sums["nonfinite"] += int((~finite).sum())
-        self._sums["beyond"] += int((size > self._limit + 1e-9).sum())
+        # What somebody's hand has left beyond the limit may be put back towards it.
+        most = np.maximum(self._limit, np.abs(before[finite]) * (values * before > 0)[finite])
+        self._sums["beyond"] += int((size > most + 1e-9).sum())
         self._sums["steps"] += int((strange & (step > self._step + 1e-9)).sum())
         self._sums["refused"] += int((size > drive + 1e-9).sum())
         self._largest = max(self._largest, float(size.max(initial=0.0)))

@@ -51,6 +51,20 @@ def test_one_put_for_each_good_orbit_breaks_nothing(noted):
     assert noted.broken() == []
 
 
+def test_what_a_hand_left_beyond_the_limit_may_come_back_and_no_more(noted):
+    noted.put(1.05, before=1.15)
+    noted.tick()
+    noted.put(1.05, before=1.05)
+    assert noted.broken() == []
+    noted.put(1.06, before=1.05)
+    assert noted.broken() == ["puts over the limit"]
+
+
+def test_over_the_limit_on_the_other_side_is_not_back(noted):
+    noted.put(-1.01, before=1.15)
+    assert "puts over the limit" in noted.broken()
+
+
 def test_puts_that_come_late_but_together_break_nothing(noted):
     for _ in range(3):
         noted.tick()
