@@ -58,7 +58,8 @@ class Notes:
         self._sums["puts"] += len(values)
         self._sums["nonfinite"] += int((~finite).sum())
         # What somebody's hand has left beyond the limit may be put back towards it.
-        most = np.maximum(self._limit, np.abs(before[finite]) * (values * before > 0)[finite])
+        same_side = np.sign(values[finite]) == np.sign(before[finite])
+        most = np.maximum(self._limit, np.abs(before[finite]) * same_side)
         self._sums["beyond"] += int((size > most + 1e-9).sum())
         self._sums["steps"] += int((strange & (step > self._step + 1e-9)).sum())
         self._sums["refused"] += int((size > drive + 1e-9).sum())
