@@ -19,8 +19,8 @@ from orbitfb.cli.app import app
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState
-from orbitfb.diagnose.answer import schema as diagnosis_schema
-from orbitfb.diagnose.answer_page import answer_page
+from orbitfb.diagnose.result.diagnosis import schema as diagnosis_schema
+from orbitfb.diagnose.result.schema_page import answer_page
 from orbitfb.effects.pages import effect_page, effects_index
 from orbitfb.effects.registry import all_effects
 from orbitfb.loco.schema import schema as response_schema

@@ -17,7 +17,7 @@ from orbitfb.cli.options import (
 from orbitfb.cli.record_first import DEFAULT, RecordFirst
 
 if TYPE_CHECKING:
-    from orbitfb.diagnose.answer import Diagnosis
+    from orbitfb.diagnose.result.diagnosis import Diagnosis
 
 NOT_INTACT = 3
 """Exit code when the record failed the integrity screen."""
@@ -49,7 +49,7 @@ def diagnose_record(
     ] = None,
     holdout: Annotated[
         Path | None,
-        typer.Option(help="Later record, to tell how far the gap shrinks [the record's end]."),
+        typer.Option(help="Later record, to tell how far the gap shrinks [the record itself]."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -63,19 +63,11 @@ def diagnose_record(
     planes: RecordPlanes = None,
     places: PlacesTable = None,
     ring: RingParameters = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of what intervals are drawn from.")] = 0,
     without: Annotated[
         list[str] | None,
         typer.Option(help="Id of an effect that is not to be considered; may be repeated."),
     ] = None,
-    search_seconds: Annotated[
-        float,
-        typer.Option(
-            min=1.0,
-            help="Processor time after which the search gives what it has, and says what it left "
-            "out [s].",
-        ),
-    ] = 180.0,
     unit: Annotated[
         str | None, typer.Option(help="Of a measured response: m/A, mm/A, mm/mrad, … [as it says].")
     ] = None,
@@ -107,9 +99,9 @@ def diagnose_record(
     Exit code 0: answered; 3: the record is not intact; 2: any other error.
     """
     from orbitfb.cli.diagnosis.response import ResponseOptions, diagnose_response, is_response
-    from orbitfb.diagnose.answer import document
-    from orbitfb.diagnose.run import diagnose_files
-    from orbitfb.diagnose.writing import check_directory, write
+    from orbitfb.diagnose.result.diagnosis import document
+    from orbitfb.diagnose.result.writing import check_directory, write
+    from orbitfb.diagnose.verdict.files import diagnose_files
     from orbitfb.effects.registry import effect
     from orbitfb.physics.places import Ring
 
@@ -132,7 +124,6 @@ def diagnose_record(
                 ring=known,
                 seed=seed,
                 without=left_out,
-                search_seconds=search_seconds,
                 progress=progress,
             )
         written = write(answer, target)
@@ -152,12 +143,12 @@ def beside(record: Path) -> Path:
 
 
 def _show(answer: "Diagnosis", written: tuple[Path, ...]) -> None:
-    """Print the headline, what was found and a table of the causes, as plain text."""
+    """Print the answer, what is wrong with the record, and what to do, as plain text."""
     from rich.console import Console
-    from rich.table import Table
     from rich.text import Text
 
-    from orbitfb.diagnose.wording import parameter, places
+    from orbitfb.diagnose.result.headline import describe, to_do
+    from orbitfb.diagnose.result.quantities import quantity
 
     console = Console()
     if not console.is_terminal:
@@ -172,15 +163,16 @@ def _show(answer: "Diagnosis", written: tuple[Path, ...]) -> None:
     for finding in answer.findings:
         if finding.severity != "note":
             say(f"{finding.severity}: {finding.text}")
-    if answer.causes:
-        table = Table("effect", "where", "parameters", "P", "class", box=None, pad_edge=False)
-        for cause in answer.causes:
-            values = [f"{name} = {parameter(its)}" for name, its in cause.parameters.items()]
-            sure = "-" if cause.probability is None else f"{min(cause.probability, 0.999):.3g}"
-            together = ", ".join((cause.effect, *cause.alternatives)) if cause.alternatives else "-"
-            cells = (cause.effect, places(cause) or "ring", ", ".join(values), sure, together)
-            table.add_row(*map(Text, cells))
-        console.print(table)
+    for cause in answer.causes:
+        say(f"cause: {describe(cause)} ({cause.effect})")
+        say(f"  {to_do(cause)}")
+        if cause.alternatives:
+            say(f"  It may also be called {', '.join(cause.alternatives)}.")
+    shrink = answer.shrink
+    if shrink is not None and shrink.resolved and shrink.before_um is not None:
+        before = quantity(1e-6 * shrink.before_um, "m")
+        after = quantity(1e-6 * (shrink.after_um or 0.0), "m")
+        say(f"error of a prediction beyond noise: {before}, with the causes {after}")
     if answer.experiment is not None:
         say(f"experiment: {answer.experiment.text}")
     for path in written:
