@@ -12,10 +12,10 @@ from orbitfb.diagnose.integrity_repeats import HELD, shared_repeats
 from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.tournament import Shown
 from orbitfb.effects.device_kinds import PairKind
-from orbitfb.effects.disturbances.insertion_device import gaps_of, is_gap
 from orbitfb.effects.kinds import Stage
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Indices
+from orbitfb.records.gaps import gaps_of, is_gap
 from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 

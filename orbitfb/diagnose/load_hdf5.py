@@ -21,7 +21,7 @@ from orbitfb.diagnose.load_raw import (
     check_kind,
     sort_arrays,
 )
-from orbitfb.effects.disturbances.insertion_device import is_gap
+from orbitfb.records.gaps import is_gap
 
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 _LARGEST_CHUNK = 2**28

@@ -11,7 +11,7 @@ import numpy as np
 from orbitfb.core.units import CURRENT, ORBIT, PER_CURRENT, TIME, plain, sizes
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.load_raw import NUMBERS, Raw, canonical
-from orbitfb.effects.disturbances.insertion_device import is_gap
+from orbitfb.records.gaps import is_gap
 
 _SIZES = {
     "orbit": ORBIT,

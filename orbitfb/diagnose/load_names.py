@@ -11,9 +11,9 @@ import numpy as np
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.load_meta import Meta
 from orbitfb.diagnose.load_raw import Raw
-from orbitfb.effects.build import devices_of
 from orbitfb.physics.optics import Matrix, green
 from orbitfb.physics.places import Indices, Kind, Plane, Planes, Ring
+from orbitfb.records.devices import devices_of
 from orbitfb.records.layout import ChannelPlane, Devices
 
 _SUFFIX = re.compile(r"(.*[^:_./\s-])[:_./\s-]([xyhv])", re.IGNORECASE)

@@ -8,7 +8,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.load_meta import Meta
 from orbitfb.diagnose.load_raw import NUMBERS, Raw
-from orbitfb.effects.disturbances.insertion_device import is_gap
+from orbitfb.records.gaps import is_gap
 
 _NAMES = {"current": "current", "rf": "rf_frequency"}
 

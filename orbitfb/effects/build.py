@@ -14,8 +14,8 @@ from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Planes, Ring, split
 from orbitfb.physics.plant import Plant, PlantSettings
 from orbitfb.physics.response import response as nominal_response
-from orbitfb.records.cells import cells_of
-from orbitfb.records.layout import ChannelPlane, Devices, Layout
+from orbitfb.records.devices import devices_of
+from orbitfb.records.layout import Layout
 
 
 class Since(Effect):
@@ -54,19 +54,6 @@ class Since(Effect):
         if tick < self._begin:
             return orbit
         return self._effect.sense(orbit, tick - self._zero)
-
-
-def devices_of(
-    names: Sequence[str], planes: Sequence[ChannelPlane], channels: Sequence[str] = ()
-) -> Devices:
-    """Describe the devices behind columns; their cells come from their names.
-
-    Args:
-        names: k names.
-        planes: k planes.
-        channels: What a record calls them, if not so.
-    """
-    return Devices(tuple(names), tuple(planes), cells_of(names, planes), tuple(channels))
 
 
 def layout_of(ring: Ring, planes: Planes, period: float, response: Matrix | None = None) -> Layout:

@@ -9,9 +9,9 @@ from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.integrity_repeats import HELD, shared_repeats
 from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.result.parts import Cause
-from orbitfb.effects.disturbances.insertion_device import gaps_of, is_gap
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Indices
+from orbitfb.records.gaps import gaps_of, is_gap
 from orbitfb.records.record import Record
 
 SCREENED = ("bpm-stuck", "missed-read")

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orbitfb.core.signals import Vector
 from orbitfb.effects.kicks import Moved, source_names, source_patterns, together
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.laws import Law, RandomLaw, Signals
@@ -12,6 +11,7 @@ from orbitfb.effects.orbit_kinds import Courses, SourceKind
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.records.gaps import gaps_of
 from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
@@ -160,21 +160,3 @@ class InsertionDevice(SourceKind):
             field = np.exp(-np.pi * (gap - _CLOSED) / values["period"])
             closed = field - field[0]
         return values["kick"] * closed[:, None]
-
-
-def is_gap(name: str) -> bool:
-    """Whether a channel is the gap of an insertion device [m], by its name."""
-    return "gap" in name.lower()
-
-
-def gaps_of(record: Record) -> dict[str, Vector]:
-    """The channels whose name speaks of a gap, in the order of their names.
-
-    Args:
-        record: Whose auxiliary channels are looked at.
-    """
-    return {
-        name: values
-        for name, values in sorted(record.auxiliary.items())
-        if is_gap(name) and np.all(np.isfinite(values))
-    }

@@ -6,8 +6,8 @@ import numpy as np
 from gap_cases import record
 
 from orbitfb.diagnose.certain import beside, with_bpms
-from orbitfb.effects.disturbances.insertion_device import gaps_of
 from orbitfb.effects.registry import effect
+from orbitfb.records.gaps import gaps_of
 
 
 def test_another_record_is_cut_to_the_bpms_that_are_left():
