@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.simulate import simulate_record
 from benchmarks.small_ring import small_ring
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse
 from orbitfb.diagnose.hypotheses.priors import SURE
 from orbitfb.diagnose.hypotheses.run import tournament
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import Since, layout_of
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind, Values

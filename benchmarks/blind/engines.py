@@ -29,8 +29,8 @@ def installed(
     without: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     """Diagnose a record by the public interface of the package."""
-    from orbitfb.diagnose.answer import document
-    from orbitfb.diagnose.run import diagnose_files
+    from orbitfb.diagnose.result.diagnosis import document
+    from orbitfb.diagnose.verdict.files import diagnose_files
     from orbitfb.physics.places import Ring
 
     answer = diagnose_files(
@@ -105,12 +105,12 @@ def tournament(
     record: Path, *, ring: tuple[Path, Path] | None = None, without: tuple[str, ...] = ()
 ) -> dict[str, Any]:
     """Diagnose a record by the tournament that is to replace the installed diagnosis."""
-    from orbitfb.diagnose.integrity import screen
-    from orbitfb.diagnose.load import load as read
     from orbitfb.diagnose.result.diagnosis import document
+    from orbitfb.diagnose.screen.run import screen
     from orbitfb.diagnose.verdict.engine import diagnose
     from orbitfb.diagnose.verdict.files import reported
     from orbitfb.physics.places import Ring
+    from orbitfb.records.reading.load import load as read
 
     loaded = read(record, ring=Ring.load(*(ring or (None, None))))
     found = (*loaded.findings, *screen(loaded.record))

@@ -99,8 +99,8 @@ def diagnose_record(
     Exit code 0: answered; 3: the record is not intact; 2: any other error.
     """
     from orbitfb.cli.diagnosis.response import ResponseOptions, diagnose_response, is_response
+    from orbitfb.diagnose.report.writing import check_directory, write
     from orbitfb.diagnose.result.diagnosis import document
-    from orbitfb.diagnose.result.writing import check_directory, write
     from orbitfb.diagnose.verdict.files import diagnose_files
     from orbitfb.effects.registry import effect
     from orbitfb.physics.places import Ring

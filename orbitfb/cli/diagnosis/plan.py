@@ -58,12 +58,12 @@ def diagnose_plan(
     from orbitfb.diagnose.experiments.asked import plan_for
     from orbitfb.diagnose.experiments.file import check_file
     from orbitfb.diagnose.experiments.search import limits_of
-    from orbitfb.diagnose.integrity import is_hopeless, screen
     from orbitfb.diagnose.likelihood.workspace import Workspace
-    from orbitfb.diagnose.load import load
-    from orbitfb.diagnose.planes import check_planes
+    from orbitfb.diagnose.screen.planes import check_planes
+    from orbitfb.diagnose.screen.run import is_hopeless, screen
     from orbitfb.effects.registry import all_effects, effect
     from orbitfb.physics.places import Ring
+    from orbitfb.records.reading.load import load
 
     chosen = planes_of(planes)
     check_file(out)

@@ -9,8 +9,8 @@ import numpy as np
 from orbitfb.core.errors import EstimationError, RecordError
 from orbitfb.core.files.state import AS_USUAL
 from orbitfb.core.files.whole import replace_file
-from orbitfb.diagnose.answer_parts import Experiment
 from orbitfb.diagnose.experiments.proposals import channels_of
+from orbitfb.diagnose.result.parts import Experiment
 from orbitfb.loop.excitation.design import ExcitationSettings, design
 from orbitfb.loop.excitation.movement import Waveform
 from orbitfb.records.layout import Layout

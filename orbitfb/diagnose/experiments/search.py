@@ -13,7 +13,6 @@ import numpy as np
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.answer_parts import Experiment
 from orbitfb.diagnose.experiments.file import Plan
 from orbitfb.diagnose.experiments.outlook import Struck, base_rows, loop_gains, outlook
 from orbitfb.diagnose.experiments.proposals import (
@@ -29,6 +28,7 @@ from orbitfb.diagnose.experiments.words import ENOUGH, Option, advice, beside, l
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.progress import Progress
+from orbitfb.diagnose.result.parts import Experiment
 from orbitfb.safety.limits import LimitSettings
 
 DEFAULT_MINUTES = 10.0

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbitfb.diagnose.answer_parts import Experiment
 from orbitfb.diagnose.experiments.file import Plan
 from orbitfb.diagnose.experiments.proposals import Limits, Proposal
 from orbitfb.diagnose.experiments.suspects import Suspect
-from orbitfb.diagnose.wording import quantity
+from orbitfb.diagnose.result.headline import quantity
+from orbitfb.diagnose.result.parts import Experiment
 from orbitfb.records.layout import Layout
 
 ENOUGH = 30.0

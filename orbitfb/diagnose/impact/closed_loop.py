@@ -13,11 +13,11 @@ from scipy.signal import welch
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.impact.explained import Explained
+from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.impact.pieces import columns_of
 from orbitfb.diagnose.impact.windows import Windows, interval
 from orbitfb.diagnose.result.blocks import ClosedLoop
 from orbitfb.diagnose.result.values import numbers
-from orbitfb.diagnose.verdict.named import Named
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.transform import Matrix
 from orbitfb.records.record import Record

@@ -12,11 +12,11 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.impact.explained import Explained
+from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.impact.windows import Windows, interval
 from orbitfb.diagnose.result.naming import column_names
 from orbitfb.diagnose.result.parts import Gap, GapPiece
 from orbitfb.diagnose.result.values import numbers
-from orbitfb.diagnose.verdict.named import Named
 from orbitfb.estimation.transform import Matrix, StepTransform
 
 OCTAVES = 7

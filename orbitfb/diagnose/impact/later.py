@@ -9,9 +9,9 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.impact.explained import Explained
+from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.impact.pieces import Differences, columns_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.verdict.named import Named
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, FieldLaw, PairLaw
 from orbitfb.estimation.transform import Matrix

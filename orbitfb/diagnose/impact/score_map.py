@@ -8,9 +8,9 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.ranking import worths_of
 from orbitfb.diagnose.hypotheses.run import Round
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.result.blocks import ScoreMap, ScoreRow
 from orbitfb.diagnose.result.values import numbers
-from orbitfb.diagnose.verdict.named import Named
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.records.layout import Layout

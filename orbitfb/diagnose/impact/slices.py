@@ -7,9 +7,9 @@ import numpy as np
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.explained import Explained
+from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.result.blocks import Fingerprint, Identifiability, LagProfile
 from orbitfb.diagnose.result.values import numbers, rows
-from orbitfb.diagnose.verdict.named import Named
 from orbitfb.estimation.transform import Matrix
 
 _BINS = 15

@@ -14,7 +14,7 @@ import numpy as np
 from orbitfb.core.gap import GapSight
 from orbitfb.core.signals import Channels, Mask
 from orbitfb.core.transitions import Transitions
-from orbitfb.diagnose.answer import Diagnosis
+from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.rows import astray
 

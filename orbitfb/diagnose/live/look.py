@@ -16,11 +16,11 @@ from orbitfb.diagnose.hypotheses.free_course import scan_free
 from orbitfb.diagnose.hypotheses.priors import SURE
 from orbitfb.diagnose.hypotheses.run import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.impact.named import probabilities
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.live.quick import memory, quick_workspace
 from orbitfb.diagnose.live.rows import cut_at_jumps
 from orbitfb.diagnose.result.naming import devices_and_planes
-from orbitfb.diagnose.verdict.named import probabilities
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, PairLaw
 from orbitfb.effects.registry import all_effects

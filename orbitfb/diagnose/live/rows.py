@@ -6,8 +6,8 @@ import numpy as np
 
 from orbitfb.core.signals import Mask
 from orbitfb.core.transitions import Transitions
-from orbitfb.diagnose.load_rows import Transition, join
 from orbitfb.records.layout import Layout
+from orbitfb.records.reading.stretches import Transition, join
 from orbitfb.records.record import Record
 
 FEWEST = 200

@@ -13,8 +13,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.answer_blocks import Geometry
 from orbitfb.diagnose.report.html import text
+from orbitfb.diagnose.result.blocks import Geometry
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#1d2329", "#8a949d"

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.run import Round
+from orbitfb.diagnose.impact.named import Named, probabilities
 from orbitfb.diagnose.impact.pieces import Piece
 from orbitfb.diagnose.result.blocks import (
     AmbiguousSet,
@@ -14,7 +15,6 @@ from orbitfb.diagnose.result.blocks import (
 )
 from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.result.parts import Cause, PlaceValues
-from orbitfb.diagnose.verdict.named import Named, probabilities
 from orbitfb.diagnose.verdict.state import Judged
 from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.physics.places import Planes

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.errors import EstimationError
-from orbitfb.diagnose.finding import Finding
 from orbitfb.diagnose.hypotheses.priors import SURE
 from orbitfb.diagnose.hypotheses.run import tournament
 from orbitfb.diagnose.hypotheses.scores import Scorer
@@ -18,6 +17,7 @@ from orbitfb.diagnose.impact.detectable import detectable
 from orbitfb.diagnose.impact.explained import Explained
 from orbitfb.diagnose.impact.gap import Parts, gap
 from orbitfb.diagnose.impact.later import Later, lacking
+from orbitfb.diagnose.impact.named import Named, named
 from orbitfb.diagnose.impact.one_step import OneStep, k_steps, shrink
 from orbitfb.diagnose.impact.score_map import score_map
 from orbitfb.diagnose.impact.slices import fingerprints, lag_profile, likeness
@@ -37,13 +37,13 @@ from orbitfb.diagnose.verdict.causes import (
     unknown_of,
     waterfall_of,
 )
-from orbitfb.diagnose.verdict.named import Named, named
 from orbitfb.diagnose.verdict.proved import SCREENED, beside, proved
 from orbitfb.diagnose.verdict.state import judged
 from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import all_effects
 from orbitfb.estimation.noise import StepNoise
+from orbitfb.records.finding import Finding
 from orbitfb.records.record import Record
 
 _ITSELF, _LATER = "the record itself", "the later record"

@@ -4,18 +4,18 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
-from orbitfb.diagnose.companion import read_beside
-from orbitfb.diagnose.finding import Finding as Found
-from orbitfb.diagnose.integrity import screen
-from orbitfb.diagnose.load import load
-from orbitfb.diagnose.planes import check_planes
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.headline import headline
 from orbitfb.diagnose.result.parts import Finding, Provenance
+from orbitfb.diagnose.screen.companion import read_beside
+from orbitfb.diagnose.screen.planes import check_planes
+from orbitfb.diagnose.screen.run import screen
 from orbitfb.diagnose.verdict.engine import diagnose
 from orbitfb.physics.places import Planes, Ring
+from orbitfb.records.finding import Finding as Found
+from orbitfb.records.reading.load import load
 from orbitfb.records.record import Record
 
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfb.diagnose.finding import Finding
-from orbitfb.diagnose.integrity_repeats import HELD, shared_repeats
 from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.result.parts import Cause
+from orbitfb.diagnose.screen.repeats import HELD, shared_repeats
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Indices
+from orbitfb.records.finding import Finding
 from orbitfb.records.gaps import gaps_of, is_gap
 from orbitfb.records.record import Record
 

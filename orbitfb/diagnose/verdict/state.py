@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from orbitfb.diagnose.answer import State
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse
 from orbitfb.diagnose.hypotheses.priors import REMAINDER, SURE
 from orbitfb.diagnose.hypotheses.run import Round
-from orbitfb.diagnose.verdict.named import Named
+from orbitfb.diagnose.impact.named import Named
+from orbitfb.diagnose.result.diagnosis import State
 
 _CERTAIN = 0.9
 """Probability of one effect alone from which it is named without an alternative."""

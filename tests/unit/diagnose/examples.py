@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from orbitfb.diagnose.answer import Diagnosis
-from orbitfb.diagnose.answer_blocks import (
+from orbitfb.diagnose.result.blocks import (
     AmbiguousSet,
     Audit,
     ClosedLoop,
@@ -21,7 +20,9 @@ from orbitfb.diagnose.answer_blocks import (
     Unknown,
     WaterfallStep,
 )
-from orbitfb.diagnose.answer_parts import (
+from orbitfb.diagnose.result.diagnosis import Diagnosis
+from orbitfb.diagnose.result.headline import headline
+from orbitfb.diagnose.result.parts import (
     Binning,
     Cause,
     Detectable,
@@ -34,7 +35,6 @@ from orbitfb.diagnose.answer_parts import (
     Provenance,
     Shrink,
 )
-from orbitfb.diagnose.wording import headline
 
 BPMS, CORRECTORS, CELLS = 60, 60, 30
 LENGTH = 792.0

@@ -4,8 +4,8 @@ from functools import cache
 
 import numpy as np
 
-from orbitfb.diagnose.save import exchange_arrays
-from orbitfb.diagnose.simulate import simulate_record
+from benchmarks.save import exchange_arrays
+from benchmarks.simulate import simulate_record
 from orbitfb.physics.places import Ring
 
 

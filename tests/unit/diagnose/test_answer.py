@@ -8,10 +8,10 @@ import pytest
 from pydantic import ValidationError
 
 from orbitfb.core.errors import RecordError
-from orbitfb.diagnose.answer import Diagnosis, document, read_diagnosis, schema
-from orbitfb.diagnose.answer_blocks import HeatMap
-from orbitfb.diagnose.answer_parts import Gap, Shrink
-from orbitfb.diagnose.wording import headline
+from orbitfb.diagnose.result.blocks import HeatMap
+from orbitfb.diagnose.result.diagnosis import Diagnosis, document, read_diagnosis, schema
+from orbitfb.diagnose.result.headline import headline
+from orbitfb.diagnose.result.parts import Gap, Shrink
 
 MANY = ("named", "bare", "unknown", "broken")
 

@@ -10,18 +10,18 @@ import examples
 import numpy as np
 import pytest
 import record_files
+from orbitfb.diagnose.budget import SEARCH_SECONDS
 from typer.testing import CliRunner
 
 from orbitfb.cli.app import app
 from orbitfb.core.errors import ConfigError, RecordError
 from orbitfb.diagnose import answer_parts, companion, writing
-from orbitfb.diagnose.answer import read_diagnosis
-from orbitfb.diagnose.budget import SEARCH_SECONDS
-from orbitfb.diagnose.finding import Finding
+from orbitfb.diagnose.result.diagnosis import read_diagnosis
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.files import read_effects
 from orbitfb.effects.places import resolve
 from orbitfb.physics.places import Ring
+from orbitfb.records.finding import Finding
 
 
 @pytest.fixture

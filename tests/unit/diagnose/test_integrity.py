@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from record_files import record, ring
 
-from orbitfb.diagnose.certain import certain_causes
-from orbitfb.diagnose.integrity import is_hopeless, screen
-from orbitfb.diagnose.integrity_channels import _evened, _turned
-from orbitfb.diagnose.integrity_order import check_order
-from orbitfb.diagnose.integrity_steps import Steps
-from orbitfb.diagnose.integrity_writes import check_writes
-from orbitfb.diagnose.simulate import simulate_record
+from benchmarks.simulate import simulate_record
+from orbitfb.diagnose.screen.channels import _evened, _turned
+from orbitfb.diagnose.screen.order import check_order
+from orbitfb.diagnose.screen.run import is_hopeless, screen
+from orbitfb.diagnose.screen.steps import Steps
+from orbitfb.diagnose.screen.writes import check_writes
+from orbitfb.diagnose.verdict.proved import certain_causes
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.plant import PlantSettings
 

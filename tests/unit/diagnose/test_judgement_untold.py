@@ -2,12 +2,12 @@
 
 import pytest
 
+from benchmarks.simulate import simulate_record
 from orbitfb.diagnose import judgement
-from orbitfb.diagnose.certain import Untold, certain_causes
-from orbitfb.diagnose.finding import Finding
-from orbitfb.diagnose.integrity_repeats import HELD
-from orbitfb.diagnose.simulate import simulate_record
+from orbitfb.diagnose.screen.repeats import HELD
+from orbitfb.diagnose.verdict.proved import Untold, certain_causes
 from orbitfb.physics.places import Ring
+from orbitfb.records.finding import Finding
 
 NAMES = ("PH1A_C03 (x)", "PH2A_C03 (x)")
 

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from record_files import arrays, record, ring, save, small
 
+from benchmarks.save import save_npz
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import RecordError
 from orbitfb.core.signals import LoopState, Orbit, Phases, Reading, TickRecord
-from orbitfb.diagnose.answer_parts import Cause
-from orbitfb.diagnose.load import load, load_record
-from orbitfb.diagnose.load_rows import time_jumps
-from orbitfb.diagnose.naming import as_in_record
-from orbitfb.diagnose.save import save_npz
+from orbitfb.diagnose.result.naming import as_in_record
+from orbitfb.diagnose.result.parts import Cause
 from orbitfb.history.archive import ArchiveSettings
 from orbitfb.history.recorder import Recorder
+from orbitfb.records.reading.load import load, load_record
+from orbitfb.records.reading.stretches import time_jumps
 
 
 def check_same(read, made):

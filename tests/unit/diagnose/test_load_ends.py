@@ -5,7 +5,7 @@ import pytest
 from record_files import arrays, record, save
 
 from orbitfb.core.errors import RecordError
-from orbitfb.diagnose.load import load
+from orbitfb.records.reading.load import load
 
 
 def without(*names):

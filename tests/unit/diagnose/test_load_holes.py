@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from record_files import save, small
 
-from orbitfb.diagnose.load import load
+from orbitfb.records.reading.load import load
 
 
 def loaded(tmp_path, change):

@@ -11,7 +11,7 @@ import pytest
 from record_files import arrays, save, small
 
 from orbitfb.core.errors import RecordError
-from orbitfb.diagnose.load import load, load_record
+from orbitfb.records.reading.load import load, load_record
 
 
 def put(name, row, value, column=3):

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from orbitfb.diagnose.naming import geometry
-from orbitfb.diagnose.result.naming import column_names, devices_and_planes
+from orbitfb.diagnose.result.naming import column_names, devices_and_planes, geometry
 from orbitfb.effects.build import layout_of
 from orbitfb.physics.places import Ring
 from orbitfb.records.layout import Devices, Layout

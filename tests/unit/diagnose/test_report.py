@@ -11,7 +11,7 @@ import examples
 import pytest
 
 from orbitfb.diagnose.report import answer_sections
-from orbitfb.diagnose.report.page import page
+from orbitfb.diagnose.report.document import page
 
 HOSTILE = "<script>alert(1)</script>\"'&$x^$\x1b[2J\u202e"
 

@@ -6,7 +6,7 @@ import io
 import examples
 import pytest
 
-from orbitfb.diagnose.tables import HEADS, gap_csv
+from orbitfb.diagnose.result.tables import HEADS, gap_csv
 
 
 def lines(its):

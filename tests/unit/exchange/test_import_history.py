@@ -10,9 +10,9 @@ import scipy.io
 
 from orbitfb.cli.app import app
 from orbitfb.core.errors import ExchangeError
-from orbitfb.diagnose.load import load, load_record
 from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import Plant, PlantSettings
+from orbitfb.records.reading.load import load, load_record
 
 RING = Ring.load()
 CHANNELS = RING.channels("x")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.simulate import simulate_record
 from benchmarks.small_ring import small_ring
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Channels
@@ -20,7 +21,6 @@ from orbitfb.diagnose.experiments.words import ENOUGH
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.run import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import all_effects, effect

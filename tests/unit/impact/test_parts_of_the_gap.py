@@ -10,8 +10,8 @@ from orbitfb.diagnose.hypotheses.row_sums import moving_root
 from orbitfb.diagnose.impact.closed_loop import law_of, replayed
 from orbitfb.diagnose.impact.innovations import at_bpms, errors_ahead, floor_of, whitened
 from orbitfb.diagnose.impact.windows import Windows, quiet_level
+from orbitfb.diagnose.report.writing import effects_of
 from orbitfb.diagnose.result.diagnosis import Diagnosis
-from orbitfb.diagnose.result.writing import effects_of
 from orbitfb.diagnose.verdict.engine import diagnose
 from orbitfb.effects.registry import all_effects
 from orbitfb.estimation.noise import StepNoise

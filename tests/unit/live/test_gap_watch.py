@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.simulate import simulate_record
 from benchmarks.small_ring import small_ring
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.gap import GapSight
@@ -15,7 +16,6 @@ from orbitfb.diagnose.live.look import look
 from orbitfb.diagnose.live.rows import FEWEST, cut_at_jumps, record_of
 from orbitfb.diagnose.live.watch import GapWatch
 from orbitfb.diagnose.settings import LiveSettings
-from orbitfb.diagnose.simulate import simulate_record
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import effect
 from orbitfb.physics.disturbances import QuadrupoleOrbits

@@ -7,10 +7,10 @@ import pytest
 from pydantic import ValidationError
 
 from orbitfb.core.errors import RecordError
+from orbitfb.diagnose.report.writing import EFFECTS, effects_of, write
 from orbitfb.diagnose.result.diagnosis import Diagnosis, document, read_diagnosis, schema
 from orbitfb.diagnose.result.parts import Gap, PlaceValues
 from orbitfb.diagnose.result.schema_page import answer_page
-from orbitfb.diagnose.result.writing import EFFECTS, effects_of, write
 from tests.unit.result import examples
 
 MANY = ("named", "bare", "unknown", "broken")

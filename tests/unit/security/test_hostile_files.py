@@ -18,9 +18,7 @@ from orbitfb.app.commands import autosave
 from orbitfb.config.tree import load_config
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError, RecordError
 from orbitfb.core.files.bounded import LARGEST_TEXT, read_bytes
-from orbitfb.diagnose.answer import read_diagnosis
-from orbitfb.diagnose.load_hdf5 import read_hdf5
-from orbitfb.diagnose.load_npz import read_npz
+from orbitfb.diagnose.result.diagnosis import read_diagnosis
 from orbitfb.effects.files import read_effects
 from orbitfb.evaluate.pool.shelf import Shelf
 from orbitfb.evaluate.pool.task import Task
@@ -32,6 +30,8 @@ from orbitfb.panel.access import read_access
 from orbitfb.physics.places import Ring
 from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.postmortem.reading import read_postmortem
+from orbitfb.records.reading.hdf5 import read_hdf5
+from orbitfb.records.reading.npz import read_npz
 
 DEEP = 20_000
 MOST_MEMORY = 120 * 2**20

@@ -1,0 +1,1 @@
+"""The integrity screen: what is certain before any statistics."""

@@ -1,0 +1,254 @@
+"""Readings that repeat: frozen BPMs, orbits read twice, readings at a rail.
+
+Readings of few bits repeat by chance. How often is measured on the record itself (share of equal
+neighbours of the BPM and of the median BPM), and a repetition counts only when chance does not
+explain it in a million records.
+"""
+
+import math
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.screen.steps import inner, runs
+from orbitfb.records.finding import Finding, Severity, counted, listed
+from orbitfb.records.record import Record
+
+HELD = "held-readings"
+"""Check that finds BPMs of which not every reading was recorded."""
+
+_CHANCE = 1e-6
+_TOGETHER = 3
+"""BPMs that repeat at once and are no chance."""
+_MOSTLY_READ_TWICE = 0.5
+"""Share of these rows in which a BPM repeats that belongs to them."""
+_SHORTEST_FREEZE = 8
+_WHOLE = 0.9
+_FEWEST_BPMS = 4
+_MOST_REPEATS = 0.5
+_FEWEST_AT_RAIL = 12
+_RAIL_FACTOR = 4
+_PAIRS = 3
+_COARSE = 0.25
+_FEW_VALUES = 0.1
+_MARGIN = 1.5
+_FEWEST_OTHERS = 20
+_HELD = 0.05
+"""Share of rows in which a reading that is held repeats."""
+_MOSTLY = 0.8
+"""Share of the values at which they stay, and of their steps, that come only once."""
+_ALIKE = 1e-4
+"""Share of the median step by which steps that are alike differ."""
+_FEWEST_RUNS = 5
+"""Times that they do."""
+
+
+def check_repeats(record: Record) -> list[Finding]:
+    """Find frozen BPMs and orbits that were read twice."""
+    n = record.readings.shape[1]
+    # equal[k]: reading k + 1 repeats reading k.
+    equal = np.diff(record.readings, axis=0) == 0.0
+    equal &= inner(record)[:, None] & ~record.filled[1:] & ~record.filled[:-1]
+    if len(equal) and np.median(np.ptp(record.readings, axis=0)) == 0.0:
+        return _whole_orbits(record, np.ones(len(equal), dtype=np.bool_))
+    # Beside the usual one, at most every tenth BPM may be frozen, so they do not hide a whole.
+    usual = float(np.median(equal.mean(axis=0)))
+    whole = (equal.mean(axis=1) >= _WHOLE) & (n >= _FEWEST_BPMS)
+    if usual > 0.0 and usual ** (_WHOLE * n) * len(whole) > _CHANCE:
+        whole[:] = False
+    single = equal & ~whole[:, None]
+    held = _held(record, single)
+    if 2 * len(held) > n:
+        return [_held_finding(record, held, single, everywhere=True)]
+    if usual > _COARSE and np.median(_distinct(record)) < _FEW_VALUES:
+        text = (
+            f"{100 * usual:.0f} % of the readings equal the one before: the BPMs are read more "
+            "coarsely than they are noisy, so that frozen ones cannot be told and the noise model "
+            "does not hold"
+        )
+        return [Finding("coarse-readings", "warning", (), None, text)]
+    found = _whole_orbits(record, whole)
+    if found and found[0].severity == "failure":
+        return found
+    usual = float(np.median(single.mean(axis=0)))
+    for column in np.flatnonzero(single.any(axis=0)).tolist():
+        found += _frozen(record, column, single[:, column], whole, usual)
+    told = {name for finding in found if finding.effect for name in finding.devices}
+    crate = _crates(record, shared_repeats(record), told)
+    known = {name for finding in crate for name in finding.devices}
+    found = [*crate, *(one for one in found if one.effect or not known & set(one.devices))]
+    held = [column for column in held if record.layout.bpms.label(column) not in told]
+    return [_held_finding(record, held, single), *found] if held else found
+
+
+def shared_repeats(record: Record) -> Mask:
+    """Tell which readings repeat the one before to the last bit, with others but not all, (N, n).
+
+    Where readings never repeat by chance, three that do at once were not read but kept.
+    """
+    same = np.zeros(record.readings.shape, dtype=np.bool_)
+    same[1:] = (np.diff(record.readings, axis=0) == 0.0) & inner(record)[:, None]
+    same[1:] &= ~record.filled[1:] & ~record.filled[:-1]
+    same[np.mean(same, axis=1) >= _WHOLE] = False
+    share = same.mean(axis=0)
+    if np.median(share) > 0.0:
+        return np.zeros_like(same)
+    same[:, share >= _HELD] = False
+    same[np.count_nonzero(same, axis=1) < _TOGETHER] = False
+    return same
+
+
+def _crates(record: Record, shared: Mask, told: set[str]) -> list[Finding]:
+    """Find BPMs that were not read at some ticks, all of a crate at once."""
+    rows = np.flatnonzero(shared.any(axis=1))
+    labels = [record.layout.bpms.label(column) for column in range(shared.shape[1])]
+    often = shared[rows].mean(axis=0) if len(rows) else np.zeros(len(labels))
+    names = tuple(
+        label for label, share in zip(labels, often, strict=True) if share > _MOSTLY_READ_TWICE
+    )
+    if len(names) < _TOGETHER or told & set(names):
+        return []
+    text = (
+        f"{listed(names)} repeat their readings, to the last bit, at the same "
+        f"{counted(len(rows), 'row')} "
+        f"(first {rows[0]}): those readings were missed and the old ones kept"
+    )
+    span = (int(rows[0]), int(rows[-1]))
+    return [Finding("repeated-crate", "warning", names, span, text, effect="missed-read")]
+
+
+def _held(record: Record, single: Mask) -> list[int]:
+    """Find BPMs that stay for some rows again and again, each time at a value of its own."""
+    share = single.mean(axis=0) if len(single) else np.zeros(single.shape[1])
+    often = np.flatnonzero(share >= _HELD).tolist()
+    return [c for c in often if _ever_another(record.readings[:, c], single[:, c])]
+
+
+def _ever_another(readings: Vector, equal: Mask) -> bool:
+    """Whether there is no rail at which readings stay, and no grid on which they move."""
+    stays = np.array([readings[end] for _, end in runs(equal)])
+    steps = np.abs(np.diff(readings))
+    steps = steps[steps > 0.0]
+    if len(stays) < _FEWEST_RUNS or not len(steps):
+        return False
+    steps = np.round(steps / (_ALIKE * np.median(steps)))
+    return all(len(np.unique(v)) >= _MOSTLY * len(v) for v in (stays, steps))
+
+
+def _held_finding(
+    record: Record, columns: list[int], single: Mask, *, everywhere: bool = False
+) -> Finding:
+    share = float(np.median(single[:, columns].mean(axis=0)))
+    names = tuple(record.layout.bpms.label(column) for column in columns)
+    text = (
+        f"{len(names)} BPMs repeat their readings to the last bit in {100 * share:.0f} % of the "
+        f"rows, but never stay at one value again: {listed(names)}. They were held (by a dead-band "
+        "or a slower rate of what recorded them), not read; record them at every tick"
+    )
+    severity: Severity = "failure" if everywhere and share > _MOST_REPEATS else "warning"
+    return Finding(HELD, severity, () if everywhere else names, None, text)
+
+
+def _distinct(record: Record) -> Vector:
+    """Number of different readings of every BPM per row, shape (n,)."""
+    ordered = np.sort(record.readings, axis=0)
+    return (1 + np.count_nonzero(np.diff(ordered, axis=0), axis=0)) / len(ordered)
+
+
+def _whole_orbits(record: Record, whole: Mask) -> list[Finding]:
+    count = int(whole.sum())
+    if not count:
+        return []
+    rows = np.flatnonzero(whole) + 1
+    span = (int(rows[0]), int(rows[-1]))
+    if count > _MOST_REPEATS * len(whole):
+        text = (
+            f"most BPMs stand still in {100 * count / len(whole):.0f} % of the rows; give a record "
+            "in which the orbit was read"
+        )
+        return [Finding("frozen-orbit", "failure", (), span, text)]
+    text = (
+        f"the whole orbit repeats the one before, to the last bit, in "
+        f"{counted(count, 'row')} (first "
+        f"{span[0]}): those readings were missed and the old ones kept"
+    )
+    return [Finding("repeated-orbit", "warning", (), span, text, effect="missed-read")]
+
+
+def _frozen(record: Record, column: int, equal: Mask, whole: Mask, usual: float) -> list[Finding]:
+    # A whole orbit read twice does not thaw a frozen BPM.
+    through = equal | (whole & (record.readings[1:, column] == record.readings[:-1, column]))
+    spans = runs(through)
+    begin, end = max(spans, key=lambda span: span[1] - span[0])
+    length = end - begin
+    outside = np.ones(len(equal), dtype=np.bool_)
+    outside[begin:end] = False
+    own = float(equal[outside].mean()) if outside.any() else 0.0
+    chance = min(_MARGIN * max(own, usual), 1.0)
+    label = record.layout.bpms.label(column)
+    tries = math.log(record.readings.size)
+    likely = chance > 0.0 and tries + length * math.log(chance) > math.log(_CHANCE)
+    if length >= _SHORTEST_FREEZE and not likely:
+        until = "to the end" if end == len(equal) else f"to row {end}"
+        text = (
+            f"{label} reads {record.readings[end, column] * 1e6:.3f} µm to the last bit from row "
+            f"{begin} {until} ({length + 1} rows) while the others move"
+        )
+        others = np.delete(record.readings[:, column], np.s_[begin : end + 1])
+        value = record.readings[end, column]
+        if len(others) >= _FEWEST_OTHERS and (value >= others.max() or value <= others.min()):
+            text += "; it never reads beyond, so that it may be clipped and not frozen"
+            return [Finding("rail", "warning", (label,), (begin, end), text)]
+        return [Finding("frozen-bpm", "warning", (label,), (begin, end), text, effect="bpm-stuck")]
+    repeats = int(equal.sum())
+    if usual == 0.0 and _PAIRS <= repeats < _HELD * len(equal):
+        rows = np.flatnonzero(equal) + 1
+        span = (int(rows[0]), int(rows[-1]))
+        text = f"{label} repeats its reading before, to the last bit, in {repeats} single rows"
+        return [Finding("repeated-readings", "note", (label,), span, text)]
+    return []
+
+
+def check_rails(record: Record) -> list[Finding]:
+    """Find BPMs whose readings are clipped: their extreme value comes again and again."""
+    if np.median(_distinct(record)) < _FEW_VALUES:
+        return []
+    found: list[Finding] = []
+    fresh = np.ones(record.readings.shape, dtype=np.bool_)
+    fresh[1:] = np.diff(record.readings, axis=0) != 0.0
+    for column in range(record.readings.shape[1]):
+        # Every visit to the rail counts once, so that a frozen BPM is none.
+        visits = record.readings[fresh[:, column] & ~record.filled[:, column], column]
+        moving = record.readings[~record.filled[:, column], column]
+        for sign, word in ((1.0, "above"), (-1.0, "below")):
+            if at := _at_rail(sign * moving, sign * visits):
+                label = record.layout.bpms.label(column)
+                rail = sign * float(np.max(sign * moving))
+                rows = np.flatnonzero(record.readings[:, column] == rail)
+                text = (
+                    f"{label} reads {rail * 1e6:.3f} µm in "
+                    f"{counted(at, 'row')} and never goes {word}: its "
+                    "readings are clipped"
+                )
+                span = (int(rows[0]), int(rows[-1]))
+                found.append(Finding("rail", "warning", (label,), span, text))
+    if len(found) > max(2, record.readings.shape[1] // 4):
+        names = [finding.devices[0] for finding in found]
+        text = f"{len(found)} BPMs come again and again to one extreme reading: {listed(names)}"
+        return [Finding("rail", "note", tuple(dict.fromkeys(names)), None, text)]
+    return found
+
+
+def _at_rail(values: np.ndarray, visits: np.ndarray) -> int:
+    """Count readings at the largest value when that is no chance of few bits, else 0."""
+    if len(visits) < _FEWEST_AT_RAIL:
+        return 0
+    top = values.max()
+    count, visited = int((values == top).sum()), int((visits == top).sum())
+    if count < _FEWEST_AT_RAIL or visited < 2:
+        return 0
+    below = values[values < top]
+    if not len(below):
+        return 0
+    second = int((values == below.max()).sum())
+    return count if count > _RAIL_FACTOR * second + _FEWEST_AT_RAIL // 2 else 0

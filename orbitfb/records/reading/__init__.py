@@ -1,0 +1,1 @@
+"""Records of any file, as one sequence of readings."""
