@@ -99,24 +99,3 @@ def fingerprint(name: str) -> str:
         for file in files:
             digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
-
-
-def tournament(
-    record: Path, *, ring: tuple[Path, Path] | None = None, without: tuple[str, ...] = ()
-) -> dict[str, Any]:
-    """Diagnose a record by the tournament that is to replace the installed diagnosis."""
-    from orbitfb.diagnose.result.diagnosis import document
-    from orbitfb.diagnose.screen.run import screen
-    from orbitfb.diagnose.verdict.engine import diagnose
-    from orbitfb.diagnose.verdict.files import reported
-    from orbitfb.physics.places import Ring
-    from orbitfb.records.reading.load import load as read
-
-    loaded = read(record, ring=Ring.load(*(ring or (None, None))))
-    found = (*loaded.findings, *screen(loaded.record))
-    answer = diagnose(
-        loaded.record, seed=0, without=frozenset(without), findings=found,
-        progress=lambda what, share: None,
-    )  # fmt: skip
-    answer = answer.model_copy(update={"findings": reported(found)})
-    return json.loads(document(answer))

@@ -15,6 +15,7 @@ from orbitfb.diagnose.result.blocks import (
 )
 from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.result.parts import Cause, PlaceValues
+from orbitfb.diagnose.verdict.proved import Untold
 from orbitfb.diagnose.verdict.state import Judged
 from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.physics.places import Planes
@@ -87,10 +88,21 @@ def ambiguous_sets(causes: Sequence[Named]) -> tuple[AmbiguousSet, ...]:
     )
 
 
-def unknown_of(verdict: Judged, causes: Sequence[Named]) -> Unknown | None:
-    """Tell what is known of what no effect explains."""
+def unknown_of(
+    verdict: Judged, causes: Sequence[Named], untold: Sequence[Untold] = ()
+) -> Unknown | None:
+    """Tell what is known of what no effect explains.
+
+    Args:
+        verdict: On the record without what the screen proves.
+        causes: Found in it.
+        untold: What the screen proves, and has no name.
+    """
+    proved = " ".join(one.text for one in untold)
     if verdict.state not in ("unknown", "named_plus_remainder"):
-        return None
+        if not untold or verdict.state == "ambiguous":
+            return None
+        return Unknown(places=tuple(name for one in untold for name in one.devices), text=proved)
     told = sum(one.evidence for one in causes)
     places = tuple(one.name for one in verdict.left[:_WHERE])
     text = ""
@@ -102,7 +114,7 @@ def unknown_of(verdict: Judged, causes: Sequence[Named]) -> Unknown | None:
         )
     return Unknown(
         places=places,
-        text=text,
+        text=" ".join(filter(None, (text, proved))),
         nearest=causes[0].kind.id if causes else "",
         nearest_nats=causes[0].evidence if causes else None,
         explained=told / (told + verdict.nats) if told else 0.0,

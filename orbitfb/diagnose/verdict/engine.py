@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.errors import EstimationError
+from orbitfb.diagnose.experiments.search import experiment_for
 from orbitfb.diagnose.hypotheses.priors import SURE
 from orbitfb.diagnose.hypotheses.run import tournament
 from orbitfb.diagnose.hypotheses.scores import Scorer
@@ -16,20 +17,18 @@ from orbitfb.diagnose.impact.closed_loop import closed_loop
 from orbitfb.diagnose.impact.detectable import detectable
 from orbitfb.diagnose.impact.explained import Explained
 from orbitfb.diagnose.impact.gap import Parts, gap
-from orbitfb.diagnose.impact.later import Later, lacking
 from orbitfb.diagnose.impact.named import Named, named
-from orbitfb.diagnose.impact.one_step import OneStep, k_steps, shrink
+from orbitfb.diagnose.impact.one_step import OneStep, k_steps
 from orbitfb.diagnose.impact.score_map import score_map
 from orbitfb.diagnose.impact.slices import fingerprints, lag_profile, likeness
 from orbitfb.diagnose.impact.windows import Windows
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
-from orbitfb.diagnose.result.diagnosis import Diagnosis, State
+from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.headline import headline
 from orbitfb.diagnose.result.naming import as_in_record, geometry
-from orbitfb.diagnose.result.parts import Cause, NotTested, Provenance, Shrink
-from orbitfb.diagnose.result.parts import Finding as Told
+from orbitfb.diagnose.result.parts import Cause, Experiment, NotTested, Provenance
 from orbitfb.diagnose.verdict.causes import (
     ambiguous_sets,
     cause_of,
@@ -38,15 +37,13 @@ from orbitfb.diagnose.verdict.causes import (
     waterfall_of,
 )
 from orbitfb.diagnose.verdict.proved import SCREENED, beside, proved
-from orbitfb.diagnose.verdict.state import judged
+from orbitfb.diagnose.verdict.shrink import Records, shrunk_by
+from orbitfb.diagnose.verdict.state import beside_proved, judged
 from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import all_effects
-from orbitfb.estimation.noise import StepNoise
 from orbitfb.records.finding import Finding
 from orbitfb.records.record import Record
-
-_ITSELF, _LATER = "the record itself", "the later record"
 
 _ONE_COURSE = 1e-12
 """Second largest variance of the readings' modes, of the largest, below which they are one course
@@ -54,21 +51,6 @@ _ONE_COURSE = 1e-12
 
 _SEARCHED = 0.85
 """Share of the whole work that the tournament is [1], for the progress that is told."""
-
-
-@dataclass(frozen=True, slots=True)
-class Records:
-    """What is diagnosed, and what helps.
-
-    Args:
-        record: In question.
-        reference: Of a time without a gap; None: there is none.
-        later: A later record; None: there is none.
-    """
-
-    record: Record
-    reference: Record | None
-    later: Record | None
 
 
 def diagnose(
@@ -118,14 +100,14 @@ def diagnose(
     last = Scorer.of(its.space)
     first = Scorer.of(rounds[0].space) if len(rounds) > 1 else last
     told = (*certain.causes, *_told(causes, its, last))
-    shrunk, warnings = _shrunk(
+    shrunk, warnings = shrunk_by(
         Records(certain.record, reference, holdout), kinds, its, causes, step, parts,
         None if healthy is None else healthy.noise,
     )  # fmt: skip
     loop = closed_loop(its, causes, windows) if causes else None
-    state = _beside_proved(verdict.state) if certain.causes else verdict.state
+    state = beside_proved(verdict.state, certain)
     sets = ambiguous_sets(causes) if state == "ambiguous" else ()
-    unknown = unknown_of(verdict, found)
+    unknown = unknown_of(verdict, found, certain.untold)
     told = as_in_record(told, record.layout)
     return Diagnosis(
         state=state,
@@ -136,6 +118,7 @@ def diagnose(
         causes=told,
         gap=the_gap,
         shrink=shrunk,
+        experiment=_experiment(causes, seed),
         not_tested=not_tested,
         detectable=detectable(kinds, last),
         findings=warnings,
@@ -210,9 +193,9 @@ def _able(
     able: list[EffectKind] = []
     unable: list[NotTested] = []
     for kind in all_effects().values():
-        if kind.id in SCREENED:
-            continue
         reason = "left out on request" if kind.id in without else kind.unavailable(record)
+        if kind.id in SCREENED and kind.id not in without:
+            continue
         if reason:
             unable.append(NotTested(effect=kind.id, reason=reason))
         else:
@@ -220,63 +203,14 @@ def _able(
     return able, tuple(unable)
 
 
-def _beside_proved(state: State) -> State:
-    """The state where the screen has proved a cause besides."""
-    beside: dict[State, State] = {"no_gap": "named", "unknown": "named_plus_remainder"}
-    return beside.get(state, state)
-
-
-def _shrunk(
-    records: Records,
-    kinds: Sequence[EffectKind],
-    its: Explained,
-    causes: Sequence[Named],
-    step: OneStep,
-    parts: Parts,
-    healthy: StepNoise | None,
-) -> tuple[Shrink | None, tuple[Told, ...]]:
-    """How far the gap shrinks with the causes, on the later record where it can tell that."""
-    if not its.counts:
-        return None, ()
-    own = shrink(step, _ITSELF, float(parts.by_cause.sum()), parts.rest)
-    if records.later is None:
-        return own, ()
-    later = beside(records.later, records.record)
-    missing = lacking(causes, records.record, later)
-    if missing:
-        text = (
-            f"The later record has no channel {', '.join(missing)}, which a cause follows: how far "
-            "the gap shrinks is told on the record itself."
-        )
-        return own, (Told(check="later-channel", severity="warning", text=text),)
-    there = Later.of(later, kinds, its, causes)
-    notes = tuple(_notes(there.untold))
-    if there.explained is None:
-        return own, notes
-    windows = Windows.of(len(there.explained.space.transform), step.windows.seed)
-    found = OneStep.of(there.explained, windows, _quieter(its.noise, healthy))
-    field = there.explained.named
-    pulled = there.explained.noise.pull(
-        there.explained.nominal - 0.5 * field, there.explained.space.transform
-    )
-    share = parts.rest / max(len(step.nominal), 1) * len(found.nominal)
-    return shrink(found, _LATER, float(np.sum(field * pulled)), share), notes
-
-
-def _quieter(first: StepNoise, second: StepNoise | None) -> StepNoise:
-    """The floor that is lower on the whole."""
-    if second is None:
-        return first
-    return min(first, second, key=lambda one: float(np.trace(one.walk + 2.0 * one.white)))
-
-
-def _notes(untold: Sequence[str]) -> Iterator[Told]:
-    if untold:
-        text = (
-            f"What {' and '.join(untold)} does later follows from nothing in the records: on the "
-            "later record it counts as unexplained."
-        )
-        yield Told(check="later-course", severity="note", text=text)
+def _experiment(causes: Sequence[Named], seed: int) -> Experiment | None:
+    """What would tell the first cause that has rivals from them."""
+    open_one = next((one for one in causes if one.rivals), None)
+    if open_one is None:
+        return None
+    best = {one.kind.id: one for one in reversed(open_one.round.candidates)}
+    rivals = [best[name] for name in open_one.rivals]
+    return experiment_for(open_one.round.space, open_one.parts[0], rivals, seed)
 
 
 def _provenance(records: Records, its: Explained, seed: int, seconds: float) -> Provenance:

@@ -1,6 +1,6 @@
 """Effects that the integrity screen proves: named without a tournament, and taken out of it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from orbitfb.diagnose.result.parts import Cause
 from orbitfb.diagnose.screen.repeats import HELD, shared_repeats
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Indices
-from orbitfb.records.finding import Finding
+from orbitfb.records.finding import Finding, listed
 from orbitfb.records.gaps import gaps_of, is_gap
 from orbitfb.records.record import Record
 
@@ -24,6 +24,19 @@ _MOST_REPEATS = 0.5
 """Share of repeated orbits beyond which filling them in would be inventing a record [1]."""
 
 
+@dataclass(frozen=True, slots=True)
+class Untold:
+    """What the screen proves, and no cause may be called.
+
+    Args:
+        devices: Names of the devices concerned.
+        text: What it is, a sentence.
+    """
+
+    devices: tuple[str, ...]
+    text: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Proved:
     """What is certain, and the record without it.
@@ -31,10 +44,12 @@ class Proved:
     Args:
         causes: In the form of the answer.
         record: Without the BPMs that stand still; orbits that were read twice are filled in.
+        untold: What is proved and has no name: a gap, whatever the record shows besides.
     """
 
     causes: tuple[Cause, ...]
     record: Record
+    untold: tuple[Untold, ...] = ()
 
 
 def proved(record: Record, findings: Sequence[Finding], without: frozenset[str]) -> Proved:
@@ -51,18 +66,29 @@ def proved(record: Record, findings: Sequence[Finding], without: frozenset[str])
         if finding.effect in SCREENED and (finding.devices or finding.effect == SCREENED[1])
     ]
     causes = tuple(_cause(record, one) for one in told if one.effect not in without)
-    held = {name for finding in findings if finding.check == HELD for name in finding.devices}
+    held = tuple(name for one in findings if one.check == HELD for name in one.devices)
     stuck = {name for one in told if one.effect == SCREENED[0] for name in one.devices}
     bpms = record.layout.bpms
     frozen = {
         index
         for index in range(len(bpms))
-        if {bpms.names[index], bpms.label(index)} & (held | stuck)
+        if {bpms.names[index], bpms.label(index)} & {*held, *stuck}
     }
     cut = _without_repeats(record)
     if frozen and len(frozen) < len(bpms) - 2:
         cut = with_bpms(cut, np.array(sorted(set(range(len(bpms))) - frozen), dtype=np.intp))
-    return Proved(causes, cut)
+    return Proved(causes, cut, tuple(_untold(told, held, without)))
+
+
+def _untold(
+    told: Sequence[Finding], held: tuple[str, ...], without: frozenset[str]
+) -> Iterator[Untold]:
+    """What is proved and has no name, or may not have it."""
+    if held:
+        yield Untold(held, f"Readings of {listed(held)} were held, not read: they are left out.")
+    for one in told:
+        if one.effect in without:
+            yield Untold(one.devices, f"{one.text[:1].upper()}{one.text[1:]}.")
 
 
 def beside(other: Record, record: Record) -> Record:

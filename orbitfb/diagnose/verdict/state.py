@@ -8,6 +8,7 @@ from orbitfb.diagnose.hypotheses.priors import REMAINDER, SURE
 from orbitfb.diagnose.hypotheses.run import Round
 from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.result.diagnosis import State
+from orbitfb.diagnose.verdict.proved import Proved
 
 _CERTAIN = 0.9
 """Probability of one effect alone from which it is named without an alternative."""
@@ -49,3 +50,17 @@ def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
     alone = first.chances[first.kind.id]
     state: State = "named" if alone > _CERTAIN or not first.rivals else "ambiguous"
     return Judged(state, (), 0.0)
+
+
+def beside_proved(state: State, proved: Proved) -> State:
+    """Tell the state of a record of which the screen proves something besides.
+
+    Args:
+        state: Of the record without it.
+        proved: Causes, and what is proved and has no name: a gap, whatever the record shows.
+    """
+    named: dict[State, State] = {"no_gap": "named", "unknown": "named_plus_remainder"}
+    nameless: dict[State, State] = {"no_gap": "unknown", "named": "named_plus_remainder"}
+    if proved.causes:
+        state = named.get(state, state)
+    return nameless.get(state, state) if proved.untold else state

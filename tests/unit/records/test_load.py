@@ -6,7 +6,6 @@ from collections import deque
 import h5py
 import numpy as np
 import pytest
-from record_files import arrays, record, ring, save, small
 
 from benchmarks.save import save_npz
 from orbitfb.core.clock import ManualClock
@@ -18,6 +17,7 @@ from orbitfb.history.archive import ArchiveSettings
 from orbitfb.history.recorder import Recorder
 from orbitfb.records.reading.load import load, load_record
 from orbitfb.records.reading.stretches import time_jumps
+from tests.unit.records.record_files import arrays, record, ring, save, small
 
 
 def check_same(read, made):

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from record_files import save, small
 
 from orbitfb.records.reading.load import load
+from tests.unit.records.record_files import save, small
 
 
 def loaded(tmp_path, change):

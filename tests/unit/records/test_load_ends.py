@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from record_files import arrays, record, save
 
 from orbitfb.core.errors import RecordError
 from orbitfb.records.reading.load import load
+from tests.unit.records.record_files import arrays, record, save
 
 
 def without(*names):

@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
-import record_files
 from typer.testing import CliRunner
 
 from orbitfb.cli.app import app
 from orbitfb.core.errors import ConfigError
+from tests.unit.records import record_files
 
 
 def run(*arguments):
@@ -51,6 +51,7 @@ def test_nothing_is_planned_from_a_record_that_is_not_intact(made, tmp_path, spo
     assert not out.exists()
 
 
+@pytest.mark.nightly
 def test_an_intact_record_gets_its_plan(made, tmp_path):
     record = record_files.save(tmp_path / "record.npz", made)
     out = tmp_path / "excite.toml"

@@ -5,10 +5,10 @@ import json
 import h5py
 import numpy as np
 import pytest
-from record_files import arrays, save, small
 
 from orbitfb.core.errors import RecordError
 from orbitfb.records.reading.load import load, load_record
+from tests.unit.records.record_files import arrays, save, small
 
 
 def meta(**content):

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from record_files import record, ring
 
 from benchmarks.simulate import simulate_record
 from orbitfb.diagnose.screen.channels import _evened, _turned
@@ -12,9 +11,10 @@ from orbitfb.diagnose.screen.order import check_order
 from orbitfb.diagnose.screen.run import is_hopeless, screen
 from orbitfb.diagnose.screen.steps import Steps
 from orbitfb.diagnose.screen.writes import check_writes
-from orbitfb.diagnose.verdict.proved import certain_causes
+from orbitfb.diagnose.verdict.proved import proved
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.plant import PlantSettings
+from tests.unit.records.record_files import record, ring
 
 CLEAN = (
     {},
@@ -31,6 +31,7 @@ def test_a_clean_record_gives_no_finding(seed):
     assert screen(made) == []
 
 
+@pytest.mark.nightly
 def test_a_clean_record_in_both_planes_gives_no_finding():
     assert screen(record("xy", ticks=400, dither=2e-5)) == []
 
@@ -89,6 +90,7 @@ def only(made, check):
     return found
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("effect", "proven", "devices"),
     [
@@ -119,6 +121,7 @@ class Staying(Effect):
         return current
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("effect", "gain", "dither", "proven", "devices"),
     [
@@ -227,7 +230,7 @@ def test_a_crate_that_is_not_read_at_some_ticks():
     labels = tuple(made.layout.bpms.label(column) for column in crate)
     assert (found.check, found.effect, found.devices) == ("repeated-crate", "missed-read", labels)
     assert found.rows == (60, 333)
-    certain = certain_causes(kept, [found], frozenset())
+    certain = proved(kept, [found], frozenset())
     assert [cause.effect for cause in certain.causes] == ["missed-read"]
     filled = np.zeros(readings.shape, dtype=bool)
     filled[np.ix_(rows, crate)] = True

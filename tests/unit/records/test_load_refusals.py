@@ -8,10 +8,10 @@ import zipfile
 import h5py
 import numpy as np
 import pytest
-from record_files import arrays, save, small
 
 from orbitfb.core.errors import RecordError
 from orbitfb.records.reading.load import load, load_record
+from tests.unit.records.record_files import arrays, save, small
 
 
 def put(name, row, value, column=3):
@@ -204,6 +204,7 @@ def header(shape, kind="<f8"):
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
 
 
+@pytest.mark.nightly
 def test_a_zip_bomb_is_not_unpacked(tmp_path):
     path = tmp_path / "bomb.npz"
     with (
