@@ -163,9 +163,10 @@ def _show(answer: "Diagnosis", written: tuple[Path, ...]) -> None:
     for finding in answer.findings:
         if finding.severity != "note":
             say(f"{finding.severity}: {finding.text}")
-    for cause in answer.causes:
+    for number, cause in enumerate(answer.causes):
         say(f"cause: {describe(cause)} ({cause.effect})")
-        say(f"  {to_do(cause)}")
+        if number:  # the headline says it of the first one
+            say(f"  {to_do(cause)}")
         if cause.alternatives:
             say(f"  It may also be called {', '.join(cause.alternatives)}.")
     shrink = answer.shrink

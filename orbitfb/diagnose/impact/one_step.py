@@ -137,4 +137,6 @@ def _k_steps(its: Explained, step: OneStep) -> Iterator[KStep]:
         )
         nominal, mended = (1e6 * float(np.sqrt(np.mean(one**2))) for one in errors)
         floor = 1e6 * float(np.sqrt(ratio * np.mean(floor_of(noise, ahead))))
+        # Ground that comes back leaves less than a walk does: no error is below the noise in it.
+        floor = min(floor, nominal, mended)
         yield KStep(k=ahead, nominal_um=nominal, effect_um=mended, floor_um=floor)

@@ -26,7 +26,10 @@ def limits(its: Diagnosis) -> str:
         alike = its.identifiability
         names = alike.effects
         rows = [
-            (text(name), *("" if one is None else f"{one:.2f}" for one in row))
+            (
+                text(name),
+                *("" if one is None else f"{one:.2f}".replace("-0.00", "0.00") for one in row),
+            )
             for name, row in zip(names, alike.cosine, strict=True)
         ]
         pieces.append(
@@ -61,6 +64,10 @@ def limits(its: Diagnosis) -> str:
     if not pieces:
         pieces.append(missing("What the record cannot tell"))
     return section("limits", "What this record can and cannot tell", *pieces)
+
+
+def _cosine(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}".replace("-0.00", "0.00")
 
 
 def audit(its: Diagnosis) -> str:

@@ -12,7 +12,7 @@ from orbitfb.diagnose.report.html import (
     text,
 )
 from orbitfb.diagnose.result.diagnosis import Diagnosis
-from orbitfb.diagnose.result.headline import member, places, to_do
+from orbitfb.diagnose.result.headline import member, to_do, where_is
 from orbitfb.diagnose.result.parts import Cause, Experiment
 from orbitfb.diagnose.result.quantities import chance, parameter, percent, quantity
 
@@ -43,7 +43,7 @@ def card(its: Diagnosis) -> str:
 
 def _tiles(its: Diagnosis) -> Iterator[tuple[str, str]]:
     if its.causes:
-        yield "where", places(its.causes[0], 2) or "the whole ring"
+        yield "where", where_is(its.causes[0], 2)
         yield "probability", chance(its.causes[0].probability)
     if its.gap is not None and its.gap.um:
         yield "orbit error it adds, row to row", micrometres(its.gap.um)
@@ -99,7 +99,7 @@ def causes(its: Diagnosis) -> str:
 
 
 def _cause(cause: Cause) -> str:
-    where = text(cause.label) or listed(cause.places) or "the whole ring"
+    where = text(cause.label) or listed(cause.places) or where_is(cause)
     onset = "since before the record" if cause.onset_s is None else f"from {cause.onset_s:.4g} s on"
     facts = [where, onset]
     if cause.probability is not None:

@@ -60,7 +60,8 @@ class TournamentRow(Part):
     effect: str
     places: str = Field(default="", description="in words")
     nats: Number = Field(
-        description="log evidence over no effect, less what the choice of places costs [nats]"
+        description="log evidence over no effect, less what the choice of places costs; 0: the "
+        "record shows nothing of it [nats]"
     )
     probability: Number = Field(default=None, description="that it is the first cause [1]")
     members: tuple[str, ...] = Field(default=(), description="ids of its class, itself included")

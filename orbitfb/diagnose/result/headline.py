@@ -6,9 +6,14 @@ from orbitfb.diagnose.result.blocks import AmbiguousSet, ClosedLoop, Unknown
 from orbitfb.diagnose.result.diagnosis import State
 from orbitfb.diagnose.result.parts import Cause, Finding, Gap, Shrink
 from orbitfb.diagnose.result.quantities import chance, parameter, percent, quantity
+from orbitfb.effects.registry import all_effects
 
 _LEAST_TOLD = 0.1
 """Probability of a further cause below which the sentence leaves it to the table [1]."""
+
+RING = "the whole ring"
+_ALL = {"bpm": "all BPMs", "corrector": "all correctors"}
+"""What a cause without places is at, by what it strikes."""
 
 _TO_DO = {
     "sensor": "Check the reading of {where}: cable, electronics, calibration.",
@@ -84,7 +89,8 @@ def describe(cause: Cause) -> str:
     """Name an effect with its places, values, onset and probability."""
     title = cause.title or cause.effect
     text = f"{title[:1].upper()}{title[1:]}"
-    text += f" on {places(cause)}" if places(cause) else ""
+    where = where_is(cause)
+    text += f" on {where}" if where != RING else ""
     told = [
         f"{name} {parameter(value)}"
         for name, value in cause.parameters.items()
@@ -110,11 +116,17 @@ def places(cause: Cause, most: int = 4) -> str:
     return f"{shown} and {rest} more" if rest > 0 else shown
 
 
+def where_is(cause: Cause, most: int = 4) -> str:
+    """Name the places of a cause, also where they are all devices or the ring."""
+    kind = all_effects().get(cause.effect)
+    return places(cause, most) or _ALL.get(kind.target if kind else "", RING)
+
+
 def to_do(cause: Cause) -> str:
     """Say what to do about a cause."""
     if cause.scatter:
         return "The errors are everywhere: measure the response again, or refit the model."
-    return _TO_DO[cause.stage].format(where=places(cause) or "the ring as a whole")
+    return _TO_DO[cause.stage].format(where=where_is(cause))
 
 
 def _named(cause: Cause, *, first: bool) -> str:

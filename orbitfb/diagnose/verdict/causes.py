@@ -18,6 +18,7 @@ from orbitfb.diagnose.result.parts import Cause, PlaceValues
 from orbitfb.diagnose.verdict.proved import Untold
 from orbitfb.diagnose.verdict.state import Judged
 from orbitfb.diagnose.verdict.values import Measured
+from orbitfb.effects.kinds import EffectKind
 from orbitfb.physics.places import Planes
 from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
@@ -121,8 +122,16 @@ def unknown_of(
     )
 
 
-def tournament_of(rounds: Sequence[Round], accepted: Sequence[Candidate]) -> Tournament:
-    """Write the first round: every effect at its best places, the best first."""
+def tournament_of(
+    kinds: Sequence[EffectKind], rounds: Sequence[Round], accepted: Sequence[Candidate]
+) -> Tournament:
+    """Write the first round: every effect at its best places, the best first.
+
+    Args:
+        kinds: All that were tried; those of which the record shows nothing come last.
+        rounds: Of the tournament.
+        accepted: Candidates.
+    """
     first = rounds[0]
     chances = probabilities(first.candidates)
     found = {one.kind.id for one in accepted}
@@ -136,6 +145,8 @@ def tournament_of(rounds: Sequence[Round], accepted: Sequence[Candidate]) -> Tou
                 probability=chances[one.kind.id],
                 accepted=one.kind.id in found,
             )
+    for kind in kinds:
+        rows.setdefault(kind.id, TournamentRow(effect=kind.id, nats=0.0))
     free = first.free[0].evidence if first.free else None
     return Tournament(rows=tuple(rows.values()), free_nats=free)
 

@@ -126,7 +126,7 @@ def diagnose(
         unknown=unknown,
         k_steps=k_steps(its, step) if causes and its.counts else (),
         closed_loop=loop,
-        tournament=tournament_of(rounds, accepted),
+        tournament=tournament_of(kinds, rounds, accepted),
         waterfall=waterfall_of(causes, parts.by_cause.tolist(), parts.whole, step_count(its))
         if causes else (),
         audit=audit(its, windows),
