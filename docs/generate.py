@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import typer
 from pydantic.fields import FieldInfo
 
+from docs.law_table import law_page
 from orbitfb.cli.app import app
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.settings import Settings
@@ -290,6 +291,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "reference/diagnosis.schema.json": diagnosis_schema,
     "reference/response-diagnosis.schema.json": response_schema,
     "reference/effects/index.md": partial(effects_index, NOTE),
+    "reference/effects/laws.md": partial(law_page, NOTE),
     **{f"reference/effects/{name}.md": partial(effect_page, name, NOTE) for name in all_effects()},
 }
 """Every generated file below `docs/` and what makes it."""

@@ -58,6 +58,7 @@ _SHORT = {
 }
 """Units by their letters in lower case: a record's `MM` and `MA` are no megametre or megaampere."""
 
+_REMARK = re.compile(r"(?<=\S)\s*[(\[,;].*$", re.DOTALL)
 _INVERSE = re.compile(r"[ ·*.]+([^\W\d]+)(?:\^?[-−]1|⁻¹)$")
 _PER = re.compile(r"\s*(?:/|\bper\b)\s*", re.IGNORECASE)
 
@@ -66,7 +67,8 @@ def plain(written: str) -> str:
     """Write a unit in one way: `um` for µm or microns, `mm/A` for mm per Ampere.
 
     Args:
-        written: As a person, a file or a record has it, brackets around it allowed.
+        written: As a person, a file or a record has it, brackets around it allowed, and a remark
+            behind it: `A (change that was asked for)`.
 
     Returns:
         The unit; what is not known stays as it is, without blanks at its ends.
@@ -74,6 +76,7 @@ def plain(written: str) -> str:
     text = written.strip()
     if text[:1] + text[-1:] in ("[]", "()"):
         text = text[1:-1].strip()
+    text = _REMARK.sub("", text)
     text = _INVERSE.sub(r"/\1", text.replace("µ", "u").replace("μ", "u"))
     return "/".join(_plain(part.strip()) for part in _PER.split(text))
 

@@ -59,7 +59,8 @@ from = 30.0
 values = { tau = 0.1 }
 ```
 
-`orbitfb effects` prints this list, `orbitfb effects show ID` one page.
+`orbitfb effects` prints this list, `orbitfb effects show ID` one page. What a diagnosis
+knows of each, a pattern over the BPMs times a course in time, is in [one table](laws.md).
 
 """
 

@@ -8,6 +8,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.explained import Explained
 from orbitfb.diagnose.impact.named import Named
+from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.result.blocks import Fingerprint, Identifiability, LagProfile
 from orbitfb.diagnose.result.values import numbers, rows
 from orbitfb.estimation.transform import Matrix
@@ -102,14 +103,15 @@ def likeness(candidates: Sequence[Candidate], scorer: Scorer) -> Identifiability
     """
     best: dict[str, Candidate] = {}
     for one in candidates:
-        if one.field is not None:
-            best.setdefault(one.kind.id, one)
-    if len(best) < 2:
+        best.setdefault(one.kind.id, one)
+    found = {name: _field(one, scorer.space) for name, one in best.items() if one.evidence > 0.0}
+    fields = {name: field for name, field in found.items() if field is not None}
+    if len(fields) < 2:
         return None
-    _, information = scorer.evaluate([one.field for one in best.values() if one.field is not None])
+    _, information = scorer.evaluate(list(fields.values()))
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     cosine = np.clip(information / np.outer(size, size), -1.0, 1.0)
-    names = tuple(best)
+    names = tuple(fields)
     alike = [
         f"{names[a]} and {names[b]} change this record alike (cosine {cosine[a, b]:.3f})."
         for a in range(len(names))
@@ -117,3 +119,12 @@ def likeness(candidates: Sequence[Candidate], scorer: Scorer) -> Identifiability
         if abs(cosine[a, b]) > _ALIKE
     ]
     return Identifiability(effects=names, cosine=rows(cosine), degenerate=tuple(alike))
+
+
+def _field(one: Candidate, space: Workspace) -> Matrix | None:
+    """What a candidate adds to the readings, (T, n) [m]; None of what is random, or everywhere."""
+    if one.field is not None or not one.columns:
+        return one.field
+    sizes = np.zeros(len(space.terms))
+    sizes[list(one.columns)] = one.sizes
+    return space.terms.contribution(sizes)

@@ -62,7 +62,8 @@ class GapProcess:
             if not connection.poll(_LONGEST):
                 raise EstimationError(f"the watch over the gap took longer than {_LONGEST:g} s")
             answer = connection.recv()
-        except (OSError, EOFError) as error:
+        except (OSError, EOFError, TypeError) as error:
+            # TypeError: closed by another thread in the middle of a message.
             self.close()
             raise EstimationError(f"the watch over the gap died: {error!r}") from error
         except EstimationError:

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
+from orbitfb.core.errors import EstimationError
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
 from orbitfb.diagnose.result.diagnosis import Diagnosis
@@ -45,6 +46,7 @@ def diagnose_files(
     Raises:
         RecordError: A record cannot be read, or has an array that is wrong; or reference or later
             record are of other devices, of another rate or model, the same data, or not intact.
+        EstimationError: Noise and motion cannot be told apart in the record.
         ConfigError: The planes asked for are not those of the record.
     """
     progress("reading", 0.0)
@@ -59,14 +61,17 @@ def diagnose_files(
     findings = reported(found)
     if any(finding.severity == "failure" for finding in findings):
         return _refused(loaded.record, findings, seed)
-    answer = diagnose(
-        loaded.record,
-        *others,
-        seed=seed,
-        without=without,
-        findings=found,
-        progress=progress,
-    )
+    try:
+        answer = diagnose(
+            loaded.record,
+            *others,
+            seed=seed,
+            without=without,
+            findings=found,
+            progress=progress,
+        )
+    except EstimationError as error:
+        raise EstimationError(f"{record}: {error}") from error
     merged = tuple(dict.fromkeys((*findings, *answer.findings)))
     return answer.model_copy(update={"findings": merged})
 

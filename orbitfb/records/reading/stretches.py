@@ -15,8 +15,8 @@ from orbitfb.records.finding import Finding, counted
 from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
-FEWEST_ROWS = 30
-"""Fewest transitions of which anything can be said."""
+FEWEST_ROWS = 40
+"""Fewest transitions by which noise can be told from motion."""
 
 _ROUNDING = 0.05
 """Most that setpoints may be beside the sums of the actions, of the actions' rms [1]."""

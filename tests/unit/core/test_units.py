@@ -15,6 +15,8 @@ from orbitfb.core.units import CURRENT, ORBIT, PER_CURRENT, PER_KICK, plain, uni
         ("mm/Ampere", "mm/A"), ("mm / A", "mm/A"), ("µm/mA", "um/mA"), ("mm per Amp", "mm/A"),
         ("mm A^-1", "mm/A"), ("mm A-1", "mm/A"), ("mm·A⁻¹", "mm/A"), ("microns per amp", "um/A"),
         ("mm/mrad", "mm/mrad"), ("seconds", "s"), ("µs", "us"), ("MHz", "MHz"), ("khz", "kHz"),
+        ("A (setpoint change requested)", "A"), ("mm, turn by turn", "mm"),
+        ("mm/A [model]", "mm/A"),
         ("inch", "inch"), ("datenum", "datenum"), ("", ""),
     ],
 )  # fmt: skip
