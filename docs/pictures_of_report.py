@@ -14,13 +14,11 @@ from playwright.sync_api import Page, sync_playwright
 PLACE = Path(__file__).parent / "how-to/diagnose"
 WIDTH = 960
 MARGIN = 8
-LAG = "#gap figure:has-text('lag ticks ago')"
-WINDOW = "#gap figure:has-text('by time window')"
 CUTS = {
     "answer": ("h1", "#causes"),
-    "gap": ("#gap figure:has-text('by stage')", WINDOW),
-    "tournament": (LAG, "#tournament"),
-    "shrink": ("#shrink", "#predictions .wide"),
+    "orbit": ("#orbit", "#orbit"),
+    "gap": ("#gap", "#gap figure:has-text('at which frequencies')"),
+    "evidence": ("#evidence figure:has-text('What each effect explains')",) * 2,
 }
 """Name of a picture -> where it begins and where it ends, each the first that fits."""
 

@@ -1,6 +1,6 @@
 """Causes, the tournament and what is left, in the form of the answer."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.run import Round
@@ -8,6 +8,7 @@ from orbitfb.diagnose.impact.named import Named, probabilities
 from orbitfb.diagnose.impact.pieces import Piece
 from orbitfb.diagnose.result.blocks import (
     AmbiguousSet,
+    ScoreMap,
     Tournament,
     TournamentRow,
     Unknown,
@@ -20,6 +21,7 @@ from orbitfb.diagnose.verdict.state import Judged
 from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.physics.places import Planes
+from orbitfb.records.finding import listed
 from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
@@ -30,13 +32,16 @@ _WHERE = 12
 """Devices at which a remainder is said to sit, at most."""
 
 
-def cause_of(one: Named, pieces: tuple[Piece, ...], measured: Measured) -> Cause:
+def cause_of(
+    one: Named, pieces: tuple[Piece, ...], measured: Measured, scores: ScoreMap | None
+) -> Cause:
     """Write a cause.
 
     Args:
         one: The cause.
         pieces: Values of its devices.
         measured: Tells the values.
+        scores: Of the places along the ring.
     """
     record = measured.scorer.space.signals.record
     own = dict.fromkeys(name for piece in pieces for name in piece.names)
@@ -54,10 +59,33 @@ def cause_of(one: Named, pieces: tuple[Piece, ...], measured: Measured) -> Cause
         alternatives=tuple(dict.fromkeys((*one.rivals, *one.kind.also_called))),
         title=one.kind.title,
         sentence=one.kind.sentence,
+        label=_label(one, tuple(own), record.layout) if one.names else "",
+        places_within=tuple(_near(one, scores)),
         evidence_nats=one.evidence,
         scatter=bool(one.parts[0].raised),
         by_place=() if alike else tuple(_piece(piece, record) for piece in pieces),
     )
+
+
+def _label(one: Named, names: tuple[str, ...], layout: Layout) -> str:
+    """Name the cells, where all devices of some cells are struck and no others."""
+    devices = {"bpm": layout.bpms, "corrector": layout.correctors}.get(one.kind.target)
+    if devices is None:
+        return ""
+    struck = {column for column in range(len(devices)) if devices.label(column) in names}
+    whole = {cell: its for cell, its in devices.groups().items() if struck.issuperset(its.tolist())}
+    if sum(map(len, whole.values())) != len(struck) or len(struck) <= len(whole):
+        return ""
+    return f"cell{'s' if len(whole) > 1 else ''} {listed(tuple(whole))}"
+
+
+def _near(one: Named, scores: ScoreMap | None) -> Iterator[str]:
+    """Other places that the record cannot exclude, where one is named."""
+    for row in () if scores is None else scores.rows:
+        if row.effect == one.kind.id:
+            yield from devices_and_planes(
+                tuple(row.names[place] for place in row.within if place not in row.fitted)
+            )[0]
 
 
 def _piece(piece: Piece, record: Record) -> PlaceValues:

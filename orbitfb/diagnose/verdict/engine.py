@@ -25,6 +25,7 @@ from orbitfb.diagnose.impact.windows import Windows
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.provenance import versions
+from orbitfb.diagnose.result.blocks import ScoreMap
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.headline import headline
 from orbitfb.diagnose.result.naming import as_in_record, geometry
@@ -99,7 +100,8 @@ def diagnose(
     the_gap = gap(its, parts, causes, step.above, step.floor)
     last = Scorer.of(its.space)
     first = Scorer.of(rounds[0].space) if len(rounds) > 1 else last
-    told = (*certain.causes, *_told(causes, its, last))
+    scores = score_map(causes, rounds[0], first)
+    told = (*certain.causes, *_told(causes, its, last, scores))
     shrunk, warnings = shrunk_by(
         Records(certain.record, reference, holdout), kinds, its, causes, step, parts,
         None if healthy is None else healthy.noise,
@@ -131,7 +133,7 @@ def diagnose(
         if causes else (),
         audit=audit(its, windows),
         fingerprints=fingerprints(its, causes),
-        score_map=score_map(causes, rounds[0], first),
+        score_map=scores,
         lag_profile=lag_profile(its),
         identifiability=likeness(rounds[0].candidates, first),
         geometry=geometry(certain.record.layout),
@@ -156,11 +158,13 @@ def _check(record: Record) -> None:
         )
 
 
-def _told(causes: Sequence[Named], its: Explained, scorer: Scorer) -> Iterator[Cause]:
+def _told(
+    causes: Sequence[Named], its: Explained, scorer: Scorer, scores: ScoreMap | None
+) -> Iterator[Cause]:
     """The causes with their values."""
     measured = Measured(scorer)
     for one, pieces in zip(causes, its.pieces, strict=True):
-        yield cause_of(one, pieces, measured)
+        yield cause_of(one, pieces, measured, scores)
 
 
 def step_count(its: Explained) -> int:

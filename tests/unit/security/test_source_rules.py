@@ -31,8 +31,8 @@ WHOLE = {
 """Modules that may read to the end, and why."""
 
 READERS = {
-    "diagnose/load_hdf5.py",
-    "diagnose/load_npz.py",
+    "records/reading/hdf5.py",
+    "records/reading/npz.py",
     "evaluate/pool/task.py",
     "exchange/orbits/parquet.py",
     "exchange/formats/hdf5_file.py",
