@@ -291,7 +291,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "reference/diagnosis.schema.json": diagnosis_schema,
     "reference/response-diagnosis.schema.json": response_schema,
     "reference/effects/index.md": partial(effects_index, NOTE),
-    "reference/effects/laws.md": partial(law_page, NOTE),
+    "reference/laws.md": partial(law_page, NOTE),
     **{f"reference/effects/{name}.md": partial(effect_page, name, NOTE) for name in all_effects()},
 }
 """Every generated file below `docs/` and what makes it."""

@@ -14,7 +14,7 @@ from orbitfb.physics.places import Ring
 
 HEAD = """# Effects as patterns and courses
 
-How [the diagnosis](../../explanations/diagnosis.md) knows every effect: a *pattern* over the BPMs
+How [the diagnosis](../explanations/diagnosis.md) knows every effect: a *pattern* over the BPMs
 times a *course* in time, with the parameters that are fitted.
 
 """
@@ -45,7 +45,7 @@ def law_page(note: str) -> str:
     for kind in all_effects().values():
         values = ", ".join(f"`{p.name}` [{p.unit}]" for p in kind.parameters) or "none"
         rows.append(
-            f"| [`{kind.id}`]({kind.id}.md) | {_PATTERNS[kind.target]} | "
+            f"| [`{kind.id}`](effects/{kind.id}.md) | {_PATTERNS[kind.target]} | "
             f"{_courses(kind, signals)} | {values} |\n"
         )
     return HEAD + note + "\n" + "".join(rows)

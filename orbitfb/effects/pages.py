@@ -60,7 +60,7 @@ values = { tau = 0.1 }
 ```
 
 `orbitfb effects` prints this list, `orbitfb effects show ID` one page. What a diagnosis
-knows of each, a pattern over the BPMs times a course in time, is in [one table](laws.md).
+knows of each, a pattern over the BPMs times a course in time, is in [one table](../laws.md).
 
 """
 

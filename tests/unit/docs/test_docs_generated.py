@@ -26,6 +26,7 @@ PAGES = (
     "reference/diagnosis.schema.json",
     "reference/response-diagnosis.schema.json",
     "reference/effects/index.md",
+    "reference/laws.md",
     *(f"reference/effects/{name}.md" for name in all_effects()),
 )
 
