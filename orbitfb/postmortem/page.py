@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from orbitfb.core.errors import OrbitFeedbackError
-from orbitfb.diagnose.report.draw import picture
-from orbitfb.diagnose.report.html import STYLE, paragraph, section, table, text
+from orbitfb.html.figures import picture
+from orbitfb.html.page import STYLE, paragraph, section, table, text
 from orbitfb.postmortem.pictures import courses, orbits
 from orbitfb.postmortem.story import Story, headline, lines
 

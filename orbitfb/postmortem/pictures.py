@@ -8,7 +8,7 @@ from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.report.draw import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, shorten
+from orbitfb.html.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, shorten
 from orbitfb.postmortem.analysis import CURRENT, Analysis
 from orbitfb.postmortem.content import PHASES
 from orbitfb.postmortem.devices import error_of

@@ -1,8 +1,8 @@
 """The report of a diagnosis: one HTML page with its pictures inside, no network."""
 
 from orbitfb.diagnose.report import evidence, limits, opening, orbit
-from orbitfb.diagnose.report.html import STYLE, paragraph, text
 from orbitfb.diagnose.result.diagnosis import Diagnosis
+from orbitfb.html.page import STYLE, paragraph, text
 
 _CONTENTS = (
     ("causes", "causes"),

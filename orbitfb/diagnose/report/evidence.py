@@ -1,10 +1,10 @@
 """Section of the page that compares evidence: effects, places, slices of the record."""
 
 from orbitfb.diagnose.report import evidence_pictures
-from orbitfb.diagnose.report.html import folded, missing, paragraph, section, table, text
-from orbitfb.diagnose.report.svg import known
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.quantities import interval
+from orbitfb.html.page import folded, missing, paragraph, section, table, text
+from orbitfb.html.svg import known
 
 _MOST = 12
 """Effects that are drawn; the table has all."""

@@ -4,7 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orbitfb.diagnose.report.svg import (
+from orbitfb.diagnose.result.blocks import (
+    Fingerprint,
+    LagProfile,
+    ScoreMap,
+    ScoreRow,
+    TournamentRow,
+    WaterfallStep,
+)
+from orbitfb.diagnose.result.parts import Gap
+from orbitfb.html.svg import (
     BLUE,
     GREY,
     INK,
@@ -17,15 +26,6 @@ from orbitfb.diagnose.report.svg import (
     shorten,
     values,
 )
-from orbitfb.diagnose.result.blocks import (
-    Fingerprint,
-    LagProfile,
-    ScoreMap,
-    ScoreRow,
-    TournamentRow,
-    WaterfallStep,
-)
-from orbitfb.diagnose.result.parts import Gap
 
 _ROW = 19
 """Height of a row of bars that lie."""

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.stats import norm
 
-from orbitfb.diagnose.report.svg import BLUE, GREY, RED, Axis, Panel, known, picture, values
 from orbitfb.diagnose.result.blocks import Audit
+from orbitfb.html.svg import BLUE, GREY, RED, Axis, Panel, known, picture, values
 
 
 def audit(its: Audit) -> str:

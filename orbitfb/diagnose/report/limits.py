@@ -3,7 +3,11 @@
 from collections.abc import Iterator
 
 from orbitfb.diagnose.report import limit_pictures
-from orbitfb.diagnose.report.html import (
+from orbitfb.diagnose.report.opening import micrometres
+from orbitfb.diagnose.result.blocks import Audit
+from orbitfb.diagnose.result.diagnosis import Diagnosis
+from orbitfb.diagnose.result.quantities import quantity
+from orbitfb.html.page import (
     folded,
     listed,
     missing,
@@ -13,10 +17,6 @@ from orbitfb.diagnose.report.html import (
     table,
     text,
 )
-from orbitfb.diagnose.report.opening import micrometres
-from orbitfb.diagnose.result.blocks import Audit
-from orbitfb.diagnose.result.diagnosis import Diagnosis
-from orbitfb.diagnose.result.quantities import quantity
 
 
 def limits(its: Diagnosis) -> str:

@@ -2,7 +2,11 @@
 
 from collections.abc import Iterator
 
-from orbitfb.diagnose.report.html import (
+from orbitfb.diagnose.result.diagnosis import Diagnosis
+from orbitfb.diagnose.result.headline import member, to_do, where_is
+from orbitfb.diagnose.result.parts import Cause, Experiment
+from orbitfb.diagnose.result.quantities import chance, parameter, percent, quantity
+from orbitfb.html.page import (
     folded,
     listed,
     missing,
@@ -11,10 +15,6 @@ from orbitfb.diagnose.report.html import (
     table,
     text,
 )
-from orbitfb.diagnose.result.diagnosis import Diagnosis
-from orbitfb.diagnose.result.headline import member, to_do, where_is
-from orbitfb.diagnose.result.parts import Cause, Experiment
-from orbitfb.diagnose.result.quantities import chance, parameter, percent, quantity
 
 _STATES = {
     "no_gap": ("no gap", "good"),

@@ -1,13 +1,13 @@
 """Sections of the page that speak of the orbit: how far it shrinks, predictions, loop, places."""
 
 from orbitfb.diagnose.report import orbit_pictures
-from orbitfb.diagnose.report.html import missing, paragraph, section, table, text
 from orbitfb.diagnose.report.opening import micrometres
-from orbitfb.diagnose.report.svg import known
 from orbitfb.diagnose.result.blocks import ClosedLoop
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.parts import Shrink
 from orbitfb.diagnose.result.quantities import percent
+from orbitfb.html.page import missing, paragraph, section, table, text
+from orbitfb.html.svg import known
 
 
 def orbit(its: Diagnosis) -> str:

@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orbitfb.diagnose.report.svg import (
+from orbitfb.diagnose.result.blocks import ClosedLoop, Geometry, KStep
+from orbitfb.diagnose.result.parts import Gap
+from orbitfb.html.svg import (
     BLUE,
     GREEN,
     GREY,
@@ -17,8 +19,6 @@ from orbitfb.diagnose.report.svg import (
     picture,
     values,
 )
-from orbitfb.diagnose.result.blocks import ClosedLoop, Geometry, KStep
-from orbitfb.diagnose.result.parts import Gap
 
 _SHARE = "nats a row"
 

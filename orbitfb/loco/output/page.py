@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from orbitfb.diagnose.report.html import STYLE, figure_of, paragraph, section, table, text
+from orbitfb.html.page import STYLE, figure_of, paragraph, section, table, text
 from orbitfb.loco.output.pictures import along_ring, residuals, triple
 from orbitfb.loco.run import Result
 from orbitfb.loco.schema import ResponseDiagnosis

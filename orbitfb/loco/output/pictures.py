@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.report.draw import BLUE, GREEN, GREY, ORANGE, RED, picture
+from orbitfb.html.figures import BLUE, GREEN, GREY, ORANGE, RED, picture
 from orbitfb.loco.run import Result
 from orbitfb.loco.schema import ResponseDiagnosis
 from orbitfb.physics.optics import Matrix

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.report.html import text
+from orbitfb.html.page import text
 
 BLUE, RED, GREEN, ORANGE = "var(--blue)", "var(--bad)", "var(--good)", "var(--doubt)"
 PURPLE, GREY, INK = "var(--odd)", "var(--soft)", "var(--ink)"

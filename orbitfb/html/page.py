@@ -61,19 +61,6 @@ def figure_of(value: float | None, digits: int = 3) -> str:
     return "not resolved" if value is None else f"{value:.{digits}g}"
 
 
-def interval(value: float | None, low: float | None, high: float | None, unit: str = "") -> str:
-    """Write a number with its interval and unit."""
-    if value is None:
-        return "not resolved"
-    ends = "" if low is None or high is None else f" [{low:.3g}, {high:.3g}]"
-    return f"{value:.3g}{ends}{' ' + text(unit) if unit not in ('', '1') else ''}"
-
-
-def percent(share: float | None) -> str:
-    """Write a share in per cent."""
-    return "not resolved" if share is None else f"{100 * share:.0f} %"
-
-
 def listed(names: Sequence[str], most: int = 12) -> str:
     """Write names in a row; not more than some."""
     rest = f" and {len(names) - most} more" if len(names) > most else ""

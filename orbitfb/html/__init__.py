@@ -1,0 +1,1 @@
+"""What reports are made of: HTML that asks for nothing from anywhere, pictures inside it."""
