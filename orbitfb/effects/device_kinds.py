@@ -117,20 +117,9 @@ class SteppingKind(ActuatorKind):
 
 
 class SensorKind(EffectKind):
-    """An effect on what BPMs tell of the orbit, each BPM for itself.
-
-    Attributes:
-        colours: Whether it filters the noise of the readings, at some of its values at least, so
-            that it shows by that alone: see `filters`.
-        scales: Whether it scales the noise with the readings (by 1 + its `linear` parameter if it
-            has one), so that it shows by that alone.
-        blurs: Whether it mixes orbits of several times, but not their noise: see `heard`.
-    """
+    """An effect on what BPMs tell of the orbit, each BPM for itself."""
 
     target = "bpm"
-    colours: ClassVar[bool] = False
-    scales: ClassVar[bool] = False
-    blurs: ClassVar[bool] = False
 
     def laws(self, signals: Signals) -> Sequence[Law]:
         """What each BPM makes of the predicted orbit beyond it."""
@@ -142,67 +131,16 @@ class SensorKind(EffectKind):
         names = tuple(layout.bpms.label(i) for i in range(len(layout.bpms)))
         return (DeviceLaw((np.eye(len(names)),), course, names, layout.bpms.groups()),)
 
-    def filters(self, record: Record) -> Sequence[Values]:
-        """Values to try where the noise of a BPM is coloured, if it colours; those of `grid`.
-
-        An effect that filters the noise with some of its values only tells these.
-
-        Args:
-            record: That shows it.
-        """
-        return self.grid(record)
-
-    @abstractmethod
-    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
-        """Undo the effect: what would have been read without it.
-
-        Args:
-            readings: As read, of k BPMs, shape (N, k) [m].
-            values: All parameters.
-            record: Time, stretches, period, auxiliary channels and all else.
-
-        Returns:
-            Readings without the effect, shape (N, k) [m], and log |∂restored/∂reading| summed
-            over the k BPMs, of every row, shape (N,).
-        """
-
-    def unread(self, values: Values) -> int:
-        """Count the rows at the end of a stretch for which `restore` finds no readings.
-
-        As many from its beginning are of no use to it.
-
-        Args:
-            values: All parameters.
-        """
-        return 0
-
-    def heard(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
-        """Tell what restored readings still have of the effect, if it blurs.
-
-        What mixes orbits but not their noise cannot be undone in the readings without mixing that.
-
-        Args:
-            orbit: Predicted, at k BPMs, shape (N, k) [m].
-            values: All parameters.
-            record: As for `restore`.
-
-        Returns:
-            What they have more than the orbit, shape (N, k) [m].
-        """
-        return np.zeros_like(orbit)
-
     @abstractmethod
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
-        """Tell what the BPMs make of an orbit: the inverse of `restore`.
+        """Tell what the BPMs make of an orbit.
 
         The change of the prediction by the effect is distort(x̂) − x̂ with the predicted orbit x̂.
-        (−(restore(x̂) − x̂) is the same to first order only: a flipped polarity would get the
-        wrong sign, a latency the wrong tick.)
 
         Args:
             orbit: At k BPMs, shape (N, k) [m].
             values: All parameters.
-            record: As for `restore`.
+            record: Time, stretches, period, auxiliary channels and all else.
 
         Returns:
             Shape (N, k) [m].

@@ -50,11 +50,7 @@ class Parameter:
         typical: A size that occurs: width of the prior, and the default of `--effect`.
         description: For operators.
         log: Whether its size is known by order of magnitude only (grids are then logarithmic).
-        rough: Whether the likelihood jumps as it moves, because it decides row by row what
-            happens: it is then searched without derivatives.
         whole: Whether only whole numbers make sense.
-        of_rate: Of a frequency: the highest that a record can tell, in units of its rate. Half of
-            it, for a line; what dies out within a tick has an answer beyond.
         optional: Whether the law is complete without it: values may leave it out, and where it
             has its nominal value it is not fitted.
         meanings: What each value stands for, in words, where the values are choices (not fitted).
@@ -68,9 +64,7 @@ class Parameter:
     typical: float
     description: str
     log: bool = False
-    rough: bool = False
     whole: bool = False
-    of_rate: float = 0.5
     optional: bool = False
     meanings: Mapping[float, str] = field(default_factory=dict)
 
@@ -100,12 +94,6 @@ class EffectKind(ABC):
         sudden: Whether it commonly begins in the middle of a record: onsets are then tried.
         grows: Whether it grows from nothing at `record.time` = 0. For an onset at t it must be
             given a record whose time is `np.maximum(time − t, 0)`; mixing would make a step of it.
-        vanishes: Whether nothing is left of it when every parameter has its nominal value. An
-            effect without parameters is either there or not, whatever this says; a stuck device
-            has a parameter and is there all the same.
-        of_changes: Whether one that begins in the middle of a record may act on what is added to
-            the currents from then on alone: what they held, somebody has made up for. Its step at
-            the onset is then tried as one that says nothing.
         delays: Rows by which a free answer of such devices may be delayed while the noise of the
             record is estimated.
     """
@@ -125,8 +113,6 @@ class EffectKind(ABC):
     collective: ClassVar[bool] = True
     sudden: ClassVar[bool] = True
     grows: ClassVar[bool] = False
-    vanishes: ClassVar[bool] = True
-    of_changes: ClassVar[bool] = False
     delays: ClassVar[int] = 0
 
     @property
@@ -223,15 +209,3 @@ class EffectKind(ABC):
     def long_after(self, values: Values) -> Values:
         """Values with which it acts on a record that begins long after it did; the same."""
         return values
-
-    def fuller(self, values: Values, record: Record) -> Values | None:
-        """Values with the optional parameters at work, to try beside those of the simpler law.
-
-        Args:
-            values: Best ones of the simpler law.
-            record: That shows it.
-
-        Returns:
-            Values to begin with; None where there is nothing fuller.
-        """
-        return None

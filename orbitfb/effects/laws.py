@@ -130,7 +130,6 @@ class EventLaw:
         parts: What may be struck for itself: columns of the readings by name (BPMs), or changes
             of currents by name (correctors); empty: all at once only.
         moves: Change of every corrector's current by a strike, shape (N, m) [A]; zero of a sensor.
-        always: Whether the strength is one; else it is normal.
         often: Whether every row is struck; else some are.
         single: Whether every BPM is struck for itself.
     """
@@ -138,7 +137,6 @@ class EventLaw:
     shapes: Matrix
     parts: Mapping[str, Indices]
     moves: Matrix
-    always: bool
     often: bool
     single: bool
 

@@ -118,7 +118,6 @@ class LatentKind(EffectKind):
                 shapes=self.shapes(record, signals.currents, signals.orbit),
                 parts=parts,
                 moves=self.moves(record, signals.currents),
-                always=self.strength == "always one",
                 often=self.strength == "normal",
                 single=self.per_bpm,
             ),

@@ -37,7 +37,6 @@ class CorrectorCrosstalk(PairKind):
     )
     linear = "share"
     collective = False
-    of_changes = True
     confused_with = ("corrector-gain", "corrector-swap", "corrector-roll", "quadrupole-gradient")
     splits = "Steps of the first corrector with the second held: its own kick must be the only one."
 

@@ -49,7 +49,6 @@ class CorrectorDeadband(SteppingKind):
             typical=1e-3,
             description="Largest difference w that is ignored, either sign.",
             log=True,
-            rough=True,
         ),
     )
     confused_with = (

@@ -37,7 +37,6 @@ class CorrectorGain(ActuatorKind):
     )
     linear = "gain"
     delays = 3
-    of_changes = True
     confused_with = (
         "bpm-gain",
         "corrector-lag",

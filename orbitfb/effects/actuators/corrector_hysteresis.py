@@ -69,7 +69,6 @@ class CorrectorHysteresis(SteppingKind):
         ),
     )
     linear = "share"
-    of_changes = True
     confused_with = ("corrector-deadband", "corrector-lag", "corrector-gain", "corrector-slew")
     splits = "A triangular ladder with reversals at three amplitudes: only play depends on them."
 

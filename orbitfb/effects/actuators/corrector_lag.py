@@ -92,13 +92,6 @@ class CorrectorLag(ActuatorKind):
         steps = (*_SHORT, *np.geomspace(0.2, 50.0, 15))
         return ladder("tau", {"second": _NONE}, record.layout.period * np.array(steps))
 
-    def fuller(self, values: Values, record: Record) -> Values | None:
-        """Two time constants, with a sum that is nearly the same."""
-        if _second(values) > _NONE:
-            return None
-        tau = values["tau"]
-        return {"tau": tau / (1.0 + _SECOND), "second": max(_SECOND * tau, 2.0 * _NONE)}
-
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
     ) -> Effect:

@@ -25,7 +25,6 @@ class CorrectorPolarity(ActuatorKind):
     )
     equation = "θ_n = −u_n"
     parameters = ()
-    of_changes = True
     confused_with = ("corrector-gain", "corrector-swap", "bpm-polarity")
     splits = "A step of this corrector alone: the orbit moves by the opposite of the model's."
 

@@ -46,7 +46,6 @@ class CorrectorQuantisation(ActuatorKind):
             typical=0.5e-3,
             description="Smallest step q of the current (LSB).",
             log=True,
-            rough=True,
         ),
     )
     confused_with = ("ground-motion-level", "corrector-deadband", "noise-level")

@@ -17,8 +17,6 @@ from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
 _STIFF = 1e5  # [Hz]; from here on nothing is left of it
-_OF_RATE = 1.0
-"""What rings faster has settled after a tick, but for a first answer that is too large."""
 _OVERSHOOTS = ((0.6, 0.3), (0.7, 0.5), (0.8, 0.6), (0.83, 0.8), (0.95, 0.85), (0.8, 0.85))
 """Frequencies in units of the rate, and dampings, that overshoot in one tick by 33, 13, 6, 1.5, 0.6
 and 0.2 %."""
@@ -48,7 +46,6 @@ class CorrectorResonance(ActuatorKind):
             typical=2.0,
             description="Frequency f of the undamped resonance.",
             log=True,
-            of_rate=_OF_RATE,
         ),
         Parameter(
             name="damping",

@@ -51,7 +51,6 @@ class CorrectorRoll(PairKind):
     )
     linear = "angle"
     collective = False
-    of_changes = True
     confused_with = ("bpm-roll", "skew-coupling", "corrector-crosstalk")
     splits = "Steps in each plane by itself: a roll kicks into the other at this corrector only."
 

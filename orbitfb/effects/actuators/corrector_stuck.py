@@ -66,7 +66,6 @@ class CorrectorStuck(ActuatorKind):
             optional=True,
         ),
     )
-    vanishes = False
     confused_with = ("corrector-gain", "corrector-saturation", "corrector-deadband", "local-kick")
     splits = "The readback of its current, or a step of this corrector alone: nothing moves."
 
@@ -85,14 +84,6 @@ class CorrectorStuck(ActuatorKind):
     def long_after(self, values: Values) -> Values:
         """What falls has fallen."""
         return {**values, "decay": _AT_ONCE}
-
-    def fuller(self, values: Values, record: Record) -> Values | None:
-        """A small loss of what is frozen; of what fell, a fall over a tick."""
-        if values["left"] == _ALL:
-            return {**values, "left": _MOST}
-        if values["left"] > _FROZEN or values["decay"] > _AT_ONCE:
-            return None
-        return {**values, "decay": record.layout.period}
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

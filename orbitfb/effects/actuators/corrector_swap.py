@@ -26,7 +26,6 @@ class CorrectorSwap(PairKind):
     equation = "θ_j = u_k, θ_k = u_j"
     parameters = ()
     collective = False
-    of_changes = True
     confused_with = ("corrector-gain", "corrector-polarity", "bpm-swap")
     splits = "A step of one of the two alone: the orbit moves as the model says of the other."
 

@@ -49,7 +49,6 @@ class InsertionDevice(SourceKind):
             10.0,
             "Time in which it closes; only where the record has no gap.",
             log=True,
-            rough=True,
         ),
         Parameter(
             "gap",

@@ -1,7 +1,5 @@
 """Gain error of a BPM."""
 
-import math
-
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -32,7 +30,6 @@ class BpmGain(SensorKind):
     )
     linear = "gain"
     delays = 1
-    scales = True
     confused_with = (
         "noise-level",
         "bpm-nonlinearity",
@@ -55,12 +52,6 @@ class BpmGain(SensorKind):
         """Scale the readings."""
         scale = 1.0 + values["gain"]
         return ChangedReadings(places, lambda readings: scale * readings)
-
-    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
-        """Scale back."""
-        scale = 1.0 + values["gain"]
-        jacobian = -readings.shape[1] * math.log(abs(scale))
-        return readings / scale, np.full(len(readings), jacobian)
 
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Scale."""

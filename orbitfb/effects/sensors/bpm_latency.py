@@ -4,7 +4,6 @@ import math
 from collections import deque
 
 import numpy as np
-from scipy.signal import lfilter
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.device_kinds import SensorKind
@@ -18,21 +17,13 @@ from orbitfb.records.record import Record
 _MOST = 10
 _PARTS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.55, 0.7, 0.85)
 """Parts of a tick that a scan looks at."""
-_HALF = 0.5
 
 
 class BpmLatency(SensorKind):
-    """y_n = x(n T − k T) + v_n: between two ticks the orbit goes straight from one to the next.
-
-    Whole ticks are undone in the readings. Where the orbit is sampled late, a part of a tick mixes
-    two orbits, and not the noise of their readings: it is taken from the predicted orbit. Where two
-    samples are averaged their noise is mixed too: that is undone in the readings.
-    """
+    """y_n = x(n T − k T) + v_n: between two ticks the orbit goes straight from one to the next."""
 
     id = "bpm-latency"
     stage = "sensor"
-    blurs = True
-    colours = True
     parameters = (
         Parameter(
             "ticks",
@@ -86,42 +77,6 @@ class BpmLatency(SensorKind):
         more = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)
         return tuple({"ticks": ticks, "resampled": 0.0} for ticks in (*_PARTS, *more))
 
-    def filters(self, record: Record) -> tuple[Values, ...]:
-        """Parts of a tick by averaging: nothing else of it acts on the noise."""
-        return tuple({"ticks": part, "resampled": 1.0} for part in _PARTS)
-
-    def fuller(self, values: Values, record: Record) -> Values | None:
-        """The same part of a tick, by averaging."""
-        sampled = _ticks(values)[1] > 0.0 and _mixed(values) == 0.0
-        return {**values, "resampled": 1.0} if sampled else None
-
-    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
-        """Bring readings forward and undo an average; the last of a stretch stands for later ones.
-
-        The first reading of a stretch is taken as an average of two samples that are alike.
-        """
-        whole, part, missing = _ticks(values)[0], _mixed(values), self.unread(values)
-        restored, jacobian = np.empty_like(readings), np.zeros(len(readings))
-        for piece in record.stretches:
-            read = _samples(readings[min(piece.start + whole, piece.stop - 1) : piece.stop], part)
-            known = piece.start + len(read)
-            restored[piece.start : known], restored[known : piece.stop] = read, read[-1]
-            own = slice(piece.start + 1, max(piece.stop - missing, piece.start + 1))
-            jacobian[own] = -readings.shape[1] * math.log(max(part, 1.0 - part))
-        return restored, jacobian
-
-    def heard(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
-        """The part of a tick by which they are still late, where no average of them is undone."""
-        part = _ticks(values)[1] - _mixed(values)
-        return part * (_before(orbit, 1, record) - orbit)
-
-    def unread(self, values: Values) -> int:
-        """The whole ticks, and one more where the earlier of two samples is the larger share.
-
-        That is then what a reading tells, and the last sample is read by no later one.
-        """
-        return _ticks(values)[0] + (_mixed(values) > _HALF)
-
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Hold back; the first row of a stretch stands for those before it."""
         whole, part = _ticks(values)
@@ -138,20 +93,6 @@ def _ticks(values: Values) -> tuple[int, float]:
 def _mixed(values: Values) -> float:
     """Share of the earlier of two samples that are averaged; 0 where none are."""
     return _ticks(values)[1] if values.get("resampled", 0.0) else 0.0
-
-
-def _samples(readings: Matrix, part: float) -> Matrix:
-    """Find the samples r of y_n = (1 − f) r_n + f r_(n−1) in one stretch, shape (N, k).
-
-    The larger share is divided by, forwards or backwards in time: errors of the first sample, which
-    nothing tells, would grow without end the other way. What begins is taken as settled.
-    """
-    if part > _HALF:
-        earlier = _samples(readings[::-1], 1.0 - part)[::-1]
-        return np.concatenate([earlier[1:], readings[-1:]])
-    settled = -part / (1.0 - part) * readings[:1]
-    samples, _ = lfilter([1.0], [1.0 - part, part], readings, axis=0, zi=settled)
-    return samples
 
 
 def _before(orbit: Matrix, ticks: int, record: Record) -> Matrix:

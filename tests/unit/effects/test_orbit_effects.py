@@ -8,8 +8,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from orbitfb.effects.build import layout_of
-from orbitfb.effects.change import source_change
 from orbitfb.effects.kicks import interpolation
+from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.effects.optics.tunes import tune_change
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.effects.random_kinds import NoiseKind
@@ -91,7 +91,12 @@ def told(kind, layout, places, values, setpoints, orbit, auxiliary=None):
         return kind.deflect(values, record, setpoints, orbit)
     weights = np.zeros(len(kind.places_of(layout)))
     weights[places] = kind.shares(layout, np.array(places, dtype=np.intp))
-    return source_change(kind, values, record, setpoints, orbit, weights)
+    signals = Signals(record, setpoints, orbit)
+    (law,) = (one for one in kind.laws(signals) if isinstance(one, DeviceLaw))
+    return sum(
+        (course * weights) @ block.T
+        for block, course in zip(law.patterns, law.course(values, signals), strict=True)
+    )
 
 
 def near(actual, wanted, share):

@@ -91,7 +91,7 @@ def test_its_law_moves_with_every_parameter_and_nominal_values_change_nothing(
         moved = change(case, down, signals, transform)
         assert moved is not None
         assert np.any(moved.field != now.field), parameter.name
-    if kind.parameters and kind.vanishes:
+    if kind.parameters and kind.id != "corrector-stuck":  # stuck devices leave something
         nominal = change(case, {p.name: p.nominal for p in kind.parameters}, signals, transform)
         assert nominal is not None
         assert np.abs(nominal.field).max() <= 1e-9 * np.abs(now.field).max()
