@@ -223,5 +223,7 @@ def _option(
         orbit = max(float(orbit_rms(layout, excursion, plane).max()) for plane in layout.planes)
         minutes = ticks * layout.period / 60
         found.append(Option(scaled, rate, minutes, orbit, float(np.abs(excursion).max())))
+        if minutes > limits.minutes:
+            break  # a smaller amplitude takes longer
     enough = [option for option in found if option.minutes <= limits.minutes]
     return min(enough, key=lambda o: o.orbit * o.minutes) if enough else found[0]

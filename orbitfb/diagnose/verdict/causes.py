@@ -1,11 +1,15 @@
 """Causes, the tournament and what is left, in the form of the answer."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.run import Round
 from orbitfb.diagnose.impact.named import Named, probabilities
 from orbitfb.diagnose.impact.pieces import Piece
+from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.result.blocks import (
     AmbiguousSet,
     ScoreMap,
@@ -20,7 +24,8 @@ from orbitfb.diagnose.verdict.proved import Untold
 from orbitfb.diagnose.verdict.state import Judged
 from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.physics.places import Planes
+from orbitfb.effects.laws import EventLaw, RandomLaw
+from orbitfb.physics.places import Indices, Planes
 from orbitfb.records.finding import listed
 from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
@@ -43,9 +48,14 @@ def cause_of(
         measured: Tells the values.
         scores: Of the places along the ring.
     """
-    record = measured.scorer.space.signals.record
-    own = dict.fromkeys(name for piece in pieces for name in piece.names)
-    devices, planes = _places(tuple(own) if one.names else (), record.layout)
+    space = measured.scorer.space
+    record = space.signals.record
+    members = _members(one, space)
+    pieces = tuple(replace(piece, names=_devices(piece.names, members)) for piece in pieces)
+    own = tuple(dict.fromkeys(name for piece in pieces for name in piece.names))
+    all_of_them = one.kind.target == "bpm" and len(own) == len(record.layout.bpms)
+    named = () if all_of_them or not one.names else own
+    devices, planes = _places(named, record.layout)
     onset = min(piece.onset for piece in pieces)
     alike = len({(tuple(p.values.items()), p.onset) for p in pieces}) == 1 and len(one.parts) == 1
     return Cause(
@@ -59,12 +69,34 @@ def cause_of(
         alternatives=tuple(dict.fromkeys((*one.rivals, *one.kind.also_called))),
         title=one.kind.title,
         sentence=one.kind.sentence,
-        label=_label(one, tuple(own), record.layout) if one.names else "",
+        label=_label(one, named, record.layout) if named else "",
         places_within=tuple(_near(one, scores)),
         evidence_nats=one.evidence,
         scatter=bool(one.parts[0].raised),
         by_place=() if alike else tuple(_piece(piece, record) for piece in pieces),
     )
+
+
+def _members(one: Named, space: Workspace) -> Mapping[str, tuple[str, ...]]:
+    """Devices of the groups that have something random in common, by the name of the group."""
+    layout = space.signals.record.layout
+    devices = {"bpm": layout.bpms, "corrector": layout.correctors}.get(one.kind.target)
+    found: dict[str, tuple[str, ...]] = {}
+    if devices is None:
+        return found
+    for law in space.courses.laws(one.kind):
+        groups: Iterable[tuple[str, Indices]] = ()
+        if isinstance(law, EventLaw):
+            groups = law.parts.items()
+        elif isinstance(law, RandomLaw) and one.kind.target == "bpm":
+            groups = zip(law.names, map(np.flatnonzero, law.patterns.T), strict=True)
+        for name, columns in groups:
+            found[name] = tuple(devices.label(int(column)) for column in columns)
+    return found
+
+
+def _devices(names: Sequence[str], members: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(its for name in names for its in members.get(name, (name,))))
 
 
 def _label(one: Named, names: tuple[str, ...], layout: Layout) -> str:

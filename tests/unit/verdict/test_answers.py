@@ -1,5 +1,7 @@
 """Answers to small records whose cause is known, from the record to the words."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -123,3 +125,22 @@ def test_probabilities_of_effects_and_of_none_are_one_together() -> None:
     assert found.tournament is not None
     told = [one.probability or 0.0 for one in found.tournament.rows]
     assert 0.98 < sum(told) <= 1.0 + 1e-6
+
+
+def test_a_group_that_has_noise_in_common_is_told_by_its_bpms() -> None:
+    """The fragment for the simulator takes devices, and no names of groups."""
+    record = make_record(30, gain=0.0)
+    common = 0.3e-6 * np.random.default_rng(1).standard_normal((len(record), 1))
+    readings = record.readings.copy()
+    readings[:, 4:8] += common
+    first, *_ = answer(replace(record, readings=readings)).causes
+    assert first.effect == "noise-correlated"
+    assert first.places == ("B4", "B5", "B6", "B7")
+
+
+def test_a_cause_with_rivals_comes_with_the_experiment_that_decides() -> None:
+    found = answer(make_record(23, currents=last_row(reversed_fourth), gain=0.0))
+    assert found.causes[0].alternatives == ("corrector-gain",)
+    assert found.experiment is not None
+    assert found.experiment.splits == ("corrector-polarity", "corrector-gain")
+    assert answer(make_record(21)).experiment is None
