@@ -66,7 +66,7 @@ def headline(
         if number == 0 or cause.probability is None or cause.probability >= _LEAST_TOLD
     ]
     if state == "ambiguous":
-        sets = ", and ".join(" or ".join(map(member, one.effects)) for one in ambiguous)
+        sets = "; ".join(" and ".join(map(member, one.effects)) for one in ambiguous)
         splits = next((one.splits for one in ambiguous if one.splits), "").rstrip(".")
         parts.append(f"The record cannot decide between {sets}.")
         parts.append(f"What would decide: {splits}." if splits else "")
