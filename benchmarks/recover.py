@@ -16,7 +16,6 @@ from benchmarks.simulate import simulate_record
 from benchmarks.small_ring import small_ring
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse
-from orbitfb.diagnose.hypotheses.priors import SURE
 from orbitfb.diagnose.hypotheses.run import tournament
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.build import Since, layout_of
@@ -26,6 +25,7 @@ from orbitfb.effects.orbit_kinds import SourceKind
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.effects.registry import all_effects
 from orbitfb.effects.sensors.bpm_current import CHANNEL, top_up_current
+from orbitfb.estimation.priors import SURE
 from orbitfb.physics.effect import generator
 from orbitfb.physics.places import Indices, Planes, Ring
 from orbitfb.records.layout import Layout

@@ -14,19 +14,8 @@ import numpy as np
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.priors import LARGEST, LEAST_STEPS, PRIOR_COUNTS
 from orbitfb.estimation.transform import Matrix, StepTransform
-
-PRIOR_COUNTS = 100.0
-"""Steps that the prior shape of the walk is worth: it rules modes that a record of some hundred
-rows cannot show, and gives way where thousands speak."""
-
-LEAST_STEPS = 40
-"""Steps below which walk and noise cannot be told apart: λ then has too few values."""
-
-LARGEST = 36.0
-"""Most that one body of a healthy ground moves, over an even share of all that moves [1]; of 1,800
-bodies of the default ring 2 %. Chosen by hand between ground, whose largest body has a few even
-shares, and a source at one place, which has nearly all; no command calibrates it yet."""
 
 _RESTART = 1e-3
 """Share of an even part that a weight begins with at least: one that is zero could not grow."""

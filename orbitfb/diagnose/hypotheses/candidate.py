@@ -7,15 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.hypotheses.refit import SCATTER, Course, joined
+from orbitfb.diagnose.hypotheses.refit import Course, joined
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.priors import HEARD, VALUE_SCATTER
 from orbitfb.estimation.transform import Matrix
-
-_HEARD = 3
-"""Times that the orbit is told anew from what BPMs make of it: a cubic error of a tenth is then
-right to a thousandth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,12 +80,12 @@ class Candidate:
             column for one in self.sources for column in one.columns(self.kind, space.signals)
         ]
         if columns:
-            space = space.beside(self.kind, self.sources[0].law, *joined(columns), SCATTER)
+            space = space.beside(self.kind, self.sources[0].law, *joined(columns), VALUE_SCATTER)
         return space.with_floor()
 
     def _heard(self, space: Workspace, field: Matrix) -> tuple[Workspace, Matrix]:
         """Tell what BPMs make of the orbit that is left when what they make of it is taken off."""
-        for _ in range(_HEARD):
+        for _ in range(HEARD):
             space = space.hearing(field)
             field = np.zeros_like(field)
             for one in self.sources:

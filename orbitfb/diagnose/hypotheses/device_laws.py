@@ -8,11 +8,6 @@ from scipy.optimize import fminbound
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.priors import (
-    ONSET_SIGN,
-    SIZE_WIDTH,
-    VALUE_COST,
-)
 from orbitfb.diagnose.hypotheses.ranking import (
     Ranked,
     any_size,
@@ -28,20 +23,16 @@ from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import best_size, given_size
+from orbitfb.estimation.priors import (
+    FINENESS,
+    GRID_REACH,
+    ONSET_MARGIN,
+    ONSET_SIGN,
+    ONSETS_EVERY,
+    SIZE_WIDTH,
+    VALUE_COST,
+)
 from orbitfb.estimation.transform import Matrix
-
-_FINENESS = 1.0 / 300.0
-"""Share of the interval between two values of the grid to which the best one is found."""
-
-_REACH = 2
-"""Values of the grid on either side within which the best one is searched: the best one for one
-device at a grid's distance is the best one for all within two."""
-
-_ONSETS_EVERY = 10
-"""Rows between the onsets that are tried first."""
-
-_MARGIN = 30
-"""Rows at either end of a record within which no onset is tried: too few to tell it by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +116,7 @@ def _finer(exact: Callable[[Values], Candidate], top: _Found, grid: Sequence[Val
         return best
     line = sorted({one[name] for one in grid})
     place = line.index(top.values[name])
-    low, high = line[max(place - _REACH, 0)], line[min(place + _REACH, len(line) - 1)]
+    low, high = line[max(place - GRID_REACH, 0)], line[min(place + GRID_REACH, len(line) - 1)]
     bend = np.log if low > 0.0 else np.asarray
     back = np.exp if low > 0.0 else np.asarray
 
@@ -133,7 +124,7 @@ def _finer(exact: Callable[[Values], Candidate], top: _Found, grid: Sequence[Val
         return -exact({**top.values, name: float(back(bent))}).evidence
 
     span = (float(bend(low)), float(bend(high)))
-    fine = _FINENESS * (span[1] - span[0])
+    fine = FINENESS * (span[1] - span[0])
     bent = float(np.asarray(fminbound(loss, *span, xtol=fine, full_output=False)))
     trial = exact({**top.values, name: float(back(bent))})
     return max(best, trial, key=lambda one: one.evidence)
@@ -173,14 +164,14 @@ def _late(
         part, weight, onsets = scorer.since(
             pattern[:, hopeful],
             np.broadcast_to(steps, (len(steps), len(hopeful))),
-            _ONSETS_EVERY,
+            ONSETS_EVERY,
             error,
         )
         total_pull, total_information = total_pull + part, total_information + weight
     free = scales(kind)
     worth = any_size if free else given_size
     gain = worth(np.asarray(total_pull), np.asarray(total_information))
-    outside = (onsets < _MARGIN) | (onsets > len(scorer.space.transform) - _MARGIN)
+    outside = (onsets < ONSET_MARGIN) | (onsets > len(scorer.space.transform) - ONSET_MARGIN)
     gain[outside] = -np.inf
     onset, device = np.unravel_index(int(np.argmax(gain)), gain.shape)
     cost = np.log(len(pull)) + np.log(len(onsets))
@@ -205,7 +196,7 @@ def _late_candidates(
     free = scales(kind)
     courses = law.course(values, scorer.space.signals)
     last = scorer.space.transform.rows - 2
-    tried = np.arange(max(onset - 2 * _ONSETS_EVERY, 1), min(onset + 2 * _ONSETS_EVERY, last))
+    tried = np.arange(max(onset - 2 * ONSETS_EVERY, 1), min(onset + 2 * ONSETS_EVERY, last))
     worth = any_size if free else given_size
     error = scorer.own_error(kind, np.array([device]))
     best: tuple[float, int, bool] = (-np.inf, onset, False)

@@ -8,24 +8,22 @@ from scipy.optimize import fminbound
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import field_of
-from orbitfb.diagnose.hypotheses.priors import (
-    HOPE,
-    MORE,
-    MOST_DEVICES,
-    MOST_REFINED,
-    SIZE_WIDTH,
-    VALUE_COST,
-)
 from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, within
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
+from orbitfb.estimation.priors import (
+    HOPE,
+    MORE,
+    MOST_DEVICES,
+    MOST_REFINED,
+    OWN_REACH,
+    SIZE_WIDTH,
+    VALUE_COST,
+)
 from orbitfb.estimation.transform import Matrix
-
-_AROUND = 0.25
-"""Logarithm of the ratio within which a device's own value is searched: half a step of a grid."""
 
 
 def scan_each_own(
@@ -193,7 +191,7 @@ def _nearer(
     middle = float(np.log(source.values[name]))
     best = float(
         np.asarray(
-            fminbound(loss, middle - _AROUND, middle + _AROUND, xtol=1e-3, full_output=False)
+            fminbound(loss, middle - OWN_REACH, middle + OWN_REACH, xtol=1e-3, full_output=False)
         )
     )
     if loss(best) >= loss(middle):

@@ -7,18 +7,12 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.noise_laws import ReadingNoise
-from orbitfb.diagnose.hypotheses.priors import MORE, VALUE_COST
 from orbitfb.diagnose.hypotheses.row_sums import moving_root
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import EventLaw
+from orbitfb.estimation.priors import MORE, STRENGTHS, STRUCK_SHARES, VALUE_COST
 from orbitfb.estimation.transform import Indices, Matrix
-
-_SHARES = (0.003, 0.01, 0.03, 0.08, 0.2)
-"""Shares of the rows that are struck."""
-
-_STRENGTHS = (2.0, 4.0, 8.0, 16.0)
-"""Standard deviations of a stroke on single readings, over their noise."""
 
 
 def scan_events(kind: EffectKind, law: EventLaw, scorer: Scorer) -> list[Candidate]:
@@ -98,7 +92,7 @@ def _struck(
     """Strikes of strength one, with a probability: evidence, values, strength by step."""
     gain, against = pull - 0.5 * information, -pull - 0.5 * information
     best, share = -np.inf, 0.0
-    for tried in _SHARES:
+    for tried in STRUCK_SHARES:
         # The same with the opposite sign: what noise of any shape gives to such a mixture.
         found = _mixture(gain, tried) - max(_mixture(against, tried), 0.0)
         if found > best:
@@ -141,8 +135,8 @@ def _tails(kind: EffectKind, scorer: Scorer) -> Candidate:
     noise = ReadingNoise.of(scorer).values
     noise = noise / np.sqrt(np.mean(noise**2, axis=0))
     best: tuple[float, tuple[int, ...], float, float] = (-np.inf, (), 0.0, 0.0)
-    for share in _SHARES:
-        for strength in _STRENGTHS:
+    for share in STRUCK_SHARES:
+        for strength in STRENGTHS:
             level = 1.0 / (1.0 + share * strength**2)
             usual = -0.5 * (noise**2 / level + np.log(level))
             wide = level * (1.0 + strength**2)

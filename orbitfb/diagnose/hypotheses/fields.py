@@ -3,11 +3,11 @@
 import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.priors import SIZE_WIDTH, VALUE_COST
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import FieldLaw
 from orbitfb.estimation.evidence import given_size, normal_size
+from orbitfb.estimation.priors import SIZE_WIDTH, VALUE_COST
 
 
 def scan_field(kind: EffectKind, law: FieldLaw, scorer: Scorer) -> list[Candidate]:

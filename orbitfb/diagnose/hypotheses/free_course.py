@@ -13,19 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.hypotheses.priors import VALUE_COST
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.estimation.priors import FREE_LAGS, FREE_WAVES, FREE_WIDTHS, VALUE_COST
 from orbitfb.estimation.transform import Matrix, StepTransform
-
-_LAGS = 5
-"""Rows back to which a device's past acts freely: half a second at 10 Hz, longer than supplies and
-BPMs of a slow feedback remember."""
-
-_WAVES = 2
-"""Half waves over the record by which the size of a device may grow, fade and come back."""
-
-_WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0)
-"""Standard deviations of the sizes that are tried, over what the device moves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +66,7 @@ def _worth(scorer: Scorer, patterns: Matrix, motion: Matrix) -> Vector:
         information += own[:, None, None] * (part @ part.transpose(0, 2, 1))
     best = np.full(len(pull), -np.inf)
     eye = np.eye(len(basis))
-    for width in _WIDTHS:
+    for width in FREE_WIDTHS:
         inner = eye + width**2 * information
         solved = np.linalg.solve(inner, pull[:, :, None])[:, :, 0]
         gain = 0.5 * width**2 * np.einsum("dk,dk->d", pull, solved)
@@ -89,13 +79,13 @@ def _basis(motion: Matrix, transform: StepTransform) -> Sequence[Matrix]:
     about = motion - motion.mean(axis=0)
     scale = np.maximum(np.sqrt(np.mean(about**2, axis=0)), 1e-100)
     courses = [about]
-    for lag in range(1, _LAGS + 1):
+    for lag in range(1, FREE_LAGS + 1):
         late = about.copy()
         for part in transform.stretches:
             late[part] = about[np.maximum(np.arange(part.start, part.stop) - lag, part.start)]
         courses.append(late - courses[0])
     courses += [about * about / scale, about**3 / scale**2]
     course = np.arange(len(about)) / max(len(about) - 1, 1)
-    for half in range(1, _WAVES + 1):
+    for half in range(1, FREE_WAVES + 1):
         courses.append(about * np.cos(np.pi * half * course)[:, None])
     return courses

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.priors import MORE, MOST_DEVICES, SCATTER, SIZE_WIDTH
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.likelihood.errors import SHARES, ErrorBlock, variances
+from orbitfb.diagnose.likelihood.errors import ErrorBlock, variances
 from orbitfb.estimation.evidence import NormalTerms
+from orbitfb.estimation.priors import MORE, MOST_DEVICES, SCATTER, SHARES, SIZE_WIDTH
 
 
 def scan_errors(scorer: Scorer) -> Iterator[Candidate]:

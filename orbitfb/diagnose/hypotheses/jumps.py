@@ -3,12 +3,12 @@
 import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.priors import SIZE_WIDTH, VALUE_COST
 from orbitfb.diagnose.hypotheses.ranking import any_size
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, FieldLaw
 from orbitfb.estimation.evidence import best_size
+from orbitfb.estimation.priors import SIZE_WIDTH, VALUE_COST
 from orbitfb.estimation.transform import Matrix
 
 _ROUNDING = 1e-6

@@ -6,23 +6,17 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.priors import VALUE_COST
 from orbitfb.diagnose.hypotheses.scores import Scorer, Turned
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
+from orbitfb.estimation.priors import (
+    LINE_FINER,
+    LINE_FINEST,
+    LINE_PERIODS,
+    LINE_VARIANCES,
+    VALUE_COST,
+)
 from orbitfb.estimation.transform import Matrix
-
-_FINER = 2
-"""Frequencies per that of the record's length, of the first look."""
-
-_FINEST = 16
-"""Of the second look: the phase then turns by a tenth of a radian over the record at most."""
-
-_LOWEST = 6
-"""Periods in the record from which a line is told from drift."""
-
-_VARIANCES = np.geomspace(1.0, 1e6, 13)
-"""Prior variances of an amplitude that are tried, over what the noise leaves uncertain of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,11 +50,11 @@ def strongest_line(scorer: Scorer, patterns: Matrix, shaped: bool) -> Line:
             ground's walk may have, and the place is the one that alone explains most of it.
     """
     count = len(scorer.late)
-    cycles = np.arange(_LOWEST * _FINER, count * _FINER // 2) / (count * _FINER)
-    turned = scorer.fourier(_FINER)[_LOWEST * _FINER :][: len(cycles)]
+    cycles = np.arange(LINE_PERIODS * LINE_FINER, count * LINE_FINER // 2) / (count * LINE_FINER)
+    turned = scorer.fourier(LINE_FINER)[LINE_PERIODS * LINE_FINER :][: len(cycles)]
     gain = _gains(scorer, turned, cycles, patterns, shaped)
     top = float(cycles[np.unravel_index(int(np.argmax(gain)), gain.shape)[0]])
-    near = top + np.arange(-_FINEST, _FINEST + 1) / (_FINEST * _FINER * count)
+    near = top + np.arange(-LINE_FINEST, LINE_FINEST + 1) / (LINE_FINEST * LINE_FINER * count)
     wave = np.exp(-2j * np.pi * np.outer(near, np.arange(count)))
     fine = _gains(
         scorer, np.asarray(wave @ scorer.late, dtype=np.complex128), near, patterns, shaped
@@ -118,7 +112,7 @@ def _gains(
         square = np.abs(along) ** 2 * eigenvalue / weight
         ground = noise.ratio / np.mean(noise.ratio)
         best = np.full((len(cycles), 1), -np.inf)
-        for variance in _VARIANCES:
+        for variance in LINE_VARIANCES:
             prior = variance * ground * weight / np.mean(weight, axis=1, keepdims=True)
             share = prior / (1.0 + prior)
             found = np.sum(0.5 * square * share - np.log1p(prior), axis=1, keepdims=True)
@@ -126,7 +120,7 @@ def _gains(
         return best
     information = weight @ ((patterns.T @ noise.modes) ** 2).T
     square = np.abs(turned @ patterns) ** 2 * eigenvalue / np.maximum(information, 1e-300)
-    best = np.clip(0.5 * square, 1.0 + _VARIANCES[0], 1.0 + _VARIANCES[-1])  # 1 + variance
+    best = np.clip(0.5 * square, 1.0 + LINE_VARIANCES[0], 1.0 + LINE_VARIANCES[-1])  # 1 + variance
     return np.asarray(0.5 * square * (1.0 - 1.0 / best) - np.log(best))
 
 

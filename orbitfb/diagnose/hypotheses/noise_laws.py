@@ -6,17 +6,11 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.priors import MORE, VALUE_COST
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import RandomLaw
+from orbitfb.estimation.priors import LEVEL_RATIOS, LEVEL_WINDOWS, MORE, VALUE_COST
 from orbitfb.estimation.transform import Matrix
-
-_WINDOWS = 24
-"""Parts of the record of which the level is told."""
-
-_FACTORS = (0.4, 0.6, 0.75, 1.3, 1.6, 2.0, 2.5, 3.0, 4.0)
-"""Ratios of the level at the end to that at the beginning."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,16 +40,16 @@ class ReadingNoise:
 def scan_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate]:
     """Find a level of the noise that changes within the record, of all BPMs or of some."""
     noise = ReadingNoise.of(scorer).values
-    parts = np.array_split(noise**2, _WINDOWS)
+    parts = np.array_split(noise**2, LEVEL_WINDOWS)
     square = np.stack([part.mean(axis=0) for part in parts])
     count = np.array([len(part) for part in parts], dtype=float)[:, None]
-    middle = (np.arange(_WINDOWS) + 0.5) / _WINDOWS
+    middle = (np.arange(LEVEL_WINDOWS) + 0.5) / LEVEL_WINDOWS
     best: tuple[float, tuple[int, ...], float, int] = (-np.inf, (), 1.0, 0)
-    shapes = [(factor, 0, 1.0 + (factor - 1.0) * middle) for factor in _FACTORS]
+    shapes = [(factor, 0, 1.0 + (factor - 1.0) * middle) for factor in LEVEL_RATIOS]
     shapes += [
-        (factor, begin, np.where(np.arange(_WINDOWS) < begin, 1.0, factor))
-        for factor in _FACTORS
-        for begin in range(2, _WINDOWS - 1, 2)
+        (factor, begin, np.where(np.arange(LEVEL_WINDOWS) < begin, 1.0, factor))
+        for factor in LEVEL_RATIOS
+        for begin in range(2, LEVEL_WINDOWS - 1, 2)
     ]
     for factor, begin, shape in shapes:
         gain = _level_gain(square, count, shape**2)

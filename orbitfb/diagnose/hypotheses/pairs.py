@@ -4,12 +4,12 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.priors import SIZE_WIDTH, VALUE_COST
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import PairLaw
 from orbitfb.estimation.evidence import given_size, normal_size
+from orbitfb.estimation.priors import SIZE_WIDTH, VALUE_COST
 from orbitfb.estimation.transform import Indices, Matrix
 
 

@@ -8,22 +8,21 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.lines import strongest_line
 from orbitfb.diagnose.hypotheses.noise_laws import scan_colour, scan_level
-from orbitfb.diagnose.hypotheses.priors import LEAK, MORE, STROKES, VALUE_COST
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import RandomLaw
 from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.priors import (
+    LEAK,
+    MORE,
+    RANDOM_VARIANCES,
+    STROKE_PLACES,
+    STROKES,
+    UNSURE,
+    VALUE_COST,
+)
 from orbitfb.estimation.transform import Matrix, StepTransform
-
-_SIZES = np.geomspace(1e-3, 1e4, 36)
-"""Variances that are tried, in units of what the floor leaves uncertain of the pattern."""
-
-_UNSURE = (0.0, 0.1, 0.3, 1.0)
-"""Shares of what the ground's walk along a pattern may be wrong by, which are free [1]."""
-
-_PLACES = 4
-"""Places whose strokes are sought one by one: those with the largest single one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,16 +83,16 @@ def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighe
             np.sum(-0.5 * count * np.log(grown) + 0.5 * variance * by_band / grown, axis=0)
         )
 
-    for factor in _SIZES:
+    for factor in RANDOM_VARIANCES:
         gain = gained(factor / np.maximum(scale, 1e-300) * weight)
         better = gain > best
         best[better], size[better] = gain[better], (factor / scale)[better]
     if law.walk:
         usual = _unsure(law.patterns, space.shape + space.held, precision)
-        best = best - np.max([gained(share * usual[None, :]) for share in _UNSURE], axis=0)
+        best = best - np.max([gained(share * usual[None, :]) for share in UNSURE], axis=0)
     else:  # what a walk of the same pattern explains is no noise
         flat = np.mean(precision, axis=0)[None, :]
-        walks = [gained(np.broadcast_to(size / flat, precision.shape)) for size in _SIZES]
+        walks = [gained(np.broadcast_to(size / flat, precision.shape)) for size in RANDOM_VARIANCES]
         best = best - np.maximum(np.max(walks, axis=0), 0.0)
     place = int(np.argmax(best))
     gain = float(best[place]) - np.log(len(best)) - VALUE_COST
@@ -137,7 +136,7 @@ def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate
     weights = (1.0 / space.noise.variance(transform)) @ seen.T
     own = weights.mean(axis=0)
     along = scorer.late @ law.patterns
-    hopeful = np.argsort(-np.max(along**2, axis=0) / own)[:_PLACES]
+    hopeful = np.argsort(-np.max(along**2, axis=0) / own)[:STROKE_PLACES]
     best: tuple[float, int, Vector] = (-np.inf, int(hopeful[0]), np.zeros(len(along)))
     for place in map(int, hopeful):
         found = _pursued(along[:, place], weights[:, place], transform)

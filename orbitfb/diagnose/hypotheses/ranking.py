@@ -6,16 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.hypotheses.priors import HOPE, SIZE_WIDTH
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import Worth
 from orbitfb.effects.kinds import EffectKind, OwnValues, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import best_size, given_size, normal_size
+from orbitfb.estimation.priors import HOPE, RANKED_VALUES, SIZE_WIDTH
 from orbitfb.estimation.transform import Matrix
-
-_FINALISTS = 3
-"""Values of a grid that are scored for all sets of devices, by each of two marks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +64,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
         total = np.array([np.sum(pull)])
         together[number] = max(float(worth(total, np.array([whole]))[0]) for worth in worths)
     top = alone[: len(grid)].max(axis=1)
-    best = {*np.argsort(-top)[:_FINALISTS], *np.argsort(-together)[:_FINALISTS]}
+    best = {*np.argsort(-top)[:RANKED_VALUES], *np.argsort(-together)[:RANKED_VALUES]}
     hopeful = np.maximum(top - HOPE, together) > 0.0
     return Ranked(grid, own, alone, [grid[number] for number in sorted(best) if hopeful[number]])
 

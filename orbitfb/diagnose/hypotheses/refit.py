@@ -15,9 +15,6 @@ from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.estimation.transform import Indices, Matrix
 
-SCATTER = 0.5
-"""Largest scatter of a value from device to device, of the value [1]: a half."""
-
 _STEP = 0.02
 """Step of a value by which its derivative is taken, of the value [1]."""
 

@@ -14,13 +14,13 @@ from orbitfb.diagnose.hypotheses.healthy import scan_errors
 from orbitfb.diagnose.hypotheses.jumps import jumps_of, scan_jumps
 from orbitfb.diagnose.hypotheses.lines import scan_lines
 from orbitfb.diagnose.hypotheses.pairs import scan_pairs
-from orbitfb.diagnose.hypotheses.priors import COURSELESS, FINALISTS, MISFIT, ROUNDS, SURE
 from orbitfb.diagnose.hypotheses.random_laws import scan_random
 from orbitfb.diagnose.hypotheses.ranking import ranked
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, EventLaw, FieldLaw, Law, PairLaw
+from orbitfb.estimation.priors import COURSELESS, FINALISTS, MISFIT, ROUNDS, SURE
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,12 +10,13 @@ from scipy.linalg import cho_solve
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.row_sums import OwnError, moving_root, sums_since, whitened_by
 from orbitfb.diagnose.hypotheses.seen import Beside, Seen
-from orbitfb.diagnose.likelihood.errors import SHARES, variances
+from orbitfb.diagnose.likelihood.errors import variances
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, OwnValues
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalPriors, NormalTerms
+from orbitfb.estimation.priors import SHARES
 from orbitfb.estimation.transform import Indices, Matrix
 
 _SIXTEENTH = 16

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.hypotheses.priors import MORE
+from orbitfb.estimation.priors import MORE
 from orbitfb.estimation.transform import Indices, Matrix
 
 Worth = Callable[[Vector, Vector], Vector]

@@ -19,11 +19,9 @@ from orbitfb.diagnose.impact.windows import Windows, interval
 from orbitfb.diagnose.result.blocks import ClosedLoop
 from orbitfb.diagnose.result.values import numbers
 from orbitfb.effects.laws import DeviceLaw
+from orbitfb.estimation.priors import FOLLOWS
 from orbitfb.estimation.transform import Matrix
 from orbitfb.records.record import Record
-
-FOLLOWS = 0.98
-"""Share of the variance of the requested changes that a linear law must explain [1]."""
 
 _RIDGE = 1e-8
 """Ridge of the law's fit, of the mean square of the orbit: it keeps directions without motion

@@ -17,9 +17,7 @@ from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.result.parts import Detectable
 from orbitfb.effects.kinds import EffectKind, Parameter, Values
 from orbitfb.effects.laws import DeviceLaw, FieldLaw, Law, RandomLaw
-
-SIGMAS = 5.0
-"""Standard deviations from which a size counts as shown: by chance once in 3 million places."""
+from orbitfb.estimation.priors import SIGMAS
 
 _ENOUGH = SIGMAS**2 / 2.0
 """Log likelihood [nats] of a size of so many standard deviations."""

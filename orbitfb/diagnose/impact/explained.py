@@ -18,8 +18,9 @@ from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.impact.pieces import Differences, Piece, columns_of, pieces_of
 from orbitfb.diagnose.impact.waves import wave_of
 from orbitfb.diagnose.likelihood.errors import ErrorBlock, saturated
-from orbitfb.diagnose.likelihood.workspace import LEAST_SHARE, WIDE, Workspace
+from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.priors import LEAST_SHARE, WIDE
 from orbitfb.estimation.transform import Matrix
 
 

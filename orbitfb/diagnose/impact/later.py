@@ -14,11 +14,9 @@ from orbitfb.diagnose.impact.pieces import Differences, columns_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, FieldLaw, PairLaw
+from orbitfb.estimation.priors import HEARD
 from orbitfb.estimation.transform import Matrix
 from orbitfb.records.record import Record
-
-_HEARD = 3
-"""Times that the orbit is told anew from what BPMs make of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +126,7 @@ def _field(
         own = its.differences.get(id(part), {})
         field = _summed(kind, moved, own, space)
         if kind.target == "bpm":
-            for _ in range(_HEARD):
+            for _ in range(HEARD):
                 heard = (heard or space).hearing(field)
                 field = _summed(kind, moved, own, heard)
         return field, heard

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.priors import MISFIT, RIVAL
 from orbitfb.diagnose.hypotheses.run import Round
 from orbitfb.effects.kinds import EffectKind
+from orbitfb.estimation.priors import MISFIT, RIVAL
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,11 +13,8 @@ from orbitfb.diagnose.result.blocks import ScoreMap, ScoreRow
 from orbitfb.diagnose.result.values import numbers
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
+from orbitfb.estimation.priors import ONCE_IN
 from orbitfb.records.layout import Layout
-
-_ONCE_IN = 100.0
-"""Records without a gap, of which one reaches the threshold at its best place: the evidence of
-chance exceeds x with a probability of e^−x at most."""
 
 
 def score_map(causes: Sequence[Named], first: Round, scorer: Scorer) -> ScoreMap | None:
@@ -37,7 +34,7 @@ def score_map(causes: Sequence[Named], first: Round, scorer: Scorer) -> ScoreMap
     if not rows:
         return None
     places = max(len(row.gain) for row in rows)
-    return ScoreMap(rows=tuple(rows), threshold_nats=float(np.log(places * _ONCE_IN)))
+    return ScoreMap(rows=tuple(rows), threshold_nats=float(np.log(places * ONCE_IN)))
 
 
 def _rows(part: Candidate, scorer: Scorer, cause: Named | None) -> Iterator[ScoreRow]:

@@ -11,6 +11,7 @@ from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.result.blocks import Fingerprint, Identifiability, LagProfile
 from orbitfb.diagnose.result.values import numbers, rows
+from orbitfb.estimation.priors import ALIKE
 from orbitfb.estimation.transform import Matrix
 
 _BINS = 15
@@ -21,10 +22,6 @@ _LEAST = 30
 
 _LAGS = 6
 """Ages of a change that are told: 0.6 s at 10 Hz."""
-
-_ALIKE = 0.98
-"""Cosine from which two effects change the record alike: what one leaves of the other is a 25th
-of its energy."""
 
 
 def fingerprints(its: Explained, causes: Sequence[Named]) -> tuple[Fingerprint, ...]:
@@ -116,7 +113,7 @@ def likeness(candidates: Sequence[Candidate], scorer: Scorer) -> Identifiability
         f"{names[a]} and {names[b]} change this record alike (cosine {cosine[a, b]:.3f})."
         for a in range(len(names))
         for b in range(a + 1, len(names))
-        if abs(cosine[a, b]) > _ALIKE
+        if abs(cosine[a, b]) > ALIKE
     ]
     return Identifiability(effects=names, cosine=rows(cosine), degenerate=tuple(alike))
 

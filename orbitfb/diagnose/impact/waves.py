@@ -12,9 +12,9 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.priors import MOST_DEVICES
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.laws import DeviceLaw, Values
+from orbitfb.estimation.priors import MOST_DEVICES
 from orbitfb.estimation.transform import Matrix
 
 _LEFT = 0.01

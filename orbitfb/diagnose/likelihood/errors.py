@@ -10,10 +10,8 @@ from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.estimation.evidence import NormalTerms
+from orbitfb.estimation.priors import SHARES
 from orbitfb.estimation.transform import Matrix, StepTransform
-
-SHARES = (0.0, 0.1, 0.3, 1.0)
-"""Shares of the healthy scatter that are tried: a record without errors must not pay for them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,20 +4,9 @@ import numpy as np
 
 from orbitfb.effects.kicks import source_patterns
 from orbitfb.estimation.floor import Shapes
+from orbitfb.estimation.priors import BODY, GIRDER, SITE, SLAB
 from orbitfb.estimation.transform import Matrix
 from orbitfb.records.layout import Layout
-
-GIRDER = 3.0
-"""Distance over which magnets of one girder move together [m]."""
-
-SLAB = 20.0
-"""Distance over which neighbouring girders move together, on one slab of concrete [m]."""
-
-SITE = 200.0
-"""Distance over which the ground of a site moves together, as by temperature and tides [m]."""
-
-TOGETHER = 6
-"""Quadrupoles in a row that may move as one body: a girder carries three to six of them."""
 
 
 def ground_shapes(layout: Layout) -> Shapes:
@@ -49,7 +38,7 @@ def ground_shapes(layout: Layout) -> Shapes:
         reaches = (GIRDER, SLAB, SITE)
         families += [_unit(orbit @ np.exp(-apart / reach) @ orbit.T) for reach in reaches]
         body = np.zeros_like(orbit)
-        for length in range(TOGETHER):
+        for length in range(BODY):
             body = body + np.roll(orbit, -length, axis=1)
             rows.append(body)
     single = np.hstack(rows)

@@ -19,41 +19,20 @@ from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.estimation.evidence import NormalTerms
-from orbitfb.estimation.floor import (
-    PRIOR_COUNTS,
-    Moments,
-    Shapes,
-    first_noise,
-    fit_shapes,
-    improve,
-)
+from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
+from orbitfb.estimation.priors import (
+    AGAIN,
+    FREELY,
+    LEAST_SHARE,
+    LIMITS,
+    MATERIAL,
+    PRIOR_COUNTS,
+    WIDE,
+)
 from orbitfb.estimation.transform import Indices, Matrix, StepTransform
 from orbitfb.records.record import Record
-
-MATERIAL = 0.1
-"""Rms of what a refinement of the model adds to a step, over that of the reading noise, from which
-it is named: below it the one-step error changes by half a per cent, and nobody would act on it."""
-
-LEAST_SHARE = 0.1
-"""Least scatter of an accepted cause's values, of its limit: 5 %, as good as any value is known."""
-
-LIMITS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
-"""Multiples of the usual healthy scatter that a healthy record may show: measured rings have gains
-of 1 to 8 % and optics that beat by 1 to 10 %."""
-
-AGAIN = 12
-"""Rounds by which the floor's shapes are fitted anew from where they stood: they were fitted
-already, and a cause changes what is left little."""
-
-FREELY = 8
-"""Steps up the likelihood in which the walk may leave the shapes; chosen by hand: more hardly raise
-it."""
-
-WIDE = 10.0
-"""How many times the healthy scatter the saturated model gives to every device: 10 % of gain, and
-gradients that beat by 15 %, so that no linear law of any device can raise the floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,6 @@ import numpy as np
 from orbitfb.core.gap import GapSight
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.free_course import scan_free
-from orbitfb.diagnose.hypotheses.priors import SURE
 from orbitfb.diagnose.hypotheses.run import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.named import probabilities
@@ -24,6 +23,7 @@ from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, PairLaw
 from orbitfb.effects.registry import all_effects
+from orbitfb.estimation.priors import SURE
 from orbitfb.records.record import Record
 
 _NINETY = 1.645

@@ -9,7 +9,6 @@ import numpy as np
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.diagnose.experiments.search import experiment_for
-from orbitfb.diagnose.hypotheses.priors import SURE
 from orbitfb.diagnose.hypotheses.run import tournament
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.audit import audit
@@ -43,6 +42,7 @@ from orbitfb.diagnose.verdict.state import beside_proved, judged
 from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import all_effects
+from orbitfb.estimation.priors import SURE
 from orbitfb.records.finding import Finding
 from orbitfb.records.record import Record
 

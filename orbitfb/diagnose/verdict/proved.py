@@ -9,6 +9,7 @@ from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.result.parts import Cause
 from orbitfb.diagnose.screen.repeats import HELD, shared_repeats
 from orbitfb.effects.registry import all_effects
+from orbitfb.estimation.priors import MOST_REPEATS, PROVED
 from orbitfb.physics.places import Indices
 from orbitfb.records.finding import Finding, listed
 from orbitfb.records.gaps import gaps_of, is_gap
@@ -16,12 +17,6 @@ from orbitfb.records.record import Record
 
 SCREENED = ("bpm-stuck", "missed-read")
 """Effects that leave exact repeats: the integrity screen is certain of them, or they are not."""
-
-_PROBABILITY = 0.995
-"""Of what repeats itself to the last bit [1]: one screen in two hundred had another reason."""
-
-_MOST_REPEATS = 0.5
-"""Share of repeated orbits beyond which filling them in would be inventing a record [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +125,7 @@ def _cause(record: Record, finding: Finding) -> Cause:
         stage=kind.stage,
         places=devices,
         planes=layout.planes[0] if len(layout.planes) == 1 else planes,
-        probability=_PROBABILITY,
+        probability=PROVED,
         onset_s=float(record.time[first]) if first > 1 else None,
         title=kind.title,
         sentence=kind.sentence,
@@ -147,7 +142,7 @@ def _without_repeats(record: Record) -> Record:
     whole &= ~record.starts
     same = shared_repeats(record) | whole[:, None]
     rows = same.any(axis=1)
-    if not rows.any() or rows.mean() > _MOST_REPEATS:
+    if not rows.any() or rows.mean() > MOST_REPEATS:
         return record
     readings = record.readings.copy()
     moved = np.zeros_like(readings)

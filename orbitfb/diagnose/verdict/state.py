@@ -4,14 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse
-from orbitfb.diagnose.hypotheses.priors import REMAINDER, SURE
 from orbitfb.diagnose.hypotheses.run import Round
 from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.result.diagnosis import State
 from orbitfb.diagnose.verdict.proved import Proved
-
-_CERTAIN = 0.9
-"""Probability of one effect alone from which it is named without an alternative."""
+from orbitfb.estimation.priors import CERTAIN, REMAINDER, SURE
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +45,7 @@ def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
     if nats > REMAINDER * told:
         return Judged("named_plus_remainder", left, nats)
     alone = first.chances[first.kind.id]
-    state: State = "named" if alone > _CERTAIN or not first.rivals else "ambiguous"
+    state: State = "named" if alone > CERTAIN or not first.rivals else "ambiguous"
     return Judged(state, (), 0.0)
 
 

@@ -14,17 +14,12 @@ from orbitfb.diagnose.result.parts import ParameterValue
 from orbitfb.effects.kinds import EffectKind, Parameter
 from orbitfb.effects.laws import DeviceLaw, FieldLaw
 from orbitfb.estimation.evidence import NormalTerms
+from orbitfb.estimation.priors import KNOWN_TO, LEAST_SPREAD
 from orbitfb.estimation.transform import Matrix
 
 _NINETY = 1.645
 """Standard deviations of a normal number beyond which it is in one of ten cases, either side."""
 
-_LEAST = 0.02
-"""Least relative standard deviation of a value [1]: no law is right to better than that. The
-frequency of a wave is: it belongs to nothing but time."""
-
-_KNOWN_TO = 1.0
-"""Relative standard deviation of a value before the record is seen [1]."""
 
 _STEP = 0.02
 """Step of a value by which its derivative is taken, of the value [1]."""
@@ -96,7 +91,7 @@ class Measured:
         if not fields:
             return {}
         _, information = self.scorer.evaluate(list(fields.values()))
-        covariance = np.linalg.inv(information + np.eye(len(fields)) / _KNOWN_TO**2)
+        covariance = np.linalg.inv(information + np.eye(len(fields)) / KNOWN_TO**2)
         spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return dict(zip(fields, map(float, spread), strict=True))
 
@@ -111,7 +106,7 @@ class Measured:
             fields = {p.name: field for p in kind.sizes}
             if len(fields) == 1:
                 return self._curved(fields)
-            size = self._curved({"size": field}).get("size", _KNOWN_TO)
+            size = self._curved({"size": field}).get("size", KNOWN_TO)
             return dict.fromkeys(fields, size)
         now = space.courses.field(laws[0], part.values)
         fields = {}
@@ -172,8 +167,8 @@ class Measured:
             evidence.append(NormalTerms(errors.pull, errors.information, variance).evidence())
         bend = np.polyfit(np.log(_SHARES), evidence, 2, w=np.exp(
             0.25 * (np.array(evidence) - max(evidence))))[0]  # fmt: skip
-        spread = 1.0 / np.sqrt(2.0 * -bend) if bend < 0.0 else _KNOWN_TO
-        return {} if kind.linear is None else {kind.linear: float(min(spread, _KNOWN_TO))}
+        spread = 1.0 / np.sqrt(2.0 * -bend) if bend < 0.0 else KNOWN_TO
+        return {} if kind.linear is None else {kind.linear: float(min(spread, KNOWN_TO))}
 
     def _of_variance(self, kind: EffectKind, part: Candidate) -> Spread:
         """Of the size of something random: its information is that of its covariance."""
@@ -189,7 +184,7 @@ class Measured:
             half = np.sqrt(inverse)
             mixed = half[:, None] * (parts[0] + level * parts[1]) * half
             information += 0.5 * float(count) * float(np.sum(mixed**2))
-        spread = 0.5 / np.sqrt(information + 0.25 / _KNOWN_TO**2)
+        spread = 0.5 / np.sqrt(information + 0.25 / KNOWN_TO**2)
         return {kind.parameters[0].name: float(spread)}
 
     def _of_strikes(self, kind: EffectKind, part: Candidate) -> Spread:
@@ -214,7 +209,7 @@ def _largest(kind: EffectKind, pieces: tuple[Piece, ...]) -> dict[str, float]:
 
 def _told(parameter: Parameter, value: float, spread: float | None, meaning: str) -> ParameterValue:
     """A value with its interval, within the bounds of its parameter."""
-    least = 0.0 if parameter.unit == "Hz" else _LEAST
+    least = 0.0 if parameter.unit == "Hz" else LEAST_SPREAD
     reach = None if spread is None else _NINETY * abs(value) * max(spread, least)
     return ParameterValue(
         value=value,

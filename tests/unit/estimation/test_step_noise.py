@@ -5,16 +5,10 @@ import pytest
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.estimation.evidence import NormalTerms, normal_size
-from orbitfb.estimation.floor import (
-    LARGEST,
-    Moments,
-    Shapes,
-    first_noise,
-    fit_shapes,
-    improve,
-)
+from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
+from orbitfb.estimation.priors import LARGEST
 from orbitfb.estimation.transform import StepTransform
 
 STARTS = np.zeros(23, dtype=np.bool_)

@@ -9,12 +9,12 @@ import pytest
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose import hypotheses, likelihood
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.priors import SURE
 from orbitfb.diagnose.hypotheses.run import candidates_of, tournament
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind, Parameter, Values
 from orbitfb.effects.registry import all_effects
+from orbitfb.estimation.priors import SURE
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices

@@ -1,0 +1,223 @@
+"""Every number that decides what is named, with its unit, its source, and what it changes."""
+
+import numpy as np
+
+# Noise, drift and healthy errors.
+
+PRIOR_COUNTS = 100.0
+"""Steps that the prior shape of the walk is worth: it rules modes that a record of some hundred
+rows cannot show, and gives way where thousands speak."""
+
+LEAST_STEPS = 40
+"""Steps below which walk and noise cannot be told apart: λ then has too few values."""
+
+LARGEST = 36.0
+"""Most that one body of a healthy ground moves, over an even share of all that moves [1]; of 1,800
+bodies of the default ring 2 %. Chosen by hand between ground, whose largest body has a few even
+shares, and a source at one place, which has nearly all; no command calibrates it yet."""
+
+GIRDER = 3.0
+"""Distance over which magnets of one girder move together [m]."""
+
+SLAB = 20.0
+"""Distance over which neighbouring girders move together, on one slab of concrete [m]."""
+
+SITE = 200.0
+"""Distance over which the ground of a site moves together, as by temperature and tides [m]."""
+
+BODY = 6
+"""Quadrupoles in a row that may move as one body: a girder carries three to six of them."""
+
+SHARES = (0.0, 0.1, 0.3, 1.0)
+"""Shares of the healthy scatter that are tried: a record without errors must not pay for them."""
+
+MATERIAL = 0.1
+"""Rms of what a refinement of the model adds to a step, over that of the reading noise, from which
+it is named: below it the one-step error changes by half a per cent, and nobody would act on it."""
+
+LEAST_SHARE = 0.1
+"""Least scatter of an accepted cause's values, of its limit: 5 %, as good as any value is known."""
+
+LIMITS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+"""Multiples of the usual healthy scatter that a healthy record may show: measured rings have gains
+of 1 to 8 % and optics that beat by 1 to 10 %."""
+
+AGAIN = 12
+"""Rounds by which the floor's shapes are fitted anew from where they stood: they were fitted
+already, and a cause changes what is left little."""
+
+FREELY = 8
+"""Steps up the likelihood in which the walk may leave the shapes; chosen by hand: more hardly raise
+it."""
+
+WIDE = 10.0
+"""How many times the healthy scatter the saturated model gives to every device: 10 % of gain, and
+gradients that beat by 15 %, so that no linear law of any device can raise the floor."""
+
+
+# What is searched, and what it costs.
+
+SURE = 12.0
+"""Log evidence [nats] above which a cause is accepted. Of records without a gap the best candidate
+stays below 5 (measured on both generators); 7 more are odds of a thousand to one."""
+
+VALUE_COST = 3.0
+"""Nats that a law pays for its values: they are fitted, within a prior of about 20 widths of the
+posterior (ln 20)."""
+
+SIZE_WIDTH = 5.0
+"""Standard deviation of a free size over the typical one of the effect."""
+
+MOST_DEVICES = 24
+"""Devices with a size of each one's own that a set may have before it is a scatter of all."""
+
+MORE = 3.0
+"""Nats beyond its look-elsewhere cost that a further device of a set must bring."""
+
+ONSET_SIGN = 8.0
+"""Nats a²/2H of one device from which onsets of its law are looked for: a law that begins at the
+middle of a record shows half of its final evidence in the whole of it."""
+
+ROUNDS = 4
+"""Causes that are accepted at most."""
+
+SCATTER = (2.0, 4.0, 8.0, 16.0, 32.0)
+"""Multiples of the healthy scatter that are tried for all devices at once."""
+
+LEAK = 0.02
+"""Share of the walk along a pattern that the ground's shapes may have wrong besides a factor of
+two of what they leave there [1]: patterns that few quadrupoles move share the errors of others.
+Chosen by hand."""
+
+FINALISTS = 10
+"""Candidates that are evaluated exactly, and whose values are refined between those of the grid: a
+scan leaves out what healthy errors of other devices hide, up to half of a large effect, and steps
+of a grid that are 1.5 apart lose a tenth."""
+
+COURSELESS = 0.5
+"""Share of the evidence of a random course from which a law with a course is told before it [1]:
+chosen by hand. The random course is weighed over another floor, which counts the same motion for
+more."""
+
+MISFIT = 0.004
+"""Share of the best evidence by which the evidences of models that are all a little wrong may
+differ by chance [1]."""
+
+RIVAL = 0.02
+"""Probability from which another effect is told as one that the record cannot exclude [1]."""
+
+REMAINDER = 0.03
+"""Share of the named causes' evidence from which what a free course finds beside them is told [1]:
+a law that is right to a sixth of its amplitude leaves that."""
+
+HOPE = 2.0
+"""Log evidence [nats] of the best single device below which values are not looked at closely: the
+best of 180 devices of a healthy record reaches 4."""
+
+MOST_REFINED = 6
+"""Devices of a set whose own values are searched between those of the grid; others keep it."""
+
+STROKES = 0.05
+"""Share of the rows in which single strokes are sought [1]: more of them are a walk."""
+
+HEARD = 3
+"""Times that the orbit is told anew from what BPMs make of it: a cubic error of a tenth is then
+right to a thousandth."""
+
+FINENESS = 1.0 / 300.0
+"""Share of the interval between two values of the grid to which the best one is found."""
+
+GRID_REACH = 2
+"""Values of the grid on either side within which the best one is searched: the best one for one
+device at a grid's distance is the best one for all within two."""
+
+ONSETS_EVERY = 10
+"""Rows between the onsets that are tried first."""
+
+ONSET_MARGIN = 30
+"""Rows at either end of a record within which no onset is tried: too few to tell it by."""
+
+OWN_REACH = 0.25
+"""Logarithm of the ratio within which a device's own value is searched: half a step of a grid."""
+
+RANKED_VALUES = 3
+"""Values of a grid that are scored for all sets of devices, by each of two marks."""
+
+VALUE_SCATTER = 0.5
+"""Largest scatter of a value from device to device, of the value [1]: a half."""
+
+STRUCK_SHARES = (0.003, 0.01, 0.03, 0.08, 0.2)
+"""Shares of the rows that are struck."""
+
+STRENGTHS = (2.0, 4.0, 8.0, 16.0)
+"""Standard deviations of a stroke on single readings, over their noise."""
+
+LINE_FINER = 2
+"""Frequencies per that of the record's length, of the first look."""
+
+LINE_FINEST = 16
+"""Of the second look: the phase then turns by a tenth of a radian over the record at most."""
+
+LINE_PERIODS = 6
+"""Periods in the record from which a line is told from drift."""
+
+LINE_VARIANCES = np.geomspace(1.0, 1e6, 13)
+"""Prior variances of an amplitude that are tried, over what the noise leaves uncertain of it."""
+
+LEVEL_WINDOWS = 24
+"""Parts of the record of which the level is told."""
+
+LEVEL_RATIOS = (0.4, 0.6, 0.75, 1.3, 1.6, 2.0, 2.5, 3.0, 4.0)
+"""Ratios of the level at the end to that at the beginning."""
+
+RANDOM_VARIANCES = np.geomspace(1e-3, 1e4, 36)
+"""Variances that are tried, in units of what the floor leaves uncertain of the pattern."""
+
+UNSURE = (0.0, 0.1, 0.3, 1.0)
+"""Shares of what the ground's walk along a pattern may be wrong by, which are free [1]."""
+
+STROKE_PLACES = 4
+"""Places whose strokes are sought one by one: those with the largest single one."""
+
+FREE_LAGS = 5
+"""Rows back to which a device's past acts freely: half a second at 10 Hz, longer than supplies and
+BPMs of a slow feedback remember."""
+
+FREE_WAVES = 2
+"""Half waves over the record by which the size of a device may grow, fade and come back."""
+
+FREE_WIDTHS = (0.01, 0.03, 0.1, 0.3, 1.0)
+"""Standard deviations of the sizes that are tried, over what the device moves."""
+
+
+# What the answer is called.
+
+CERTAIN = 0.9
+"""Probability of one effect alone from which it is named without an alternative."""
+
+LEAST_SPREAD = 0.02
+"""Least relative standard deviation of a value [1]: no law is right to better than that. The
+frequency of a wave is: it belongs to nothing but time."""
+
+KNOWN_TO = 1.0
+"""Relative standard deviation of a value before the record is seen [1]."""
+
+PROVED = 0.995
+"""Of what repeats itself to the last bit [1]: one screen in two hundred had another reason."""
+
+MOST_REPEATS = 0.5
+"""Share of repeated orbits beyond which filling them in would be inventing a record [1]."""
+
+FOLLOWS = 0.98
+"""Share of the variance of the requested changes that a linear law must explain [1]."""
+
+SIGMAS = 5.0
+"""Standard deviations from which a size counts as shown: by chance once in 3 million places."""
+
+ALIKE = 0.98
+"""Cosine from which two effects change the record alike: what one leaves of the other is a 25th
+of its energy."""
+
+ONCE_IN = 100.0
+"""Records without a gap, of which one reaches the threshold at its best place: the evidence of
+chance exceeds x with a probability of e^−x at most."""
