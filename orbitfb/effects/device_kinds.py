@@ -117,30 +117,64 @@ class SteppingKind(ActuatorKind):
 
 
 class SensorKind(EffectKind):
-    """An effect on what BPMs tell of the orbit, each BPM for itself."""
+    """An effect on what BPMs tell of the orbit, each BPM for itself.
+
+    Attributes:
+        undoable: Whether readings tell what would have been read without it: see `restore`.
+    """
 
     target = "bpm"
+    undoable: ClassVar[bool] = True
 
     def laws(self, signals: Signals) -> Sequence[Law]:
         """What each BPM makes of the predicted orbit beyond it."""
         layout = signals.record.layout
 
         def course(values: Values, given: Signals) -> tuple[Matrix, ...]:
+            if not self.parameters:  # it can be undone without a choice, and so is told exactly
+                return (undone(values, given, np.arange(len(layout.bpms)))[0],)
             return (self.distort(given.orbit, values, given.record) - given.orbit,)
 
+        def undone(values: Values, given: Signals, columns: Indices) -> tuple[Matrix, Vector]:
+            record = given.record
+            read = record.readings[:, columns]
+            restored, widened = self.restore(read, values, record)
+            return read - restored, widened
+
         names = tuple(layout.bpms.label(i) for i in range(len(layout.bpms)))
-        return (DeviceLaw((np.eye(len(names)),), course, names, layout.bpms.groups()),)
+        return (
+            DeviceLaw(
+                (np.eye(len(names)),), course, names, layout.bpms.groups(),
+                undone=undone if self.undoable else None,
+            ),
+        )  # fmt: skip
+
+    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
+        """Undo the effect, if it is undoable: what would have been read without it.
+
+        Args:
+            readings: As read, of k BPMs, shape (N, k) [m].
+            values: All parameters.
+            record: Time, stretches, period, auxiliary channels and all else.
+
+        Returns:
+            Readings without the effect, shape (N, k) [m], and log |∂restored/∂reading| summed
+            over the k BPMs, of every row, shape (N,).
+        """
+        raise NotImplementedError(f"{self.id} is not undone in the readings")
 
     @abstractmethod
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
-        """Tell what the BPMs make of an orbit.
+        """Tell what the BPMs make of an orbit: the inverse of `restore`.
 
         The change of the prediction by the effect is distort(x̂) − x̂ with the predicted orbit x̂.
+        (−(restore(x̂) − x̂) is the same to first order only: a flipped polarity would get the
+        wrong sign, a latency the wrong tick.)
 
         Args:
             orbit: At k BPMs, shape (N, k) [m].
             values: All parameters.
-            record: Time, stretches, period, auxiliary channels and all else.
+            record: As for `restore`.
 
         Returns:
             Shape (N, k) [m].
@@ -173,14 +207,15 @@ class PairKind(EffectKind):
         patterns = np.eye(len(devices)) if of_bpms else layout.response
 
         def mixing(values: Values) -> Matrix:
-            return self.matrices(layout, values) - np.eye(2)
+            matrices = self.matrices(layout, values)
+            return np.eye(2) - np.linalg.inv(matrices) if of_bpms else matrices - np.eye(2)
 
         names = tuple(devices.label(i) for i in range(len(devices)))
-        courses = signals.orbit if of_bpms else signals.currents
+        courses = signals.record.readings if of_bpms else signals.currents
         return (
             PairLaw(
                 patterns, courses, self.pairs(layout), mixing, names,
-                lambda pair: self.struck(layout, pair),
+                lambda pair: self.struck(layout, pair), of_bpms,
             ),
         )  # fmt: skip
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from orbitfb.core.signals import Vector
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 from orbitfb.records.record import Record
@@ -52,6 +53,9 @@ class DeviceLaw:
         driven: Whether the courses follow from the currents alone, whatever the orbit is.
         many: Courses of all devices for several sets of values at once, shape (N, V · D); None
             where that is no quicker than one after the other.
+        undone: What undoing the law takes off the readings of some BPMs, shape (N, k) [m], and the
+            log of the factor by which that widens the density of every row, shape (N,); None of a
+            law that no change of the readings undoes.
     """
 
     patterns: tuple[Matrix, ...]
@@ -62,19 +66,24 @@ class DeviceLaw:
     periodic: bool = False
     driven: bool = False
     many: Callable[[Sequence[Values], Signals], Matrix] | None = None
+    undone: Callable[[Values, Signals, Indices], tuple[Matrix, Vector]] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairLaw:
-    """For a pair (i, j): Σ (matrix − 1)_kl pattern_k ⊗ course_l over its columns k, l.
+    """For a pair (i, j): Σ mixing_kl pattern_k ⊗ course_l over its columns k, l.
+
+    Currents are mixed as they are set, by matrix − 1. Readings are mixed back, by 1 − matrix⁻¹:
+    what they show of a wandering orbit and their noise are exchanged, too.
 
     Args:
         patterns: Of every column, shape (n, D) [m].
-        courses: Of every column as wanted, shape (N, D).
+        courses: Of every column: as wanted, or as read, shape (N, D).
         pairs: Columns that may be tied, shape (P, 2).
-        mixing: (matrix − 1) of every pair for given values, shape (P, 2, 2).
+        mixing: Of every pair for given values, shape (P, 2, 2).
         names: Of the columns.
         struck: Columns at fault of pair number p.
+        readings: Whether the columns are readings.
     """
 
     patterns: Matrix
@@ -83,6 +92,7 @@ class PairLaw:
     mixing: Callable[[Values], Matrix]
     names: tuple[str, ...]
     struck: Callable[[int], tuple[int, ...]]
+    readings: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

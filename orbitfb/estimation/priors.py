@@ -94,10 +94,12 @@ FINALISTS = 10
 scan leaves out what healthy errors of other devices hide, up to half of a large effect, and steps
 of a grid that are 1.5 apart lose a tenth."""
 
-COURSELESS = 0.5
-"""Share of the evidence of a random course from which a law with a course is told before it [1]:
-chosen by hand. The random course is weighed over another floor, which counts the same motion for
-more."""
+LEADING = 4
+"""Effects of a round that are weighed under floors of their own at most: each costs a second."""
+
+CLOSE = 0.1
+"""Share of the best evidence from which candidates are weighed under floors of their own [1]: under
+one floor for all, what the floor stands in for makes up to half of a difference."""
 
 MISFIT = 0.004
 """Share of the best evidence by which the evidences of models that are all a little wrong may
@@ -169,6 +171,12 @@ LEVEL_WINDOWS = 24
 
 LEVEL_RATIOS = (0.4, 0.6, 0.75, 1.3, 1.6, 2.0, 2.5, 3.0, 4.0)
 """Ratios of the level at the end to that at the beginning."""
+
+ANYWHERE = 6.0
+"""Width of the logarithms of variances that noise may have [1]: a factor of twenty in rms."""
+
+ODD = 8
+"""Least BPMs per one whose noise is told as odd [1]: more of them are another make."""
 
 RANDOM_VARIANCES = np.geomspace(1e-3, 1e4, 36)
 """Variances that are tried, in units of what the floor leaves uncertain of the pattern."""

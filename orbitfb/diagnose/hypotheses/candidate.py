@@ -35,6 +35,10 @@ class Candidate:
         noisy: Whether it says something of the noise alone.
         courseless: Whether its course is whatever the record shows at its place.
         sources: Courses of its devices, if any: their values stay free when it is accepted.
+        cost: What its log likelihood, with the best size, is more than its evidence [nats]; None:
+            not known yet.
+        undone: Undo it in the readings: what that takes off them, as a spectrum of shape (T, n)
+            [m], and the log by which it widens their density; None: nothing undoes it.
         finer: Evaluate it exactly, and search the neighbourhood of its values, which a grid gave;
             None: that is done.
     """
@@ -54,12 +58,24 @@ class Candidate:
     noisy: bool = False
     courseless: bool = False
     sources: tuple[Course, ...] = ()
+    cost: float | None = None
+    undone: "Callable[[Workspace], tuple[Matrix, float]] | None" = None
     finer: "Callable[[], Candidate] | None" = None
 
-    def accepted(self, space: Workspace) -> Workspace:
-        """Add it to what a workspace explains, and estimate the floor anew."""
-        field = self.field
-        if field is not None and self.sources and self.kind.target == "bpm":
+    def accepted(self, space: Workspace, spread: bool = True) -> Workspace:
+        """Add it to what a workspace explains, and estimate the floor anew.
+
+        Args:
+            space: Before.
+            spread: Whether its values may differ a little from device to device.
+        """
+        field, undo = self.field, self.undone or self._undo()
+        if undo is not None:
+            exact, widened = undo(space)
+            if np.isfinite(exact).all() and np.isfinite(widened):
+                field = exact
+                space = replace(space.hearing(field), widened=space.widened + widened)
+        elif field is not None and self.sources and self.kind.target == "bpm":
             space, field = self._heard(space, field)
         if field is not None:
             space = space.explaining(field)
@@ -77,11 +93,29 @@ class Candidate:
                 single[column] = variance
             space = replace(space, single=single)
         columns = [
-            column for one in self.sources for column in one.columns(self.kind, space.signals)
+            column
+            for one in (self.sources if spread else ())
+            for column in one.columns(self.kind, space.signals)
         ]
         if columns:
             space = space.beside(self.kind, self.sources[0].law, *joined(columns), VALUE_SCATTER)
         return space.with_floor()
+
+    def _undo(self) -> "Callable[[Workspace], tuple[Matrix, float]] | None":
+        """How its sources are undone in the readings; None: they are not."""
+        if not self.sources or any(one.law.undone is None for one in self.sources):
+            return None
+
+        def undo(space: Workspace) -> tuple[Matrix, float]:
+            record = space.signals.record
+            added, widened = np.zeros_like(record.readings), 0.0
+            for one in self.sources:
+                for columns, change, wider in one.undone(self.kind, space.signals):
+                    added[:, columns] += change
+                    widened += float(np.sum(wider[~record.starts]))
+            return space.transform.spectrum(added), widened
+
+        return undo
 
     def _heard(self, space: Workspace, field: Matrix) -> tuple[Workspace, Matrix]:
         """Tell what BPMs make of the orbit that is left when what they make of it is taken off."""

@@ -39,7 +39,7 @@ def _all(scorer: Scorer, number: int, terms: NormalTerms, base: float) -> Iterat
     if best - base > 0.0 and block.kind.linear is not None:
         size = share * float(np.median(block.limit))
         values = {p.name: p.nominal for p in block.kind.parameters} | {block.kind.linear: size}
-        yield Candidate(block.kind, (), (), values, best - base, raised={number: share})
+        yield Candidate(block.kind, (), (), values, best - base, raised={number: share}, cost=0.0)
 
 
 def _few(block: ErrorBlock, terms: NormalTerms, base: float) -> Iterator[Candidate]:
@@ -86,6 +86,7 @@ def _few(block: ErrorBlock, terms: NormalTerms, base: float) -> Iterator[Candida
         last - base - cost * len(places),
         sizes=sizes,
         columns={int(columns[place]): wide for place in places},
+        cost=cost * len(places),
     )
 
 

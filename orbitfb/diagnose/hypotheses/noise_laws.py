@@ -9,8 +9,18 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import RandomLaw
-from orbitfb.estimation.priors import LEVEL_RATIOS, LEVEL_WINDOWS, MORE, VALUE_COST
+from orbitfb.estimation.priors import (
+    ANYWHERE,
+    LEVEL_RATIOS,
+    LEVEL_WINDOWS,
+    MORE,
+    ODD,
+    VALUE_COST,
+)
 from orbitfb.estimation.transform import Matrix
+
+NORMAL = 1.4826
+"""Standard deviation of normal numbers over the median of their distances from the middle [1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +72,41 @@ def scan_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
     names = tuple(law.names[place] for place in places)
     values = {kind.parameters[0].name: float(factor)}
     cost = VALUE_COST + np.log(len(shapes))
-    return [Candidate(kind, places, names, values, gain - cost, onset=onset, noisy=True)]
+    course = Candidate(kind, places, names, values, gain - cost, onset=onset, noisy=True)
+    return [course, *_odd_level(kind, law, scorer)]
+
+
+def _odd_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate]:
+    """Find BPMs whose noise is far from that of the others, as far as the others are alike.
+
+    The logarithms of the others' variances have a mean and a scatter, which is large in a ring
+    whose BPMs are of several makes; one that is odd may be anywhere within `ANYWHERE`.
+    """
+    white = np.log(np.diag(scorer.space.noise.white))
+    known = 2.0 / len(scorer.space.transform)
+    odd: list[int] = []
+    gain = 0.0
+    cost = float(np.log(len(white))) + MORE
+    while len(odd) < len(white) // ODD:
+        others = np.delete(np.arange(len(white)), odd)
+        middle = float(np.median(white[others]))
+        scatter = NORMAL * float(np.median(np.abs(white[others] - middle)))
+        variance = scatter**2 * (1.0 + 1.0 / len(others)) + known
+        away = (white - middle) ** 2 / (2.0 * variance)
+        more = away + 0.5 * np.log(2.0 * np.pi * variance) - np.log(ANYWHERE)
+        more[odd] = -np.inf
+        place = int(np.argmax(more))
+        if more[place] < cost:
+            break
+        odd.append(place)
+        gain += float(more[place]) - cost
+    if not odd:
+        return []
+    factor = float(np.exp(0.5 * (white[odd[0]] - middle)))
+    places = tuple(sorted(odd))
+    names = tuple(law.names[place] for place in places)
+    values = {kind.parameters[0].name: factor}
+    return [Candidate(kind, places, names, values, gain - VALUE_COST, noisy=True)]
 
 
 def _level_gain(square: Matrix, count: Matrix, shape: Vector) -> Vector:

@@ -6,6 +6,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.terms import Single
+from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import PairLaw
 from orbitfb.estimation.evidence import given_size, normal_size
@@ -90,4 +91,14 @@ def _candidate(
     struck = law.struck(number)
     cost = float(np.log(len(law.pairs))) + VALUE_COST * len(kind.parameters)
     names = tuple(law.names[place] for place in struck)
-    return Candidate(kind, struck, names, scaled, gain - cost, field=size * field)
+    back = law.mixing(scaled)[number]
+    wider = float(np.linalg.slogdet(np.eye(2) - back)[1])
+
+    def undo(space: Workspace) -> tuple[Matrix, float]:
+        change = space.transform.spectrum(law.courses[:, pair] @ back.T)
+        return change @ law.patterns[:, pair].T, wider * len(space.transform)
+
+    return Candidate(
+        kind, struck, names, scaled, gain - cost, field=size * field,
+        undone=undo if law.readings else None,
+    )  # fmt: skip

@@ -105,7 +105,9 @@ def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighe
     swing = np.ptp(transform.summed(course[:, None]))
     values = {**found.values, kind.parameters[0].name: float(swing)}
     field = np.outer(course, law.patterns[:, place])
-    return replace(found, values=values, walk=None, field=field)
+    pull = weighed.pulled @ law.patterns[:, place]
+    best = float(np.sum(pull * course - 0.5 * own * course**2))
+    return replace(found, values=values, walk=None, field=field, cost=best - gain)
 
 
 def _unsure(patterns: Matrix, walk: Matrix, precision: Matrix) -> Vector:
@@ -148,7 +150,7 @@ def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate
     evidence = gain - float(np.log(len(own))) - VALUE_COST
     whole = _candidate(kind, law, space, place, float(np.mean(strokes**2)), evidence)
     field = np.outer(transform.turn(strokes[:, None])[:, 0], law.patterns[:, place])
-    return [replace(whole, walk=None, field=field)]
+    return [replace(whole, walk=None, field=field, cost=None)]
 
 
 def _pursued(pull: Vector, weights: Vector, transform: StepTransform) -> tuple[float, Vector]:
@@ -186,5 +188,6 @@ def _candidate(
     places = () if law.together else (place,)
     names = () if law.together else (law.names[place],)
     if law.walk:
-        return Candidate(kind, places, names, values, gain, walk=spread, courseless=True)
+        cost = float(np.log(len(law.names))) + VALUE_COST
+        return Candidate(kind, places, names, values, gain, walk=spread, courseless=True, cost=cost)
     return Candidate(kind, places, names, values, gain, white=np.diag(spread).copy(), noisy=True)

@@ -52,6 +52,22 @@ class Course:
             found.append(part)
         return tuple(found)
 
+    def undone(
+        self, kind: EffectKind, signals: Signals
+    ) -> Iterator[tuple[Indices, Matrix, Vector]]:
+        """Devices (k,), what undoing them takes off their readings (N, k) [m], log factor (N,)."""
+        undone = self.law.undone
+        if undone is None:
+            return
+        places = self.places or tuple(range(len(self.law.names)))
+        every = np.array(places, dtype=np.intp)
+        late = np.arange(len(signals.record)) >= self.onset
+        for size in np.unique(self.size):
+            scaled = {p.name: float(size) * self.values[p.name] for p in kind.sizes}
+            columns = every[self.size == size]
+            change, wider = undone({**self.values, **scaled}, signals, columns)
+            yield columns, np.where(late[:, None], change, 0.0), np.where(late, wider, 0.0)
+
     def columns(self, kind: EffectKind, signals: Signals) -> Iterator[tuple[str, Matrix, Matrix]]:
         """Parameter, patterns (n, k), courses (N, k) of a relative change of each by 1."""
         chosen = list(self.places) if self.places else slice(None)

@@ -4,6 +4,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
 from orbitfb.diagnose.hypotheses.device_laws import scan_devices
 from orbitfb.diagnose.hypotheses.each_own import scan_each_own
@@ -17,10 +19,11 @@ from orbitfb.diagnose.hypotheses.pairs import scan_pairs
 from orbitfb.diagnose.hypotheses.random_laws import scan_random
 from orbitfb.diagnose.hypotheses.ranking import ranked
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.hypotheses.undone import scan_undone
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, EventLaw, FieldLaw, Law, PairLaw
-from orbitfb.estimation.priors import COURSELESS, FINALISTS, MISFIT, ROUNDS, SURE
+from orbitfb.estimation.priors import CLOSE, FINALISTS, LEADING, MISFIT, ROUNDS, SURE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +62,7 @@ def tournament(
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
         candidates = [one for one in candidates_of(space, left, tell) if not _echo(one, accepted)]
+        candidates = refitted(candidates, space)
         free = scan_free(Scorer.of(space))[:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
@@ -124,28 +128,57 @@ def _refined(candidates: list[Candidate], scorer: Scorer) -> list[Candidate]:
         candidates = strongest(candidates)
     for place, one in enumerate(candidates[:FINALISTS]):
         if one.field is not None and one.evidence > 0.0:
+            cost = one.cost
+            if cost is None:
+                pull, information = scorer.evaluate([one.field])
+                cost = float(pull[0] - 0.5 * information[0, 0]) - one.evidence
             gain = one.evidence + scorer.eased(one.field)
-            candidates[place] = replace(one, evidence=gain)
-    return strongest(_by_course(candidates))
+            candidates[place] = replace(one, evidence=gain, cost=cost)
+    return strongest(candidates)
 
 
-def _by_course(candidates: list[Candidate]) -> list[Candidate]:
-    """Put a random course behind a law that says half of what it does.
+def refitted(candidates: list[Candidate], space: Workspace) -> list[Candidate]:
+    """Compare those that lead under floors that are estimated with each of them.
 
-    A walk or a smooth course fits whatever moves at its place, over a floor of the ground's shapes
-    alone: the same motion counts for up to twice as much as with a law's course.
+    A floor that was estimated without a cause stands in for what the cause does as far as it can,
+    and so do the healthy errors: what a law is worth beside it depends on that. Under floors of
+    their own a law and a random course, a reversed sign and a walk, are weighed alike.
+
+    Args:
+        candidates: The best first.
+        space: That they were tried on.
+
+    Returns:
+        The candidates, the best first.
     """
-    told = max((one.evidence for one in candidates if not one.courseless), default=0.0)
-    return [
-        replace(one, evidence=COURSELESS * one.evidence)
-        if one.courseless and told > COURSELESS * one.evidence > 0.0
-        else one
-        for one in candidates
-    ]
+    if not candidates or candidates[0].evidence < SURE:
+        return candidates
+    least = max(SURE, CLOSE * candidates[0].evidence)
+    base = space.log_posterior()
+    least_found = np.inf
+    found: list[Candidate] = []
+    weighed: set[str] = set()
+    for one in candidates:
+        if one.noisy:
+            found.append(one)
+            continue
+        new = one.kind.id not in weighed and len(weighed) < LEADING
+        if one.cost is not None and new and one.evidence > least:
+            weighed.add(one.kind.id)
+            gain = one.accepted(space, spread=False).log_posterior() - base - one.cost
+            least_found = min(least_found, gain)
+        else:  # weighed over the floor of all: no more than those that were before it
+            gain = min(one.evidence, least_found)
+        found.append(replace(one, evidence=gain))
+    return strongest(found)
 
 
 def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
     """Scan a law by its form."""
+    if not kind.parameters and (
+        law.readings if isinstance(law, PairLaw) else isinstance(law, DeviceLaw) and law.undone
+    ):
+        return scan_undone(kind, law, scorer)
     if isinstance(law, DeviceLaw | FieldLaw):
         usual = {p.name: p.typical for p in kind.parameters}
         jumps = jumps_of(law, usual, scorer) if kind.sudden else None

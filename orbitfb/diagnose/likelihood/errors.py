@@ -95,24 +95,26 @@ def fitted_scales(
 
     Args:
         blocks: Of the errors.
-        terms: Pull and information of all columns.
+        terms: Pull and information of all columns, and the least variance that each has.
         least: Shares that are granted already, by block; one above 1 is kept.
 
     Returns:
         Shares by block, and the log evidence with them.
     """
     shares = list(least)
-    best = NormalTerms(
-        terms.pull, terms.information, variances(blocks, shares, len(terms.pull))
-    ).evidence()
+
+    def worth(tried: Sequence[float]) -> float:
+        variance = np.maximum(variances(blocks, tried, len(terms.pull)), terms.variance)
+        return NormalTerms(terms.pull, terms.information, variance).evidence()
+
+    best = worth(shares)
     for _ in range(2):
         for place, given in enumerate(least):
             if given > 1.0:
                 continue
             for share in SHARES[1:] if blocks[place].accepted else SHARES:
                 tried = [*shares[:place], share, *shares[place + 1 :]]
-                variance = variances(blocks, tried, len(terms.pull))
-                found = NormalTerms(terms.pull, terms.information, variance).evidence()
+                found = worth(tried)
                 if found > best + 1e-9:
                     best, shares = found, tried
     return shares, best

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import eigh
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.likelihood.courses import Courses
@@ -57,6 +58,7 @@ class Workspace:
         ground: Shapes that the walk may have.
         weights: Of them in the walk, shape (F,); empty before the first fit.
         reference: Of a healthy time, whose walk is the prior of this one's; None: there is none.
+        widened: Log of the factor by which undoing accepted causes widens the readings' density.
     """
 
     signals: Signals
@@ -76,6 +78,7 @@ class Workspace:
     ground: Shapes
     weights: Vector
     reference: "Workspace | None" = None
+    widened: float = 0.0
 
     @classmethod
     def of(
@@ -197,13 +200,18 @@ class Workspace:
         mixed, weights = fit_shapes(
             self.noise, moments, self.ground, self.held, self.weights, rounds=AGAIN
         )
-        shape, counts = mixed.walk - self.held, PRIOR_COUNTS
+        shape = mixed.walk - self.held
         if self.reference is not None:
-            shape, counts = self.reference.noise.walk, float(len(self.reference.transform))
+            shape = self.reference.noise.walk
             mixed = StepNoise(shape + self.held, mixed.white)
-        noise = improve(mixed, moments, mixed.walk, FREELY, counts)
+        noise = improve(mixed, moments, mixed.walk, FREELY, self._counts)
         fresh = replace(self, noise=noise, shape=shape, weights=weights)
         return replace(fresh, information=fresh._informed(), weighed=noise).with_errors()
+
+    @property
+    def _counts(self) -> float:
+        """Steps that the prior mean of the walk is worth."""
+        return PRIOR_COUNTS if self.reference is None else float(len(self.reference.transform))
 
     def _informed(self) -> Matrix:
         """Information of all columns under the floor now; what is known of it is kept."""
@@ -282,4 +290,15 @@ class Workspace:
     def log_likelihood(self) -> float:
         """Log density of the readings, healthy errors marginalised."""
         plain = self.noise.log_likelihood(self.residual, self.transform)
-        return plain + self.errors.evidence()
+        return plain + self.errors.evidence() + self.widened
+
+    def log_posterior(self) -> float:
+        """The same with what its distance from its prior takes off the floor.
+
+        Spaces whose floors were estimated each for itself are compared by it: a floor that stands
+        in for what a cause does is far from what ground makes.
+        """
+        prior = self.shape + self.held
+        ratio = np.maximum(eigh(self.noise.walk, prior, eigvals_only=True), 1e-300)
+        apart = float(np.sum(np.log(ratio) + 1.0 / ratio - 1.0))
+        return self.log_likelihood() - 0.5 * self._counts * apart

@@ -77,6 +77,10 @@ class BpmCurrent(SensorKind):
         """The stored current."""
         return (CHANNEL,)
 
+    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
+        """Take off what the current makes."""
+        return readings - _shift(values, record), np.zeros(len(readings))
+
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Add what the current makes."""
         return orbit + _shift(values, record)

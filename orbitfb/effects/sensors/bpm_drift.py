@@ -48,6 +48,10 @@ class BpmDrift(SensorKind):
         """Let the offset grow from the first tick on."""
         return ChangedReadings(places, _Ramp(values["rate"] * layout.period))
 
+    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
+        """Take the ramp off."""
+        return readings - _ramp(values, record), np.zeros(len(readings))
+
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Add the ramp."""
         return orbit + _ramp(values, record)

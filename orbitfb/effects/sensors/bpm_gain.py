@@ -1,5 +1,7 @@
 """Gain error of a BPM."""
 
+import math
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -52,6 +54,12 @@ class BpmGain(SensorKind):
         """Scale the readings."""
         scale = 1.0 + values["gain"]
         return ChangedReadings(places, lambda readings: scale * readings)
+
+    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
+        """Scale back."""
+        scale = 1.0 + values["gain"]
+        jacobian = -readings.shape[1] * math.log(abs(scale))
+        return readings / scale, np.full(len(readings), jacobian)
 
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Scale."""

@@ -24,6 +24,7 @@ class BpmLatency(SensorKind):
 
     id = "bpm-latency"
     stage = "sensor"
+    undoable = False
     parameters = (
         Parameter(
             "ticks",

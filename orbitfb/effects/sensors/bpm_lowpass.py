@@ -51,6 +51,16 @@ class BpmLowpass(SensorKind):
         ticks = (0.145, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 6.0, 12.0)
         return tuple({"tau": min(count * period, high)} for count in ticks)
 
+    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
+        """Undo the filter; the first row of a stretch is taken as settled."""
+        kept = _kept(values, record.layout.period)
+        restored = readings.copy()
+        restored[1:] = (readings[1:] - kept * readings[:-1]) / (1.0 - kept)
+        restored[record.starts] = readings[record.starts]
+        jacobian = np.full(len(readings), -readings.shape[1] * math.log1p(-kept))
+        jacobian[record.starts] = 0.0
+        return restored, jacobian
+
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Filter, from a settled state at the beginning of every stretch."""
         kept = _kept(values, record.layout.period)

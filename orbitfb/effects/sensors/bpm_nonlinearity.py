@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.readings import ChangedReadings
@@ -15,8 +16,10 @@ from orbitfb.records.layout import Layout
 from orbitfb.records.record import Record
 
 _FLATTEST = 0.2
-"""Least slope: where the cubic gets flatter, the characteristic goes on straight, so that every
-reading stands for one position."""
+"""Least slope: where the cubic gets flatter, the characteristic goes on straight. So it can be
+undone everywhere, and no reading is worth an infinite likelihood."""
+_STEPS = 12
+_HALVINGS = 80
 
 
 class BpmNonlinearity(SensorKind):
@@ -37,6 +40,7 @@ class BpmNonlinearity(SensorKind):
         "y = x + a₂x² + a₃x³, x the noisy position; straight on where its slope falls to 0.2 "
         "(R. E. Shafer, AIP Conf. Proc. 212 (1990) 26)"
     )
+    scales = True  # by its slope where the orbit is
     homogeneous = True
     confused_with = ("bpm-gain", "sextupole")
     splits = "a closed bump through the BPM at three levels or more, with both signs"
@@ -57,6 +61,12 @@ class BpmNonlinearity(SensorKind):
             a3 = min(max(share / largest**2, cubic.low), cubic.high)
             found += [{"quadratic": a2, "cubic": 0.0}, {"quadratic": 0.0, "cubic": a3}]
         return tuple(found)
+
+    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
+        """Straighten the readings."""
+        curve = _Curve.of(values)
+        restored = curve.straighten(readings)
+        return restored, -np.sum(np.log(curve.slope(restored)), axis=1)
 
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Bend."""
@@ -94,3 +104,32 @@ class _Curve:
         inner = np.clip(x, self.low, self.high)
         bent = inner + inner * inner * (self.quadratic + self.cubic * inner)
         return bent + _FLATTEST * (x - inner)
+
+    def slope(self, x: Matrix) -> Matrix:
+        """Derivative of `bend`."""
+        inner = np.clip(x, self.low, self.high)
+        return 1.0 + inner * (2.0 * self.quadratic + 3.0 * self.cubic * inner)
+
+    def straighten(self, y: Matrix) -> Matrix:
+        """Position of a reading: Newton's method, halving for what it does not reach."""
+        x = y.copy()
+        tolerance = 1e-14 + 1e-12 * np.abs(y)
+        for _ in range(_STEPS):
+            left = self.bend(x) - y
+            if np.all(np.abs(left) <= tolerance):
+                return x
+            x -= left / self.slope(x)
+        missed = np.abs(self.bend(x) - y) > tolerance
+        if missed.any():
+            x[missed] = self._halve(y[missed])
+        return x
+
+    def _halve(self, y: Vector) -> Vector:
+        # the slope is at least _FLATTEST everywhere and the curve goes through zero
+        reach = np.abs(y) / _FLATTEST
+        low, high = -reach, reach
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            above = self.bend(middle) > y
+            high, low = np.where(above, middle, high), np.where(above, low, middle)
+        return 0.5 * (low + high)

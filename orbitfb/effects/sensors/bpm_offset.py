@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.kinds import Parameter, Values
 from orbitfb.effects.readings import ChangedReadings
@@ -37,6 +38,10 @@ class BpmOffset(SensorKind):
         """Shift the readings."""
         offset = values["offset"]
         return ChangedReadings(places, lambda readings: readings + offset)
+
+    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
+        """Shift back."""
+        return readings - values["offset"], np.zeros(len(readings))
 
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Shift."""

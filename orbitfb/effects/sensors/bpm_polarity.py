@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.kinds import Values
 from orbitfb.effects.readings import ChangedReadings
@@ -33,6 +34,10 @@ class BpmPolarity(SensorKind):
     ) -> Effect:
         """Reverse the readings."""
         return ChangedReadings(places, np.negative)
+
+    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
+        """Reverse them back."""
+        return -readings, np.zeros(len(readings))
 
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Reverse."""

@@ -38,6 +38,10 @@ class BpmStuck(SensorKind):
         """Leave it to the integrity screen: a likelihood of exact repeats is infinite."""
         return "is found by the integrity screen, which looks for exact repeats"
 
+    def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
+        """Give the readings back as they are: a stuck BPM tells nothing of the orbit."""
+        return readings, np.zeros(len(readings))
+
     def distort(self, orbit: Matrix, values: Values, record: Record) -> Matrix:
         """Repeat the first row of every stretch."""
         first = np.maximum.accumulate(np.where(record.starts, np.arange(len(orbit)), 0))
