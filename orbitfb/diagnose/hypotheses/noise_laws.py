@@ -85,7 +85,7 @@ def _odd_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
     white = np.log(np.diag(scorer.space.noise.white))
     known = 2.0 / len(scorer.space.transform)
     odd: list[int] = []
-    gain = 0.0
+    gain, middle = 0.0, 0.0
     cost = float(np.log(len(white))) + MORE
     while len(odd) < len(white) // ODD:
         others = np.delete(np.arange(len(white)), odd)
@@ -106,7 +106,7 @@ def _odd_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
     places = tuple(sorted(odd))
     names = tuple(law.names[place] for place in places)
     values = {kind.parameters[0].name: factor}
-    return [Candidate(kind, places, names, values, gain - VALUE_COST, noisy=True)]
+    return [Candidate(kind, places, names, values, gain - VALUE_COST, noisy=True, courseless=True)]
 
 
 def _level_gain(square: Matrix, count: Matrix, shape: Vector) -> Vector:

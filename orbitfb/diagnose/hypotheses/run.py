@@ -62,7 +62,7 @@ def tournament(
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
         candidates = [one for one in candidates_of(space, left, tell) if not _echo(one, accepted)]
-        candidates = refitted(candidates, space)
+        candidates = _last_resort(refitted(candidates, space), bool(accepted))
         free = scan_free(Scorer.of(space))[:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
@@ -90,6 +90,15 @@ def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:
         return False
     known = [set(its.places) for its in accepted if its.kind.target == "bpm" and not its.noisy]
     return any(not places or (one.places and set(one.places) <= places) for places in known)
+
+
+def _last_resort(candidates: list[Candidate], accepted: bool) -> list[Candidate]:
+    """Tell that the noise of a BPM is unlike the others' only where nothing else is told.
+
+    Whatever a BPM does that is in no law adds to its noise.
+    """
+    others = [one for one in candidates if not (one.noisy and one.courseless)]
+    return others if accepted or (others and others[0].evidence >= SURE) else candidates
 
 
 def _light(candidates: list[Candidate]) -> list[Candidate]:
@@ -151,8 +160,8 @@ def refitted(candidates: list[Candidate], space: Workspace) -> list[Candidate]:
     Returns:
         The candidates, the best first.
     """
-    if not candidates or candidates[0].evidence < SURE:
-        return candidates
+    if not candidates or candidates[0].evidence < SURE or candidates[0].noisy:
+        return candidates  # what is said of the noise alone is not weighed so
     least = max(SURE, CLOSE * candidates[0].evidence)
     base = space.log_posterior()
     least_found = np.inf
