@@ -7,7 +7,6 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.noise_laws import ReadingNoise
-from orbitfb.diagnose.hypotheses.row_sums import moving_root
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import EventLaw
@@ -65,8 +64,8 @@ class _Strikes:
         )
         ratio = space.noise.ratio
         following = np.vstack([scorer.late[1:], np.zeros_like(scorer.late[:1])])
-        flat = 1.0 / np.sqrt(ratio**2 + 4.0 * ratio + 1e-12)
-        weight = 2.0 * flat * (1.0 - moving_root(ratio))
+        # Mean of λ/(q + λ) over the frequencies: of a mode that does not walk all is noise.
+        weight = 1.0 - np.sqrt(ratio / (ratio + 4.0))
         seen = patterns.T @ space.noise.modes
         return cls(
             moves, patterns, (scorer.late - following) @ patterns, (seen * weight) @ seen.T,

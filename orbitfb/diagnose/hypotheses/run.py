@@ -124,10 +124,16 @@ def candidates_of(
 
 
 def _refined(candidates: list[Candidate], scorer: Scorer) -> list[Candidate]:
-    """Evaluate the finalists exactly, and refine their values, until all that lead are."""
+    """Evaluate the finalists exactly, and refine their values, until all that lead are.
+
+    A scan leaves out up to half of what is worth something, so less than half of what is sure, or
+    a small part of the best, can win no more.
+    """
     while True:
+        top = candidates[0].evidence if candidates else 0.0
+        least = max(0.5 * SURE, CLOSE * top)
         for place, one in enumerate(candidates[:FINALISTS]):
-            if one.finer is not None and one.evidence > 0.0:
+            if one.finer is not None and one.evidence > least:
                 fine = one.finer()
                 better = one.field is None or fine.evidence > one.evidence
                 candidates[place] = fine if better else replace(one, finer=None)

@@ -13,6 +13,7 @@ from orbitfb.diagnose.result.parts import Finding, Provenance
 from orbitfb.diagnose.screen.companion import read_beside
 from orbitfb.diagnose.screen.planes import check_planes
 from orbitfb.diagnose.screen.run import screen
+from orbitfb.diagnose.screen.spikes import without_spikes
 from orbitfb.diagnose.verdict.engine import diagnose
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.records.finding import Finding as Found
@@ -56,14 +57,16 @@ def diagnose_files(
         for path in (reference, holdout)
     ]
     progress("screening", 0.0)
-    found = (*loaded.findings, *screen(loaded.record))
+    record_itself, spikes = without_spikes(loaded.record)
+    others = [None if one is None else without_spikes(one)[0] for one in others]
+    found = (*loaded.findings, *spikes, *screen(record_itself))
     check_planes(planes, found)
     findings = reported(found)
     if any(finding.severity == "failure" for finding in findings):
-        return _refused(loaded.record, findings, seed)
+        return _refused(record_itself, findings, seed)
     try:
         answer = diagnose(
-            loaded.record,
+            record_itself,
             *others,
             seed=seed,
             without=without,

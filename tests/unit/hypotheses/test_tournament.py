@@ -181,3 +181,13 @@ def test_the_floor_of_a_record_is_that_which_it_was_made_with() -> None:
     assert sigma == pytest.approx(np.full(BPMS, NOISE), rel=0.15)
     walk = np.mean(np.sum(record.layout.response**2, axis=1)) * 1e-6
     assert np.trace(space.noise.walk) / BPMS == pytest.approx(walk, rel=0.3)
+
+
+def test_a_ring_without_any_drift_that_is_moved_far_shows_no_strokes() -> None:
+    """What is all noise in a mode is not weighed as if the mode told less."""
+    record, rng = make_record(42, gain=0.0), np.random.default_rng(42)
+    setpoints = rng.standard_normal(record.setpoints.shape).cumsum(axis=0)
+    noise = NOISE * rng.standard_normal(record.readings.shape)
+    readings = setpoints @ record.layout.response.T + noise
+    moved = replace(record, setpoints=setpoints, readings=readings)
+    assert winner(moved, kinds_for(moved)).evidence < SURE

@@ -1,0 +1,86 @@
+"""Lone spikes: single readings that are far from those before and after, as every BPM has some.
+
+A spike says nothing of machine or model, and would be taken for noise of a BPM. It is left out: the
+mean of its neighbours, less what the model says of them, stands for it. More than a few are no
+spikes but noise with tails, which is an effect; one that many BPMs share is motion of the beam.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.core.signals import Mask
+from orbitfb.estimation.transform import Matrix
+from orbitfb.records.finding import Finding, counted, listed
+from orbitfb.records.record import Record
+
+FAR = 15.0
+"""Distance from the neighbours over its usual size from which a reading is a spike [1]: never by
+chance (e^−112), and beyond what the tails of noise that are an effect have as a rule."""
+
+NORMAL = 1.4826
+"""Standard deviation of normal numbers over the median of their sizes [1]."""
+
+LONE = 1e-3
+"""Share of its readings that may be spikes of a BPM [1], but one in any case."""
+
+SHARED = 0.05
+"""Share of the BPMs at which one row may have spikes [1]; but one in any case."""
+
+ALONE = 0.25
+"""Least part of a spike that its neighbours must not have [1]: else it is a step or a ramp."""
+
+
+def without_spikes(record: Record) -> tuple[Record, list[Finding]]:
+    """Leave lone spikes out.
+
+    Args:
+        record: The record.
+
+    Returns:
+        The record without them, and what was found.
+    """
+    left = record.readings - record.setpoints @ record.layout.response.T
+    between = _between(left, record)
+    spikes = _spikes(left - between, left, record)
+    if not spikes.any():
+        return record, []
+    readings = np.where(spikes, record.readings - left + between, record.readings)
+    rows, columns = np.nonzero(spikes)
+    labels = [record.layout.bpms.label(int(column)) for column in dict.fromkeys(columns.tolist())]
+    at = ", ".join(str(row) for row in rows[:5].tolist()) + (" …" if len(rows) > 5 else "")
+    text = (
+        f"{counted(len(rows), 'reading')} of {listed(labels)} (row {at}) "
+        f"{'is a spike' if len(rows) == 1 else 'are spikes'}, up to "
+        f"{1e6 * float(np.abs(left - between)[spikes].max()):.3g} µm away from the readings before "
+        "and after, and left out"
+    )
+    finding = Finding("spikes", "note", tuple(labels), (int(rows.min()), int(rows.max())), text)
+    return replace(record, readings=readings, filled=record.filled | spikes), [finding]
+
+
+def _between(left: Matrix, record: Record) -> Matrix:
+    """Mean of the readings before and after; those of a single neighbour at the ends."""
+    begins = record.starts
+    ends = np.append(begins[1:], True)
+    before = np.vstack([left[:1], left[:-1]])
+    after = np.vstack([left[1:], left[-1:]])
+    before = np.where(begins[:, None], after, before)
+    after = np.where(ends[:, None], before, after)
+    alone = (begins & ends)[:, None]
+    return np.where(alone, left, 0.5 * (before + after))
+
+
+def _spikes(away: Matrix, left: Matrix, record: Record) -> Mask:
+    """Find them, shape (N, n)."""
+    usual = NORMAL * np.median(np.abs(away), axis=0)
+    far = np.abs(away) > FAR * np.maximum(usual, np.finfo(np.float64).tiny)
+    far &= usual > 0.0
+    ends = np.append(record.starts[1:], True)
+    before, after = np.vstack([left[:1], left[:-1]]), np.vstack([left[1:], left[-1:]])
+    jump = np.where((record.starts | ends)[:, None], 0.0, np.abs(after - before))
+    far &= jump < ALONE * np.abs(away)
+    few = far.sum(axis=1) <= max(1.0, SHARED * far.shape[1])
+    far &= few[:, None]
+    lone: Mask = far & (far.sum(axis=0) <= max(1.0, LONE * len(far)))
+    return lone
