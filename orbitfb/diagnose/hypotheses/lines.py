@@ -50,7 +50,9 @@ def strongest_line(scorer: Scorer, patterns: Matrix, shaped: bool) -> Line:
             ground's walk may have, and the place is the one that alone explains most of it.
     """
     count = len(scorer.late)
-    cycles = np.arange(LINE_PERIODS * LINE_FINER, count * LINE_FINER // 2) / (count * LINE_FINER)
+    # Beside half the rate, as beside zero, cosine and sine are one wave, which is as noise is.
+    last = (count // 2 - LINE_PERIODS) * LINE_FINER
+    cycles = np.arange(LINE_PERIODS * LINE_FINER, last) / (count * LINE_FINER)
     turned = scorer.fourier(LINE_FINER)[LINE_PERIODS * LINE_FINER :][: len(cycles)]
     gain = _gains(scorer, turned, cycles, patterns, shaped)
     top = float(cycles[np.unravel_index(int(np.argmax(gain)), gain.shape)[0]])

@@ -121,13 +121,17 @@ def _parted(
 
 
 def _foremost(found: Sequence[Candidate]) -> Candidate | None:
-    """The best candidate; of those that say as well what is wrong with its devices the simplest."""
+    """The best candidate; of those that say as well what is wrong with its devices the simplest.
+
+    A limit of all correctors that one of them reaches is a limit of that one.
+    """
     if not found or found[0].evidence <= 0.0:
         return None
     near = [
         one
         for one in found
-        if one.places == found[0].places and one.evidence > found[0].evidence - _AS_GOOD
+        if (one.places == found[0].places or _does_the_same(found[0], one))
+        and one.evidence > found[0].evidence - _AS_GOOD
     ]
     return min(near, key=lambda one: (_needed(one.kind), -one.evidence))
 
@@ -138,8 +142,8 @@ def _needed(kind: EffectKind) -> int:
 
 
 def _does_the_same(best: Candidate, other: Candidate) -> bool:
-    """Whether both say that the same devices do the same."""
-    if best.places != other.places or best.field is None or other.field is None:
+    """Whether both say that the same is done to the orbit."""
+    if best.field is None or other.field is None:
         return best is other
     apart = float(np.sum((best.field - other.field) ** 2))
     return apart < _SAME**2 * float(np.sum(best.field**2))

@@ -1,12 +1,15 @@
 """Gain error of a BPM."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.device_kinds import SensorKind
 from orbitfb.effects.kinds import CALIBRATION_ERROR, Parameter, Values
+from orbitfb.effects.laws import DeviceLaw, Law, Signals
 from orbitfb.effects.readings import ChangedReadings
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
@@ -54,6 +57,22 @@ class BpmGain(SensorKind):
         """Scale the readings."""
         scale = 1.0 + values["gain"]
         return ChangedReadings(places, lambda readings: scale * readings)
+
+    def laws(self, signals: Signals) -> Sequence[Law]:
+        """What the gain of each BPM makes of the orbit that the correctors drive.
+
+        What else moves the beam, scaled by a gain, is a motion of another size that nobody knows:
+        on an orbit that wanders by itself no gain can be told, however it wanders.
+        """
+
+        def course(values: Values, given: Signals) -> tuple[Matrix, ...]:
+            return (values["gain"] * (given.currents @ given.record.layout.response.T),)
+
+        return [
+            replace(law, course=course, driven=True)
+            for law in super().laws(signals)
+            if isinstance(law, DeviceLaw)
+        ]
 
     def restore(self, readings: Matrix, values: Values, record: Record) -> tuple[Matrix, Vector]:
         """Scale back."""
