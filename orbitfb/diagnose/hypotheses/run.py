@@ -169,7 +169,8 @@ def refitted(candidates: list[Candidate], space: Workspace) -> list[Candidate]:
     if not candidates or candidates[0].evidence < SURE or candidates[0].noisy:
         return candidates  # what is said of the noise alone is not weighed so
     least = max(SURE, CLOSE * candidates[0].evidence)
-    base = space.log_posterior()
+    # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
+    base = space.with_floor().log_posterior()
     least_found = np.inf
     found: list[Candidate] = []
     weighed: set[str] = set()
@@ -177,8 +178,10 @@ def refitted(candidates: list[Candidate], space: Workspace) -> list[Candidate]:
         if one.noisy:
             found.append(one)
             continue
-        new = one.kind.id not in weighed and len(weighed) < LEADING
-        if one.cost is not None and new and one.evidence > least:
+        # Each BPM is the scale of what is undone: beside the floor of all that counts for little.
+        leads = one.evidence > (SURE if one.undone else least)
+        new = one.kind.id not in weighed and (one.undone or len(weighed) < LEADING)
+        if one.cost is not None and new and leads:
             weighed.add(one.kind.id)
             gain = one.accepted(space, spread=False).log_posterior() - base - one.cost
             least_found = min(least_found, gain)
