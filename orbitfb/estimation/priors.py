@@ -95,11 +95,12 @@ scan leaves out what healthy errors of other devices hide, up to half of a large
 of a grid that are 1.5 apart lose a tenth."""
 
 LEADING = 4
-"""Effects of a round that are weighed under floors of their own at most: each costs a second."""
+"""Effects of a round that are weighed under floors of their own at most: each costs a second. By
+hand."""
 
 CLOSE = 0.1
 """Share of the best evidence from which candidates are weighed under floors of their own [1]: under
-one floor for all, what the floor stands in for makes up to half of a difference."""
+one floor for all, what the floor stands in for makes most of a difference. By hand."""
 
 MISFIT = 0.004
 """Share of the best evidence by which the evidences of models that are all a little wrong may

@@ -9,6 +9,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import RandomLaw
+from orbitfb.estimation.noise import TO_SIGMA
 from orbitfb.estimation.priors import (
     ANYWHERE,
     LEVEL_RATIOS,
@@ -18,9 +19,6 @@ from orbitfb.estimation.priors import (
     VALUE_COST,
 )
 from orbitfb.estimation.transform import Matrix
-
-NORMAL = 1.4826
-"""Standard deviation of normal numbers over the median of their distances from the middle [1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +88,7 @@ def _odd_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
     while len(odd) < len(white) // ODD:
         others = np.delete(np.arange(len(white)), odd)
         middle = float(np.median(white[others]))
-        scatter = NORMAL * float(np.median(np.abs(white[others] - middle)))
+        scatter = TO_SIGMA * float(np.median(np.abs(white[others] - middle)))
         variance = scatter**2 * (1.0 + 1.0 / len(others)) + known
         away = (white - middle) ** 2 / (2.0 * variance)
         more = away + 0.5 * np.log(2.0 * np.pi * variance) - np.log(ANYWHERE)

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from orbitfb.core.signals import Mask
+from orbitfb.estimation.noise import TO_SIGMA
 from orbitfb.estimation.transform import Matrix
 from orbitfb.records.finding import Finding, counted, listed
 from orbitfb.records.record import Record
@@ -18,14 +19,13 @@ FAR = 15.0
 """Distance from the neighbours over its usual size from which a reading is a spike [1]: never by
 chance (e^−112), and beyond what the tails of noise that are an effect have as a rule."""
 
-NORMAL = 1.4826
-"""Standard deviation of normal numbers over the median of their sizes [1]."""
-
 LONE = 1e-3
-"""Share of its readings that may be spikes of a BPM [1], but one in any case."""
+"""Share of its readings that may be spikes of a BPM [1], but one in any case. By hand: noise with
+tails, which is an effect, has ten times as many."""
 
 SHARED = 0.05
-"""Share of the BPMs at which one row may have spikes [1]; but one in any case."""
+"""Share of the BPMs at which one row may have spikes [1], but one in any case. By hand: what moves
+the beam is seen by most of them."""
 
 ALONE = 0.25
 """Least part of a spike that its neighbours must not have [1]: else it is a step or a ramp."""
@@ -73,7 +73,7 @@ def _between(left: Matrix, record: Record) -> Matrix:
 
 def _spikes(away: Matrix, left: Matrix, record: Record) -> Mask:
     """Find them, shape (N, n)."""
-    usual = NORMAL * np.median(np.abs(away), axis=0)
+    usual = TO_SIGMA * np.median(np.abs(away), axis=0)
     far = np.abs(away) > FAR * np.maximum(usual, np.finfo(np.float64).tiny)
     far &= usual > 0.0
     ends = np.append(record.starts[1:], True)

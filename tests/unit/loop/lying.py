@@ -33,8 +33,6 @@ class LyingMachine:
         self.gain = np.ones(m)
         self.pattern, self.noise, self.again = 0.5e-6, 0.2e-6, 0
         self.missed = 0  # orbits that nobody sees before each that is read
-        self.tardy = 0.0  # chance that a change acts one orbit late, whatever the readback says
-        self._kept = None
         self._random = np.random.default_rng(seed)
         self._shape = self._random.standard_normal(n)
         self._asked, self._got = machine.setpoints(), machine.setpoints()
@@ -44,9 +42,6 @@ class LyingMachine:
         for _ in range(self.missed):
             self.machine.read(timeout)
         reading = self.machine.read(timeout)
-        if self._kept is not None:
-            self.machine.write(self._kept)
-            self._kept = None
         position = reading.orbit.position.copy()
         lies = self.pattern * self._shape + self.noise * self._random.standard_normal(len(position))
         position[self.blind] = lies[self.blind]
@@ -63,9 +58,7 @@ class LyingMachine:
         which = np.ones(len(setpoints), bool) if which is None else which
         self._asked = np.where(which, setpoints, self._asked)
         self._got = np.where(self.deaf, self._got, self.gain * self._asked)
-        late = self._random.random() < self.tardy if self.tardy else False
-        self._kept = self._got if late else None
-        applied = self.machine.write(self.machine.setpoints() if late else self._got)
+        applied = self.machine.write(self._got)
         return replace(applied, setpoints=self._asked.copy())
 
     def close(self):

@@ -155,19 +155,6 @@ def test_a_loop_that_misses_orbits_hears_the_answers_to_what_it_asks(ring, misse
     assert not waits[-1]
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_ring_that_answers_now_in_time_now_late_answers(ring, seed):
-    bench = Bench(ring, seed=seed)
-    bench.machine.tardy = 0.5
-    for _ in range(5):
-        bench.runner.command("open")
-        bench.machine.machine.plant.kick(60e-6)
-        bench.steps(3)
-        bench.runner.command("close")
-        bench.steps(100)
-        assert bench.runner.state is LoopState.CLOSED, bench.runner.reason
-
-
 def test_a_ring_of_the_other_sign_is_told_in_a_few_questions(ring):
     bench = Bench(ring)
     bench.runner.command("open")

@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from orbitfb.core.signals import Applied, LoopState
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
+from orbitfb.loop.timing.waiting import too_early
+from orbitfb.safety.arrival import RARE, Sent
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 
@@ -196,3 +199,14 @@ def test_nothing_is_waited_for_once_the_setpoints_were_moved_or_the_loop_opened(
         runner.step()
     runner.command("close")
     assert not runner.step().held_back
+
+
+@pytest.mark.parametrize(
+    ("shows", "late", "early"), [(0.0, 0.0, True), (1.0, 0.0, False), (0.0, RARE, False)]
+)
+def test_an_orbit_of_before_the_last_change_is_known_where_changes_are_in_time(shows, late, early):
+    change = np.full(M, 0.1)
+    sent = Sent(change=change, late=late, prompt=late == 0.0)
+    memory = SimpleNamespace(sent=sent, setpoints=change)
+    reading = SimpleNamespace(readback=shows * change, away=None, behind=None)
+    assert too_early(memory, reading, np.ones(M, dtype=bool)) is early
