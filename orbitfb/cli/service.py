@@ -202,9 +202,12 @@ def command(
             help="What goes with gain (plane=x value=0.5), dither (orbit_cost=1e-6), try "
             "(singular_values=120 regularisation=1e-5; then apply), reference (values=[…], m), "
             "reference-save and reference-load (name=golden), enable-bpms and enable-correctors "
-            "(enabled=[true, …]).",
+            "(enabled=[true, …]), correct (law=active; then correct-apply, or undo).",
         ),
     ] = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="With correct: apply what it computes, once.")
+    ] = False,
     config_file: ConfigFile = None,
     data: DataDirectory = None,
     as_json: AsJson = False,
@@ -213,7 +216,7 @@ def command(
     from orbitfb.app.commands.dispatch import check_request
     from orbitfb.control.socket import ask
 
-    request = {**pairs(values or []), "command": name}
+    request = {**pairs(values or []), "command": name, **({"once": True} if once else {})}
     check_request(request)
     settings = configure(config_file, data_directory=data)
     show(ask(settings.data_directory, request), as_json)

@@ -30,6 +30,7 @@ from orbitfb.epics.lease.lease import LeaseSettings
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.history.recorder import ArchiveSettings
 from orbitfb.learn.settings import LearnSettings
+from orbitfb.loop.correction.settings import CorrectionSettings
 from orbitfb.loop.excitation.dither import DitherSettings
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.timing.timeouts import RULES
@@ -176,6 +177,9 @@ class AppConfig(Settings):
     )
     ring: RingSettings = Field(default=RingSettings(), description="The ring.")
     loop: LoopSettings = Field(default=LoopSettings(), description="The loop.")
+    correction: CorrectionSettings = Field(
+        default=CorrectionSettings(), description="Corrections of an open loop by hand."
+    )
     dither: DitherSettings = Field(default=DitherSettings(), description="The dither.")
     limits: LimitSettings = Field(default=LimitSettings(), description="Limits of a write.")
     interlocks: InterlockSettings = Field(

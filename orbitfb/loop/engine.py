@@ -17,6 +17,7 @@ from orbitfb.loop import comeback
 from orbitfb.loop import memory as remember
 from orbitfb.loop.adjustments import Adjustments, approach
 from orbitfb.loop.choice import Choice, choose
+from orbitfb.loop.correction.hand import Hand
 from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.frequency import Follower, Step
 from orbitfb.loop.guard import NONE, Guard, Safeguards
@@ -53,6 +54,7 @@ class Engine:
 
     Attributes:
         wanted: What operators want; any thread may put another value here.
+        hand: Takes their orders to move setpoints while the loop is open.
     """
 
     def __init__(
@@ -79,6 +81,7 @@ class Engine:
         self._counting, self._heed = rules.counting, heed
         self.wanted: Adjustments = Adjustments.none(rules.reference, len(rules.channels.correctors))
         self._adjustments: Adjustments = self.wanted
+        self.hand = Hand(rules.correction.undo_depth)
         self.memory = remember.first_memory(
             start, rules, self.policy.initial_state(), clock.monotonic()
         )
@@ -313,6 +316,23 @@ class Engine:
         work.requested = step.limited.change
         if not self._write(work, reading, step.limited):
             self.memory = comeback.stop(self.memory, "a write failed")
+
+    def move_by_hand(self, work: Work, reading: Reading, checked: Checked) -> None:
+        """Make the next step of a move that operators have ordered, if there is one.
+
+        Args:
+            work: The tick in hand.
+            reading: Its orbit.
+            checked: The same, looked at as if the loop were to close.
+        """
+        mine = self._mine()
+        bounds = self._guard.bounds(self._rules.limits.setpoint, len(mine))
+        limited = self.hand.step(self.memory, checked, reading, self._rules, mine, bounds)
+        if limited is None:
+            return
+        work.requested = limited.change
+        if not self._write(work, reading, limited):
+            self.hand.fail(self.memory.reason)
 
     def _step(self, reading: Reading, mine: Mask) -> Step | None:
         """Ask whether the RF frequency is to be stepped with this tick."""

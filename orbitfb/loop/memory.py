@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Channels, LoopState, Mask, Vector
+from orbitfb.loop.correction.settings import USUAL, CorrectionSettings
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.states import Event, next_state
 from orbitfb.loop.timing.pacing import Pace
@@ -34,6 +35,7 @@ class Rules:
         reference: Reference orbit, shape (n,) [m].
         channels: Names behind the vectors.
         counting: BPMs that are not masked by configuration, shape (n,); None: all.
+        correction: Of changes by hand.
     """
 
     loop: LoopSettings
@@ -42,6 +44,7 @@ class Rules:
     reference: Vector
     channels: Channels
     counting: Mask | None = None
+    correction: CorrectionSettings = USUAL
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,8 @@ from orbitfb.core.ports import Clock, Machine, Subscriber
 from orbitfb.core.signals import LoopState, Mask, TickRecord, Vector
 from orbitfb.loop.adjustments import Adjustments
 from orbitfb.loop.commands import CommandQueue, Order
+from orbitfb.loop.correction.hand import Hand
+from orbitfb.loop.correction.settings import USUAL, CorrectionSettings
 from orbitfb.loop.engine import Engine
 from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.frequency import Follower
@@ -53,6 +55,7 @@ class Runner:
         random: Draws the questions to the ring; None: one that nobody can foretell, as a machine
             needs it. With a seed the same loop asks the same.
         follower: Lets the RF frequency follow; None: it is left alone.
+        correction: Of changes by hand.
 
     Attributes:
         failure: What led to FAULT, for the log; None otherwise.
@@ -81,6 +84,7 @@ class Runner:
         heed: Callable[[Mask], None] | None = None,
         random: np.random.Generator | None = None,
         follower: Follower | None = None,
+        correction: CorrectionSettings = USUAL,
     ) -> None:
         channels = machine.channels
         n, m = len(channels.bpms), len(channels.correctors)
@@ -88,7 +92,9 @@ class Runner:
             raise ConfigError(f"the reference orbit must be {n} finite numbers [m], one per BPM")
         if start not in (LoopState.OPEN, LoopState.SHADOW, LoopState.CLOSED):
             raise ConfigError(f"a loop cannot start {start}: choose OPEN, SHADOW or CLOSED")
-        rules = Rules(settings, limits, interlocks, reference.copy(), channels, counting)
+        rules = Rules(
+            settings, limits, interlocks, reference.copy(), channels, counting, correction
+        )
         self._rules, self._clock = rules, clock
         self._engine = Engine(
             machine,
@@ -139,6 +145,11 @@ class Runner:
     def reference(self) -> Vector:
         """Reference orbit in force, shape (n,) [m]: on its way to the one that is wanted."""
         return self._engine.reference
+
+    @property
+    def hand(self) -> Hand:
+        """Takes orders to move setpoints while the loop is open."""
+        return self._engine.hand
 
     def subscribe(self, subscriber: Subscriber) -> None:
         """Give every record from the next tick on to one more; may be called from any thread."""
@@ -191,7 +202,7 @@ class Runner:
                 # A machine that fails or repeats itself at once must not make the loop spin.
                 spent = self._clock.monotonic() - begin
                 stop.wait(max(0.0, self._rules.loop.period / 2 - spent))
-        self._commands.end(f"the loop has ended in {self.state}")
+        self._end(f"the loop has ended in {self.state}")
 
     def step(self) -> TickRecord:
         """Do one tick and return its record."""
@@ -211,7 +222,7 @@ class Runner:
                 engine.move(Event.FAULT, f"{type(error).__name__}: {error}")
         if self.state is LoopState.FAULT:
             self._refuse_closing(self.reason)
-            self._commands.end(f"the loop has failed: {self.reason}")
+            self._end(f"the loop has failed: {self.reason}")
         record = self._record(work)
         self.believed = self.believed.follow(self._ticks, engine.memory.answering)
         self._ticks += 1
@@ -239,18 +250,27 @@ class Runner:
                 self._refuse_closing(intake.absence)
             return False
         reading = work.reading = engine.believed(intake.reading)
-        checked, work.missed = engine.check(reading, intake.pace, bool(self._closing))
+        checked, work.missed = engine.check(
+            reading, intake.pace, bool(self._closing) or engine.hand.busy
+        )
         work.setpoints = engine.memory.setpoints
         self._close(checked.verdict)
         engine.supervise(reading, checked.verdict)
         work.done("check")
         if self.state is LoopState.TRIPPED:
             engine.go_back(work, reading, checked)
+        if engine.hand.busy:
+            engine.move_by_hand(work, reading, checked)
         if not checked.verdict.may_act:
             return False
         if self.state in (LoopState.SHADOW, LoopState.CLOSED):
             engine.act(work, reading, checked)
         return True
+
+    def _end(self, reason: str) -> None:
+        """Refuse what is ordered and whatever comes later."""
+        self._commands.end(reason)
+        self._engine.hand.end(reason)
 
     def _obey(self) -> None:
         """Carry out the commands that came; those to close wait for the interlocks."""

@@ -1,10 +1,12 @@
 """All PVs of the panel."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 from orbitfb.core.signals import Channels, LoopState, parts
-from orbitfb.panel.pv import LONGEST_TEXT, NO_RANGE, Kind, Order, PanelPv
+from orbitfb.panel.correction_pvs import correction_pvs
+from orbitfb.panel.pv import Kind, Order, PanelPv
+from orbitfb.panel.pv_forms import ONCE, choice_pv, count_pv, number_pv, pair_of, text_pv
 from orbitfb.panel.settings import PanelSettings
 from orbitfb.panel.vector_pvs import vector_pvs
 
@@ -14,7 +16,6 @@ STATES = (UNKNOWN_STATE, *(state.value for state in LoopState))
 """States that `State-I` shows."""
 COMMANDS = ("-", "open", "shadow", "close", "reset")
 REFITS = ("-", "refit", "refit and activate")
-ONCE = ("-", "do")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +70,7 @@ def panel_pvs(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]:
         *_policies(),
         *_frequency(),
         *_adjustments(settings, extent),
+        *correction_pvs(),
         *vector_pvs(extent.lengths()),
     )
 
@@ -76,25 +78,6 @@ def panel_pvs(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]:
 def writable_names(pvs: tuple[PanelPv, ...]) -> tuple[str, ...]:
     """Give the names of those that can be written."""
     return tuple(pv.name for pv in pvs if pv.writable)
-
-
-def _text(name: str, meaning: str, order: Order | None = None) -> PanelPv:
-    return PanelPv(name, Kind.TEXT, meaning, length=LONGEST_TEXT, order=order)
-
-
-def _number(name: str, meaning: str, units: str, precision: int) -> PanelPv:
-    return PanelPv(name, Kind.DOUBLE, meaning, units, precision)
-
-
-def _count(name: str, meaning: str) -> PanelPv:
-    return PanelPv(name, Kind.INTEGER, meaning)
-
-
-def _choice(name: str, meaning: str, states: tuple[str, ...], *requests: object) -> PanelPv:
-    choices = tuple(dict(request) if isinstance(request, dict) else None for request in requests)
-    return PanelPv(
-        name, Kind.CHOICE, meaning, states=states, order=Order("", choices=(None, *choices))
-    )
 
 
 def _loop() -> tuple[PanelPv, ...]:
@@ -108,30 +91,30 @@ def _loop() -> tuple[PanelPv, ...]:
             minor=(LoopState.HELD.value,),
             major=(LoopState.TRIPPED.value, LoopState.FAULT.value),
         ),
-        _choice("Command-Cmd", "Commands the loop.", COMMANDS, *orders),
-        _choice(
+        choice_pv("Command-Cmd", "Commands the loop.", COMMANDS, *orders),
+        choice_pv(
             "Reset-Cmd",
             "Resets a loop that tripped; it is OPEN then.",
             ONCE,
             {"command": "reset"},
         ),
-        _text("Reason-I", "Why the loop is in its state; empty when there is nothing to say."),
-        _text("LastTrip-I", "When and why the loop tripped last; stays after a reset."),
-        _count("Heartbeat-I", "Grows at every update while the loop ticks; else INVALID."),
-        _text("Version-I", "Version of orbitfb."),
-        _text("LogLine-I", "The last thing that happened: states, policies, commands, refusals."),
-        _text("PVs-I", "Names of all PVs of the panel, a JSON list."),
-        _text("Lease-I", "Who holds the lease of the machine; empty: there is no lease."),
+        text_pv("Reason-I", "Why the loop is in its state; empty when there is nothing to say."),
+        text_pv("LastTrip-I", "When and why the loop tripped last; stays after a reset."),
+        count_pv("Heartbeat-I", "Grows at every update while the loop ticks; else INVALID."),
+        text_pv("Version-I", "Version of orbitfb."),
+        text_pv("LogLine-I", "The last thing that happened: states, policies, commands, refusals."),
+        text_pv("PVs-I", "Names of all PVs of the panel, a JSON list."),
+        text_pv("Lease-I", "Who holds the lease of the machine; empty: there is no lease."),
     )
 
 
 def _figures(extent: Extent) -> tuple[PanelPv, ...]:
     rms = tuple(
-        _number(f"Rms{plane.upper()}-I", f"Rms orbit error of the last orbit, {plane}.", "um", 3)
+        number_pv(f"Rms{plane.upper()}-I", f"Rms orbit error of the last orbit, {plane}.", "um", 3)
         for plane in extent.planes
     )
     phases = tuple(
-        _number(f"Tick{word.capitalize()}-I", f"{meaning}, mean since the last update.", "ms", 3)
+        number_pv(f"Tick{word.capitalize()}-I", f"{meaning}, mean since the last update.", "ms", 3)
         for word, meaning in (
             ("read", "Wait for the orbit"),
             ("check", "Interlocks"),
@@ -148,37 +131,39 @@ def _figures(extent: Extent) -> tuple[PanelPv, ...]:
             "BPMs of the last orbit that do not count though they should; any is a MINOR alarm.",
             high=1,
         ),
-        _count("Ticks-I", "Ticks since the start."),
-        _count("Missed-I", "Orbits that should have come and did not."),
+        count_pv("Ticks-I", "Ticks since the start."),
+        count_pv("Missed-I", "Orbits that should have come and did not."),
         *phases,
-        _number("Period-I", "Mean time from orbit to orbit.", "ms", 3),
-        _number("Jitter-I", "Standard deviation of that time.", "ms", 3),
-        _number("Latency50-I", "From orbit to last setpoint sent, median.", "ms", 3),
-        _number("Latency99-I", "The same, 99th percentile.", "ms", 3),
-        _number("LatencyMax-I", "The same, largest since the start.", "ms", 3),
-        _number("Gap-I", "Gap between model and machine.", "nats", 3),
-        _text("GapText-I", "The gap in a sentence."),
+        number_pv("Period-I", "Mean time from orbit to orbit.", "ms", 3),
+        number_pv("Jitter-I", "Standard deviation of that time.", "ms", 3),
+        number_pv("Latency50-I", "From orbit to last setpoint sent, median.", "ms", 3),
+        number_pv("Latency99-I", "The same, 99th percentile.", "ms", 3),
+        number_pv("LatencyMax-I", "The same, largest since the start.", "ms", 3),
+        number_pv("Gap-I", "Gap between model and machine.", "nats", 3),
+        text_pv("GapText-I", "The gap in a sentence."),
     )
 
 
 def _policies() -> tuple[PanelPv, ...]:
     refits = [{"command": "refit", "activate": activate} for activate in (False, True)]
     return (
-        _text("Policy-I", "Id of the policy that decides."),
-        _text("LastRefit-I", "What the last refit came to."),
-        _choice(
+        text_pv("Policy-I", "Id of the policy that decides."),
+        text_pv("LastRefit-I", "What the last refit came to."),
+        choice_pv(
             "Refit-Cmd",
             "Refits now; the write is acknowledged when the decision is there.",
             REFITS,
             *refits,
         ),
-        _choice(
+        choice_pv(
             "RollBack-Cmd",
             "Puts the policy in force that was before.",
             ONCE,
             {"command": "activate", "policy": None},
         ),
-        _text("Activate-Cmd", "Puts the policy of this id in force.", Order("activate", "policy")),
+        text_pv(
+            "Activate-Cmd", "Puts the policy of this id in force.", Order("activate", "policy")
+        ),
     )
 
 
@@ -192,12 +177,14 @@ def _frequency() -> tuple[PanelPv, ...]:
             states=("OFF", "FOLLOWS", "STOPPED"),
             minor=("STOPPED",),
         ),
-        _text("RfReason-I", "Why the frequency does not follow, or waits."),
-        _number("RfFrequency-I", "Frequency that the loop has put, or found.", "Hz", 3),
-        _number("RfStep-I", "Last step of the frequency.", "Hz", 3),
-        _count("RfSteps-I", "Steps of the frequency since the start."),
-        _number("RfEnergy-I", "Energy that the correctors make since the loop settled.", "1e-6", 3),
-        _choice(
+        text_pv("RfReason-I", "Why the frequency does not follow, or waits."),
+        number_pv("RfFrequency-I", "Frequency that the loop has put, or found.", "Hz", 3),
+        number_pv("RfStep-I", "Last step of the frequency.", "Hz", 3),
+        count_pv("RfSteps-I", "Steps of the frequency since the start."),
+        number_pv(
+            "RfEnergy-I", "Energy that the correctors make since the loop settled.", "1e-6", 3
+        ),
+        choice_pv(
             "Rf-Cmd",
             "Lets the frequency follow, or leaves it alone.",
             ("-", "follow", "leave"),
@@ -210,7 +197,7 @@ def _adjustments(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]
     gains = (
         pair
         for plane in extent.planes
-        for pair in _pair(
+        for pair in pair_of(
             PanelPv(
                 f"Gain{plane.upper()}",
                 Kind.DOUBLE,
@@ -234,23 +221,23 @@ def _adjustments(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]
     )
     return (
         *gains,
-        *_pair(reference),
-        _text(
+        *pair_of(reference),
+        text_pv(
             "ReferenceSave-Cmd",
             "Saves the reference under this name.",
             Order("reference-save", "name"),
         ),
-        _text(
+        text_pv(
             "ReferenceLoad-Cmd",
             "Takes the reference of this name.",
             Order("reference-load", "name"),
         ),
-        _text("ReferenceName-I", "Name of the reference; empty: it was set by hand or never."),
+        text_pv("ReferenceName-I", "Name of the reference; empty: it was set by hand or never."),
         *_switches("BpmEnable", "BPMs that count", "enable-bpms", extent.bpms),
         *_switches(
             "CorrectorEnable", "Correctors that move", "enable-correctors", extent.correctors
         ),
-        *_pair(
+        *pair_of(
             PanelPv(
                 "Dither",
                 Kind.DOUBLE,
@@ -283,25 +270,17 @@ def _trial(extent: Extent) -> tuple[PanelPv, ...]:
         order=Order("try", "regularisation"),
     )
     return (
-        *_pair(modes),
-        *_pair(strength),
-        _number("PredictedRms-I", "Next change that the tried law would make, rms.", "A", 6),
-        _number("PredictedMax-I", "The same, largest.", "A", 6),
-        _number("PredictedOrbit-I", "Rms orbit error expected after it.", "um", 3),
-        _choice("Apply-Cmd", "Puts the tried law in force.", ONCE, {"command": "apply"}),
-    )
-
-
-def _pair(pv: PanelPv) -> tuple[PanelPv, PanelPv]:
-    """Make of one quantity the PV that is written and the one that shows what is in force."""
-    return (
-        replace(pv, name=f"{pv.name}-SP"),
-        replace(pv, name=f"{pv.name}-RB", limits=NO_RANGE, order=None),
+        *pair_of(modes),
+        *pair_of(strength),
+        number_pv("PredictedRms-I", "Next change that the tried law would make, rms.", "A", 6),
+        number_pv("PredictedMax-I", "The same, largest.", "A", 6),
+        number_pv("PredictedOrbit-I", "Rms orbit error expected after it.", "um", 3),
+        choice_pv("Apply-Cmd", "Puts the tried law in force.", ONCE, {"command": "apply"}),
     )
 
 
 def _switches(name: str, meaning: str, command: str, length: int) -> tuple[PanelPv, PanelPv]:
-    return _pair(
+    return pair_of(
         PanelPv(
             name,
             Kind.SWITCHES,

@@ -127,7 +127,7 @@ _PLOTS = (
     (("Setpoint",), "setpoints"),
     (("Error",), "orbit error"),
     (("Room",), "room to the limits"),
-    (("Computed", "Applied", "Shadow"), "change of the last tick"),
+    (("Computed", "Applied", "Shadow", "Preview"), "change of the last tick, and by hand"),
     (("BpmUsed", "CorrectorUsed"), "devices in use"),
     (("SingularValue",), "singular values"),
     (("ModeGain",), "part of each mode that a tick corrects"),

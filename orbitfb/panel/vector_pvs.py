@@ -14,6 +14,7 @@ _CORRECTOR_VECTORS = (
     ("Computed", "A", 6, "Change that policy and dither asked for in the last tick."),
     ("Applied", "A", 6, "Change that the last tick wrote; zeros: nothing was written."),
     ("Shadow", "A", 6, "Change that a loop in SHADOW would write; NaN in every other state."),
+    ("Preview", "A", 6, "Change that the correction computed by hand would make; NaN: none."),
     ("Room", "A", 4, "From the setpoint to the nearer of the limits in force."),
 )
 _MODES = (

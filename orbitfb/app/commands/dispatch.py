@@ -37,6 +37,9 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     "rf": ("follow",),
     "try": ("singular_values", "regularisation"),
     "apply": (),
+    "correct": ("law", "once"),
+    "correct-apply": (),
+    "undo": (),
     "refit": ("activate",),
     "activate": ("policy", "force"),
 }

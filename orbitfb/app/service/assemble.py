@@ -211,6 +211,7 @@ class Service:
             heed=self.machine.count_bpms,
             random=questioner(config, ioc),
             follower=follower,
+            correction=config.correction,
         )
         self.watch = gap_watch(config, ring, self.history, self._reports, stack)
         self.learner: LearnerThread | None = None
@@ -275,6 +276,7 @@ class Service:
             self.lease,
             lambda: Bounds.of(limit, len(names), self.machine.drive_limits),
             frequency,
+            measured,
         )
         opened = open_doors(config, doors, remote, stack)
         http = ObserveServer(

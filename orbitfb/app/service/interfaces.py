@@ -9,6 +9,8 @@ import structlog
 
 from orbitfb.app.commands.adjust import Adjuster, Base
 from orbitfb.app.commands.autosave import FILE
+from orbitfb.app.commands.correct import Corrections
+from orbitfb.app.commands.correct import Sources as CorrectionSources
 from orbitfb.app.commands.dispatch import Commands, Handler
 from orbitfb.app.commands.frequency import FrequencyCommands
 from orbitfb.app.commands.preview import Latest, Trial
@@ -20,7 +22,7 @@ from orbitfb.config.tree import AppConfig
 from orbitfb.control.socket import ControlServer
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ControlError
-from orbitfb.core.signals import Channels, Mask
+from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.epics.lease.lease import Lease
 from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.runner import Runner
@@ -54,6 +56,7 @@ class Parts:
         lease: Of the machine; None: there is none.
         bounds: Gives the limits of the setpoints that are in force.
         frequency: The RF.
+        measured: The response that was measured, shape (n, m) [m/A]; None: that of the optics.
     """
 
     channels: Channels
@@ -68,6 +71,7 @@ class Parts:
     lease: Lease | None
     bounds: Callable[[], Bounds]
     frequency: FrequencyCommands
+    measured: Vector | None
 
     @property
     def lease_shown(self) -> dict[str, Any]:
@@ -176,6 +180,22 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
             parts.bounds,
         )
     )
+    corrections = Corrections(
+        CorrectionSources(
+            channels,
+            parts.runner,
+            slot,
+            parts.latest,
+            config.policy.svd,
+            lambda: adjuster.movable,
+            parts.bounds,
+            config.correction,
+            config.loop.period,
+            parts.measured,
+        ),
+        statistics,
+        SystemClock(),
+    )
     commands = Commands(
         {
             "": remote,
@@ -183,6 +203,7 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
             "close": close,
             **adjuster.handlers,
             **trial.handlers,
+            **corrections.handlers,
             **parts.frequency.handlers,
         },
         statistics,
@@ -191,6 +212,7 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
             **adjuster.shown(),
             **trial.shown(),
             **vectors.shown(),
+            **corrections.shown(),
             **parts.frequency.shown(),
             **parts.lease_shown,
         },

@@ -67,7 +67,8 @@ class Bench:
 def test_each_is_in_the_table_of_pvs_and_as_long():
     shown, still = Bench().see(), still_vectors(RING, CHANNELS)
     vectors = {name for name, pv in PVS.items() if name[:-2].endswith(("X", "Y")) and pv.length > 1}
-    assert {*shown, *still} == vectors
+    by_hand = {"PreviewX-I", "PreviewY-I"}  # of a correction that is computed
+    assert {*shown, *still} == vectors - by_hand
     for name, values in {**shown, **still}.items():
         assert len(values) == PVS[name].length, name
 

@@ -1,0 +1,1 @@
+"""Changes of the setpoints by hand while the loop is open, and their undoing."""
