@@ -12,6 +12,9 @@ Colour = tuple[int, int, int]
 Box = tuple[int, int, int, int]
 """Left, top, width, height [pixels]."""
 
+MARGIN = 10
+"""Between the last widget and the edge of the window [pixels]."""
+
 _TEXT_FORMAT = "6"
 """How Phoebus shows an array of characters as text."""
 
@@ -23,7 +26,7 @@ class Screen:
         name: Title of the window.
         prefix: Of the panel's PVs; the default of the macro `P`.
         width: Of the window [pixels].
-        height: Of the window [pixels].
+        height: Of the window, unless its widgets need more [pixels].
     """
 
     def __init__(self, name: str, prefix: str, width: int, height: int) -> None:
@@ -32,10 +35,12 @@ class Screen:
         macros = Xml.SubElement(self._root, "macros")
         _put(macros, P=prefix)
         _put(self._root, width=width, height=height)
-        self._count = 0
+        self._height, self._count = height, 0
 
     def text(self) -> str:
         """Give the file."""
+        for height in self._root.findall("height"):
+            height.text = str(self._height)
         Xml.indent(self._root)
         head = '<?xml version="1.0" encoding="UTF-8"?>\n'
         return head + Xml.tostring(self._root, encoding="unicode") + "\n"
@@ -113,6 +118,7 @@ class Screen:
 
     def _widget(self, kind: str, version: str, box: Box, pv: PanelPv | None = None) -> Xml.Element:
         self._count += 1
+        self._height = max(self._height, box[1] + box[3] + MARGIN)
         widget = Xml.SubElement(self._root, "widget", type=kind, version=version)
         _put(widget, name=f"{kind} {self._count}")
         if pv is not None:
