@@ -14,11 +14,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from orbitfb.evaluate.simulate import ClosedLoop
-from orbitfb.models.changes import ChangeDetector, ChangeSettings, fewest_blocks
+from orbitfb.models.changes import ChangeDetector, fewest_blocks
 from orbitfb.models.comparison import Contrast
 from orbitfb.models.identify import Identifier
 from orbitfb.models.rows import select_rows
-from orbitfb.models.settings import IdentifySettings
+from orbitfb.models.settings import ChangeSettings, IdentifySettings
 from orbitfb.physics.drift import DriftSettings
 from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import Plant, PlantSettings

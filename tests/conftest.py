@@ -3,6 +3,7 @@
 import os
 import shutil
 import socket
+import sys
 import tempfile
 import threading
 import time
@@ -41,6 +42,9 @@ def _force_environment() -> None:
     os.environ.update(_LOOPBACK_EPICS)
     # As the program itself does: small matrices lose more by waiting for threads than they gain.
     os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
+    # Hundreds of processes import the package; without bytecode each compiles it for half a second.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
 
 
 _force_environment()

@@ -1,6 +1,5 @@
 """Ask a running service over HTTP whether it is well: for probes of containers and for people."""
 
-import http.client
 import json
 from typing import Annotated, Any
 
@@ -65,6 +64,8 @@ def probe(host: str, port: int, path: str, timeout: float) -> dict[str, Any]:
     Returns:
         `good` (bool), `reason` (str), and what else the service says.
     """
+    import http.client  # fifty milliseconds of every other command
+
     connection = http.client.HTTPConnection(host, port, timeout=timeout)  # minds no proxy
     try:
         connection.request("GET", path, headers={"Accept": "application/json"})

@@ -213,7 +213,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Command the running service."""
-    from orbitfb.app.commands.dispatch import check_request
+    from orbitfb.app.commands.requests import check_request
     from orbitfb.control.socket import ask
 
     request = {**pairs(values or []), "command": name, **({"once": True} if once else {})}

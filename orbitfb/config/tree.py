@@ -28,7 +28,7 @@ from orbitfb.diagnose.settings import DiagnoseSettings
 from orbitfb.effects.settings import EffectSettings
 from orbitfb.epics.lease.lease import LeaseSettings
 from orbitfb.epics.settings import EpicsSettings
-from orbitfb.history.recorder import ArchiveSettings
+from orbitfb.history.settings import ArchiveSettings
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.loop.correction.settings import CorrectionSettings
 from orbitfb.loop.excitation.dither import DitherSettings

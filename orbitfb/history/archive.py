@@ -12,7 +12,8 @@ from orbitfb.core.errors import ArchiveError
 from orbitfb.core.ports import Clock
 from orbitfb.core.signals import Channels, TickRecord
 from orbitfb.history.reader import read_archive
-from orbitfb.history.recorder import ArchiveSettings, Recorder
+from orbitfb.history.recorder import Recorder
+from orbitfb.history.settings import ArchiveSettings
 
 __all__ = ["ArchiveSettings", "ArchiveStatus", "ArchiveWriter", "read_archive"]
 

@@ -10,7 +10,7 @@
 """
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from orbitfb.core.errors import ConfigError
 from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.learn.judge import gain_of
-from orbitfb.learn.learner import Build
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.noise import LADDER
 from orbitfb.policies.embedding import embed, reembed
@@ -28,6 +27,9 @@ from orbitfb.policies.network import NetworkPolicy
 from orbitfb.policies.settings import PolicySettings
 from orbitfb.policies.store.kinds import TAKEN
 from orbitfb.policies.svd import SvdPolicy
+
+if TYPE_CHECKING:
+    from orbitfb.learn.learner import Build
 
 _GROUPS = 4
 """Groups of responses that a fine-tuning goes round."""
@@ -94,7 +96,7 @@ def unmasked(policy: Policy) -> Policy:
     return policy
 
 
-def builder(settings: PolicySettings, movable: Mask | None = None, seed: int = 0) -> Build:
+def builder(settings: PolicySettings, movable: Mask | None = None, seed: int = 0) -> "Build":
     """Give what makes the candidates of a kind.
 
     Args:

@@ -7,7 +7,7 @@ settings, tensors.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,13 @@ from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.transitions import Transitions
 from orbitfb.learn.builders import builder, masked, unmasked
-from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.learn.trainer import Answer
 from orbitfb.policies.settings import PolicySettings
 from orbitfb.policies.store.kinds import kind_named, kind_of
+
+if TYPE_CHECKING:
+    from orbitfb.learn.learner import Learner
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +87,10 @@ class AnswerMessage:
     last_tick: int | None
 
 
-def learner_of(job: TrainerJob) -> Learner:
+def learner_of(job: TrainerJob) -> "Learner":
     """Make the learner that a job asks for."""
+    from orbitfb.learn.learner import Learner  # its arithmetic: here and in no loop's process
+
     build = builder(job.policy, job.movable, job.seed)
     return Learner(job.response, job.learn, build, seed=job.seed, rate=job.rate)
 

@@ -3,8 +3,7 @@
 from pydantic import Field
 
 from orbitfb.core.settings import Settings
-from orbitfb.models.changes import ChangeSettings
-from orbitfb.models.settings import IdentifySettings
+from orbitfb.models.settings import ChangeSettings, IdentifySettings
 
 
 class JudgeSettings(Settings):

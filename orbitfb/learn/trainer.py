@@ -1,14 +1,16 @@
 """What the learner's thread asks of whoever does the arithmetic, here or in another process."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.core.ports import Policy
 from orbitfb.core.refit import Alarm, RefitReport
 from orbitfb.core.transitions import Transitions
-from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
+
+if TYPE_CHECKING:
+    from orbitfb.learn.learner import Learner
 
 MOST_ROWS = 2000
 """Rows of one task; more would be of an older ring, and take long to copy and to send."""
@@ -91,7 +93,7 @@ class InlineTrainer:
         learner: Does the work.
     """
 
-    def __init__(self, learner: Learner) -> None:
+    def __init__(self, learner: "Learner") -> None:
         self.learner = learner
         self._answer: Answer | None = None
 
@@ -123,7 +125,7 @@ class InlineTrainer:
         """Nothing is held."""
 
 
-def work(learner: Learner, task: Task) -> Answer:
+def work(learner: "Learner", task: Task) -> Answer:
     """Do a task; whatever goes wrong is in the answer.
 
     Args:

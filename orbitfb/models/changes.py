@@ -24,51 +24,18 @@ only make false alarms rarer.
 
 import math
 from dataclasses import dataclass
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
-import scipy.optimize
-from pydantic import Field
-
-from orbitfb.core.settings import Settings
 from orbitfb.models.comparison import Contrast
+from orbitfb.models.settings import ChangeSettings
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 _DAY = 86_400.0
 _OVERSHOOT = 1.166
 _MOST_NATS = 500.0
 _APPROXIMATION = 1.1
-
-
-class ChangeSettings(Settings):
-    """Configuration of the change detector."""
-
-    false_alarms_per_day: float = Field(
-        default=1.0,
-        gt=0.0,
-        le=1000.0,
-        description="Alarms per day of ticks while R is as it was, at most [1/day].",
-    )
-    allowance: float = Field(
-        default=0.005,
-        ge=0.0,
-        description="Evidence that a slightly wrong noise model may feign [nats per row].",
-    )
-    largest_share: float = Field(
-        default=0.25,
-        gt=0.0,
-        le=1.0,
-        description="What one block can count for, as a share of the threshold [1].",
-    )
-    reference_rows: float = Field(
-        default=1000.0,
-        gt=0.0,
-        description="Rows after which an innovation counts 1/e for the reference of the noise [1].",
-    )
-    minimum_sensitivity: float = Field(
-        default=20.0,
-        ge=0.0,
-        description="What the rows since the last swap must be worth before there is an alarm "
-        "[nats].",
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,13 +148,14 @@ def threshold_for(blocks: float) -> float:
     Returns:
         h [nats].
     """
+    from scipy.optimize import brentq  # half a second, and only the trainer needs it
 
     def excess(threshold: float) -> float:
         return math.log(fewest_blocks(threshold)[0]) - math.log(max(_APPROXIMATION * blocks, 2.0))
 
     if excess(0.1) >= 0.0:
         return 0.1
-    return cast(float, scipy.optimize.brentq(excess, 0.1, _MOST_NATS))
+    return cast(float, brentq(excess, 0.1, _MOST_NATS))
 
 
 def fewest_blocks(threshold: float) -> tuple[float, float]:
@@ -196,9 +164,11 @@ def fewest_blocks(threshold: float) -> tuple[float, float]:
     Args:
         threshold: h [nats].
     """
+    from scipy.optimize import minimize_scalar
+
     found = cast(
-        scipy.optimize.OptimizeResult,
-        scipy.optimize.minimize_scalar(
+        "OptimizeResult",
+        minimize_scalar(
             lambda logarithm: math.log(blocks_between_alarms(threshold, math.exp(logarithm))),
             bounds=(-3.0, 3.0),
             method="bounded",

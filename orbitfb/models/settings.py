@@ -69,3 +69,36 @@ class IdentifySettings(Settings):
         gt=0.0,
         description="Rows after which a row counts 1/e for the change that is expected [1].",
     )
+
+
+class ChangeSettings(Settings):
+    """Configuration of the change detector."""
+
+    false_alarms_per_day: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=1000.0,
+        description="Alarms per day of ticks while R is as it was, at most [1/day].",
+    )
+    allowance: float = Field(
+        default=0.005,
+        ge=0.0,
+        description="Evidence that a slightly wrong noise model may feign [nats per row].",
+    )
+    largest_share: float = Field(
+        default=0.25,
+        gt=0.0,
+        le=1.0,
+        description="What one block can count for, as a share of the threshold [1].",
+    )
+    reference_rows: float = Field(
+        default=1000.0,
+        gt=0.0,
+        description="Rows after which an innovation counts 1/e for the reference of the noise [1].",
+    )
+    minimum_sensitivity: float = Field(
+        default=20.0,
+        ge=0.0,
+        description="What the rows since the last swap must be worth before there is an alarm "
+        "[nats].",
+    )

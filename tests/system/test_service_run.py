@@ -26,7 +26,7 @@ from service_process import (
     wait_for,
 )
 
-from orbitfb.app.commands.dispatch import ARGUMENTS
+from orbitfb.app.commands.requests import ARGUMENTS
 
 pytestmark = pytest.mark.system
 

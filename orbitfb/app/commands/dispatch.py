@@ -9,10 +9,10 @@ from typing import Any
 
 import structlog
 
+from orbitfb.app.commands.requests import SILENT, check_request
 from orbitfb.core.bursts import Bursts
 from orbitfb.core.clock import SystemClock
-from orbitfb.core.errors import ControlError, OrbitFeedbackError
-from orbitfb.core.near_names import did_you_mean
+from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.core.ports import Clock
 from orbitfb.core.printable import escaped
 from orbitfb.observe.statistics.running import LoopStatistics
@@ -22,31 +22,6 @@ _log = structlog.stdlib.get_logger("orbitfb.control.socket")
 
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
-SILENT = frozenset({"status", "panel", "page"})
-"""Commands that change nothing and are not logged."""
-ARGUMENTS: Mapping[str, tuple[str, ...]] = {
-    "status": (),
-    **dict.fromkeys(("open", "shadow", "close", "reset", "postmortem"), ()),
-    "gain": ("plane", "value"),
-    "reference": ("values",),
-    "reference-save": ("name",),
-    "reference-load": ("name",),
-    "enable-bpms": ("enabled",),
-    "enable-correctors": ("enabled",),
-    "dither": ("orbit_cost",),
-    "rf": ("follow",),
-    "try": ("singular_values", "regularisation"),
-    "apply": (),
-    "correct": ("law", "once"),
-    "correct-apply": (),
-    "undo": (),
-    "refit": ("activate",),
-    "activate": ("policy", "force"),
-}
-"""What goes with every command that people give."""
-_INSIDE = frozenset({"panel", "page", "refused"})
-"""Requests of our own programs."""
-_WITH_ALL = frozenset({"command", "origin", "peer"})
 _LONGEST_WORD = 300
 _MANY = 8
 
@@ -159,28 +134,6 @@ def origin_of(request: Mapping[str, Any]) -> dict[str, Any]:
         "process": known.get("process"),
         "door": "socket",
     }
-
-
-def check_request(request: Mapping[str, Any]) -> None:
-    """Refuse what nobody knows: a key that is mistyped must not go unnoticed.
-
-    Args:
-        request: The command and what goes with it.
-
-    Raises:
-        ControlError: There is no such command, or it does not take all that came with it.
-    """
-    name = str(request.get("command"))
-    if name in _INSIDE:
-        return
-    if name not in ARGUMENTS:
-        hint = did_you_mean(name, ARGUMENTS, most=1)
-        raise ControlError(f"no command {name!r}{hint}; there are {', '.join(ARGUMENTS)}")
-    known = ARGUMENTS[name]
-    if unknown := sorted({str(key) for key in request} - _WITH_ALL - set(known)):
-        takes = f"takes {', '.join(known)} only" if known else "takes nothing with it"
-        told = ", ".join(key + did_you_mean(key, known, most=1) for key in unknown)
-        raise ControlError(f"{name} {takes}: {told} is unknown")
 
 
 def _told(request: Mapping[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,6 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.transitions import Transitions
 from orbitfb.history.archive import read_archive
 from orbitfb.learn.builders import ResponsePolicy, builder, first_policy, masked
-from orbitfb.learn.learner import Learner
 from orbitfb.learn.messages import TrainerJob, learner_of
 from orbitfb.learn.process import ProcessTrainer
 from orbitfb.learn.trainer import InlineTrainer, Trainer
@@ -153,6 +152,8 @@ def refit_offline(config: AppConfig, archive: Path, activate: bool) -> dict[str,
     Raises:
         ArchiveError: The archive cannot be read or is of another ring.
     """
+    from orbitfb.learn.learner import Learner
+
     ring = config.ring.load()
     channels = ring.channels(config.ring.planes)
     transitions = read_archive(archive, channels)

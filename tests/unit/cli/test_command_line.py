@@ -16,3 +16,25 @@ def test_linear_algebra_has_one_thread_from_the_start():
         [sys.executable, "-c", asked], env=environment, capture_output=True, text=True, check=True
     )
     assert told.stdout.split() == ["False", "1"]
+
+
+def test_a_question_to_the_service_waits_for_no_import_of_arithmetic():
+    """`orbitfb command status` reads the configuration and asks; of that it starts quickly."""
+    asked = (
+        "import sys, orbitfb.cli.app, orbitfb.app.commands.requests, orbitfb.config.tree\n"
+        "slow = {'scipy', 'h5py', 'torch', 'structlog', 'prometheus_client', 'epics', 'caproto'}\n"
+        "print(sorted(slow & set(sys.modules)))"
+    )
+    told = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "[]"
+
+
+def test_the_loop_leaves_the_arithmetic_of_the_learner_to_the_trainer():
+    """Half a second of every start."""
+    asked = (
+        "import sys, orbitfb.app.service.run\n"
+        "slow = {'scipy.linalg', 'scipy.optimize', 'torch', 'orbitfb.models.identify'}\n"
+        "print(sorted(slow & set(sys.modules)))"
+    )
+    told = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "[]"

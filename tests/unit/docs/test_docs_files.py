@@ -13,7 +13,8 @@ from orbitfb.core.clock import ManualClock
 from orbitfb.core.refit import Decision, RefitReport
 from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, Reading, TickRecord
 from orbitfb.core.transitions import Transitions
-from orbitfb.history.recorder import ArchiveSettings, Recorder
+from orbitfb.history.recorder import Recorder
+from orbitfb.history.settings import ArchiveSettings
 from orbitfb.learn.learner import Learner
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.observe.statistics.running import LoopStatistics

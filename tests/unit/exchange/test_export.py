@@ -18,7 +18,8 @@ from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import ArchiveError, ExchangeError, StoreError
 from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, Reading, TickRecord
 from orbitfb.exchange.orbits.parquet import export_archive
-from orbitfb.history.recorder import ArchiveSettings, Recorder
+from orbitfb.history.recorder import Recorder
+from orbitfb.history.settings import ArchiveSettings
 from orbitfb.measure.response_file import read_response
 from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response

@@ -16,7 +16,6 @@ from benchmarks.false_alarms import (  # noqa: E402
 )
 from orbitfb.models.changes import (  # noqa: E402
     ChangeDetector,
-    ChangeSettings,
     blocks_between_alarms,
     fewest_blocks,
     threshold_for,
@@ -24,7 +23,7 @@ from orbitfb.models.changes import (  # noqa: E402
 from orbitfb.models.comparison import Comparison, Contrast  # noqa: E402
 from orbitfb.models.filter import PrefilterBank  # noqa: E402
 from orbitfb.models.noise import LADDER  # noqa: E402
-from orbitfb.models.settings import IdentifySettings  # noqa: E402
+from orbitfb.models.settings import ChangeSettings, IdentifySettings  # noqa: E402
 from orbitfb.physics.drift import DriftSettings  # noqa: E402
 
 NOISE = 0.2e-6
