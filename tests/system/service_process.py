@@ -1,6 +1,7 @@
 """The program as its users start it: processes, commands, log, archive."""
 
 import contextlib
+import io
 import json
 import math
 import os
@@ -15,9 +16,11 @@ from typing import Any, Self
 
 import numpy as np
 import psutil
+import pytest
 from free_ports import free_port
 from ioc_clients import run_client
 
+from orbitfb.cli.app import main
 from orbitfb.control.socket import ask
 from orbitfb.core.errors import ControlError
 from orbitfb.core.transitions import Transitions
@@ -34,22 +37,38 @@ POLL = 0.02
 """From one look to the next [s]."""
 
 
+Done = subprocess.CompletedProcess[str]
+
 WATCH, CONNECT = "ORBITFB_DIAGNOSE__LIVE__ENABLED", "ORBITFB_EPICS__CONNECT_TIMEOUT"
+LEARN, PAGE = "ORBITFB_LEARN__ENABLED", "ORBITFB_WEB__ENABLED"
+LEAN = ("run", "measure-response")
+"""Commands that get less than their users' by default."""
 
 
 def lean(arguments: Sequence[object]) -> dict[str, str]:
-    """Keep `run` from what few tests look at, the operator page and the watch over the gap.
+    """Keep `run` from what few tests look at: operator page, learner, and watch over the gap.
 
-    Each is a process more: the page takes a second of computing, a look at the gap half a minute.
+    Each is a process more: page and trainer take a second of computing, a look at the gap half a
+    minute.
     """
-    if arguments[0] not in ("run", "measure-response"):
+    if arguments[0] not in LEAN:
         return {}
     # On a loaded computer 540 channels may take longer to connect than the usual 5 s.
-    return {"ORBITFB_WEB__ENABLED": "false", WATCH: "false", CONNECT: str(START / 2)}
+    return {PAGE: "false", LEARN: "false", WATCH: "false", CONNECT: str(START / 2)}
 
 
-def orbitfb(*arguments: object, **environment: str | None) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end; a variable that is None is unset."""
+def orbitfb(*arguments: object, **environment: str | None) -> Done:
+    """Run a command to its end; a variable that is None is unset.
+
+    What runs on, and what speaks Channel Access, has a process of its own; others run in this one,
+    which has imported the program already.
+    """
+    own = arguments[0] in (*LEAN, "ioc", "doctor")
+    return (as_process if own else here)(*arguments, **environment)
+
+
+def as_process(*arguments: object, **environment: str | None) -> Done:
+    """Run a command to its end in a process of its own."""
     given = os.environ | lean(arguments) | environment
     variables = {k: v for k, v in given.items() if v is not None}
     return subprocess.run(
@@ -62,9 +81,36 @@ def orbitfb(*arguments: object, **environment: str | None) -> subprocess.Complet
     )
 
 
-def refused(*arguments: object, **environment: str | None) -> str:
-    """Run a command that must be refused; gives what it said, without the name of the program."""
-    done = orbitfb(*arguments, **environment)
+def here(*arguments: object, **environment: str | None) -> Done:
+    """Run a command to its end in this process; what it leaves behind fails the test."""
+    given = lean(arguments) | environment
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        patch.setattr(sys, "argv", ["orbitfb", *map(str, arguments)])
+        for name, value in given.items():
+            patch.delenv(name, raising=False) if value is None else patch.setenv(name, value)
+        try:
+            main()
+            code: object = 0
+        except SystemExit as end:
+            code = end.code or 0
+    assert isinstance(code, int)
+    return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
+
+
+def refused(*arguments: object, process: bool = False, **environment: str | None) -> str:
+    """Run a command that must be refused; gives what it said, without the name of the program.
+
+    Args:
+        arguments: What follows `orbitfb`.
+        process: Whether it has a process of its own: where it speaks Channel Access.
+        environment: Variables; one that is None is unset.
+    """
+    done = (as_process if process else here)(*arguments, **environment)
     assert done.returncode == 2, (done.returncode, done.stdout, done.stderr)
     assert done.stdout == ""
     assert "Traceback" not in done.stderr
@@ -191,18 +237,25 @@ class Service(Process):
         options: More options.
         page: Port of the operator page; 0: any; None: there is no page.
         watch: Whether it watches its gap.
+        learn: Whether it learns.
     """
 
     def __init__(
-        self, data: Path, ioc: str, *options: object, page: int | None = None, watch: bool = False
+        self,
+        data: Path,
+        ioc: str,
+        *options: object,
+        page: int | None = None,
+        watch: bool = False,
+        learn: bool = False,
     ) -> None:
         self.data = data
         before = len(self.events("service_started"))
         arguments = ["run", "--ioc", ioc, "--data", data, "--metrics-port", free_port()]
         ring = ["--port", free_port()] if ioc == "sim" else []
-        variables = {WATCH: str(watch).lower()}
+        variables = {WATCH: str(watch).lower(), LEARN: str(learn).lower()}
         if page is not None:
-            variables |= {"ORBITFB_WEB__ENABLED": "true", "ORBITFB_WEB__PORT": str(page)}
+            variables |= {PAGE: "true", "ORBITFB_WEB__PORT": str(page)}
         super().__init__([*arguments, *ring, *options], data.parent, data.name, variables)
         self.began = time.monotonic()
         with self.starting():

@@ -4,7 +4,7 @@ import socket
 from pathlib import Path
 
 import pytest
-from service_process import orbitfb, refused
+from service_process import as_process, refused
 
 from orbitfb.app.setup.startup import find_ring
 from orbitfb.config.tree import load_config
@@ -111,6 +111,6 @@ def test_bad_epics_environment(environment: dict[str, str], message: str, tmp_pa
 
 
 def test_a_terminal_that_knows_no_greek_gets_question_marks():
-    done = orbitfb("config", "show", PYTHONIOENCODING="ascii")
+    done = as_process("config", "show", PYTHONIOENCODING="ascii")
     assert done.returncode == 0
     assert "# Tikhonov ?, compared with" in done.stdout

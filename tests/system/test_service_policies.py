@@ -37,7 +37,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     asked += "[learn.changes]\nminimum_sensitivity = 1e9\n"
     config.write_text(asked + patient)
     options = ("--rate", RATE_HZ, "--drift", "strong", "--drift-ticks", 100, "--config", config)
-    with Service(directory / "data", "sim", *options) as running:
+    with Service(directory / "data", "sim", *options, learn=True) as running:
         running.wait_status("ticks", lambda status: status["ticks"] > 400, 2 * START)
         socket.ask(running.data, {"command": "open"})  # else the orbit leaves while we wait
         yield running
@@ -134,12 +134,13 @@ def test_no_tick_was_lost_by_any_swap(service: Service):
     assert len(swapped) == 3
     assert (np.diff(archived.tick) == 1).all()
     # Whoever decided, decided on the very next orbit: the wait for it is one as at any other tick,
-    # of a computer that stalls now and then (a long stall leaves a tick without an orbit).
+    # of a computer that stalls now and then (a long stall leaves a tick without an orbit). What a
+    # swap itself costs, all three of them would show.
     gaps = archived.next_time - archived.time
     seen, usual = gaps[swapped], gaps[np.isfinite(gaps)]
     seen = seen[np.isfinite(seen)]
     assert len(seen) >= 2
-    assert np.median(seen) < max(2.5 / RATE_HZ, float(np.quantile(usual, 0.99)))
+    assert seen.min() < max(2.5 / RATE_HZ, float(np.quantile(usual, 0.99)))
 
 
 def test_list_stars_the_active_one(service: Service):

@@ -34,6 +34,7 @@ def ring(directory: Path) -> Iterator[Ioc]:
 def service(ring: Ioc, directory: Path) -> Iterator[Service]:
     """A loop that is there first."""
     with Service(directory / "first", f"127.0.0.1:{ring.port}") as first:
+        first.wait_state("OPEN")
         yield first
 
 
@@ -112,10 +113,10 @@ def test_a_second_service_on_one_data_directory(service: Service, dead_port: int
 
 def test_pvs_of_another_plane_are_counted_all_at_once(ring: Ioc, tmp_path: Path):
     options = ("--planes", "y", "--data", tmp_path / "data")
-    environment = {"ORBITFB_EPICS__CONNECT_TIMEOUT": "10.0"}
-    said = refused(*RUN, "--ioc", f"127.0.0.1:{ring.port}", *options, **environment)
+    environment = {"ORBITFB_EPICS__CONNECT_TIMEOUT": "5.0"}
+    said = refused(*RUN, "--ioc", f"127.0.0.1:{ring.port}", *options, process=True, **environment)
     first, *names, advice = said.splitlines()
-    assert first == "540 of 542 PVs did not connect within 10.0 s:"
+    assert first == "540 of 542 PVs did not connect within 5.0 s:"
     y = Ring.load().channels("y")
     shown = [*y.orbit_pvs[:MOST_SHOWN], f"… and {540 - MOST_SHOWN} more"]
     assert [name.strip() for name in names] == shown
@@ -128,7 +129,13 @@ def test_pvs_of_another_plane_are_counted_all_at_once(ring: Ioc, tmp_path: Path)
 def test_nobody_at_the_port(dead_port: int, tmp_path: Path):
     environment = {"ORBITFB_EPICS__CONNECT_TIMEOUT": "1.0"}
     said = refused(
-        *RUN, "--ioc", f"127.0.0.1:{dead_port}", "--data", tmp_path / "data", **environment
+        *RUN,
+        "--ioc",
+        f"127.0.0.1:{dead_port}",
+        "--data",
+        tmp_path / "data",
+        process=True,
+        **environment,
     )
     assert said.startswith("542 of 542 PVs did not connect within 1.0 s:\n")
     assert CHANNELS.orbit_pvs[0] in said and len(said.splitlines()) < 24
@@ -229,7 +236,7 @@ def test_a_hangup_leaves_no_child(tmp_path: Path, request: pytest.FixtureRequest
     # A session under nohup ignores the signal, and so would what it starts.
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     request.addfinalizer(lambda: signal.signal(signal.SIGHUP, before))
-    with Service(tmp_path / "data", "sim") as service:
+    with Service(tmp_path / "data", "sim", learn=True) as service:
         children = [service.child(module) for module in ("orbitfb.sim", "orbitfb.learn")]
         service.popen.send_signal(signal.SIGHUP)
         service.popen.wait(20.0)

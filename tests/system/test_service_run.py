@@ -43,7 +43,9 @@ SUMMARY = {
 def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A closed loop on its own ring; tests that only look share it, the last ones end it."""
     data = tmp_path_factory.mktemp("run") / "data"
-    with Service(data, "sim", "--summary", data.parent / "summary.json", watch=True) as service:
+    with Service(
+        data, "sim", "--summary", data.parent / "summary.json", watch=True, learn=True
+    ) as service:
         yield service
 
 
@@ -280,7 +282,7 @@ def test_trip_is_latched_until_reset(obedient: Service):
 )
 def test_a_signal_stops_it_within_2_s_and_nothing_is_left(number: signal.Signals, tmp_path: Path):
     summary = tmp_path / "summary.json"
-    with Service(tmp_path / "data", "sim", "--summary", summary) as service:
+    with Service(tmp_path / "data", "sim", "--summary", summary, learn=True) as service:
         service.wait_state("CLOSED")
         took = service.stop(number)
         assert service.popen.returncode == 0 and service.err == ""
