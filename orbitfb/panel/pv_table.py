@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from orbitfb.core.signals import Channels, LoopState, parts
+from orbitfb.panel.bump_pvs import bump_pvs
 from orbitfb.panel.correction_pvs import correction_pvs
 from orbitfb.panel.pv import Kind, Order, PanelPv
 from orbitfb.panel.pv_forms import ONCE, choice_pv, count_pv, number_pv, pair_of, text_pv
@@ -70,6 +71,7 @@ def panel_pvs(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]:
         *_policies(),
         *_frequency(),
         *_adjustments(settings, extent),
+        *bump_pvs(settings, extent.planes),
         *correction_pvs(),
         *vector_pvs(extent.lengths()),
     )

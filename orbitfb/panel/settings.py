@@ -45,6 +45,18 @@ class PanelSettings(Settings):
         le=0.1,
         description="Largest reference that is accepted, absolute, at any BPM [m].",
     )
+    bump_limit: float = Field(
+        default=0.5e-3,
+        gt=0,
+        le=0.1,
+        description="Largest position that is accepted of a closed bump, at its place [m].",
+    )
+    bump_angle_limit: float = Field(
+        default=0.1e-3,
+        gt=0,
+        le=0.1,
+        description="Largest angle that is accepted of a closed bump, at its place [rad].",
+    )
     dither_limit: float = Field(
         default=20e-6,
         gt=0,

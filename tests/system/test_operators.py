@@ -15,7 +15,7 @@ pytestmark = pytest.mark.system
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    with start(tmp_path_factory.mktemp("operators")) as service:
+    with start(tmp_path_factory.mktemp("operators"), "--rate", 30) as service:
         yield service
 
 
@@ -68,3 +68,48 @@ def test_what_somebody_moved_meanwhile_is_not_corrected_over(service: Service):
     operate(service, 'put("Undo-Cmd", "do"); finish(text("State-I"))')
     assert "refused" in ask(service.data, {"command": "panel"})["figures"]["CorrectText-I"]
     ask(service.data, {"command": "correct", "once": True})  # of what is there now
+
+
+PLACE = "PL1B_C30,PL1A_C01"
+
+
+def test_a_bump_moves_the_orbit_at_its_place_and_nowhere_else(service: Service):
+    ask(service.data, {"command": "close"})
+    seen = operate(
+        service,
+        f"""
+        import numpy as np
+        until(lambda: get("RmsX-I") < 1.0, "a closed loop")
+
+        def orbit():
+            return np.mean([(time.sleep(0.1), get("OrbitX-I"))[1] for _ in range(10)], axis=0)
+
+        before = orbit()
+        put("BumpPlace-SP", {PLACE!r})
+        until(lambda: text("BumpPlace-RB") == {PLACE!r}, "the place")
+        put("BumpPositionX-SP", 60.0)
+        put("BumpAngleX-SP", -8.0)
+        put("BumpAngleX-SP", 300.0)  # beyond its limit
+        until(lambda: get("BumpAngleX-RB") == -8.0, "the bump")
+        names, where = list(get("BpmNameX-I")), get("BpmPositionX-I")
+        ends = [names.index(name) for name in {PLACE!r}.split(",")]
+        until(lambda: abs(get("Reference-RB")[ends].mean() - 0.06) < 1e-6, "the reference there")
+        until(lambda: abs(get("ErrorX-I")[ends].mean()) < 0.3, "the orbit there: weak modes")
+        after, words = orbit(), text("Bumps-I")
+        put("BumpPositionX-SP", 0.0)
+        put("BumpAngleX-SP", 0.0)
+        until(lambda: not get("Reference-RB").any() and get("RmsX-I") < 1.0, "gone")
+        finish({{
+            "moved": (1e3 * (after - before)).tolist(), "names": names, "where": where.tolist(),
+            "words": words, "left": text("Bumps-I"), "state": text("State-I"),
+        }})
+        """,
+    )
+    left, right = (seen["names"].index(name) for name in PLACE.split(","))
+    moved, where = seen["moved"], seen["where"]
+    assert (moved[left] + moved[right]) / 2 == pytest.approx(60.0, abs=1.0)
+    slope = (moved[right] - moved[left]) / (where[right] - where[left])
+    assert slope == pytest.approx(-8.0, abs=0.3)
+    assert seen["words"] == f"{PLACE} x 60 um -8 urad" and seen["left"] == ""
+    assert max(map(abs, [*moved[right + 5 :], *moved[: left - 5]])) < 2.0
+    assert seen["state"] == "CLOSED"

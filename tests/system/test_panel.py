@@ -62,7 +62,7 @@ def logged(service: Service, event: str, what: str) -> list[dict[str, Any]]:
     return service.events(event)
 
 
-def start(directory: Path) -> Service:
+def start(directory: Path, *options: object) -> Service:
     rules, config = directory / "rules.toml", directory / "config.toml"
     rules.write_text(
         f"""
@@ -82,7 +82,7 @@ def start(directory: Path) -> Service:
         rules = "{rules}"
         """
     )
-    return Service(directory / "data", "sim", "--start", "open", "--config", config)
+    return Service(directory / "data", "sim", "--start", "open", "--config", config, *options)
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 Each is checked as a whole, put in force between two ticks, then saved for the next start.
 """
 
-import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,9 @@ import numpy as np
 import structlog
 
 from orbitfb.app.commands.arguments import number, reference_of, switches
-from orbitfb.app.commands.autosave import FILE, Reference, Saved, labels, read_whole, write_whole
+from orbitfb.app.commands.autosave import FILE, Saved, labels, read_whole, write_whole
+from orbitfb.app.commands.bumps import Bumps
+from orbitfb.app.commands.references import load_reference, reference_file, save_reference
 from orbitfb.core.errors import ConfigError, ControlError, OrbitFeedbackError
 from orbitfb.core.ports import Policy
 from orbitfb.core.retry import EVERY, Retry
@@ -25,10 +26,10 @@ from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.panel.settings import PanelSettings
+from orbitfb.physics.places import Ring
 
 _log = structlog.stdlib.get_logger("orbitfb.control.socket")
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,59}")
 LARGEST_GAIN = 1.0
 """A policy is judged with its own gain; operators may only take some of it away."""
 
@@ -43,6 +44,9 @@ class Base:
         movable: Correctors that are not, shape (m,).
         limits: Of what operators may set.
         directory: Data directory.
+        ring: For bumps.
+        crossed: Says which correctors would go beyond their limits with a change of the setpoints,
+            shape (m,) [A]; empty: none.
     """
 
     channels: Channels
@@ -50,6 +54,8 @@ class Base:
     movable: Mask
     limits: PanelSettings
     directory: Path
+    ring: Ring
+    crossed: Callable[[Vector], str] = lambda change: ""
 
 
 class Adjuster:
@@ -79,6 +85,9 @@ class Adjuster:
         self._gain = dict.fromkeys(base.channels.planes, 1.0)
         self._dither_cost: float | None = None
         self._reference_name = ""
+        self._bumps = Bumps(
+            base.ring, base.channels, base.limits, lambda: self.movable, base.crossed
+        )
         self._saving = Retry(self._save_all, _say_unsaved, saved_late, every, "settings")
 
     @property
@@ -98,6 +107,7 @@ class Adjuster:
             "reference": self._locked(self._set_reference),
             "reference-save": self._locked(self._save_reference),
             "reference-load": self._locked(self._load_reference),
+            "bump": self._locked(self._set_bump),
             "enable-bpms": self._locked(self._enable_bpms),
             "enable-correctors": self._locked(self._enable_correctors),
             "dither": self._locked(self._set_dither),
@@ -118,6 +128,7 @@ class Adjuster:
             "BpmEnable-RB": (wanted.enabled & self._base.counting).astype(int).tolist(),
             "CorrectorEnable-RB": self.movable.astype(int).tolist(),
             "Dither-RB": self._dither.orbit_cost * 1e6,
+            **self._bumps.shown(),
         }
 
     def restore(self) -> bool:
@@ -150,6 +161,7 @@ class Adjuster:
         reference = self._checked(saved.reference)
         enabled = _without(bpms, saved.disabled_bpms)
         self._check_left(enabled, self._correctors)
+        self._bumps.restore(saved.bumps, reference)
         self._apply(reference=reference, enabled=enabled)
         if saved.dither is not None:
             self._dither_cost = saved.dither
@@ -186,27 +198,42 @@ class Adjuster:
         reference = self._checked(values if isinstance(values, list) else ())
         self._reference_name = ""
         self._apply(reference=reference)
-        return {"reference_rms_um": float(np.sqrt(np.mean(reference**2)) * 1e6)}
+        rms = float(np.sqrt(np.mean(reference**2)) * 1e6)
+        return {"reference_rms_um": rms, **self._without_bumps()}
 
     def _save_reference(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
-        path, channels = self._reference_file(request), self._base.channels
-        position = tuple(self._runner.adjustments.reference.tolist())
-        bpms = labels(channels.bpms, channels.planes)
-        write_whole(path, Reference(bpms=bpms, position=position))
+        path = reference_file(self._base.directory, request.get("name"))
+        save_reference(path, self._runner.adjustments.reference, self._base.channels)
         self._reference_name = path.stem
         return {"saved": str(path)}
 
     def _load_reference(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
-        path, channels = self._reference_file(request), self._base.channels
-        if not path.exists():
-            known = ", ".join(sorted(file.stem for file in path.parent.glob("*.json")))
-            raise ControlError(f"no reference {path.stem!r} was saved; known: {known or 'none'}")
-        loaded = read_whole(path, Reference, "save another one under this name")
-        if loaded.bpms != labels(channels.bpms, channels.planes):
-            raise ControlError(f"{path} is of other BPMs than the loop's")
-        self._apply(reference=self._checked(loaded.position))
+        path = reference_file(self._base.directory, request.get("name"))
+        self._apply(reference=self._checked(load_reference(path, self._base.channels)))
         self._reference_name = path.stem
-        return {"loaded": str(path)}
+        return {"loaded": str(path), **self._without_bumps()}
+
+    def _without_bumps(self) -> dict[str, int]:
+        """Forget the bumps of a reference that is another one now."""
+        return {"bumps_gone": gone} if (gone := self._bumps.forget()) else {}
+
+    def _set_bump(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        before = self._runner.adjustments.reference
+        change = self._bumps.asked(request, before)
+        if change is None:
+            return {"place": self._bumps.place}
+        self._apply(reference=self._checked(change.reference.tolist()))
+        self._bumps.take(change)
+        self._reference_name = ""
+        bump = change.bump
+        return {
+            "place": bump.place,
+            "plane": bump.plane,
+            "position_um": bump.position * 1e6,
+            "angle_urad": bump.angle * 1e6,
+            "largest_reference_change_um": float(np.abs(change.reference - before).max() * 1e6),
+            "largest_setpoint_change_A": float(np.abs(change.setpoints).max()),
+        }
 
     def _enable_bpms(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         enabled = switches(request, len(self._base.channels.bpms))
@@ -260,14 +287,6 @@ class Adjuster:
         size, limit = len(self._base.channels.bpms), self._base.limits.reference_limit
         return reference_of(values, size, limit)
 
-    def _reference_file(self, request: Mapping[str, Any]) -> Path:
-        name = request.get("name")
-        if not isinstance(name, str) or not _NAME.fullmatch(name):
-            raise ControlError(
-                f"{name!r} is no name of a reference: letters, digits, - _ and . , at most 60"
-            )
-        return self._base.directory / "references" / f"{name}.json"
-
     def _save_all(self) -> None:
         """Save what is in force, from another thread than the commands'."""
         with self._lock:
@@ -282,6 +301,7 @@ class Adjuster:
             gain=self._gain,
             reference=tuple(wanted.reference.tolist()),
             reference_name=self._reference_name,
+            bumps=tuple(self._bumps.in_force.values()),
             disabled_bpms=_names_off(bpms, wanted.enabled),
             disabled_correctors=_names_off(correctors, self._correctors),
             dither=self._dither_cost,

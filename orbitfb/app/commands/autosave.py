@@ -20,6 +20,17 @@ LARGEST = 1 << 22
 """Longest file that is read [bytes]."""
 
 
+class SavedBump(Settings):
+    """A closed bump that is part of the reference."""
+
+    place: str = Field(description="Where, as it was asked for.")
+    plane: str = Field(description="x or y.")
+    position: float = Field(description="Of the orbit there [m].")
+    angle: float = Field(description="Of the orbit there [rad].")
+    orbit: tuple[float, ...] = Field(description="Its part of the reference [m].")
+    setpoints: tuple[float, ...] = Field(description="Setpoints that make it, about [A].")
+
+
 class Saved(Settings):
     """What operators have set."""
 
@@ -28,6 +39,7 @@ class Saved(Settings):
     gain: dict[str, float] = Field(description="Factor of the policy's change by plane [1].")
     reference: tuple[float, ...] = Field(description="Reference orbit, x first, then y [m].")
     reference_name: str = Field(default="", description="Name of the reference; empty: none.")
+    bumps: tuple[SavedBump, ...] = Field(default=(), description="Bumps in that reference.")
     disabled_bpms: tuple[str, ...] = Field(default=(), description="NAME:plane each.")
     disabled_correctors: tuple[str, ...] = Field(default=(), description="NAME:plane each.")
     dither: float | None = Field(

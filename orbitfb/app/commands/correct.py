@@ -1,92 +1,27 @@
 """One correction of an open loop: computed, looked at, applied, undone."""
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import structlog
 
-from orbitfb.app.commands.preview import Handler, Latest
-from orbitfb.core.errors import ControlError, OrbitFeedbackError
-from orbitfb.core.ports import Clock, Policy
-from orbitfb.core.signals import Channels, LoopState, Mask, Vector
-from orbitfb.learn.builders import masked, unmasked
-from orbitfb.loop.adjustments import Adjustments
+from orbitfb.app.commands.correction import BASELINE, Preview, Sources, compute, expected, rms_of
+from orbitfb.app.commands.preview import Handler
+from orbitfb.core.errors import ControlError
+from orbitfb.core.ports import Clock
+from orbitfb.core.signals import LoopState
 from orbitfb.loop.correction.hand import Done
 from orbitfb.loop.correction.move import Move
-from orbitfb.loop.correction.settings import CorrectionSettings
-from orbitfb.loop.runner import Runner
-from orbitfb.loop.slot import PolicySlot
 from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.panel.correction_pvs import LAWS
-from orbitfb.policies.masking import without
-from orbitfb.policies.svd import SvdPolicy, SvdSettings
-from orbitfb.safety.bounds import Bounds
 
 _log = structlog.stdlib.get_logger("orbitfb.control.socket")
 
-BASELINE, ACTIVE = LAWS
-"""The SVD law with gain 1, or the policy in force as it is."""
 PATIENCE = 20.0
 """How long the answer waits for a move to be over [s]; a longer one goes on and is logged."""
-ROUNDS = 12
-"""How often correctors at a limit leave the solution, as in a tick (`loop.choice`)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Sources:
-    """What a correction is computed from.
-
-    Args:
-        channels: Of the loop.
-        runner: The loop.
-        slot: The policy in force.
-        latest: The last orbit.
-        configured: Settings of the SVD law for a policy in force that is none.
-        movable: Gives the correctors that may move now, shape (m,).
-        bounds: Gives the limits of the setpoints that are in force.
-        settings: Of corrections.
-        period: Of the loop [s].
-        measured: The response that was measured, shape (n, m) [m/A]; None: that of the policy.
-    """
-
-    channels: Channels
-    runner: Runner
-    slot: PolicySlot
-    latest: Latest
-    configured: SvdSettings
-    movable: Callable[[], Mask]
-    bounds: Callable[[], Bounds]
-    settings: CorrectionSettings
-    period: float
-    measured: Vector | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Preview:
-    """A correction that was computed.
-
-    Args:
-        move: What it would do.
-        now: Rms orbit error before it [m].
-        made: When, monotonic [s].
-        wanted: What operators wanted then.
-        left_out: Correctors that stay as they would go beyond their limits; empty: none.
-    """
-
-    move: Move
-    now: float
-    made: float
-    wanted: Adjustments
-    left_out: str
-
-    @property
-    def change(self) -> Vector:
-        """Change of the setpoints, shape (m,) [A]."""
-        return self.move.aim - self.move.start
 
 
 class Corrections:
@@ -140,9 +75,10 @@ class Corrections:
             raise ControlError(f"law must be {' or '.join(LAWS)}, not {law!r}")
         if not isinstance(once, bool):
             raise ControlError(f"once must be true or false, not {once!r}")
+        self._check_open("correct")
         with self._lock:
             self._preview = None
-            preview = self._preview = self._computed(str(law))
+            preview = self._preview = compute(self._sources, str(law), self._clock.monotonic())
             self._told = f"{preview.move.name} computed"
         figures = self._figures(preview)
         return {**figures, **self._apply({})} if once else figures
@@ -172,8 +108,8 @@ class Corrections:
             raise ControlError("nothing to undo: no correction was made by hand since the start")
         last = made[-1]
         error, valid = self._sources.latest.error
-        expected = _rms(self._expected(error, last.start - last.left)[valid])
-        return self._move(Move(f"undo of {last.name}", last.left, last.start, expected), last)
+        rms = rms_of(expected(self._sources, error, last.start - last.left)[valid])
+        return self._move(Move(f"undo of {last.name}", last.left, last.start, rms), last)
 
     def _move(self, move: Move, undoes: Done | None) -> Mapping[str, Any]:
         future = self._sources.runner.hand.order(move, undoes)
@@ -218,83 +154,6 @@ class Corrections:
             )
         self._statistics.happened("correction", self._told)
 
-    def _computed(self, kind: str) -> Preview:
-        sources = self._sources
-        self._check_open("correct")
-        error, valid = sources.latest.error
-        record = sources.latest.record
-        if record is None or record.reading is None or not valid.any():
-            raise ControlError("correct refused: no BPM of the last orbit counts")
-        oldest = max(2.0, 3.0 * sources.period)
-        if (age := self._clock.monotonic() - record.reading.received) > oldest:
-            raise ControlError(f"correct refused: the last orbit came {age:.3g} s ago")
-        start = record.setpoints + record.applied
-        if not np.isfinite(start).all():
-            raise ControlError("correct refused: the setpoints in force are not known")
-        policy = self._law(kind)
-        change, full = self._solved(policy, error, valid, start)
-        now, after = _rms(error[valid]), _rms(self._expected(error, change)[valid])
-        name = f"correction by {policy.policy_id}"
-        if not after < now:
-            raise ControlError(
-                f"{name} refused: the orbit error is {now * 1e6:.3g} µm rms and would be "
-                f"{after * 1e6:.3g} µm after it"
-            )
-        left_out = sources.bounds().name(full, sources.channels.correctors) if full.any() else ""
-        move = Move(name, start, start + change, after)
-        wanted = sources.runner.adjustments
-        return Preview(move, now, self._clock.monotonic(), wanted, left_out)
-
-    def _solved(
-        self, policy: Policy, error: Vector, valid: Mask, start: Vector
-    ) -> tuple[Vector, Mask]:
-        """Solve without the correctors that would go beyond their limits.
-
-        Returns:
-            The change, shape (m,) [A], and the correctors that were left out, shape (m,).
-        """
-        sources = self._sources
-        bounds, full = sources.bounds(), np.zeros(len(start), dtype=np.bool_)
-        for _ in range(ROUNDS):
-            change, _ = policy.act(error, valid, policy.initial_state())
-            if change.shape != start.shape or not np.isfinite(change).all():
-                raise OrbitFeedbackError(f"{policy.policy_id} asks for changes that are not finite")
-            size = np.abs(change)
-            tight = (size > bounds.room(change, start)) & (size > 0)
-            if not tight.any():
-                return change, full
-            full |= tight
-            if not (sources.movable() & ~full).any():
-                break
-            policy = without(policy, full)
-        names = bounds.name(full, sources.channels.correctors)
-        raise ControlError(f"correct refused: {names} would go beyond their limits")
-
-    def _law(self, kind: str) -> Policy:
-        sources = self._sources
-        if kind == ACTIVE:
-            return sources.slot.acting
-        inside: Any = unmasked(sources.slot.current)
-        settings = inside.settings if isinstance(inside, SvdPolicy) else sources.configured
-        whole = {"gain": 1.0, "integral_gain": 0.0, "derivative_gain": 0.0}
-        law = SvdPolicy(
-            inside.response,
-            settings.model_copy(update=whole),
-            covariance=getattr(inside, "covariance", None),
-        )
-        return masked(law, sources.movable())
-
-    def _expected(self, error: Vector, change: Vector) -> Vector:
-        """Give the orbit error after a change, shape (n,) [m], by what is known of the response."""
-        response = self._sources.measured
-        if response is None:
-            response = getattr(self._sources.slot.acting, "response", None)
-        if response is None:
-            raise ControlError(
-                "the policy in force has no response matrix, so that nothing can be predicted"
-            )
-        return error + response @ change
-
     def _check_open(self, what: str) -> None:
         state = self._sources.runner.state
         if state is LoopState.OPEN:
@@ -306,7 +165,7 @@ class Corrections:
         change, settings = preview.change, self._sources.settings
         figures = {
             "law": preview.move.name.removeprefix("correction by "),
-            "rms_change_A": _rms(change),
+            "rms_change_A": rms_of(change),
             "largest_change_A": float(np.abs(change).max()),
             "largest_at": self._sources.channels.correctors[int(np.abs(change).argmax())],
             "steps": preview.move.steps(settings.step),
@@ -314,7 +173,3 @@ class Corrections:
             "predicted_rms_um": preview.move.rms * 1e6,
         }
         return figures | ({"left_out": preview.left_out} if preview.left_out else {})
-
-
-def _rms(values: Vector) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -16,6 +16,7 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("open", "shadow", "close", "reset", "postmortem"), ()),
     "gain": ("plane", "value"),
     "reference": ("values",),
+    "bump": ("place", "plane", "position", "angle"),
     "reference-save": ("name",),
     "reference-load": ("name",),
     "enable-bpms": ("enabled",),

@@ -264,6 +264,7 @@ class Service:
             measured,
         )
         doors = Parts(
+            ring,
             self.channels,
             counting,
             movable,

@@ -5,12 +5,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import structlog
 
 from orbitfb.app.commands.adjust import Adjuster, Base
 from orbitfb.app.commands.autosave import FILE
 from orbitfb.app.commands.correct import Corrections
-from orbitfb.app.commands.correct import Sources as CorrectionSources
+from orbitfb.app.commands.correction import Sources as CorrectionSources
 from orbitfb.app.commands.dispatch import Commands, Handler
 from orbitfb.app.commands.frequency import FrequencyCommands
 from orbitfb.app.commands.preview import Latest, Trial
@@ -33,6 +34,7 @@ from orbitfb.page.view import PageView, Sources
 from orbitfb.panel.access import read_access
 from orbitfb.panel.figures import Figures, gap_text
 from orbitfb.panel.pv_table import Extent, panel_pvs, writable_names
+from orbitfb.physics.places import Ring
 from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.safety.bounds import Bounds
 
@@ -44,6 +46,7 @@ class Parts:
     """What operators see and command.
 
     Args:
+        ring: The ring.
         channels: Of the loop.
         counting: BPMs that are not masked by configuration, shape (n,).
         movable: Correctors that are not, shape (m,).
@@ -59,6 +62,7 @@ class Parts:
         measured: The response that was measured, shape (n, m) [m/A]; None: that of the optics.
     """
 
+    ring: Ring
     channels: Channels
     counting: Mask
     movable: Mask
@@ -125,7 +129,17 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
     """
     channels, slot, statistics = parts.channels, parts.slot, parts.statistics
     directory = config.data_directory
-    base = Base(channels, parts.counting, parts.movable, config.panel, directory)
+
+    def crossed(change: Vector) -> str:
+        record, bounds = parts.latest.record, parts.bounds()
+        if record is None or not np.isfinite(record.setpoints).all():
+            return ""
+        beyond = np.abs(change) > bounds.room(change, record.setpoints + record.applied)
+        return bounds.name(beyond, channels.correctors)
+
+    base = Base(
+        channels, parts.counting, parts.movable, config.panel, directory, parts.ring, crossed
+    )
 
     def saved_late() -> None:
         _log.info("settings_saved", file=str(directory / FILE))

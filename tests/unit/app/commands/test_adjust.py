@@ -50,7 +50,7 @@ class Bench:
         self.dither = Dither(DitherSettings(orbit_cost=1e-6), RESPONSE)
         self.counting, self.movable = np.ones(N, dtype=bool), np.ones(M, dtype=bool)
         self.counting[5] = self.movable[6] = False
-        base = Base(CHANNELS, self.counting, self.movable, PanelSettings(), directory)
+        base = Base(CHANNELS, self.counting, self.movable, PanelSettings(), directory, Ring.load())
         self.adjuster = Adjuster(
             base, cast(Any, self.runner), self.slot, self.dither, lambda: None, every=0.01
         )

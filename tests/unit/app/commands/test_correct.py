@@ -7,7 +7,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from orbitfb.app.commands.correct import Corrections, Sources
+from orbitfb.app.commands.correct import Corrections
+from orbitfb.app.commands.correction import Sources
 from orbitfb.app.commands.preview import Latest
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import ControlError, OrbitFeedbackError
