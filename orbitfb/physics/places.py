@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Literal
@@ -47,14 +48,22 @@ class Ring:
         Raises:
             RingError: A file is missing or wrong; the message names file, line, column and value.
         """
-        ring_file, ring_text = _text(parameters, "ring.json")
-        places_file, places_text = _text(places, "places.csv")
-        ring_parameters = parse_parameters(ring_text, ring_file)
-        table = parse_places(places_text, places_file, ring_parameters.circumference)
-        ring = cls(table, ring_parameters)
-        ring._check_counts(places_file, ring_file)
-        ring._check_tunes(places_file, ring_file)
-        return ring
+        if places is None and parameters is None:
+            return _default_ring()
+        return _read(places, parameters)
+
+    def check(self, places_file: str, ring_file: str) -> None:
+        """Refuse counts and tunes that are not those of the table.
+
+        Args:
+            places_file: Name of the table, for messages.
+            ring_file: Name of the file of parameters, for messages.
+
+        Raises:
+            RingError: They do not fit.
+        """
+        self._check_counts(places_file, ring_file)
+        self._check_tunes(places_file, ring_file)
 
     def _check_counts(self, places_file: str, ring_file: str) -> None:
         for kind, wanted in self.parameters.counts.items():
@@ -152,6 +161,23 @@ def _pick(
     columns: tuple[tuple[str, ...], tuple[str, ...]], rows: Iterable[int], places: Indices
 ) -> tuple[str, ...]:
     return tuple(columns[row][int(i)] for row in rows for i in places)
+
+
+@cache
+def _default_ring() -> Ring:
+    """Read the files of this package once: they do not change, and nobody can write to a ring."""
+    return _read(None, None)
+
+
+def _read(places: Path | None, parameters: Path | None) -> Ring:
+    ring_file, ring_text = _text(parameters, "ring.json")
+    places_file, places_text = _text(places, "places.csv")
+    ring_parameters = parse_parameters(ring_text, ring_file)
+    ring = Ring(
+        parse_places(places_text, places_file, ring_parameters.circumference), ring_parameters
+    )
+    ring.check(places_file, ring_file)
+    return ring
 
 
 def _text(path: Path | None, default: str) -> tuple[str, str]:

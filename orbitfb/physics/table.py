@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from orbitfb.core.errors import RingError
 from orbitfb.core.files.delimited import read_cells
@@ -180,11 +180,11 @@ def _check_unique(rows: Sequence[_Row], columns: tuple[str, ...]) -> None:
 
 
 def _columns(rows: Sequence[_Row]) -> PlacesTable:
-    def numbers(column: str) -> Vector:
-        return np.array([row.number(column) for row in rows], dtype=np.float64)
+    def numbers(*columns: str) -> Vector:
+        return _constant([[row.number(column) for row in rows] for column in columns])
 
-    def optional(column: str) -> Vector:
-        return np.array([row.optional(column) for row in rows], dtype=np.float64)
+    def optional(*columns: str) -> Vector:
+        return _constant([[row.optional(column) for row in rows] for column in columns])
 
     def texts(column: str) -> tuple[str, ...]:
         return tuple(row.cells[column] for row in rows)
@@ -192,12 +192,19 @@ def _columns(rows: Sequence[_Row]) -> PlacesTable:
     return PlacesTable(
         name=texts("name"),
         kind=texts("kind"),
-        s=numbers("s_m"),
-        beta=np.stack([numbers("beta_x_m"), numbers("beta_y_m")]),
-        phase=2 * np.pi * np.stack([numbers("mu_x_2pi"), numbers("mu_y_2pi")]),
-        dispersion=numbers("eta_x_m"),
-        strength=optional("strength"),
-        calibration=np.stack([optional(column) for column in _CALIBRATIONS]),
+        s=numbers("s_m")[0],
+        beta=numbers("beta_x_m", "beta_y_m"),
+        phase=_constant(2 * np.pi * numbers("mu_x_2pi", "mu_y_2pi")),
+        dispersion=numbers("eta_x_m")[0],
+        strength=optional("strength")[0],
+        calibration=optional(*_CALIBRATIONS),
         pv=(texts("pv_x"), texts("pv_y")),
         readback=(texts("rb_x"), texts("rb_y")),
     )
+
+
+def _constant(values: ArrayLike) -> Vector:
+    """Make an array that nobody can write to: rings are shared."""
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array
