@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from orbitfb.cli import health
 from orbitfb.cli.app import app
 from orbitfb.core.errors import ConfigError
 
@@ -47,7 +46,7 @@ def answering(monkeypatch: pytest.MonkeyPatch):
             def close(self) -> None:
                 pass
 
-        monkeypatch.setattr(health.http.client, "HTTPConnection", Connection)
+        monkeypatch.setattr(http.client, "HTTPConnection", Connection)
         return asked
 
     return answer
