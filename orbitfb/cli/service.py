@@ -203,7 +203,8 @@ def command(
             "(singular_values=120 regularisation=1e-5; then apply), reference (values=[…], m), "
             "reference-save and reference-load (name=golden), enable-bpms and enable-correctors "
             "(enabled=[true, …]), correct (law=active; then correct-apply, or undo), "
-            "bump (place=NAME plane=x position=1e-4 angle=0, m and rad).",
+            "bump (place=NAME plane=x position=1e-4 angle=0, m and rad), "
+            "average (orbits=10), dead-band (plane=x value=1e-6, m).",
         ),
     ] = None,
     once: Annotated[

@@ -21,11 +21,15 @@ class Adjustments:
         gain: Factor of the policy's change, shape (m,) [1].
         reference: Reference orbit to go to, shape (n,) [m].
         enabled: BPMs that count as far as operators say, shape (n,).
+        average: Orbits that are averaged for a correction.
+        dead_band: Rms orbit error of each plane up to which it is left alone [m]; empty: 0.
     """
 
     gain: Vector
     reference: Vector
     enabled: Mask
+    average: int = 1
+    dead_band: tuple[float, ...] = ()
 
     @classmethod
     def none(cls, reference: Vector, correctors: int) -> Self:

@@ -16,6 +16,7 @@ from orbitfb.core.signals import LoopState, Mask, Reading, Vector
 from orbitfb.loop import comeback
 from orbitfb.loop import memory as remember
 from orbitfb.loop.adjustments import Adjustments, approach
+from orbitfb.loop.averaging import restrain
 from orbitfb.loop.choice import Choice, choose
 from orbitfb.loop.correction.hand import Hand
 from orbitfb.loop.excitation.dither import Dither
@@ -79,7 +80,12 @@ class Engine:
         self._random = random or np.random.default_rng()
         self._inquiry = Inquiry(rules, self._guard, self._random)
         self._counting, self._heed = rules.counting, heed
-        self.wanted: Adjustments = Adjustments.none(rules.reference, len(rules.channels.correctors))
+        loop, channels = rules.loop, rules.channels
+        self.wanted: Adjustments = replace(
+            Adjustments.none(rules.reference, len(channels.correctors)),
+            average=loop.average,
+            dead_band=(loop.dead_band,) * len(channels.planes),
+        )
         self._adjustments: Adjustments = self.wanted
         self.hand = Hand(rules.correction.undo_depth)
         self.memory = remember.first_memory(
@@ -255,14 +261,17 @@ class Engine:
         question = self._inquiry.question(memory, checked) if closed else None
         dither = self._dither.propose(question) if closed else work.nothing
         waits = closed and self._inquiry.waits(memory)
-        deciding, gain = self.policy, (0.0 if waits else ramp) * self._adjustments.gain
         mine, heeded = self._mine(), self._inquiry.heeded(memory, checked)
+        acts = restrain(memory.gathered, heeded.checked, self._adjustments, rules.channels)
+        memory = self.memory = replace(memory, gathered=acts.gathered)
+        deciding = self.policy
+        gain = (0.0 if waits else ramp) * self._adjustments.gain * acts.share
         may_step = closed and ramp == 1.0 and not waits and not heeded.reason
         step = self._step(reading, mine) if may_step else None
 
         def chosen(step: Step | None) -> Choice:
             besides = None if step is None else step.change
-            resting, its = heeded.resting, heeded.checked
+            resting, its = heeded.resting, acts.checked
             return choose(
                 guard, its, memory, rules, gain, dither, mine, resting, work.done, besides
             )
@@ -291,7 +300,7 @@ class Engine:
             self._dither.settle(limited.scale * choice.dither)
             asked = limited.scale == 1.0 and np.array_equal(choice.dither[mine], dither[mine])
             self._expect(work.applied, question if asked else None, step, reading)
-            settled = ramp == 1.0 and not doubts and choice.settled
+            settled = ramp == 1.0 and not doubts and choice.settled and acts.due
             if settled and policy_state is not self.memory.policy_state:
                 self.memory = replace(self.memory, policy_state=policy_state)
 

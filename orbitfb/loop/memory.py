@@ -67,6 +67,21 @@ class Way:
 
 
 @dataclass(frozen=True, slots=True)
+class Gathered:
+    """Orbit errors since the last correction, to be averaged.
+
+    Args:
+        total: Their sum, shape (n,) [m]; None: none yet.
+        counts: Orbits in which each BPM counted, shape (n,).
+        orbits: How many there were.
+    """
+
+    total: Vector | None = None
+    counts: NDArray[np.int64] | None = None
+    orbits: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class LoopMemory:
     """What the loop knows between two ticks.
 
@@ -104,6 +119,7 @@ class LoopMemory:
         answering: What was asked of the orbit without a sign of an answer.
         frequency: What is remembered of the RF frequency.
         second: What is remembered of a second controller.
+        gathered: Orbit errors since the last correction.
     """
 
     state: LoopState
@@ -136,6 +152,7 @@ class LoopMemory:
     answering: Answering = field(default_factory=Answering)
     frequency: Frequency = field(default_factory=Frequency)
     second: SecondController = field(default_factory=SecondController)
+    gathered: Gathered = field(default_factory=Gathered)
 
     @property
     def setpoints(self) -> Vector:
@@ -232,7 +249,7 @@ def move(memory: LoopMemory, event: Event, reason: str, now: float, recloses: bo
         memory = replace(memory, lost=np.zeros_like(memory.lost), well=None, way=None, sent=sent)
         memory = replace(memory, refusals=Refusals(), answering=opened(memory.answering))
     if after is LoopState.CLOSED:
-        return replace(memory, growth=Growth(), rise=Rise())
+        return replace(memory, growth=Growth(), rise=Rise(), gathered=Gathered())
     if after is LoopState.HELD:
         return replace(memory, recloses=recloses)
     return memory

@@ -167,7 +167,9 @@ class Runner:
         m, n = self._nothing.shape, self._engine.reference.shape
         shapes = wanted.gain.shape, wanted.reference.shape, wanted.enabled.shape
         finite = np.isfinite(wanted.gain).all() and np.isfinite(wanted.reference).all()
-        if shapes != (m, n, n) or not finite or (wanted.gain < 0).any():
+        bands = wanted.dead_band
+        finite &= len(bands) in (0, len(self._rules.channels.planes)) and all(b >= 0 for b in bands)
+        if shapes != (m, n, n) or not finite or (wanted.gain < 0).any() or wanted.average < 1:
             raise ControlError("adjustments of another machine, or not finite; nothing was changed")
         self._engine.wanted = wanted
 

@@ -4,6 +4,9 @@ from pydantic import Field
 
 from orbitfb.core.settings import Settings
 
+MOST_AVERAGED = 1000
+"""Most orbits that are averaged: at 10 Hz a correction in 100 s."""
+
 
 class LoopSettings(Settings):
     """Configuration of the loop."""
@@ -53,6 +56,18 @@ class LoopSettings(Settings):
         gt=0,
         le=1.0,
         description="Fastest movement of the reference at any BPM while the loop is closed [m/s].",
+    )
+
+    average: int = Field(
+        default=1,
+        ge=1,
+        le=MOST_AVERAGED,
+        description="Orbits that are averaged for a correction: it corrects once in so many ticks.",
+    )
+    dead_band: float = Field(
+        default=0.0,
+        ge=0,
+        description="Rms orbit error of a plane up to which it is left alone [m]; 0: none.",
     )
 
     @property

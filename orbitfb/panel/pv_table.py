@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from orbitfb.core.signals import Channels, LoopState, parts
+from orbitfb.loop.settings import MOST_AVERAGED
 from orbitfb.panel.bump_pvs import bump_pvs
 from orbitfb.panel.correction_pvs import correction_pvs
 from orbitfb.panel.pv import Kind, Order, PanelPv
@@ -250,8 +251,32 @@ def _adjustments(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]
                 order=Order("dither", "orbit_cost", MICRO),
             )
         ),
+        *_restraint(settings, extent),
         *_trial(extent),
     )
+
+
+def _restraint(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]:
+    average = PanelPv(
+        "Average",
+        Kind.INTEGER,
+        "Orbits that are averaged for a correction: one correction in so many ticks.",
+        limits=(1.0, float(MOST_AVERAGED)),
+        order=Order("average", "orbits"),
+    )
+    bands = (
+        PanelPv(
+            f"DeadBand{plane.upper()}",
+            Kind.DOUBLE,
+            f"Rms orbit error up to which plane {plane} is left alone; 0: none.",
+            "um",
+            3,
+            limits=(0.0, settings.dead_band_limit / MICRO),
+            order=Order("dead-band", "value", MICRO, more=(("plane", plane),)),
+        )
+        for plane in extent.planes
+    )
+    return tuple(pv for its in (average, *bands) for pv in pair_of(its))
 
 
 def _trial(extent: Extent) -> tuple[PanelPv, ...]:

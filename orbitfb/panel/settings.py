@@ -57,6 +57,12 @@ class PanelSettings(Settings):
         le=0.1,
         description="Largest angle that is accepted of a closed bump, at its place [rad].",
     )
+    dead_band_limit: float = Field(
+        default=20e-6,
+        gt=0,
+        le=1e-3,
+        description="Largest dead band that is accepted, rms orbit error of a plane [m].",
+    )
     dither_limit: float = Field(
         default=20e-6,
         gt=0,

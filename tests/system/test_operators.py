@@ -113,3 +113,30 @@ def test_a_bump_moves_the_orbit_at_its_place_and_nowhere_else(service: Service):
     assert seen["words"] == f"{PLACE} x 60 um -8 urad" and seen["left"] == ""
     assert max(map(abs, [*moved[right + 5 :], *moved[: left - 5]])) < 2.0
     assert seen["state"] == "CLOSED"
+
+
+def test_averages_and_a_dead_band_are_set_by_pv_and_told_in_the_status(service: Service):
+    seen = operate(
+        service,
+        """
+        put("Average-SP", 2000)  # beyond its limit
+        put("Average-SP", 15)
+        until(lambda: get("Average-RB") == 15, "the average")
+
+        def moves(looks):
+            seen = []
+            for _ in range(looks):
+                time.sleep(0.1)
+                seen.append(bool(get("AppliedX-I").any()))
+            return sum(seen) / looks
+
+        put("DeadBandX-SP", 20.0)
+        until(lambda: get("DeadBandX-RB") == 20.0, "the dead band")
+        until(lambda: moves(8) == 0, "rest, and no question")
+        finish(text("State-I"))
+        """,
+    )
+    assert seen == "CLOSED"
+    status = service.status()
+    assert status["average_orbits"] == 15
+    assert status["dead_band_um"] == {"x": pytest.approx(20.0)}

@@ -5,7 +5,7 @@ Each is checked as a whole, put in force between two ticks, then saved for the n
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,9 @@ from orbitfb.core.ports import Policy
 from orbitfb.core.retry import EVERY, Retry
 from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.learn.builders import masked, unmasked
-from orbitfb.loop.adjustments import Adjustments
 from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.runner import Runner
+from orbitfb.loop.settings import MOST_AVERAGED
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.panel.settings import PanelSettings
 from orbitfb.physics.places import Ring
@@ -84,6 +84,8 @@ class Adjuster:
         self._correctors = np.ones(len(base.channels.correctors), dtype=np.bool_)
         self._gain = dict.fromkeys(base.channels.planes, 1.0)
         self._dither_cost: float | None = None
+        self._average: int | None = None
+        self._dead_band: dict[str, float] | None = None
         self._reference_name = ""
         self._bumps = Bumps(
             base.ring, base.channels, base.limits, lambda: self.movable, base.crossed
@@ -111,6 +113,8 @@ class Adjuster:
             "enable-bpms": self._locked(self._enable_bpms),
             "enable-correctors": self._locked(self._enable_correctors),
             "dither": self._locked(self._set_dither),
+            "average": self._locked(self._set_average),
+            "dead-band": self._locked(self._set_dead_band),
         }
 
     @property
@@ -128,6 +132,8 @@ class Adjuster:
             "BpmEnable-RB": (wanted.enabled & self._base.counting).astype(int).tolist(),
             "CorrectorEnable-RB": self.movable.astype(int).tolist(),
             "Dither-RB": self._dither.orbit_cost * 1e6,
+            "Average-RB": wanted.average,
+            **{f"DeadBand{its.upper()}-RB": band * 1e6 for its, band in self._dead_bands.items()},
             **self._bumps.shown(),
         }
 
@@ -151,6 +157,7 @@ class Adjuster:
             and len(saved.reference) == len(bpms)
             and saved.gain.keys() == self._gain.keys()
             and all(0 <= gain <= LARGEST_GAIN for gain in saved.gain.values())
+            and (saved.dead_band is None or saved.dead_band.keys() == self._gain.keys())
             and not unknown
         )
         if not fits:
@@ -162,7 +169,11 @@ class Adjuster:
         enabled = _without(bpms, saved.disabled_bpms)
         self._check_left(enabled, self._correctors)
         self._bumps.restore(saved.bumps, reference)
-        self._apply(reference=reference, enabled=enabled)
+        self._average, self._dead_band = saved.average, saved.dead_band
+        more: dict[str, Any] = {} if saved.average is None else {"average": saved.average}
+        if saved.dead_band is not None:
+            more["dead_band"] = tuple(saved.dead_band[plane] for plane in self._gain)
+        self._apply(reference=reference, enabled=enabled, **more)
         if saved.dither is not None:
             self._dither_cost = saved.dither
             self._dither.retune(saved.dither)
@@ -255,14 +266,41 @@ class Adjuster:
         self._dither.retune(cost)
         return {"orbit_cost": cost}
 
-    def _apply(self, reference: Vector | None = None, enabled: Mask | None = None) -> None:
+    def _set_average(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        orbits = number(request, "orbits", 1, MOST_AVERAGED)
+        if orbits != int(orbits):
+            raise ControlError(f"orbits must be a whole number, not {orbits:g}")
+        self._average = int(orbits)
+        self._apply(average=self._average)
+        return {"average_orbits": self._average}
+
+    def _set_dead_band(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        value = number(request, "value", 0.0, self._base.limits.dead_band_limit)
+        plane = request.get("plane")
+        if plane not in self._gain:
+            raise ControlError(f"no plane {plane!r}; the loop has {', '.join(self._gain)}")
+        bands = self._dead_band = {**self._dead_bands, str(plane): value}
+        self._apply(dead_band=tuple(bands.values()))
+        return {"dead_band_um": {its: band * 1e6 for its, band in bands.items()}}
+
+    @property
+    def _dead_bands(self) -> dict[str, float]:
+        """Dead bands by plane [m]."""
+        bands = self._runner.adjustments.dead_band or (0.0,) * len(self._gain)
+        return dict(zip(self._gain, bands, strict=True))
+
+    def _apply(
+        self, reference: Vector | None = None, enabled: Mask | None = None, **more: Any
+    ) -> None:
         wanted = self._runner.adjustments
         size = len(wanted.gain) // len(self._gain)
         self._runner.adjust(
-            Adjustments(
-                np.repeat([*self._gain.values()], size),
-                wanted.reference if reference is None else reference,
-                wanted.enabled if enabled is None else enabled,
+            replace(
+                wanted,
+                gain=np.repeat([*self._gain.values()], size),
+                reference=wanted.reference if reference is None else reference,
+                enabled=wanted.enabled if enabled is None else enabled,
+                **more,
             )
         )
 
@@ -301,6 +339,8 @@ class Adjuster:
             gain=self._gain,
             reference=tuple(wanted.reference.tolist()),
             reference_name=self._reference_name,
+            average=self._average,
+            dead_band=self._dead_band,
             bumps=tuple(self._bumps.in_force.values()),
             disabled_bpms=_names_off(bpms, wanted.enabled),
             disabled_correctors=_names_off(correctors, self._correctors),

@@ -65,7 +65,7 @@ class Remote:
         """
         name = request.get("command")
         if name == "status":
-            return summary(self.statistics.snapshot())
+            return {**summary(self.statistics.snapshot()), **self._restraint()}
         if name == "refit":
             return self._refit(request.get("activate") is True)
         if name == "activate":
@@ -73,6 +73,14 @@ class Remote:
         if name == "postmortem":
             return self._freeze()
         return self._command(str(name))
+
+    def _restraint(self) -> Mapping[str, Any]:
+        wanted, planes = self.runner.adjustments, self.channels.planes
+        bands = wanted.dead_band or (0.0,) * len(planes)
+        return {
+            "average_orbits": wanted.average,
+            "dead_band_um": {its: band * 1e6 for its, band in zip(planes, bands, strict=True)},
+        }
 
     def _freeze(self) -> Mapping[str, Any]:
         if self.freeze is None:

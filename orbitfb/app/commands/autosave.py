@@ -39,6 +39,12 @@ class Saved(Settings):
     gain: dict[str, float] = Field(description="Factor of the policy's change by plane [1].")
     reference: tuple[float, ...] = Field(description="Reference orbit, x first, then y [m].")
     reference_name: str = Field(default="", description="Name of the reference; empty: none.")
+    average: int | None = Field(
+        default=None, ge=1, description="Orbits that are averaged; none: as configured."
+    )
+    dead_band: dict[str, float] | None = Field(
+        default=None, description="Dead band by plane [m]; none: as configured."
+    )
     bumps: tuple[SavedBump, ...] = Field(default=(), description="Bumps in that reference.")
     disabled_bpms: tuple[str, ...] = Field(default=(), description="NAME:plane each.")
     disabled_correctors: tuple[str, ...] = Field(default=(), description="NAME:plane each.")

@@ -22,6 +22,8 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     "enable-bpms": ("enabled",),
     "enable-correctors": ("enabled",),
     "dither": ("orbit_cost",),
+    "average": ("orbits",),
+    "dead-band": ("plane", "value"),
     "rf": ("follow",),
     "try": ("singular_values", "regularisation"),
     "apply": (),

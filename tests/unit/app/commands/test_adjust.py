@@ -116,6 +116,8 @@ def test_everything_is_there_after_a_restart_but_the_state(bench: Bench, tmp_pat
     bench("enable-bpms", enabled=off(N, 0, N - 1))
     bench("enable-correctors", enabled=off(M, 2))
     bench("dither", orbit_cost=2e-6)
+    bench("average", orbits=5)
+    bench("dead-band", plane="y", value=1e-6)
     again = Bench(tmp_path)
     assert again.adjuster.restore()
     for name in ("gain", "reference", "enabled"):
@@ -123,6 +125,9 @@ def test_everything_is_there_after_a_restart_but_the_state(bench: Bench, tmp_pat
         np.testing.assert_array_equal(one, other, name)
     assert again.adjuster.shown() == bench.adjuster.shown()
     assert again.dither.orbit_cost == 2e-6
+    adjusted = again.runner.adjustments
+    assert (adjusted.average, adjusted.dead_band) == (5, (0.0, 1e-6))
+    assert again.adjuster.shown()["DeadBandY-RB"] == pytest.approx(1.0)
     assert not cast(Any, again.slot.acting).movable[2]
     saved = json.loads((tmp_path / FILE).read_text())
     assert saved["disabled_bpms"] == [f"{CHANNELS.bpms[0]}:x", f"{CHANNELS.bpms[-1]}:y"]
@@ -162,6 +167,14 @@ def test_a_name_that_leads_elsewhere_is_refused(bench: Bench, tmp_path: Path, na
         ("gain", {"plane": "x", "value": float("nan")}),
         ("gain", {"plane": "x", "value": True}),
         ("gain", {"plane": "x"}),
+        ("average", {"orbits": 0}),
+        ("average", {"orbits": 1001}),
+        ("average", {"orbits": 2.5}),
+        ("average", {}),
+        ("dead-band", {"plane": "x", "value": -1e-6}),
+        ("dead-band", {"plane": "x", "value": 21e-6}),
+        ("dead-band", {"plane": "z", "value": 1e-6}),
+        ("dead-band", {"value": 1e-6}),
         ("reference", {"values": REFERENCE[:-1]}),
         ("reference", {"values": [*REFERENCE[:-1], 1.1e-3]}),
         ("reference", {"values": [*REFERENCE[:-1], float("nan")]}),
