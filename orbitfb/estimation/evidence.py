@@ -76,6 +76,18 @@ class NormalPriors:
         square = float(scaled @ cho_solve(self.factor, scaled))
         return 0.5 * square - float(np.sum(np.log(np.diag(self.factor[0]))))
 
+    def beyond(self, information: Matrix, cross: Matrix) -> Matrix:
+        """Information of other terms, with these marginalised.
+
+        Args:
+            information: Of k' other terms, these being absent, shape (k', k').
+            cross: Between these and them, shape (k, k').
+        """
+        if not len(self.used):
+            return information
+        seen = self.scale[:, None] * cross[self.used]
+        return information - seen.T @ cho_solve(self.factor, seen)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalTerms:

@@ -206,13 +206,13 @@ def _sums(walk: Matrix, white: Vector, moments: Moments) -> tuple[Matrix, Matrix
     """
     noise = StepNoise(walk, np.diag(white))
     modes = noise.modes
+    single = modes.astype(np.float32)
+    turned = single.T @ moments.total.astype(np.float32) @ single
     pull, shaken = np.zeros_like(walk), np.zeros_like(walk)
     expected, usual = np.zeros(len(walk)), np.zeros(len(walk))
-    for square, count, eigenvalue in zip(
-        moments.total, moments.count, moments.eigenvalue, strict=True
-    ):
+    for square, count, eigenvalue in zip(turned, moments.count, moments.eigenvalue, strict=True):
         inverse = 1.0 / (noise.ratio + eigenvalue)
-        seen = inverse[:, None] * (modes.T @ square @ modes) * inverse
+        seen = inverse[:, None] * square * inverse
         pull += seen
         shaken += eigenvalue * seen
         expected += count * inverse

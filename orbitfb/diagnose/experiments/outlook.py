@@ -79,7 +79,7 @@ def outlook(
     signals = Signals(ahead, ahead.setpoints, orbit)
     transform = StepTransform.of(ahead.starts, 16)
     terms, variance = _errors(space, signals, transform, struck)
-    information = terms.information(space.noise, transform)
+    information = terms.information(space.noise, transform, np.ones(len(terms), dtype=bool))
     return Outlook(signals, transform, space.noise, terms, variance, information)
 
 

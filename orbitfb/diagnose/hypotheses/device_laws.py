@@ -227,15 +227,14 @@ def field_of(
     courses: tuple[Matrix, ...],
     places: tuple[int, ...],
     sizes: Vector,
-) -> Matrix:
+) -> Single:
     """Spectrum of what devices add, shape (T, n) [m]."""
     chosen = list(places) if places else slice(None)
-    total = np.zeros_like(scorer.pulled)
+    total = np.zeros(scorer.pulled.shape, dtype=np.float32)
     for pattern, course in zip(law.patterns, courses, strict=True):
-        spectrum = scorer.space.transform.spectrum(course)
-        total += (np.broadcast_to(spectrum, (len(spectrum), len(sizes))) * sizes) @ pattern[
-            :, chosen
-        ].T
+        spectrum = scorer.space.transform.quick_spectrum(course)
+        along = (pattern[:, chosen] * sizes).T.astype(np.float32)
+        total += np.broadcast_to(spectrum, (len(spectrum), len(along))) @ along
     return total
 
 

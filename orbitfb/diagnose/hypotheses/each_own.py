@@ -7,7 +7,6 @@ from scipy.optimize import fminbound
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.device_laws import field_of
 from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, within
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
@@ -128,15 +127,27 @@ def _candidate(
         Course(law, (place,), rank.values(int(number[place]), place), np.ones(1))
         for place in chosen
     ]
-    fields = [
-        field_of(law, scorer, one.of(signals, one.values), one.places, one.size) for one in sources
-    ]
+    patterns = np.hstack([block[:, chosen] for block in law.patterns])
+    spectrum = np.empty((len(scorer.pulled), patterns.shape[1]), dtype=np.float32)
+
+    def turned(place: int) -> None:
+        source = sources[place]
+        for number, course in enumerate(source.of(signals, source.values)):
+            column = number * len(chosen) + place
+            spectrum[:, column] = scorer.space.transform.quick_spectrum(course)[:, 0]
+
+    for place in range(len(sources)):
+        turned(place)
     for place in range(min(MOST_REFINED, len(sources)) if len(rank.alone) > 1 else 0):
-        others = np.asarray(sum(fields)) - fields[place]
-        near = _nearer(kind, law, scorer, sources[place], scorer.without(others))
-        sources[place] = near
-        fields[place] = field_of(law, scorer, near.of(signals, near.values), near.places, near.size)
-    pull, information = scorer.evaluate(fields)
+        others = spectrum.copy()
+        others[:, place :: len(chosen)] = 0.0
+        late = scorer.without(others @ patterns.T.astype(np.float32))
+        sources[place] = _nearer(kind, law, scorer, sources[place], late)
+        turned(place)
+    pull, information = scorer.columns(patterns, spectrum)
+    blocks = len(law.patterns)
+    pull = pull.reshape(blocks, -1).sum(axis=0)
+    information = information.reshape(blocks, len(chosen), blocks, -1).sum(axis=(0, 2))
     if free:
         terms = NormalTerms(pull, information, np.full(len(chosen), SIZE_WIDTH**2))
         best, evidence = terms.mean(), terms.evidence()
@@ -148,7 +159,7 @@ def _candidate(
     else:
         sizes = np.ones(len(chosen))
         evidence = float(pull.sum() - 0.5 * information.sum())
-    field = np.asarray(sum(size * one for size, one in zip(sizes, fields, strict=True)))
+    field = (spectrum * np.tile(sizes, blocks)) @ patterns.T
     largest = int(np.argmax(np.abs(sizes) * np.sqrt(np.maximum(np.diag(information), 0.0))))
     scaled = dict(sources[largest].values)
     for parameter in kind.sizes:

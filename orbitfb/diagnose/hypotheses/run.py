@@ -169,6 +169,7 @@ def refitted(candidates: list[Candidate], space: Workspace) -> list[Candidate]:
     if not candidates or candidates[0].evidence < SURE or candidates[0].noisy:
         return candidates  # what is said of the noise alone is not weighed so
     least = max(SURE, CLOSE * candidates[0].evidence)
+    space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
     base = space.with_floor().log_posterior()
     least_found = np.inf

@@ -37,6 +37,8 @@ class Scorer:
         pulled: Ω z with healthy errors marginalised, shape (T, n) [1/m].
         late: The same from row to row instead of by frequency, each λ for itself, shape (T, n).
         errors: The healthy errors, as the residual pulls at them.
+        priors: The same, factored.
+        modes: That part walk and noise, shape (n, n) [1/m].
         roots: Root r of the moving average of every group of modes, shape (G,).
         groups: Modes of every group.
         inverse: Mean inverse variance of every mode in every band, shape (B, n).
@@ -52,6 +54,8 @@ class Scorer:
     pulled: Matrix
     late: Matrix
     errors: NormalTerms
+    priors: NormalPriors
+    modes: Single
     roots: Vector
     groups: tuple[Indices, ...]
     inverse: Single
@@ -74,7 +78,8 @@ class Scorer:
         transform = space.transform
         late = transform.turn(space.noise.pull(left, transform.exact()))
         return cls(
-            space, pulled, late, errors, moving_root(typical), groups,
+            space, pulled, late, errors, NormalPriors.of(errors.information, errors.variance),
+            space.noise.modes.astype(np.float32), moving_root(typical), groups,
             space.noise.inverse_variance(transform).astype(np.float32),
             (1.0 / space.noise.variance(transform)).astype(np.float32),
             tuple(transform.members(band) for band in range(len(transform.count))),
@@ -83,22 +88,48 @@ class Scorer:
     def evaluate(self, fields: "Sequence[Matrix | Single]") -> tuple[Vector, Matrix]:
         """Pull and information of whole fields, healthy errors marginalised.
 
+        Fields and weights are in single precision, sums over the record in double.
+
         Args:
             fields: Spectra of what each adds to the readings, shape (T, n) each [m].
 
         Returns:
             a, shape (k,), and H, shape (k, k).
         """
-        double = [np.asarray(one, dtype=np.float64) for one in fields]
-        weighed = [self.space.noise.pull(one, self.space.transform) for one in double]
-        pull = np.array([float(np.sum(self.pulled * one)) for one in double])
-        information = np.array([[float(np.sum(a * b)) for b in double] for a in weighed])
-        if not len(self.errors.used):
+        pull = np.array([np.einsum("tn,tn->", self.pulled, one, dtype=float) for one in fields])
+        seen = [one.astype(np.float32) @ self.modes for one in fields]
+        weighed = [one * self.weights for one in seen]
+        information = np.array(
+            [[np.einsum("tn,tn->", a, b, dtype=float) for b in seen] for a in weighed]
+        )
+        if not len(self.priors.used):
             return pull, information
         used = self.errors.variance > 0.0
-        cross = np.stack([self.space.terms.pull(one, used) for one in weighed], axis=1)
-        _, beyond = self.errors.beyond(np.zeros(len(fields)), information, cross)
-        return pull, _positive(beyond)
+        cross = [self.space.terms.pull(one @ self.modes.T, used) for one in weighed]
+        return pull, _positive(self.priors.beyond(information, np.stack(cross, axis=1)))
+
+    def columns(self, patterns: Matrix, spectrum: Single) -> tuple[Vector, Matrix]:
+        """Pull and information of columns pattern ⊗ course, healthy errors marginalised.
+
+        Args:
+            patterns: Shape (n, k) [m].
+            spectrum: Transformed steps of the courses, shape (T, k).
+
+        Returns:
+            a, shape (k,), and H, shape (k, k).
+        """
+        along = self.pulled.astype(np.float32) @ patterns.astype(np.float32)
+        pull = np.einsum("tk,tk->k", along, spectrum, dtype=float)
+        seen = (patterns.T @ self.space.noise.modes).astype(np.float32)
+        information = np.zeros((len(pull), len(pull)))
+        for weight, rows in zip(self.inverse, self.members, strict=True):
+            part = spectrum[rows]
+            information += ((seen * weight) @ seen.T) * (part.T @ part)
+        if not len(self.priors.used):
+            return pull, information
+        space = self.space
+        cross = space.terms.cross(space.noise, space.transform, patterns, spectrum)
+        return pull, _positive(self.priors.beyond(information, cross))
 
     def seen(self, patterns: Matrix) -> Seen:
         """What patterns see of the residual; kept, as many values of a law share their patterns."""
@@ -218,14 +249,16 @@ class Scorer:
             self.turned[finer] = np.fft.rfft(self.late, n=finer * len(self.late), axis=0)
         return self.turned[finer]
 
-    def without(self, field: Matrix) -> Matrix:
+    def without(self, field: "Matrix | Single") -> Matrix:
         """Ω z from row to row without a field, shape (T, n) [1/m].
 
         Args:
             field: Spectrum of what it adds to the readings, shape (T, n) [m].
         """
         transform = self.space.transform
-        return self.late - transform.turn(self.space.noise.pull(field, transform.exact()))
+        variance = self.space.noise.variance(transform.exact()).astype(np.float32)
+        pulled = ((field.astype(np.float32) @ self.modes) / variance) @ self.modes.T
+        return self.late - transform.turn(pulled)
 
     def drive_pull(self) -> Matrix:
         """∂log L/∂current of every corrector at every row, shape (N, m) [1/A]."""

@@ -50,10 +50,10 @@ class Terms:
             np.hstack([self.patterns, patterns]),
             np.concatenate([self.pattern, self.patterns.shape[1] + pattern]),
             spectrum,
-            _grams(spectrum, transform),
+            _grams(spectrum, transform, self.grams),
         )
 
-    def pull(self, pulled: Matrix, used: Mask | None = None) -> Vector:
+    def pull(self, pulled: "Matrix | Single", used: Mask | None = None) -> Vector:
         """Σ_f (pattern · Ω z)_f course_f of every column, shape (k,).
 
         Args:
@@ -61,15 +61,15 @@ class Terms:
             used: Columns that are asked for, shape (k,); the others are zero. None: all.
         """
         found = np.zeros(len(self))
-        along: dict[tuple[int, int], Matrix] = {}
+        along: dict[tuple[int, int], NDArray[np.floating]] = {}
+        patterns = self.patterns.astype(pulled.dtype)
         for part in self._runs():
             if used is not None and not np.any(used[part]):
                 continue
-            first = int(self.pattern[part.start])
-            its = (first, first + part.stop - part.start)
+            its = self._along(part)
             if its not in along:
-                along[its] = pulled @ self.patterns[:, slice(*its)]
-            found[part] = np.einsum("fc,fc->c", along[its], self.spectrum[:, part])
+                along[its] = pulled @ patterns[:, slice(*its)]
+            found[part] = np.einsum("fc,fc->c", along[its], self.spectrum[:, part], dtype=float)
         return found
 
     def _runs(self) -> list[slice]:
@@ -78,22 +78,34 @@ class Terms:
         edges = [0, *cuts.tolist(), len(self)] if len(self) else [0]
         return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
-    def information(self, noise: StepNoise, transform: StepTransform, first: int = 0) -> Matrix:
-        """Σ_b (Pᵀ Ω_b P) ∘ (courseᵀ course)_b of the columns from `first` on, shape (k, k−first).
+    def information(self, noise: StepNoise, transform: StepTransform, wanted: Mask) -> Matrix:
+        """Σ_b (Pᵀ Ω_b P) ∘ (courseᵀ course)_b of all pairs of columns, shape (k, k).
 
         Args:
             noise: The floor.
             transform: Of the record.
-            first: Number of a column.
+            wanted: Columns that are asked for, shape (k,); runs with none of them are zero.
         """
-        used, own = np.unique(self.pattern[first:], return_inverse=True)
         seen = self.patterns.T @ noise.modes
-        total = np.zeros((len(self), len(self) - first))
+        total = np.zeros((len(self), len(self)))
         inverse = noise.inverse_variance(transform)
+        runs = [(part, self._along(part)) for part in self._runs() if np.any(wanted[part])]
+        pairs = list(itertools.combinations_with_replacement(runs, 2))
         for weight, gram in zip(inverse, self.grams, strict=True):
-            precision = (seen * weight) @ seen[used].T
-            total += precision[np.ix_(self.pattern, own)] * gram[:, first:]
+            weighed = seen * weight
+            known: dict[tuple[tuple[int, int], tuple[int, int]], Matrix] = {}
+            for (row, mine), (column, theirs) in pairs:
+                if (mine, theirs) not in known:
+                    known[mine, theirs] = weighed[slice(*mine)] @ seen[slice(*theirs)].T
+                total[row, column] += known[mine, theirs] * gram[row, column]
+        for (row, _), (column, _) in pairs:
+            total[column, row] = total[row, column].T
         return total
+
+    def _along(self, run: slice) -> tuple[int, int]:
+        """First pattern of a run, and the one behind its last."""
+        begin = int(self.pattern[run.start])
+        return begin, begin + run.stop - run.start
 
     def cross(
         self, noise: StepNoise, transform: StepTransform, patterns: Matrix, spectrum: Matrix
@@ -112,15 +124,28 @@ class Terms:
     def contribution(self, sizes: Vector) -> Matrix:
         """Spectrum of what given sizes add to the readings, shape (T, n) [m]."""
         by_pattern = np.zeros((len(self.spectrum), self.patterns.shape[1]))
-        used = np.flatnonzero(sizes)
-        scaled = self.spectrum[:, used] * sizes[used]
-        for column, values in zip(self.pattern[used], scaled.T, strict=True):
-            by_pattern[:, column] += values
+        for part in self._runs():
+            if np.any(sizes[part]):
+                by_pattern[:, slice(*self._along(part))] += self.spectrum[:, part] * sizes[part]
         return by_pattern @ self.patterns.T
 
 
-def _grams(spectrum: Single, transform: StepTransform) -> Matrix:
-    """Products of courses by band, shape (B, k, k)."""
-    bands = range(len(transform.count))
-    parts = (spectrum[transform.members(band)].astype(np.float64) for band in bands)
-    return np.stack([part.T @ part for part in parts])
+def _grams(spectrum: Single, transform: StepTransform, known: "Matrix | None" = None) -> Matrix:
+    """Products of courses by band, shape (B, k, k).
+
+    Args:
+        spectrum: Of the courses, shape (T, k).
+        transform: Of the record.
+        known: Those of the first k' courses, shape (B, k', k'); None: none are known.
+    """
+    count = spectrum.shape[1]
+    first = 0 if known is None else known.shape[1]
+    found = np.empty((len(transform.count), count, count))
+    for band, its in enumerate(found):
+        part = spectrum[transform.members(band)].astype(np.float64)
+        more = part.T @ part[:, first:]
+        its[:, first:] = more
+        its[first:, :first] = more[:first].T
+        if known is not None:
+            its[:first, :first] = known[band]
+    return found

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import eigh
 
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.likelihood.courses import Courses
 from orbitfb.diagnose.likelihood.errors import (
     ErrorBlock,
@@ -51,6 +51,7 @@ class Workspace:
         terms: Columns of the healthy errors.
         blocks: Which columns are whose.
         information: Of the columns under a floor, shape (k, k).
+        informed: Which of them it knows, shape (k,).
         weighed: That floor.
         shares: Of each healthy scatter, by block; above 1 where a cause raised it.
         single: Prior variances of single columns that a cause raised, shape (k,).
@@ -71,6 +72,7 @@ class Workspace:
     terms: Terms
     blocks: tuple[ErrorBlock, ...]
     information: Matrix
+    informed: Mask
     weighed: StepNoise
     shares: tuple[float, ...]
     single: Vector
@@ -128,6 +130,7 @@ class Workspace:
             terms,
             blocks,
             np.zeros((0, 0)),
+            np.zeros(0, dtype=bool),
             first,
             (0.0,) * len(blocks),
             np.zeros(len(terms)),
@@ -187,14 +190,14 @@ class Workspace:
     @property
     def errors(self) -> NormalTerms:
         """The healthy errors under the floor, as the residual pulls at them."""
-        pull = self.terms.pull(self.noise.pull(self.residual, self.transform))
+        pull = self.terms.pull(self.noise.pull(self.residual, self.transform), self._own)
         return NormalTerms(pull, self.information, self.variance)
 
     def with_floor(self) -> "Workspace":
         """Estimate the floor anew, on what a saturated linear model leaves; then the errors."""
         wide = np.maximum(saturated(self.blocks, len(self.terms), WIDE), self.single)
         pull = self.terms.pull(self.noise.pull(self.residual, self.transform))
-        mean = NormalTerms(pull, self._informed(), wide).mean()
+        mean = NormalTerms(pull, self.saturable().information, wide).mean()
         left = self.residual - self.terms.contribution(mean)
         moments = Moments.of(left, self.transform)
         mixed, weights = fit_shapes(
@@ -206,19 +209,32 @@ class Workspace:
             mixed = StepNoise(shape + self.held, mixed.white)
         noise = improve(mixed, moments, mixed.walk, FREELY, self._counts)
         fresh = replace(self, noise=noise, shape=shape, weights=weights)
-        return replace(fresh, information=fresh._informed(), weighed=noise).with_errors()
+        return fresh._knowing(self._own).with_errors()
 
     @property
     def _counts(self) -> float:
         """Steps that the prior mean of the walk is worth."""
         return PRIOR_COUNTS if self.reference is None else float(len(self.reference.transform))
 
-    def _informed(self) -> Matrix:
-        """Information of all columns under the floor now; what is known of it is kept."""
-        known = len(self.information) if self.weighed is self.noise else 0
-        more = self.terms.information(self.noise, self.transform, known)
-        kept = np.vstack([self.information[:known, :known], more[:known].T])
-        return np.hstack([kept, more])
+    def saturable(self) -> "Workspace":
+        """Know the information of all columns, those of a saturated model too."""
+        return self._knowing(np.ones(len(self.terms), dtype=bool))
+
+    @property
+    def _own(self) -> Mask:
+        """Columns that may have a size in a model that is not saturated, shape (k,)."""
+        own = np.ones(len(self.terms), dtype=bool)
+        for block in self.blocks:
+            own[block.delayed] = False
+        return own
+
+    def _knowing(self, wanted: Mask) -> "Workspace":
+        """Know the information of some columns under the floor now."""
+        known = self.weighed is self.noise and len(self.informed) == len(wanted)
+        if known and not np.any(wanted & ~self.informed):
+            return self
+        information = self.terms.information(self.noise, self.transform, wanted)
+        return replace(self, information=information, informed=wanted, weighed=self.noise)
 
     def with_errors(self) -> "Workspace":
         """Fit the sizes of the healthy errors, within their limits."""
@@ -226,8 +242,8 @@ class Workspace:
             share if share > 1.0 else LEAST_SHARE if block.accepted else 0.0
             for share, block in zip(self.shares, self.blocks, strict=True)
         ]
-        pulled = self.noise.pull(self.residual, self.transform)
-        terms = NormalTerms(self.terms.pull(pulled), self.information, self.single)
+        pull = self.terms.pull(self.noise.pull(self.residual, self.transform), self._own)
+        terms = NormalTerms(pull, self.information, self.single)
         shares, _ = fitted_scales(self.blocks, terms, given)
         return replace(self, shares=tuple(shares))
 
