@@ -71,6 +71,10 @@ SIZE_WIDTH = 5.0
 MOST_DEVICES = 24
 """Devices with a size of each one's own that a set may have before it is a scatter of all."""
 
+WIDTHS = (0.5, 1.0, 2.0, 5.0)
+"""Scatters of a size over the typical one that are tried where all devices have one of their
+own."""
+
 MORE = 3.0
 """Nats beyond its look-elsewhere cost that a further device of a set must bring."""
 

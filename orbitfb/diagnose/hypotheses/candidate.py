@@ -39,6 +39,9 @@ class Candidate:
             not known yet.
         undone: Undo it in the readings: what that takes off them, as a spectrum of shape (T, n)
             [m], and the log by which it widens their density; None: nothing undoes it.
+        parts: What it consists of, where several of the effect were found at once.
+        again: The same with the sizes that it has over another floor: one that was estimated with
+            the cause in it takes part of it; None: they stay.
         finer: Evaluate it exactly, and search the neighbourhood of its values, which a grid gave;
             None: that is done.
     """
@@ -60,6 +63,8 @@ class Candidate:
     sources: tuple[Course, ...] = ()
     cost: float | None = None
     undone: "Callable[[Workspace], tuple[Matrix, float]] | None" = None
+    parts: "tuple[Candidate, ...]" = ()
+    again: "Callable[[Workspace], Candidate] | None" = None
     finer: "Callable[[], Candidate] | None" = None
 
     def accepted(self, space: Workspace, spread: bool = True) -> Workspace:

@@ -5,18 +5,16 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import fminbound
 
-from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, within
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.hypotheses.sets import folded, grown_apart
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
-from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
+from orbitfb.estimation.evidence import NormalTerms, given_size
 from orbitfb.estimation.priors import (
     HOPE,
-    MORE,
-    MOST_DEVICES,
     MOST_REFINED,
     OWN_REACH,
     SIZE_WIDTH,
@@ -79,32 +77,7 @@ def _grown(
     pull, information = scorer.score(law.patterns, spectra)
     information = scorer.marginal(kind, law.patterns, spectra, information)
     cost = _cost(len(number), len(rank.alone))
-    chosen: list[int] = []
-    evidence = 0.0
-    for _ in range(MOST_DEVICES):
-        gain = _gain(pull, information, chosen, free)
-        gain[chosen] = -np.inf
-        device = int(np.argmax(gain))
-        if gain[device] < cost + MORE:
-            break
-        chosen.append(device)
-        evidence += float(gain[device]) - cost
-    return chosen, evidence
-
-
-def _gain(pull: Vector, information: Matrix, chosen: list[int], free: bool) -> Vector:
-    """Log evidence of one more device beside those chosen, shape (D,)."""
-    own = np.diag(information)
-    if not free:
-        beside = information[:, chosen].sum(axis=1)
-        return pull - beside - 0.5 * own
-    if not chosen:
-        return normal_size(pull, np.maximum(own, 0.0), SIZE_WIDTH**2)
-    inner = information[np.ix_(chosen, chosen)] + np.eye(len(chosen)) / SIZE_WIDTH**2
-    solved = np.linalg.solve(inner, information[chosen])
-    left = pull - solved.T @ pull[chosen]
-    rest = own - np.einsum("kd,kd->d", solved, information[chosen])
-    return normal_size(left, np.maximum(rest, 0.0), SIZE_WIDTH**2)
+    return grown_apart(pull, information, cost, free)
 
 
 def _cost(devices: int, values: int) -> float:
@@ -146,8 +119,7 @@ def _candidate(
         turned(place)
     pull, information = scorer.columns(patterns, spectrum)
     blocks = len(law.patterns)
-    pull = pull.reshape(blocks, -1).sum(axis=0)
-    information = information.reshape(blocks, len(chosen), blocks, -1).sum(axis=(0, 2))
+    pull, information = folded(pull, blocks), folded(folded(information, blocks).T, blocks)
     if free:
         terms = NormalTerms(pull, information, np.full(len(chosen), SIZE_WIDTH**2))
         best, evidence = terms.mean(), terms.evidence()

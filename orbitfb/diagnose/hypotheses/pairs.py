@@ -1,37 +1,170 @@
 """Laws of two devices: exchanged, coupled, rolled."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.hypotheses.sets import folded, grown_apart
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import PairLaw
-from orbitfb.estimation.evidence import given_size, normal_size
-from orbitfb.estimation.priors import SIZE_WIDTH, VALUE_COST
+from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
+from orbitfb.estimation.priors import MOST_DEVICES, SIZE_WIDTH, VALUE_COST, WIDTHS
 from orbitfb.estimation.transform import Indices, Matrix
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Mixed:
+    """A law of pairs at given values: each pair adds two columns, which share one size.
+
+    Args:
+        kind: The effect.
+        law: Its law.
+        values: Of its parameters.
+        mixing: Of every pair, shape (P, 2, 2).
+    """
+
+    kind: EffectKind
+    law: PairLaw
+    values: Values
+    mixing: Matrix
+
+    def told(self, scorer: Scorer, numbers: Indices) -> tuple[Vector, Matrix]:
+        """Pull (k,) and information (k, k) of pairs, healthy errors marginalised."""
+        columns = self.law.pairs[numbers]
+        patterns = np.hstack([self.law.patterns[:, columns[:, side]] for side in range(2)])
+        courses = [
+            np.einsum("npl,pl->np", self.law.courses[:, columns], self.mixing[numbers, side])
+            for side in range(2)
+        ]
+        spectrum = scorer.space.transform.quick_spectrum(np.hstack(courses))
+        pull, information = scorer.columns(patterns, spectrum)
+        return folded(pull, 2), folded(folded(information, 2).T, 2)
+
+    def one(self, space: Workspace, number: int, size: float) -> Candidate:
+        """A pair with a size, not weighed."""
+        law, pair = self.law, self.law.pairs[number]
+        field = space.transform.spectrum(law.courses[:, pair] @ self.mixing[number].T)
+        scaled = {**self.values, **{p.name: size * self.values[p.name] for p in self.kind.sizes}}
+        struck = law.struck(number)
+        names = tuple(law.names[place] for place in struck)
+        back = law.mixing(scaled)[number]
+        wider = float(np.linalg.slogdet(np.eye(2) - back)[1])
+
+        def undo(its: Workspace) -> tuple[Matrix, float]:
+            change = its.transform.spectrum(law.courses[:, pair] @ back.T)
+            return change @ law.patterns[:, pair].T, wider * len(its.transform)
+
+        return Candidate(
+            self.kind, struck, names, scaled, 0.0, field=size * field @ law.patterns[:, pair].T,
+            undone=undo if law.readings else None,
+        )  # fmt: skip
+
+    def several(
+        self, space: Workspace, numbers: Indices, sizes: Vector, evidence: float
+    ) -> Candidate:
+        """Pairs with sizes, as one candidate; empty places where they are all pairs there are."""
+        parts = [
+            self.one(space, int(number), float(size))
+            for number, size in zip(numbers, sizes, strict=True)
+        ]
+        whole = 1 < len(parts) == len(self.law.pairs)
+        rms = {
+            p.name: float(np.sqrt(np.mean(sizes**2))) * self.values[p.name] for p in self.kind.sizes
+        }
+
+        def undo(its: Workspace) -> tuple[Matrix, float]:
+            undone = [one.undone(its) for one in parts if one.undone is not None]
+            return np.sum([field for field, _ in undone], axis=0), sum(wider for _, wider in undone)
+
+        def again(its: Workspace) -> Candidate:
+            pull, information = self.told(Scorer.of(its), numbers)
+            more = NormalTerms(pull, information, np.full(len(numbers), SIZE_WIDTH**2)).mean()
+            return self.several(space, numbers, sizes + more, evidence)
+
+        readings = self.law.readings
+        return Candidate(
+            self.kind,
+            () if whole else tuple(place for one in parts for place in one.places),
+            () if whole else tuple(name for one in parts for name in one.names),
+            {**self.values, **rms} if whole else parts[0].values,
+            evidence,
+            field=np.sum([np.asarray(one.field) for one in parts], axis=0),
+            undone=undo if readings else None,
+            parts=tuple(parts) if len(parts) > 1 else (),
+            again=again if readings and self.kind.sizes else None,
+        )
+
+
 def scan_pairs(kind: EffectKind, law: PairLaw, scorer: Scorer) -> list[Candidate]:
-    """Find the best pair of a law, from all products of patterns and courses at once."""
+    """Find the best pair of a law, from all products of patterns and courses at once.
+
+    Where each pair may have a size of its own, the best set of pairs stands beside it.
+    """
     if not len(law.pairs):
         return []
     space = scorer.space
     spectrum = space.transform.quick_spectrum(law.courses)
     pulls = ((scorer.pulled @ law.patterns).astype(np.float32).T @ spectrum).astype(np.float64)
     best: list[Candidate] = []
+    sets: list[Candidate] = []
     for values in space.courses.grid(kind):
-        mixing = law.mixing(values)
-        pull, information = _pair_scores(law, scorer, spectrum, pulls, mixing)
+        mixed = _Mixed(kind, law, values, law.mixing(values))
+        pull, information = _pair_scores(law, scorer, spectrum, pulls, mixed.mixing)
         free = bool(kind.sizes)
         gain = (
             normal_size(pull, information, SIZE_WIDTH**2) if free else given_size(pull, information)
         )
-        number = int(np.argmax(gain))
-        best.append(_candidate(kind, law, scorer, number, values, mixing[number], free))
-    return [max(best, key=lambda one: one.evidence)]
+        best.append(_single(mixed, scorer, int(np.argmax(gain)), free))
+        if free:
+            sets += _sets(mixed, scorer, gain)
+    return [max(best, key=lambda one: one.evidence), *sets]
+
+
+def _single(mixed: _Mixed, scorer: Scorer, number: int, free: bool) -> Candidate:
+    """A pair, weighed."""
+    plain = mixed.one(scorer.space, number, 1.0)
+    pull, information = scorer.evaluate([np.asarray(plain.field)])
+    size, gain = 1.0, float(given_size(pull, information[0])[0])
+    if free:
+        gain = float(normal_size(pull, information[0], SIZE_WIDTH**2)[0])
+        size = float(pull[0] / (information[0, 0] + SIZE_WIDTH**-2))
+    cost = float(np.log(len(mixed.law.pairs))) + VALUE_COST * len(mixed.kind.parameters)
+    return mixed.several(scorer.space, np.array([number]), np.array([size]), gain - cost)
+
+
+def _sets(mixed: _Mixed, scorer: Scorer, gain: Vector) -> Iterator[Candidate]:
+    """The best set of pairs, and all pairs, each with a size of its own.
+
+    Args:
+        mixed: The law.
+        scorer: Of what is left to explain.
+        gain: Log evidence of every pair for itself, shape (P,).
+    """
+    top = np.argsort(-gain)[: max(MOST_DEVICES, len(mixed.law.patterns))]
+    pull, information = mixed.told(scorer, top)
+    cost = VALUE_COST * len(mixed.kind.parameters)
+
+    def sized(chosen: Indices, width: float) -> NormalTerms:
+        variance = np.full(len(chosen), width**2)
+        return NormalTerms(pull[chosen], information[np.ix_(chosen, chosen)], variance)
+
+    found, evidence = grown_apart(pull, information, float(np.log(len(gain))), True)
+    if len(found) > 1:
+        chosen = np.array(found)
+        sizes = sized(chosen, SIZE_WIDTH).mean()
+        yield mixed.several(scorer.space, top[chosen], sizes, evidence - cost)
+    if 1 < len(top) == len(gain):
+        every = np.arange(len(top))
+        best, width = max((sized(every, one).evidence(), one) for one in WIDTHS)
+        if best > evidence:
+            sizes = sized(every, width).mean()
+            yield mixed.several(scorer.space, top, sizes, best - cost)
 
 
 def _pair_scores(
@@ -66,39 +199,3 @@ def _quadratic(weight: Matrix, gram: Matrix, pairs: Indices, mixing: Matrix) -> 
                         * gram[pairs[:, l], pairs[:, q]]
                     )
     return total
-
-
-def _candidate(
-    kind: EffectKind,
-    law: PairLaw,
-    scorer: Scorer,
-    number: int,
-    values: Values,
-    mixing: Matrix,
-    free: bool,
-) -> Candidate:
-    pair = law.pairs[number]
-    courses = law.courses[:, pair] @ mixing.T
-    field = scorer.space.transform.spectrum(courses) @ law.patterns[:, pair].T
-    pull, information = scorer.evaluate([field])
-    size = 1.0
-    if free:
-        gain = float(normal_size(pull, information[0], SIZE_WIDTH**2)[0])
-        size = float(pull[0] / (information[0, 0] + SIZE_WIDTH**-2))
-    else:
-        gain = float(given_size(pull, information[0])[0])
-    scaled = {**values, **{p.name: size * values[p.name] for p in kind.sizes}}
-    struck = law.struck(number)
-    cost = float(np.log(len(law.pairs))) + VALUE_COST * len(kind.parameters)
-    names = tuple(law.names[place] for place in struck)
-    back = law.mixing(scaled)[number]
-    wider = float(np.linalg.slogdet(np.eye(2) - back)[1])
-
-    def undo(space: Workspace) -> tuple[Matrix, float]:
-        change = space.transform.spectrum(law.courses[:, pair] @ back.T)
-        return change @ law.patterns[:, pair].T, wider * len(space.transform)
-
-    return Candidate(
-        kind, struck, names, scaled, gain - cost, field=size * field,
-        undone=undo if law.readings else None,
-    )  # fmt: skip

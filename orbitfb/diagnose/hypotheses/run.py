@@ -76,8 +76,12 @@ def tournament(
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
-        accepted.append(candidates[0])
-        space = candidates[0].accepted(space)
+        best, after = candidates[0], candidates[0].accepted(space)
+        if best.again is not None:
+            best = replace(best.again(after), cost=best.cost)
+            after = best.accepted(replace(space, noise=after.noise))
+        accepted.append(best)
+        space = after
 
 
 def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:

@@ -5,7 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.estimation.priors import MORE
+from orbitfb.estimation.evidence import normal_size
+from orbitfb.estimation.priors import MORE, MOST_DEVICES, SIZE_WIDTH
 from orbitfb.estimation.transform import Indices, Matrix
 
 Worth = Callable[[Vector, Vector], Vector]
@@ -92,3 +93,50 @@ def _grown(
         total, along = float(pulls[next_one]), float(informations[next_one])
     devices = sorted({int(device) for number in chosen for device in units[number]})
     return best, tuple(devices)
+
+
+def grown_apart(
+    pull: Vector, information: Matrix, cost: float, free: bool
+) -> tuple[list[int], float]:
+    """Find the devices that explain more than they cost, each with a size of its own.
+
+    Args:
+        pull: Of every device, shape (D,).
+        information: Of them, shape (D, D).
+        cost: Of choosing one [nats].
+        free: Whether each may have any size; otherwise all have the one that is given.
+
+    Returns:
+        The devices, the strongest first, and their log evidence less what they cost.
+    """
+    chosen: list[int] = []
+    evidence = 0.0
+    for _ in range(min(MOST_DEVICES, len(pull))):
+        gain = _beside(pull, information, chosen, free)
+        gain[chosen] = -np.inf
+        device = int(np.argmax(gain))
+        if gain[device] < cost + MORE:
+            break
+        chosen.append(device)
+        evidence += float(gain[device]) - cost
+    return chosen, evidence
+
+
+def _beside(pull: Vector, information: Matrix, chosen: list[int], free: bool) -> Vector:
+    """Log evidence of one more device beside those chosen, shape (D,)."""
+    own = np.diag(information)
+    if not free:
+        beside = information[:, chosen].sum(axis=1)
+        return pull - beside - 0.5 * own
+    if not chosen:
+        return normal_size(pull, np.maximum(own, 0.0), SIZE_WIDTH**2)
+    inner = information[np.ix_(chosen, chosen)] + np.eye(len(chosen)) / SIZE_WIDTH**2
+    solved = np.linalg.solve(inner, information[chosen])
+    left = pull - solved.T @ pull[chosen]
+    rest = own - np.einsum("kd,kd->d", solved, information[chosen])
+    return normal_size(left, np.maximum(rest, 0.0), SIZE_WIDTH**2)
+
+
+def folded(values: Matrix | Vector, blocks: int) -> Matrix:
+    """Sum what the blocks of columns of the same devices say, shape (k, …) of (blocks · k, …)."""
+    return values.reshape(blocks, len(values) // blocks, *values.shape[1:]).sum(axis=0)

@@ -70,6 +70,9 @@ def _pieces(
             block = space.blocks[number]
             for name, size in zip(block.law.names, sizes[block.columns], strict=True):
                 yield Piece((name,), {**part.values, linear: float(size)}, part.onset)
+    elif part.parts:
+        for one in part.parts:
+            yield Piece(one.names, dict(one.values), one.onset)
     elif len(part.sources) > 1 or differences:
         for number, one in enumerate(part.sources):
             yield from _of_course(part, one, differences.get(number, {}))

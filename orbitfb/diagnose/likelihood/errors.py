@@ -89,7 +89,10 @@ def healthy_errors(
 
 
 def fitted_scales(
-    blocks: Sequence[ErrorBlock], terms: NormalTerms, least: Sequence[float]
+    blocks: Sequence[ErrorBlock],
+    terms: NormalTerms,
+    least: Sequence[float],
+    begin: Sequence[float] | None = None,
 ) -> tuple[list[float], float]:
     """Find the share of each healthy scatter that the record shows, by evidence.
 
@@ -97,26 +100,29 @@ def fitted_scales(
         blocks: Of the errors.
         terms: Pull and information of all columns, and the least variance that each has.
         least: Shares that are granted already, by block; one above 1 is kept.
+        begin: Shares to begin with; None: the least.
 
     Returns:
         Shares by block, and the log evidence with them.
     """
-    shares = list(least)
+    shares = list(least if begin is None else np.maximum(begin, least))
 
     def worth(tried: Sequence[float]) -> float:
         variance = np.maximum(variances(blocks, tried, len(terms.pull)), terms.variance)
         return NormalTerms(terms.pull, terms.information, variance).evidence()
 
-    best = worth(shares)
-    for _ in range(2):
-        for place, given in enumerate(least):
-            if given > 1.0:
+    best, moved = worth(shares), 0
+    free = [place for place, given in enumerate(least) if given <= 1.0]
+    for turn, place in enumerate([*free, *free]):
+        if turn - moved >= len(free):
+            break  # all others were tried since one moved
+        for share in SHARES[1:] if blocks[place].accepted else SHARES:
+            if share == shares[place]:
                 continue
-            for share in SHARES[1:] if blocks[place].accepted else SHARES:
-                tried = [*shares[:place], share, *shares[place + 1 :]]
-                found = worth(tried)
-                if found > best + 1e-9:
-                    best, shares = found, tried
+            tried = [*shares[:place], share, *shares[place + 1 :]]
+            found = worth(tried)
+            if found > best + 1e-9:
+                best, shares, moved = found, tried, turn
     return shares, best
 
 

@@ -244,7 +244,7 @@ class Workspace:
         ]
         pull = self.terms.pull(self.noise.pull(self.residual, self.transform), self._own)
         terms = NormalTerms(pull, self.information, self.single)
-        shares, _ = fitted_scales(self.blocks, terms, given)
+        shares, _ = fitted_scales(self.blocks, terms, given, self.shares)
         return replace(self, shares=tuple(shares))
 
     def hearing(self, field: Matrix) -> "Workspace":
