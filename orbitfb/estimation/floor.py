@@ -140,8 +140,8 @@ class Shapes:
         """Sum them up by their weights, shape (n, n)."""
         scale = np.sqrt(weights[len(self.broad) :])
         used = scale > 0.0
-        scaled = self.single[:, used] * scale[used]
-        found = scaled @ scaled.T
+        scaled = (self.single[:, used] * scale[used]).astype(np.float32)
+        found = (scaled @ scaled.T).astype(float)
         for weight, one in zip(weights, self.broad, strict=False):
             found += weight * one
         return found
@@ -149,7 +149,9 @@ class Shapes:
     def seen(self, weighing: Matrix) -> Vector:
         """Trace of every shape with a weighing matrix, shape (F,)."""
         broad = np.array([float(np.sum(weighing * one)) for one in self.broad])
-        single = np.einsum("np,np->p", self.single, weighing @ self.single)
+        narrow = self.single.astype(np.float32)
+        along = weighing.astype(np.float32) @ narrow
+        single = np.einsum("np,np->p", narrow, along, dtype=float)
         return np.concatenate([broad, single])
 
 
