@@ -1,13 +1,10 @@
 """The fit in the planes: gains, calibrations and gradients by damped Gauss-Newton steps.
 
-    M_ij = (1 + g_i) (1 + C + c_j) G'_ij(ΔK/K) + (1 + g_i) η'_i e_j     (e_j in x alone)
-
-g are gains of readings, c calibrations of correctors, C the scale of all of a plane, e what a
-corrector changes of the energy beyond the table, η' and G' dispersion and response of the optics
-with the errors, rebuilt at every step. All deviations have normal priors whose spreads are
-estimated with them: gains and calibrations robustly, gradients by evidence. A device that stands
-out by more than `STANDS_OUT` is let free, so that it does not drag others along. Gauge: readings
-have gain 1 on average; the common factor is in C.
+The model is that of `loco.forward`; the optics with the errors are rebuilt at every step. All
+deviations have normal priors whose spreads are estimated with them: gains and calibrations
+robustly, gradients by evidence. A device that stands out by more than `STANDS_OUT` is let free, so
+that it does not drag others along. Gauge: readings have gain 1 on average; the common factor is in
+the scale of a plane.
 """
 
 from collections.abc import Callable
@@ -17,10 +14,10 @@ import numpy as np
 
 from orbitfb.core.errors import RingError
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.loco.forward import PlaneModel
 from orbitfb.loco.measured import Measured
 from orbitfb.loco.noise import separable, spreads
-from orbitfb.loco.normal import Piece, normal_equations
-from orbitfb.loco.optics import SIGN, PlaneOptics, RingOptics
+from orbitfb.loco.optics import PlaneOptics, RingOptics
 from orbitfb.loco.parameters import (
     FIRST_SPREAD,
     LEAST_SPREAD,
@@ -29,7 +26,6 @@ from orbitfb.loco.parameters import (
     OUTLIER,
     STANDS_OUT,
     Fit,
-    Groups,
     Noise,
 )
 from orbitfb.loco.posterior import (
@@ -70,24 +66,21 @@ class PlaneFit:
         progress: Callable[[float], None] | None = None,
     ) -> None:
         self.optics, self.measured = optics, measured
-        self.groups = Groups.for_planes(measured, len(optics.quadrupoles))
+        self.model = PlaneModel(optics, measured)
         self._progress = progress or (lambda share: None)
         self._known = {plane: separable(measured.sigma[plane, plane]) for plane in measured.planes}
-        self._there = {
-            plane: np.isfinite(measured.response[plane, plane]) for plane in measured.planes
-        }
 
     def start(self) -> Vector:
         """Begin with the gains of rows and columns by the optics of the table."""
-        theta = np.zeros(self.groups.size)
+        theta = np.zeros(self.model.groups.size)
         nominal = self.optics.at(np.zeros(len(self.optics.quadrupoles)))
         for plane in self.measured.planes:
             data = self.measured.response[plane, plane]
             rows, columns = row_and_column_gains(data, nominal[plane].own)
             scale = float(np.median(columns))
-            theta[self.groups.of[f"gain:{plane}"]] = rows - 1.0
-            theta[self.groups.of[f"scale:{plane}"]] = scale - 1.0
-            theta[self.groups.of[f"calibration:{plane}"]] = columns - scale
+            theta[self.model.groups.of[f"gain:{plane}"]] = rows - 1.0
+            theta[self.model.groups.of[f"scale:{plane}"]] = scale - 1.0
+            theta[self.model.groups.of[f"calibration:{plane}"]] = columns - scale
         return theta
 
     def run(self) -> Fit:
@@ -97,15 +90,15 @@ class PlaneFit:
             RingError: The optics of the table cannot be brought near the measurement.
         """
         theta, spread = self.start(), self._first_spread()
-        free = np.zeros(self.groups.size, dtype=np.bool_)
-        optics = self.optics.at(theta[self.groups.of["gradient"]])
+        free = np.zeros(self.model.groups.size, dtype=np.bool_)
+        optics = self.optics.at(theta[self.model.groups.of["gradient"]])
         steps, near, converged = 0, 0, False
         noise: dict[Plane, Noise] = {}
         for steps in range(1, _MOST_STEPS + 1):
             settled = near > _WEIGHING
             if not settled:
                 noise = self._noise(theta, optics, near == 0)
-            matrix, pull = self._normal(theta, optics, noise)
+            matrix, pull = self.model.normal(theta, optics, noise)
             its = self._posterior(theta, matrix, pull, self._prior(spread, free), near > 0)
             if not settled:
                 spread = self._spreads(its, spread, free, near > 0)
@@ -117,12 +110,12 @@ class PlaneFit:
                 break
             near += near > 0 or size < _NEAR or steps >= _MOST_STEPS // 2
         noise = self._noise(theta, optics, False)
-        matrix, pull = self._normal(theta, optics, noise)
+        matrix, pull = self.model.normal(theta, optics, noise)
         its = self._posterior(theta, matrix, pull, self._prior(spread, free), True)
         return Fit(
-            self.groups, theta, replace(its, mean=theta), matrix, free, spread, noise, steps,
-            converged, {p: self._model(theta, optics, p) for p in self.measured.planes}, optics,
-            self._residuals(theta, optics),
+            self.model.groups, theta, replace(its, mean=theta), matrix, free, spread, noise, steps,
+            converged, {p: self.model.response(theta, optics, p) for p in self.measured.planes},
+            optics, self.model.residuals(theta, optics),
         )  # fmt: skip
 
     def halves(self, fit: Fit, by_column: bool) -> tuple[Vector, Vector]:
@@ -137,17 +130,17 @@ class PlaneFit:
                 else:
                     kept[first::2] = False
                 noise[plane] = replace(its, kept=kept)
-            matrix, pull = self._normal(fit.theta, fit.optics, noise)
+            matrix, pull = self.model.normal(fit.theta, fit.optics, noise)
             pull = pull + matrix @ fit.theta
             found.append(most_likely(matrix, pull, fit.posterior.prior))
         return found[0], found[1]
 
     def _first_spread(self) -> dict[str, float]:
-        return {name: FIRST_SPREAD.get(name.split(":")[0], 1.0) for name in self.groups.of}
+        return {name: FIRST_SPREAD.get(name.split(":")[0], 1.0) for name in self.model.groups.of}
 
     def _prior(self, spread: dict[str, float], free: Mask) -> Vector:
-        prior = np.empty(self.groups.size)
-        for name, index in self.groups.of.items():
+        prior = np.empty(self.model.groups.size)
+        for name, index in self.model.groups.of.items():
             prior[index] = WIDE if name.startswith(("scale", "rf")) else spread[name] ** 2
         prior[free] = WIDE
         return prior
@@ -156,9 +149,9 @@ class PlaneFit:
         self, theta: Vector, matrix: Matrix, pull: Vector, prior: Vector, whole: bool
     ) -> Posterior:
         """Solve for all parameters, or far from the end without local phases, which wait there."""
-        active = np.ones(self.groups.size, dtype=np.bool_)
+        active = np.ones(self.model.groups.size, dtype=np.bool_)
         if not whole:
-            for name, index in self.groups.of.items():
+            for name, index in self.model.groups.of.items():
                 active[index] = not name.startswith(("row-phase", "column-phase"))
         some = np.flatnonzero(active)
         its = posterior(matrix[np.ix_(some, some)], (pull + matrix @ theta)[some], prior[some])
@@ -172,7 +165,7 @@ class PlaneFit:
     ) -> dict[str, float]:
         """Estimate the healthy spread of every group."""
         found = dict(spread)
-        for name, index in self.groups.of.items():
+        for name, index in self.model.groups.of.items():
             kind = name.split(":")[0]
             if kind in ("gain", "calibration") or (whole and kind.endswith("phase")):
                 found[name] = robust_spread(its, index, LEAST_SPREAD[kind])
@@ -182,9 +175,9 @@ class PlaneFit:
         return found
 
     def _standing(self, its: Posterior, spread: dict[str, float]) -> Mask:
-        free = np.zeros(self.groups.size, dtype=np.bool_)
+        free = np.zeros(self.model.groups.size, dtype=np.bool_)
         value, variance = its.by_data()
-        for name, index in self.groups.of.items():
+        for name, index in self.model.groups.of.items():
             if name.startswith(("scale", "rf")):
                 continue
             z = np.abs(value[index]) / np.sqrt(spread[name] ** 2 + variance[index])
@@ -211,7 +204,7 @@ class PlaneFit:
             share = 0.5**halving
             trial = theta + share * change
             try:
-                new = self.optics.at(trial[self.groups.of["gradient"]])
+                new = self.optics.at(trial[self.model.groups.of["gradient"]])
             except RingError:
                 continue
             if self._objective(trial, new, noise, its.prior) <= before * (1.0 + 1e-9):
@@ -226,64 +219,20 @@ class PlaneFit:
         prior: Vector,
     ) -> float:
         total = float(np.sum(theta**2 / prior))
-        for plane, residual in self._residuals(theta, optics).items():
+        for plane, residual in self.model.residuals(theta, optics).items():
             its = noise[plane]
             total += float(np.sum(np.where(its.kept, residual / its.sigma, 0.0) ** 2))
-        if "rf" in self.groups.of:
-            total += float(np.sum(self._rf_residual(theta, optics)[0] ** 2))
+        if "rf" in self.model.groups.of:
+            total += float(np.sum(self.model.rf_residual(theta, optics)[0] ** 2))
         return 0.5 * total
-
-    def _model(self, theta: Vector, optics: dict[Plane, PlaneOptics], plane: Plane) -> Matrix:
-        of, its = self.groups.of, optics[plane]
-        gain = 1.0 + theta[of[f"gain:{plane}"]]
-        kick = 1.0 + theta[of[f"scale:{plane}"]] + theta[of[f"calibration:{plane}"]]
-        orbit = self._orbit(theta, its, plane, kick)
-        return gain[:, None] * orbit
-
-    def _orbit(self, theta: Vector, its: PlaneOptics, plane: Plane, kick: Vector) -> Matrix:
-        """Orbit at the BPMs before their gain, shape (n, m) [m/rad]."""
-        of = self.groups.of
-        by_kick = its.own + its.turned_rows * theta[of[f"row-phase:{plane}"]][:, None]
-        by_kick = by_kick + its.turned_columns * theta[of[f"column-phase:{plane}"]]
-        orbit = by_kick * kick
-        if plane == "x":
-            orbit = orbit + np.outer(its.dispersion, theta[of["energy:x"]])
-        return orbit
-
-    def _residuals(self, theta: Vector, optics: dict[Plane, PlaneOptics]) -> dict[Plane, Matrix]:
-        return {
-            plane: np.where(
-                self._there[plane],
-                self.measured.response[plane, plane] - self._model(theta, optics, plane),
-                0.0,
-            )
-            for plane in self.measured.planes
-        }
-
-    def _rf_residual(
-        self, theta: Vector, optics: dict[Plane, PlaneOptics]
-    ) -> tuple[Vector, Vector, Vector]:
-        """Weighted residual of the dispersion, its weight and the orbit at factor one."""
-        measured = self.measured.dispersion
-        if measured is None:
-            raise RingError("no dispersion was measured")
-        its = optics["x"]
-        read = (1.0 + theta[self.groups.of["gain:x"]]) * its.dispersion
-        left = measured - (1.0 + theta[self.groups.of["rf"]]) * read
-        there = np.isfinite(left)
-        sigma = self.measured.dispersion_sigma
-        if not np.isfinite(sigma):
-            sigma = max(float(1.4826 * np.median(np.abs(left[there]))), 1e-6)
-        weight = np.where(there, 1.0 / sigma, 0.0)
-        return np.where(there, left, 0.0) * weight, weight, read
 
     def _noise(
         self, theta: Vector, optics: dict[Plane, PlaneOptics], even: bool
     ) -> dict[Plane, Noise]:
         """Estimate the noise; `even`: the same of all rows and columns, as far from the end."""
         found: dict[Plane, Noise] = {}
-        for plane, residual in self._residuals(theta, optics).items():
-            there = self._there[plane]
+        for plane, residual in self.model.residuals(theta, optics).items():
+            there = self.model.there[plane]
             n, m = residual.shape
             freedom = max(1.0 - (n + m + len(self.optics.quadrupoles) / 2) / (n * m), 0.25)
             s, t = spreads(residual, there)
@@ -305,75 +254,6 @@ class PlaneFit:
                 np.nan_to_num(s, nan=1.0), np.nan_to_num(t, nan=1.0), there & ~outliers, outliers
             )
         return found
-
-    def _normal(
-        self, theta: Vector, optics: dict[Plane, PlaneOptics], noise: dict[Plane, Noise]
-    ) -> tuple[Matrix, Vector]:
-        of = self.groups.of
-        residuals = self._residuals(theta, optics)
-        pieces = [
-            self._piece(theta, optics[plane], residuals[plane], noise[plane], plane)
-            for plane in self.measured.planes
-        ]
-        matrix, pull = normal_equations(pieces, self.groups.size)
-        for plane in self.measured.planes:  # the scale moves all calibrations of a plane at once
-            scale, own = of[f"scale:{plane}"], of[f"calibration:{plane}"]
-            matrix[scale] = matrix[own].sum(axis=0)
-            matrix[:, scale] = matrix[:, own].sum(axis=1, keepdims=True)
-            pull[scale] = pull[own].sum()
-        if "rf" in of:
-            self._add_rf(theta, optics, matrix, pull)
-        return matrix, pull
-
-    def _piece(
-        self, theta: Vector, its: PlaneOptics, residual: Matrix, noise: Noise, plane: Plane
-    ) -> Piece:
-        of = self.groups.of
-        gain = 1.0 + theta[of[f"gain:{plane}"]]
-        kick = 1.0 + theta[of[f"scale:{plane}"]] + theta[of[f"calibration:{plane}"]]
-        orbit = self._orbit(theta, its, plane, kick)
-        by_kick = its.own + its.turned_columns * theta[of[f"column-phase:{plane}"]]
-        by_kick = by_kick + its.turned_rows * theta[of[f"row-phase:{plane}"]][:, None]
-        columns = [
-            (gain[:, None] * by_kick, of[f"calibration:{plane}"]),
-            (gain[:, None] * its.turned_columns * kick, of[f"column-phase:{plane}"]),
-        ]
-        if plane == "x":
-            read = np.repeat((gain * its.dispersion)[:, None], len(kick), axis=1)
-            columns.append((read, of["energy:x"]))
-        return Piece(
-            residual,
-            noise.kept,
-            noise.rows**-2.0,
-            noise.columns**-2.0,
-            [
-                (orbit, of[f"gain:{plane}"]),
-                (gain[:, None] * its.turned_rows * kick, of[f"row-phase:{plane}"]),
-            ],
-            columns,
-            gain[:, None] * its.left * (SIGN[plane] * self.optics.strength),
-            its.right * kick,
-            of["gradient"],
-        )
-
-    def _add_rf(
-        self, theta: Vector, optics: dict[Plane, PlaneOptics], matrix: Matrix, pull: Vector
-    ) -> None:
-        of, its = self.groups.of, optics["x"]
-        residual, weight, read = self._rf_residual(theta, optics)
-        factor = 1.0 + theta[of["rf"]]
-        gain = 1.0 + theta[of["gain:x"]]
-        index = np.concatenate([of["rf"], of["gradient"]])
-        push = its.left_momentum * (SIGN["x"] * self.optics.strength * its.at_quadrupoles)
-        dense = np.column_stack([read, factor * gain[:, None] * push]) * weight[:, None]
-        own = factor * its.dispersion * weight
-        gains = of["gain:x"]
-        matrix[np.ix_(index, index)] += dense.T @ dense
-        matrix[gains, gains] += own**2
-        matrix[np.ix_(gains, index)] += own[:, None] * dense
-        matrix[np.ix_(index, gains)] += (own[:, None] * dense).T
-        pull[index] += dense.T @ residual
-        pull[gains] += own * residual
 
 
 def row_and_column_gains(data: Matrix, nominal: Matrix) -> tuple[Vector, Vector]:
