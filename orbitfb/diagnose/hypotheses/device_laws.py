@@ -161,7 +161,7 @@ def _late(
     for pattern, spectrum in zip(law.patterns, spectra, strict=True):
         columns = spectrum if spectrum.shape[1] == 1 else spectrum[:, hopeful]
         steps = scorer.space.transform.turn(columns)
-        part, weight, onsets = scorer.since(
+        part, weight, onsets = scorer.rows.since(
             pattern[:, hopeful],
             np.broadcast_to(steps, (len(steps), len(hopeful))),
             ONSETS_EVERY,
@@ -206,7 +206,7 @@ def _late_candidates(
         for pattern, course in zip(law.patterns, courses, strict=True):
             own = course[:, 0] if course.shape[1] == 1 else course[:, device]
             begun = np.stack([_begun(own, int(row), kick) for row in tried], axis=1)
-            part, weight = scorer.quick(pattern[:, device], begun, error)
+            part, weight = scorer.rows.quick(pattern[:, device], begun, error)
             pull, information = pull + part, information + weight
         gain = worth(np.asarray(pull), np.asarray(information))
         place = int(np.argmax(gain))
@@ -269,7 +269,7 @@ def _candidate(
         scaled[parameter.name] = size * values[parameter.name]
     names = tuple(law.names[place] for place in places)
     return Candidate(
-        kind, places, names, scaled, gain, onset=onset, field=size * field,
+        kind, places, names, scaled, gain, onset=onset, field=(size * field).astype(float),
         sources=(replace(source, size=size * source.size),),
     )  # fmt: skip
 

@@ -114,7 +114,7 @@ def _candidate(
     for place in range(min(MOST_REFINED, len(sources)) if len(rank.alone) > 1 else 0):
         others = spectrum.copy()
         others[:, place :: len(chosen)] = 0.0
-        late = scorer.without(others @ patterns.T.astype(np.float32))
+        late = scorer.rows.without(others @ patterns.T.astype(np.float32))
         sources[place] = _nearer(kind, law, scorer, sources[place], late)
         turned(place)
     pull, information = scorer.columns(patterns, spectrum)
@@ -167,7 +167,7 @@ def _nearer(
         values = {**source.values, name: float(np.exp(bent))}
         pull, information = np.zeros(1), np.zeros(1)
         for block, course in zip(pattern, source.of(signals, values), strict=True):
-            part, weight = scorer.quick(block, course, error, late)
+            part, weight = scorer.rows.quick(block, course, error, late)
             pull, information = pull + part, information + weight
         return -float(worth(pull, information)[0])
 

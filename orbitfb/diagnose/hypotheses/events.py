@@ -63,12 +63,12 @@ class _Strikes:
             (law.moves, response) if drives else (law.shapes, np.eye(law.shapes.shape[1]))
         )
         ratio = space.noise.ratio
-        following = np.vstack([scorer.late[1:], np.zeros_like(scorer.late[:1])])
+        following = np.vstack([scorer.rows.late[1:], np.zeros_like(scorer.rows.late[:1])])
         # Mean of λ/(q + λ) over the frequencies: of a mode that does not walk all is noise.
         weight = 1.0 - np.sqrt(ratio / (ratio + 4.0))
         seen = patterns.T @ space.noise.modes
         return cls(
-            moves, patterns, (scorer.late - following) @ patterns, (seen * weight) @ seen.T,
+            moves, patterns, (scorer.rows.late - following) @ patterns, (seen * weight) @ seen.T,
             space.transform.step_rows(),
         )  # fmt: skip
 

@@ -50,7 +50,7 @@ def scan_jumps(
     space = scorer.space
     weight = np.mean(1.0 / space.noise.variance(space.transform.exact()), axis=0)
     own = ((patterns.T @ space.noise.modes) ** 2) @ weight
-    pull = scorer.late @ patterns
+    pull = scorer.rows.late @ patterns
     gain = any_size(pull, np.broadcast_to(own, pull.shape))
     step, place = map(int, np.unravel_index(int(np.argmax(gain)), gain.shape))
     row = int(space.transform.step_rows()[step])

@@ -6,7 +6,8 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.scores import Scorer, Turned
+from orbitfb.diagnose.hypotheses.row_sums import Turned
+from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.priors import (
@@ -49,23 +50,23 @@ def strongest_line(scorer: Scorer, patterns: Matrix, shaped: bool) -> Line:
         shaped: Whether several places may swing together: the line then has any shape that the
             ground's walk may have, and the place is the one that alone explains most of it.
     """
-    count = len(scorer.late)
+    count = len(scorer.rows.late)
     # Beside half the rate, as beside zero, cosine and sine are one wave, which is as noise is.
     last = (count // 2 - LINE_PERIODS) * LINE_FINER
     cycles = np.arange(LINE_PERIODS * LINE_FINER, last) / (count * LINE_FINER)
-    turned = scorer.fourier(LINE_FINER)[LINE_PERIODS * LINE_FINER :][: len(cycles)]
+    turned = scorer.rows.fourier(LINE_FINER)[LINE_PERIODS * LINE_FINER :][: len(cycles)]
     gain = _gains(scorer, turned, cycles, patterns, shaped)
     top = float(cycles[np.unravel_index(int(np.argmax(gain)), gain.shape)[0]])
     near = top + np.arange(-LINE_FINEST, LINE_FINEST + 1) / (LINE_FINEST * LINE_FINER * count)
     wave = np.exp(-2j * np.pi * np.outer(near, np.arange(count)))
     fine = _gains(
-        scorer, np.asarray(wave @ scorer.late, dtype=np.complex128), near, patterns, shaped
+        scorer, np.asarray(wave @ scorer.rows.late, dtype=np.complex128), near, patterns, shaped
     )
     line, place = np.unravel_index(int(np.argmax(fine)), fine.shape)
     if shaped:
         alone = _gains(
             scorer,
-            np.asarray(wave[line : line + 1] @ scorer.late, dtype=np.complex128),
+            np.asarray(wave[line : line + 1] @ scorer.rows.late, dtype=np.complex128),
             near[line : line + 1],
             patterns,
             False,
@@ -108,7 +109,7 @@ def _gains(
     """
     noise = scorer.space.noise
     eigenvalue = (2.0 - 2.0 * np.cos(2.0 * np.pi * cycles))[:, None]
-    weight = 0.5 * len(scorer.late) * eigenvalue / (noise.ratio + eigenvalue)
+    weight = 0.5 * len(scorer.rows.late) * eigenvalue / (noise.ratio + eigenvalue)
     if shaped:
         along = turned @ (noise.white @ noise.modes)
         square = np.abs(along) ** 2 * eigenvalue / weight

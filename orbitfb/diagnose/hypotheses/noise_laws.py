@@ -37,7 +37,7 @@ class ReadingNoise:
         space = scorer.space
         transform, noise = space.transform, space.noise
         white = np.diag(noise.white)
-        late = scorer.late
+        late = scorer.rows.late
         following = np.vstack([late[1:], np.zeros_like(late[:1])])
         found = white * (late - following)
         share = np.mean(transform.eigenvalue[:, None] / noise.variance(transform.exact()), axis=0)

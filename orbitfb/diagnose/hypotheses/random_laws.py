@@ -137,7 +137,7 @@ def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate
     seen = (law.patterns.T @ space.noise.modes) ** 2
     weights = (1.0 / space.noise.variance(transform)) @ seen.T
     own = weights.mean(axis=0)
-    along = scorer.late @ law.patterns
+    along = scorer.rows.late @ law.patterns
     hopeful = np.argsort(-np.max(along**2, axis=0) / own)[:STROKE_PLACES]
     best: tuple[float, int, Vector] = (-np.inf, int(hopeful[0]), np.zeros(len(along)))
     for place in map(int, hopeful):

@@ -73,7 +73,11 @@ def _grid(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Sequence[Values]:
     """Values to scan: those of the grid, and those that the residual itself proposes."""
     grid = scorer.space.courses.grid(kind)
     signals = scorer.space.signals
-    more = kind.proposed(signals.currents, scorer.drive_pull, signals.record)
+
+    def drive_pull() -> Matrix:
+        return scorer.rows.drive_pull(signals.record.layout.response)
+
+    more = kind.proposed(signals.currents, drive_pull, signals.record)
     return (*grid, *more)
 
 

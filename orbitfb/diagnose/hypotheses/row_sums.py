@@ -1,13 +1,20 @@
 """Sums over rows instead of frequencies: what begins late is weighed from its beginning on."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.likelihood.terms import Single
-from orbitfb.estimation.transform import Indices, Matrix
+from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.transform import Indices, Matrix, StepTransform
+
+Turned = NDArray[np.complex128]
+
+_GROUPS = 3
+"""Groups of modes, by the walk over the noise, that share one whitening filter for onsets."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,3 +61,120 @@ def sums_since(values: Matrix, onsets: Indices) -> Matrix:
     """Sums from every onset to the end, shape (O, D)."""
     parts = np.add.reduceat(values, onsets, axis=0)
     return np.cumsum(parts[::-1], axis=0)[::-1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """What a workspace leaves, weighed, from row to row.
+
+    Args:
+        noise: The floor.
+        transform: Of the record.
+        late: Ω z, each λ for itself, shape (T, n) [1/m].
+        roots: Root r of the moving average of every group of modes, shape (G,).
+        groups: Modes of every group.
+        turned: Fourier transform of `late` with so many frequencies per that of its length.
+    """
+
+    noise: StepNoise
+    transform: StepTransform
+    late: Matrix
+    roots: Vector
+    groups: tuple[Indices, ...]
+    turned: dict[int, Turned] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, left: Matrix, noise: StepNoise, transform: StepTransform) -> "Rows":
+        """Weigh a spectrum, shape (T, n) [m]."""
+        groups = tuple(np.array_split(np.argsort(noise.ratio), _GROUPS))
+        typical = np.array([np.exp(np.mean(np.log(noise.ratio[one] + 1e-6))) for one in groups])
+        late = transform.turn(noise.pull(left, transform.exact()))
+        return cls(noise, transform, late, moving_root(typical), groups)
+
+    def fourier(self, finer: int) -> Turned:
+        """Fourier transform of `late` over its rows, shape (F, n).
+
+        Args:
+            finer: Frequencies per that of the record's length.
+        """
+        if finer not in self.turned:
+            self.turned[finer] = np.fft.rfft(self.late, n=finer * len(self.late), axis=0)
+        return self.turned[finer]
+
+    def without(self, field: "Matrix | Single") -> Matrix:
+        """Ω z from row to row without a field, shape (T, n) [1/m].
+
+        Args:
+            field: Spectrum of what it adds to the readings, shape (T, n) [m].
+        """
+        modes = self.noise.modes.astype(np.float32)
+        variance = self.noise.variance(self.transform.exact()).astype(np.float32)
+        pulled = ((field.astype(np.float32) @ modes) / variance) @ modes.T
+        return self.late - self.transform.turn(pulled)
+
+    def drive_pull(self, response: Matrix) -> Matrix:
+        """∂log L/∂current of every corrector at every row, shape (N, m) [1/A].
+
+        Args:
+            response: Of the ring, shape (n, m) [m/A].
+        """
+        transform = self.transform
+        along = self.late @ response
+        rows = transform.step_rows()
+        pull = np.zeros((transform.rows, along.shape[1]))
+        pull[rows] += along
+        pull[rows - 1] -= along
+        return pull
+
+    def since(
+        self, pattern: Matrix, steps: Matrix, every: int, own: OwnError | None
+    ) -> tuple[Vector, Vector, Indices]:
+        """Pull and information of what is left of courses that begin late.
+
+        A course that begins at a row has the steps after it. Its information is that of the
+        whitened steps, ε_n = Δ_n + r ε_{n−1}, r the root of the mode's moving average.
+
+        Args:
+            pattern: Shape (n, D) [m].
+            steps: Of the courses, shape (T, D).
+            every: Distance of the onsets, in steps.
+            own: Healthy error of the devices, which is marginalised.
+
+        Returns:
+            Pull (O, D), information (O, D), and the steps O at which the courses begin.
+        """
+        onsets = np.arange(0, len(steps), every)
+        pull = sums_since((self.late @ pattern) * steps, onsets)
+        seen = (pattern.T @ self.noise.modes) ** 2
+        information, cross = np.zeros_like(pull), np.zeros_like(pull)
+        for root, group in zip(self.roots, self.groups, strict=True):
+            weight = root * seen[:, group].sum(axis=1)
+            whitened = whitened_by(steps, float(root))
+            information += weight * sums_since(whitened**2, onsets)
+            if own is not None:
+                beside = whitened * whitened_by(own.steps, float(root))
+                cross += weight * sums_since(beside, onsets)
+        return pull, information if own is None else own.marginal(information, cross), onsets
+
+    def quick(
+        self, pattern: Vector, course: Matrix, own: OwnError | None, late: Matrix | None = None
+    ) -> tuple[Vector, Vector]:
+        """Pull and information of several courses of one pattern, each for itself.
+
+        Args:
+            pattern: Shape (n,) [m].
+            course: Shape (N, k).
+            own: Healthy error of the device, which is marginalised.
+            late: Ω z from row to row, shape (T, n); None: that of all that is left to explain.
+        """
+        steps = self.transform.steps(course)
+        pull = ((self.late if late is None else late) @ pattern) @ steps
+        seen = (pattern @ self.noise.modes) ** 2
+        information, cross = np.zeros(len(pull)), np.zeros(len(pull))
+        for root, group in zip(self.roots, self.groups, strict=True):
+            weight = root * float(seen[group].sum())
+            whitened = whitened_by(steps, float(root))
+            information += weight * np.sum(whitened**2, axis=0)
+            if own is not None:
+                cross += weight * np.sum(whitened * whitened_by(own.steps, float(root)), axis=0)
+        return pull, information if own is None else own.marginal(information, cross)

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.hypotheses.row_sums import OwnError, moving_root, sums_since, whitened_by
+from orbitfb.diagnose.hypotheses.row_sums import OwnError, Rows
 from orbitfb.diagnose.hypotheses.seen import Beside, Seen
 from orbitfb.diagnose.likelihood.errors import variances
 from orbitfb.diagnose.likelihood.terms import Single
@@ -22,11 +21,6 @@ from orbitfb.estimation.transform import Indices, Matrix
 _SIXTEENTH = 16
 """Every which frequency is summed where a value is only to be ranked among others."""
 
-Turned = NDArray[np.complex128]
-
-_GROUPS = 3
-"""Groups of modes, by the walk over the noise, that share one whitening filter for onsets."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scorer:
@@ -35,35 +29,29 @@ class Scorer:
     Args:
         space: The record, its floor and what was accepted.
         pulled: Ω z with healthy errors marginalised, shape (T, n) [1/m].
-        late: The same from row to row instead of by frequency, each λ for itself, shape (T, n).
+        rows: The same from row to row instead of by frequency, each λ for itself.
         errors: The healthy errors, as the residual pulls at them.
         priors: The same, factored.
         modes: That part walk and noise, shape (n, n) [1/m].
-        roots: Root r of the moving average of every group of modes, shape (G,).
-        groups: Modes of every group.
         inverse: Mean inverse variance of every mode in every band, shape (B, n).
         weights: 1/(q + λ) of every mode at every frequency, shape (T, n).
         members: Frequencies of every band.
         kept: What patterns see, by their identity.
         nearby: Errors of the devices of a kind, by the kind.
         smaller: The healthy errors as they are, and as they may be once a cause is known.
-        turned: Fourier transform of `late` with so many frequencies per that of its length.
     """
 
     space: Workspace
     pulled: Matrix
-    late: Matrix
+    rows: Rows
     errors: NormalTerms
     priors: NormalPriors
     modes: Single
-    roots: Vector
-    groups: tuple[Indices, ...]
     inverse: Single
     weights: Single
     members: tuple[Indices, ...]
     kept: dict[int, Seen] = field(default_factory=dict)
     nearby: dict[str, Beside | None] = field(default_factory=dict)
-    turned: dict[int, Turned] = field(default_factory=dict)
     smaller: list[NormalPriors] = field(default_factory=list)
 
     @classmethod
@@ -72,14 +60,11 @@ class Scorer:
         errors = space.errors
         left = space.residual - space.terms.contribution(errors.mean())
         pulled = space.noise.pull(left, space.transform)
-        ratio = space.noise.ratio
-        groups = tuple(np.array_split(np.argsort(ratio), _GROUPS))
-        typical = np.array([np.exp(np.mean(np.log(ratio[one] + 1e-6))) for one in groups])
         transform = space.transform
-        late = transform.turn(space.noise.pull(left, transform.exact()))
         return cls(
-            space, pulled, late, errors, NormalPriors.of(errors.information, errors.variance),
-            space.noise.modes.astype(np.float32), moving_root(typical), groups,
+            space, pulled, Rows.of(left, space.noise, transform), errors,
+            NormalPriors.of(errors.information, errors.variance),
+            space.noise.modes.astype(np.float32),
             space.noise.inverse_variance(transform).astype(np.float32),
             (1.0 / space.noise.variance(transform)).astype(np.float32),
             tuple(transform.members(band) for band in range(len(transform.count))),
@@ -239,37 +224,6 @@ class Scorer:
         ]
         return max(gains[0] - gains[1], 0.0)
 
-    def fourier(self, finer: int) -> Turned:
-        """Fourier transform of `late` over its rows, shape (F, n).
-
-        Args:
-            finer: Frequencies per that of the record's length.
-        """
-        if finer not in self.turned:
-            self.turned[finer] = np.fft.rfft(self.late, n=finer * len(self.late), axis=0)
-        return self.turned[finer]
-
-    def without(self, field: "Matrix | Single") -> Matrix:
-        """Ω z from row to row without a field, shape (T, n) [1/m].
-
-        Args:
-            field: Spectrum of what it adds to the readings, shape (T, n) [m].
-        """
-        transform = self.space.transform
-        variance = self.space.noise.variance(transform.exact()).astype(np.float32)
-        pulled = ((field.astype(np.float32) @ self.modes) / variance) @ self.modes.T
-        return self.late - transform.turn(pulled)
-
-    def drive_pull(self) -> Matrix:
-        """∂log L/∂current of every corrector at every row, shape (N, m) [1/A]."""
-        transform = self.space.transform
-        along = self.late @ self.space.signals.record.layout.response
-        rows = transform.step_rows()
-        pull = np.zeros((transform.rows, along.shape[1]))
-        pull[rows] += along
-        pull[rows - 1] -= along
-        return pull
-
     def _across(self, one: Seen, other: Seen) -> list[Single]:
         return [(one.modes * weight) @ other.modes.T for weight in self.inverse]
 
@@ -295,36 +249,6 @@ class Scorer:
             )  # fmt: skip
         return None
 
-    def since(
-        self, pattern: Matrix, steps: Matrix, every: int, own: OwnError | None
-    ) -> tuple[Vector, Vector, Indices]:
-        """Pull and information of what is left of courses that begin late.
-
-        A course that begins at a row has the steps after it. Its information is that of the
-        whitened steps, ε_n = Δ_n + r ε_{n−1}, r the root of the mode's moving average.
-
-        Args:
-            pattern: Shape (n, D) [m].
-            steps: Of the courses, shape (T, D).
-            every: Distance of the onsets, in steps.
-            own: Healthy error of the devices, which is marginalised.
-
-        Returns:
-            Pull (O, D), information (O, D), and the steps O at which the courses begin.
-        """
-        onsets = np.arange(0, len(steps), every)
-        pull = sums_since((self.late @ pattern) * steps, onsets)
-        seen = (pattern.T @ self.space.noise.modes) ** 2
-        information, cross = np.zeros_like(pull), np.zeros_like(pull)
-        for root, group in zip(self.roots, self.groups, strict=True):
-            weight = root * seen[:, group].sum(axis=1)
-            whitened = whitened_by(steps, float(root))
-            information += weight * sums_since(whitened**2, onsets)
-            if own is not None:
-                beside = whitened * whitened_by(own.steps, float(root))
-                cross += weight * sums_since(beside, onsets)
-        return pull, information if own is None else own.marginal(information, cross), onsets
-
     def apart(
         self, law: DeviceLaw, values: OwnValues, own: OwnError | None
     ) -> tuple[Vector, Vector]:
@@ -347,29 +271,6 @@ class Scorer:
             pull += np.einsum("td,td->d", seen.pulled, np.broadcast_to(spectrum, seen.pulled.shape))
             information += np.sum(seen.own * power, axis=0)
             cross += np.sum(seen.own * beside, axis=0)
-        return pull, information if own is None else own.marginal(information, cross)
-
-    def quick(
-        self, pattern: Vector, course: Matrix, own: OwnError | None, late: Matrix | None = None
-    ) -> tuple[Vector, Vector]:
-        """Pull and information of several courses of one pattern, each for itself.
-
-        Args:
-            pattern: Shape (n,) [m].
-            course: Shape (N, k).
-            own: Healthy error of the device, which is marginalised.
-            late: Ω z from row to row, shape (T, n); None: that of all that is left to explain.
-        """
-        steps = self.space.transform.steps(course)
-        pull = ((self.late if late is None else late) @ pattern) @ steps
-        seen = (pattern @ self.space.noise.modes) ** 2
-        information, cross = np.zeros(len(pull)), np.zeros(len(pull))
-        for root, group in zip(self.roots, self.groups, strict=True):
-            weight = root * float(seen[group].sum())
-            whitened = whitened_by(steps, float(root))
-            information += weight * np.sum(whitened**2, axis=0)
-            if own is not None:
-                cross += weight * np.sum(whitened * whitened_by(own.steps, float(root)), axis=0)
         return pull, information if own is None else own.marginal(information, cross)
 
 

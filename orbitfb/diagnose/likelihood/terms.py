@@ -108,16 +108,15 @@ class Terms:
         return begin, begin + run.stop - run.start
 
     def cross(
-        self, noise: StepNoise, transform: StepTransform, patterns: Matrix, spectrum: Matrix
+        self, noise: StepNoise, transform: StepTransform, patterns: Matrix, spectrum: Single
     ) -> Matrix:
         """Information between the columns and others, shape (k, k')."""
         seen, others = self.patterns.T @ noise.modes, patterns.T @ noise.modes
         inverse = noise.inverse_variance(transform)
         total = np.zeros((len(self), patterns.shape[1]))
-        single = spectrum.astype(np.float32)
         for band, weight in enumerate(inverse):
             rows = transform.members(band)
-            product = self.spectrum[rows].T @ single[rows]
+            product = self.spectrum[rows].T @ spectrum[rows]
             total += ((seen * weight) @ others.T)[self.pattern] * product
         return total
 

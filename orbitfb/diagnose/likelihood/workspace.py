@@ -190,7 +190,7 @@ class Workspace:
     @property
     def errors(self) -> NormalTerms:
         """The healthy errors under the floor, as the residual pulls at them."""
-        pull = self.terms.pull(self.noise.pull(self.residual, self.transform), self._own)
+        pull = self.terms.pull(self.noise.pull(self.residual, self.transform), self.informed)
         return NormalTerms(pull, self.information, self.variance)
 
     def with_floor(self) -> "Workspace":
@@ -242,7 +242,7 @@ class Workspace:
             share if share > 1.0 else LEAST_SHARE if block.accepted else 0.0
             for share, block in zip(self.shares, self.blocks, strict=True)
         ]
-        pull = self.terms.pull(self.noise.pull(self.residual, self.transform), self._own)
+        pull = self.terms.pull(self.noise.pull(self.residual, self.transform), self.informed)
         terms = NormalTerms(pull, self.information, self.single)
         shares, _ = fitted_scales(self.blocks, terms, given, self.shares)
         return replace(self, shares=tuple(shares))

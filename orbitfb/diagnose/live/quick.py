@@ -58,6 +58,7 @@ def quick_workspace(record: Record, kinds: Sequence[EffectKind]) -> Workspace:
         terms,
         blocks,
         np.zeros((0, 0)),
+        np.zeros(0, dtype=bool),
         noise,
         (0.0,) * len(blocks),
         np.zeros(len(terms)),
@@ -74,7 +75,7 @@ def memory(space: Workspace) -> float:
     Args:
         space: Whose healthy errors have the same courses some rows late.
     """
-    terms = space.errors
+    terms = space.saturable().errors
     base = terms.evidence()
     best = base
     for share in _SHARES:
