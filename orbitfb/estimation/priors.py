@@ -131,6 +131,10 @@ HEARD = 3
 """Times that the orbit is told anew from what BPMs make of it: a cubic error of a tenth is then
 right to a thousandth."""
 
+SETTLED = 0.05
+"""Share of what is undone in the readings by which it may still move when its sizes are told
+[1]: a floor that was estimated with it in takes up to a third of it, then a third of that."""
+
 FINENESS = 1.0 / 300.0
 """Share of the interval between two values of the grid to which the best one is found."""
 

@@ -23,7 +23,16 @@ from orbitfb.diagnose.hypotheses.undone import scan_undone
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, EventLaw, FieldLaw, Law, PairLaw
-from orbitfb.estimation.priors import CLOSE, FINALISTS, LEADING, MISFIT, ROUNDS, SURE
+from orbitfb.estimation.priors import (
+    CLOSE,
+    FINALISTS,
+    HEARD,
+    LEADING,
+    MISFIT,
+    ROUNDS,
+    SETTLED,
+    SURE,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,12 +85,21 @@ def tournament(
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
-        best, after = candidates[0], candidates[0].accepted(space)
-        if best.again is not None:
-            best = replace(best.again(after), cost=best.cost)
-            after = best.accepted(replace(space, noise=after.noise))
+        best, space = _settled(candidates[0], space)
         accepted.append(best)
-        space = after
+
+
+def _settled(best: Candidate, space: Workspace) -> tuple[Candidate, Workspace]:
+    """Accept a candidate, with the sizes that it has over the floor that it leaves."""
+    after = best.accepted(space)
+    for _ in range(HEARD):
+        if best.again is None or best.field is None:
+            break
+        last, best = best.field, replace(best.again(after), cost=best.cost)
+        after = best.accepted(replace(space, noise=after.noise))
+        if np.linalg.norm(np.asarray(best.field) - last) < SETTLED * np.linalg.norm(last):
+            break
+    return best, after
 
 
 def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:

@@ -18,7 +18,7 @@ from orbitfb.estimation.priors import SURE
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
-from orbitfb.records.layout import Layout
+from orbitfb.records.layout import Devices, Layout
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import BPMS, NOISE, kinds_for, make_record
 
@@ -131,6 +131,47 @@ def test_a_size_without_a_meaning_is_not_told() -> None:
         for one in candidates_of(Workspace.of(record, kinds), kinds, lambda text: None):
             if one.field is not None:
                 assert abs(one.values["share"]) <= 1.0
+
+
+def rolled(angles: Vector) -> Record:
+    """BPMs of two planes, turned about the beam: y_x = x cos φ + y sin φ, from the definition."""
+    count = BPMS // 2
+
+    def turned(orbit: Matrix) -> Matrix:
+        x, y = orbit[:, :count], orbit[:, count:]
+        cos, sin = np.cos(angles), np.sin(angles)
+        return np.hstack([x * cos + y * sin, y * cos - x * sin])
+
+    record = make_record(19, sensed=turned)
+    names = tuple(f"B{i}" for i in range(count))
+    bpms = Devices(names * 2, ("x",) * count + ("y",) * count, ("",) * BPMS)
+    return replace(record, layout=replace(record.layout, bpms=bpms))
+
+
+def told_angles(one: Candidate) -> dict[str, float]:
+    parts = one.parts or (one,)
+    return {part.names[0].split(" ")[0]: part.values["angle"] for part in parts}
+
+
+def test_rolls_of_three_bpms_are_one_cause_with_an_angle_each() -> None:
+    angles = np.zeros(BPMS // 2)
+    angles[[1, 4, 6]] = [0.1, -0.06, 0.2]
+    record = rolled(angles)
+    kinds = kinds_for(record)
+    accepted, _ = tournament(Workspace.of(record, kinds), kinds)
+    assert [one.kind.id for one in accepted] == ["bpm-roll"]
+    assert told_angles(accepted[0]) == pytest.approx({"B1": 0.1, "B4": -0.06, "B6": 0.2}, abs=0.03)
+
+
+def test_rolls_of_all_bpms_are_one_cause_of_all_with_an_angle_each() -> None:
+    angles = 0.05 * np.random.default_rng(20).standard_normal(BPMS // 2)
+    record = rolled(angles)
+    kinds = kinds_for(record)
+    accepted, _ = tournament(Workspace.of(record, kinds), kinds)
+    assert [(one.kind.id, one.places) for one in accepted] == [("bpm-roll", ())]
+    assert accepted[0].values["angle"] == pytest.approx(np.sqrt(np.mean(angles**2)), rel=0.2)
+    told = told_angles(accepted[0])
+    assert [told[f"B{i}"] for i in range(len(angles))] == pytest.approx(angles, abs=0.02)
 
 
 class Sticky(ActuatorKind):
