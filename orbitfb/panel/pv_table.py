@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from typing import Self
 
 from orbitfb.core.signals import Channels, LoopState, parts
-from orbitfb.loop.settings import MOST_AVERAGED
-from orbitfb.panel.bump_pvs import bump_pvs
-from orbitfb.panel.correction_pvs import correction_pvs
 from orbitfb.panel.pv import Kind, Order, PanelPv
-from orbitfb.panel.pv_forms import ONCE, choice_pv, count_pv, number_pv, pair_of, text_pv
+from orbitfb.panel.pvs.bumps import bump_pvs
+from orbitfb.panel.pvs.corrections import correction_pvs
+from orbitfb.panel.pvs.forms import ONCE, choice_pv, count_pv, number_pv, pair_of, text_pv
+from orbitfb.panel.pvs.laws import restraint_pvs, trial_pvs
+from orbitfb.panel.pvs.vectors import vector_pvs
 from orbitfb.panel.settings import PanelSettings
-from orbitfb.panel.vector_pvs import vector_pvs
 
 MILLI, MICRO = 1e-3, 1e-6
 UNKNOWN_STATE = "STARTING"
@@ -251,58 +251,8 @@ def _adjustments(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]
                 order=Order("dither", "orbit_cost", MICRO),
             )
         ),
-        *_restraint(settings, extent),
-        *_trial(extent),
-    )
-
-
-def _restraint(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]:
-    average = PanelPv(
-        "Average",
-        Kind.INTEGER,
-        "Orbits that are averaged for a correction: one correction in so many ticks.",
-        limits=(1.0, float(MOST_AVERAGED)),
-        order=Order("average", "orbits"),
-    )
-    bands = (
-        PanelPv(
-            f"DeadBand{plane.upper()}",
-            Kind.DOUBLE,
-            f"Rms orbit error up to which plane {plane} is left alone; 0: none.",
-            "um",
-            3,
-            limits=(0.0, settings.dead_band_limit / MICRO),
-            order=Order("dead-band", "value", MICRO, more=(("plane", plane),)),
-        )
-        for plane in extent.planes
-    )
-    return tuple(pv for its in (average, *bands) for pv in pair_of(its))
-
-
-def _trial(extent: Extent) -> tuple[PanelPv, ...]:
-    modes = PanelPv(
-        "Modes",
-        Kind.INTEGER,
-        "Singular values that an SVD law keeps; SP: to try, RB: in force.",
-        limits=(1.0, float(min(extent.bpms, extent.correctors))),
-        order=Order("try", "singular_values"),
-    )
-    strength = PanelPv(
-        "Lambda",
-        Kind.DOUBLE,
-        "Tikhonov's lambda of an SVD law; SP: to try, RB: in force.",
-        "m/A",
-        7,
-        limits=(0.0, 1.0),
-        order=Order("try", "regularisation"),
-    )
-    return (
-        *pair_of(modes),
-        *pair_of(strength),
-        number_pv("PredictedRms-I", "Next change that the tried law would make, rms.", "A", 6),
-        number_pv("PredictedMax-I", "The same, largest.", "A", 6),
-        number_pv("PredictedOrbit-I", "Rms orbit error expected after it.", "um", 3),
-        choice_pv("Apply-Cmd", "Puts the tried law in force.", ONCE, {"command": "apply"}),
+        *restraint_pvs(settings, extent.planes),
+        *trial_pvs(extent.bpms, extent.correctors),
     )
 
 

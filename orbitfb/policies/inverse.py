@@ -10,6 +10,7 @@ inverse; a large P in a direction keeps the law from acting there.
 """
 
 import hashlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -133,9 +134,17 @@ def checked_covariance(covariance: Vector, columns: int) -> Vector:
     return frozen(0.5 * (matrix + matrix.T))
 
 
-def content_hash(settings: Settings, *tensors: NDArray[np.floating[Any]] | None) -> str:
-    """Name a policy by its content: 12 hexadecimal digits of its settings and tensors."""
-    digest = hashlib.sha256(settings.model_dump_json().encode())
+def content_hash(
+    settings: Settings, *tensors: NDArray[np.floating[Any]] | None, exclude: Sequence[str] = ()
+) -> str:
+    """Name a policy by its content: 12 hexadecimal digits of its settings and tensors.
+
+    Args:
+        settings: Of the law.
+        tensors: Of the law.
+        exclude: Settings that have no part in the name.
+    """
+    digest = hashlib.sha256(settings.model_dump_json(exclude={*exclude}).encode())
     for tensor in tensors:
         if tensor is None:
             digest.update(b"none")

@@ -126,10 +126,10 @@ class MaskedPolicy:
         self.movable = movable.copy()
         self.movable.setflags(write=False)
         strength = float(regularisation or 0.0)
-        self._share = _share(response, movable, strength, covariance)
-        self._shares = Recent(
-            lambda valid: _share(response[valid], self.movable, strength, covariance)
-        )
+        weights: Vector | None = getattr(policy, "bpm_weights", None)
+        rows = response if weights is None else weights[:, None] * response
+        self._share = _share(rows, movable, strength, covariance)
+        self._shares = Recent(lambda valid: _share(rows[valid], self.movable, strength, covariance))
 
     @property
     def policy_id(self) -> str:

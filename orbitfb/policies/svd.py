@@ -15,9 +15,13 @@ expected square of the next orbit over what is not known about R,
     K = gain · (RᵀR + λ² I + n P)⁻¹ Rᵀ,
 
 solved within the modes that are kept, so that P = 0 gives the law above exactly.
+
+With weights w of the BPMs, W = diag(w) of mean square 1, it minimises |W (e + R a)|²: the law above
+for W R and W e. A BPM of weight 0 has no say; λ and P keep their meaning.
 """
 
-from pydantic import Field
+import numpy as np
+from pydantic import Field, field_validator
 
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.signals import Mask, Vector
@@ -31,6 +35,9 @@ from orbitfb.policies.inverse import (
 from orbitfb.policies.pid import PidSettings, PidState, first_state, step
 from orbitfb.policies.recent import Recent
 
+LARGEST_WEIGHT = 100.0
+"""Largest weight of a BPM: another factor of 10 and rounding would lose modes of the others."""
+
 
 class SvdSettings(PidSettings):
     """Configuration of the SVD policy."""
@@ -43,6 +50,18 @@ class SvdSettings(PidSettings):
         ge=1,
         description="Number of modes that are corrected [1]; unset: all of them.",
     )
+    bpm_weights: tuple[float, ...] = Field(
+        default=(),
+        description=f"Weight of each BPM, 0 to {LARGEST_WEIGHT:g}, x first, then y, relative to "
+        "the others [1]; empty: all the same.",
+    )
+
+    @field_validator("bpm_weights")
+    @classmethod
+    def _bounded(cls, weights: tuple[float, ...]) -> tuple[float, ...]:
+        if not all(0.0 <= weight <= LARGEST_WEIGHT for weight in weights):
+            raise ValueError(f"weights of BPMs are numbers from 0 to {LARGEST_WEIGHT:g}")
+        return weights
 
 
 class SvdPolicy:
@@ -62,11 +81,13 @@ class SvdPolicy:
         response: R, shape (n, m) [m/A].
         covariance: P, shape (m, m) [(m/A)²], or None.
         settings: Gains and regularisation.
+        bpm_weights: Of mean square 1, shape (n,) [1], or None.
         gain_matrix: K, shape (m, n) [A/m]: the proportional law is a = −K e.
 
     Raises:
         RingError: A matrix is not finite or has the wrong shape.
-        ConfigError: More singular values are asked for than there are.
+        ConfigError: More singular values are asked for than there are, or the weights are not
+            one for each BPM.
     """
 
     def __init__(
@@ -86,12 +107,14 @@ class SvdPolicy:
                 f"singular_values is {settings.singular_values}, but a response matrix of shape "
                 f"{self.response.shape} has only {modes}; lower it or leave it unset"
             )
+        self.bpm_weights = _weights(settings.bpm_weights, len(self.response))
+        unset = () if settings.bpm_weights else ("bpm_weights",)  # the names of old laws stay
         self._policy_id = policy_id or "svd-" + content_hash(
-            settings, self.response, self.covariance
+            settings, self.response, self.covariance, exclude=unset
         )
-        self.gain_matrix = self._solve(self.response)
+        self.gain_matrix = self._solve(self.response, self.bpm_weights)
         self._memoryless = settings.is_memoryless
-        self._masked = Recent(lambda valid: self._solve(self.response[valid]))
+        self._masked = Recent(self._solve_valid)
 
     @property
     def policy_id(self) -> str:
@@ -149,10 +172,31 @@ class SvdPolicy:
             )
         return -(errors @ self.gain_matrix.T)
 
-    def _solve(self, response: Vector) -> Vector:
+    def _solve_valid(self, valid: Mask) -> Vector:
+        """Solve the law of the BPMs that count, shape (m, valid)."""
+        weights = self.bpm_weights
+        return self._solve(self.response[valid], None if weights is None else weights[valid])
+
+    def _solve(self, response: Vector, weights: Vector | None) -> Vector:
         """Invert a response matrix, shape (rows, m), into K, shape (m, rows)."""
         settings = self.settings
         inverse = regularised_inverse(
-            response, settings.regularisation, self.covariance, settings.singular_values
+            response if weights is None else weights[:, None] * response,
+            settings.regularisation,
+            self.covariance,
+            settings.singular_values,
         )
-        return frozen(settings.gain * inverse)
+        return frozen(settings.gain * (inverse if weights is None else inverse * weights))
+
+
+def _weights(given: tuple[float, ...], rows: int) -> Vector | None:
+    """Scale weights to a mean square of 1, shape (rows,); None: all the same."""
+    if not given:
+        return None
+    weights = np.array(given, dtype=np.float64)
+    if len(weights) != rows or not weights.any():
+        raise ConfigError(
+            f"bpm_weights has {len(weights)} numbers, {np.count_nonzero(weights)} of them not 0; "
+            f"give one for each of {rows} BPMs, x first, then y, at least one above 0"
+        )
+    return frozen(weights / np.sqrt(np.mean(weights**2)))

@@ -140,3 +140,24 @@ def test_averages_and_a_dead_band_are_set_by_pv_and_told_in_the_status(service: 
     status = service.status()
     assert status["average_orbits"] == 15
     assert status["dead_band_um"] == {"x": pytest.approx(20.0)}
+
+
+def test_weights_of_the_bpms_are_tried_and_applied(service: Service):
+    seen = operate(
+        service,
+        """
+        import numpy as np
+        put("BpmWeight-SP", np.full(180, -1.0))  # beyond their limits
+        weights = np.ones(180)
+        weights[3] = 0.0
+        put("BpmWeight-SP", weights)
+        until(lambda: get("PredictedOrbit-I") > 0, "a prediction")
+        finish([get("BpmWeight-RB").tolist(), text("State-I")])
+        """,
+    )
+    assert seen == [[1.0] * 180, "CLOSED"]  # tried, not in force
+    policy = ask(service.data, {"command": "apply"})["policy"]
+    service.wait_status("policy", lambda status: status["policy"] == policy, 10.0)
+    shown = ask(service.data, {"command": "panel"})["figures"]["BpmWeight-RB"]
+    assert shown == [1.0] * 3 + [0.0] + [1.0] * 176
+    assert service.status()["state"] == "CLOSED"

@@ -16,7 +16,7 @@ from orbitfb.core.signals import LoopState
 from orbitfb.loop.correction.hand import Done
 from orbitfb.loop.correction.move import Move
 from orbitfb.observe.statistics.running import LoopStatistics
-from orbitfb.panel.correction_pvs import LAWS
+from orbitfb.panel.pvs.corrections import LAWS
 
 _log = structlog.stdlib.get_logger("orbitfb.control.socket")
 

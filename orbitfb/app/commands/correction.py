@@ -16,7 +16,7 @@ from orbitfb.loop.correction.move import Move
 from orbitfb.loop.correction.settings import CorrectionSettings
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.panel.correction_pvs import LAWS
+from orbitfb.panel.pvs.corrections import LAWS
 from orbitfb.policies.masking import without
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 from orbitfb.safety.bounds import Bounds

@@ -1,4 +1,4 @@
-"""Another cut of the singular values or another λ: what it would do, before it does it."""
+"""Another cut, another λ, other weights of the BPMs: what it would do, before it does it."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -11,7 +11,7 @@ from orbitfb.core.signals import Channels, Mask, TickRecord, Vector
 from orbitfb.learn.builders import masked, unmasked
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.policies.store.directory import PolicyStore
-from orbitfb.policies.svd import SvdPolicy, SvdSettings
+from orbitfb.policies.svd import LARGEST_WEIGHT, SvdPolicy, SvdSettings
 
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 LARGEST_LAMBDA = 1.0
@@ -85,8 +85,10 @@ class Trial:
         """Give what is in force and what the last trial predicts, by PV of the panel."""
         inside = unmasked(self._slot.current)
         known = isinstance(inside, SvdPolicy)
-        modes = min(len(self._channels.bpms), len(self._channels.correctors))
+        bpms = len(self._channels.bpms)
+        modes = min(bpms, len(self._channels.correctors))
         return {
+            "BpmWeight-RB": list(inside.settings.bpm_weights or (1.0,) * bpms) if known else None,
             "Modes-RB": (inside.settings.singular_values or modes) if known else None,
             "Lambda-RB": inside.settings.regularisation if known else None,
             "PredictedMax-I": self._predicted.get("largest_change_A"),
@@ -144,9 +146,26 @@ class Trial:
                     f"regularisation must be from 0 to {LARGEST_LAMBDA:g} m/A, not {value!r}"
                 )
             checked["regularisation"] = float(value)
+        if "weights" in request:
+            checked["bpm_weights"] = self._weights(request["weights"])
         if not checked:
-            raise ControlError("try takes singular_values, regularisation, or both")
+            raise ControlError("try takes singular_values, regularisation, weights, or several")
         return checked
+
+    def _weights(self, values: object) -> tuple[float, ...]:
+        size = len(self._channels.bpms)
+        good = isinstance(values, list) and all(
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and 0.0 <= value <= LARGEST_WEIGHT
+            for value in values
+        )
+        if not isinstance(values, list) or not good or len(values) != size or not any(values):
+            raise ControlError(
+                f"weights must be {size} numbers from 0 to {LARGEST_WEIGHT:g}, one per BPM and "
+                "plane, at least one above 0"
+            )
+        return tuple(map(float, values))
 
     def _predict(self, policy: SvdPolicy) -> dict[str, float]:
         """Say what the law would do at the next tick, and what orbit it expects then."""

@@ -44,6 +44,10 @@ def _covariance():
     return root @ root.T
 
 
+def _weights():
+    return tuple(np.linspace(0.5, 2.0, BPMS).tolist())
+
+
 def _svd(**chosen):
     return lambda response: SvdPolicy(response, SvdSettings(**chosen))
 
@@ -75,10 +79,12 @@ EXAMPLES = (
         "SvdPolicy",
         lambda response: SvdPolicy(response, SvdSettings(), covariance=_covariance()),
     ),
+    Example("svd weighted", "SvdPolicy", _svd(bpm_weights=_weights())),
     Example("modal", "ModalPolicy", _modal()),
     Example("modal linear", "ModalPolicy", _modal(threshold=None)),
     Example("network", "NetworkPolicy", _network, exact=1e-4),
     Example("svd P, masked", "MaskedPolicy", _masked(_svd())),
+    Example("svd weighted, masked", "MaskedPolicy", _masked(_svd(bpm_weights=_weights()))),
     Example("svd PID, masked", "MaskedPolicy", _masked(_svd(derivative_gain=0.1)), False),
     Example("modal, masked", "MaskedPolicy", _masked(_modal())),
     Example("network, masked", "MaskedPolicy", _masked(_network), exact=1e-4),

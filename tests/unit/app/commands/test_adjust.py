@@ -102,7 +102,7 @@ def test_a_law_for_fewer_bpms_is_solved_before_the_loop_needs_it(bench: Bench):
     policy = bench.slot.current
     calls = []
     solve = policy._solve
-    policy._solve = lambda part: calls.append(len(part)) or solve(part)  # pyright: ignore
+    policy._solve = lambda part, weights: calls.append(len(part)) or solve(part, weights)  # pyright: ignore
     bench("enable-bpms", enabled=off(N, 1, 2))
     assert calls == [N - 3]
     policy.act(np.zeros(N), np.array(off(N, 1, 2, 5)), policy.initial_state())

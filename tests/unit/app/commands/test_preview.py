@@ -114,3 +114,23 @@ def test_what_cannot_be_tried(bench: Bench, arguments: dict[str, object]):
     with pytest.raises(ControlError):
         bench("try", **arguments)
     assert bench.trial.shown()["PredictedMax-I"] is None
+
+
+def test_weights_are_tried_like_the_cut(bench: Bench):
+    weights = [1.0] * N
+    weights[7] = 5.0
+    answer = bench("try", weights=weights)
+    bench("apply")
+    stored = cast(Any, bench.store.load(answer["policy"], CHANNELS))
+    assert stored.settings.bpm_weights == tuple(weights)
+    assert bench.trial.shown()["BpmWeight-RB"] == [1.0] * N  # the bench activates nothing
+    bench.slot.swap(stored)
+    assert bench.trial.shown()["BpmWeight-RB"] == weights
+
+
+@pytest.mark.parametrize(
+    "weights", [[1.0] * (N - 1), [0.0] * N, [-1.0] * N, [101.0] * N, [True] * N, ["1"] * N, 1.0]
+)
+def test_weights_that_make_no_sense_are_refused(bench: Bench, weights: object):
+    with pytest.raises(ControlError, match="weights must be 180 numbers from 0 to 100"):
+        bench("try", weights=weights)

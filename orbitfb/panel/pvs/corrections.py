@@ -1,7 +1,7 @@
 """The PVs of one correction by hand: compute, look, apply, undo."""
 
 from orbitfb.panel.pv import PanelPv
-from orbitfb.panel.pv_forms import ONCE, choice_pv, count_pv, number_pv, text_pv
+from orbitfb.panel.pvs.forms import ONCE, choice_pv, count_pv, number_pv, text_pv
 
 LAWS = ("baseline", "active")
 """Laws that compute a correction, as the command `correct` names them."""

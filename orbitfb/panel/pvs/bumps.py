@@ -1,7 +1,7 @@
 """The PVs of closed bumps: place, position, angle."""
 
 from orbitfb.panel.pv import Kind, Order, PanelPv
-from orbitfb.panel.pv_forms import pair_of, text_pv
+from orbitfb.panel.pvs.forms import pair_of, text_pv
 from orbitfb.panel.settings import PanelSettings
 
 MICRO = 1e-6

@@ -1,0 +1,1 @@
+"""The PVs of the panel, by what they are about."""

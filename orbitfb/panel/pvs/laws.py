@@ -1,0 +1,81 @@
+"""The PVs of how the loop corrects: averages, dead band, cut, lambda and weights of an SVD law."""
+
+from orbitfb.loop.settings import MOST_AVERAGED
+from orbitfb.panel.pv import Kind, Order, PanelPv
+from orbitfb.panel.pvs.forms import ONCE, choice_pv, number_pv, pair_of
+from orbitfb.panel.settings import PanelSettings
+from orbitfb.policies.svd import LARGEST_WEIGHT
+
+MICRO = 1e-6
+
+
+def restraint_pvs(settings: PanelSettings, planes: str) -> tuple[PanelPv, ...]:
+    """Give those that say how often, and from which error on, the loop corrects.
+
+    Args:
+        settings: Has the limits.
+        planes: x, y or xy.
+    """
+    average = PanelPv(
+        "Average",
+        Kind.INTEGER,
+        "Orbits that are averaged for a correction: one correction in so many ticks.",
+        limits=(1.0, float(MOST_AVERAGED)),
+        order=Order("average", "orbits"),
+    )
+    bands = (
+        PanelPv(
+            f"DeadBand{plane.upper()}",
+            Kind.DOUBLE,
+            f"Rms orbit error up to which plane {plane} is left alone; 0: none.",
+            "um",
+            3,
+            limits=(0.0, settings.dead_band_limit / MICRO),
+            order=Order("dead-band", "value", MICRO, more=(("plane", plane),)),
+        )
+        for plane in planes
+    )
+    return tuple(pv for its in (average, *bands) for pv in pair_of(its))
+
+
+def trial_pvs(bpms: int, correctors: int) -> tuple[PanelPv, ...]:
+    """Give those by which another SVD law is tried.
+
+    Args:
+        bpms: Length of an orbit.
+        correctors: Length of a set of setpoints.
+    """
+    modes = PanelPv(
+        "Modes",
+        Kind.INTEGER,
+        "Singular values that an SVD law keeps; SP: to try, RB: in force.",
+        limits=(1.0, float(min(bpms, correctors))),
+        order=Order("try", "singular_values"),
+    )
+    strength = PanelPv(
+        "Lambda",
+        Kind.DOUBLE,
+        "Tikhonov's lambda of an SVD law; SP: to try, RB: in force.",
+        "m/A",
+        7,
+        limits=(0.0, 1.0),
+        order=Order("try", "regularisation"),
+    )
+    weights = PanelPv(
+        "BpmWeight",
+        Kind.DOUBLES,
+        "Weight of each BPM in an SVD law, x first, then y; SP: to try, RB: in force.",
+        precision=3,
+        limits=(0.0, LARGEST_WEIGHT),
+        length=bpms,
+        order=Order("try", "weights"),
+    )
+    return (
+        *pair_of(modes),
+        *pair_of(strength),
+        *pair_of(weights),
+        number_pv("PredictedRms-I", "Next change that the tried law would make, rms.", "A", 6),
+        number_pv("PredictedMax-I", "The same, largest.", "A", 6),
+        number_pv("PredictedOrbit-I", "Rms orbit error expected after it.", "um", 3),
+        choice_pv("Apply-Cmd", "Puts the tried law in force.", ONCE, {"command": "apply"}),
+    )
