@@ -22,7 +22,7 @@ test-beside: venv
 	$(PYTEST) -m "not nightly and not timing" $(BESIDE) --times build/times/beside.txt
 
 test-alone: venv
-	$(PYTEST) -m "timing and not nightly" --times build/times/alone.txt
+	$(PYTEST) -m "timing and not nightly" tests/system --times build/times/alone.txt
 
 # Statistical and long tests, every page, faults at random, the bench, and what needs programs of
 # Debian, which are installed where that can be done; then safety rules, broken one at a time.
@@ -34,7 +34,7 @@ nightly-beside: venv
 	$(PYTEST) -m "nightly and not timing" $(BESIDE) --times build/times/nightly-beside.txt tests tests/debian
 
 nightly-alone: venv
-	$(PYTEST) -m "nightly and timing" --times build/times/nightly-alone.txt
+	$(PYTEST) -m "nightly and timing" tests/system --times build/times/nightly-alone.txt
 
 mutants: venv
 	$(BIN)/python -m tests.mutants

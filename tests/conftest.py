@@ -88,8 +88,19 @@ def _stay_on_loopback() -> Iterator[None]:
         yield
 
 
+def _childless() -> bool:
+    """Say quickly, where the system can, that there is no child: psutil looks at all processes."""
+    try:
+        threads = os.listdir("/proc/self/task")
+        return not any(Path(f"/proc/self/task/{each}/children").read_text() for each in threads)
+    except OSError:
+        return False
+
+
 def _children() -> set[str]:
     found: set[str] = set()
+    if _childless():
+        return found
     for child in psutil.Process().children(recursive=True):
         try:
             command = " ".join(child.cmdline())

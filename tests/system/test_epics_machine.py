@@ -18,7 +18,7 @@ from orbitfb.core.errors import ConnectError, MachineError
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 
-pytestmark = [pytest.mark.system, pytest.mark.timing]
+pytestmark = pytest.mark.system
 
 SIZE, RATE_HZ = 12, 20.0
 RING = small_ring(SIZE)
@@ -36,6 +36,7 @@ def machine(ioc: BaseIoc) -> Iterator[EpicsMachine]:
         yield machine
 
 
+@pytest.mark.timing
 def test_orbits_are_coherent_and_none_is_left_out(machine: EpicsMachine):
     readings = [machine.read(1.0) for _ in range(20)]
     assert all(is_coherent(reading.orbit.position) for reading in readings)
@@ -51,6 +52,7 @@ def test_slow_channels_are_si(machine: EpicsMachine):
     assert all(0.0 < age < 60.0 for age in machine.auxiliary_ages().values())
 
 
+@pytest.mark.timing
 def test_readback_is_of_the_tick_of_the_orbit(ioc: BaseIoc):
     """What was written between orbits n − 1 and n is in readback n, whole and never later.
 
@@ -89,6 +91,7 @@ def test_drive_limits_are_nan_where_the_server_states_none(ioc: BaseIoc):
         assert np.isnan(machine.drive_limits).all()
 
 
+@pytest.mark.timing
 def test_a_slow_reader_gets_the_newest_orbit(machine: EpicsMachine):
     machine.read(1.0)
     time.sleep(6 / RATE_HZ)
@@ -115,6 +118,7 @@ def test_all_missing_pvs_are_listed_at_once(ioc: BaseIoc):
     assert f"port {ioc.port}" in str(caught.value)
 
 
+@pytest.mark.timing
 def test_no_machine_at_all_is_told_after_the_time_allowed():
     start = time.monotonic()
     with pytest.raises(ConnectError, match=r"38 of 38 PVs"):

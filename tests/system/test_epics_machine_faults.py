@@ -13,7 +13,7 @@ from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import EpicsSettings
 
-pytestmark = [pytest.mark.system, pytest.mark.timing]
+pytestmark = pytest.mark.system
 
 SIZE, RATE_HZ = 12, 20.0
 RING = small_ring(SIZE)
@@ -58,6 +58,7 @@ def faults(ioc: BaseIoc) -> Iterator[FaultSwitch]:
     switch.close()
 
 
+@pytest.mark.timing
 def test_a_torn_orbit_is_refused_and_the_late_bpm_named(ioc: BaseIoc, faults: FaultSwitch):
     with EpicsMachine(RING, EpicsSettings(server_port=ioc.port, stuck_bpms=0)) as machine:
         faults.set(skip=7)
@@ -95,6 +96,7 @@ def test_a_bpm_without_a_usable_value_is_masked(
     np.testing.assert_array_equal(np.isfinite(orbit.position), expected)
 
 
+@pytest.mark.timing
 def test_killed_ioc_gives_no_orbit_and_takes_no_write_until_it_is_back():
     with (
         BaseIoc(RING, RATE_HZ) as ioc,
@@ -137,6 +139,7 @@ def read_when_back(machine: EpicsMachine) -> float:
     raise AssertionError("the machine did not come back")
 
 
+@pytest.mark.timing
 @pytest.mark.parametrize("away", [1.0, pytest.param(30.0, marks=pytest.mark.nightly)])
 def test_back_soon_however_long_it_was_away(away: float, record_property):
     with (
@@ -187,6 +190,7 @@ def read_whole(machine: EpicsMachine) -> None:
         assert time.monotonic() < deadline
 
 
+@pytest.mark.timing
 def test_hung_ioc_looks_connected_but_takes_no_write():
     settings = {"silent_after": 0.5, "stale_after": 0.5}
     with (

@@ -10,15 +10,15 @@ from service_process import Service, transitions, wait_for
 
 from orbitfb.control.socket import ask
 
-pytestmark = [pytest.mark.system, pytest.mark.timing]
+pytestmark = pytest.mark.system
 
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     directory = tmp_path_factory.mktemp("disk")
     (directory / "c.toml").write_text(
-        "[learn]\nenabled = false\n[diagnose.live]\nenabled = false\n[web]\nenabled = false\n"
         "[history.archive]\nretry_interval = 0.2\n"
+        "[loop]\nhold_after = 100.0\n[epics]\nstale_after = 10.0\n"  # a busy computer stalls
     )
     options = ("--rate", 20, "--start", "closed", "--config", directory / "c.toml")
     with Service(directory / "data", "sim", *options) as running:

@@ -15,7 +15,7 @@ from orbitfb.app.setup.startup import find_ring
 from orbitfb.config.tree import load_config
 from orbitfb.core.errors import ConfigError, OwnershipError
 
-pytestmark = [pytest.mark.system, pytest.mark.timing]
+pytestmark = pytest.mark.system
 
 LEASE = "SR:FB{Lease:X}Owner-SP"
 
@@ -67,6 +67,7 @@ def test_one_of_two_controllers_writes_and_a_stale_lease_is_taken_over(
         assert holder(ioc.port) == ""  # given back
 
 
+@pytest.mark.timing
 def test_two_controllers_without_a_lease_see_each_other(
     ioc: Ioc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -85,7 +86,8 @@ def test_two_controllers_without_a_lease_see_each_other(
                 status = second.status()
                 assert "as a second controller does" in status["reason"]
                 second.stop()
-        assert first.status()["state"] == "CLOSED"
+        first.wait_state("CLOSED")
+        assert first.status()["state_entries"]["TRIPPED"] == 0
 
 
 def test_a_required_lease_that_is_not_there(ioc: Ioc):

@@ -12,7 +12,7 @@ from service_process import START, Service, orbitfb, transitions
 
 from orbitfb.control import socket
 
-pytestmark = [pytest.mark.system, pytest.mark.timing]
+pytestmark = pytest.mark.system
 
 RATE_HZ = 50.0
 FIGURES = {

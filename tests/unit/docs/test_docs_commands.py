@@ -12,6 +12,7 @@ import typer.main
 
 from orbitfb.cli.app import app
 
+ALL = typer.main.get_command(app)
 ROOT = Path(__file__).parents[3]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"```(?:console|sh)\n(.*?)```", re.DOTALL)
@@ -28,7 +29,7 @@ def shown():
 
 def unknown(words):
     """The first word that is no command or option there; None if all are."""
-    command = typer.main.get_command(app)
+    command = ALL
     words = list(words)
     while hasattr(command, "commands") and words and not words[0].startswith("-"):
         name = words[0]

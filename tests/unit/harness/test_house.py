@@ -46,3 +46,13 @@ def test_a_package_that_its_own_module_names_is_no_circle(source: Path):
     (source / "orbitfb" / "full" / "a.py").write_text("from orbitfb.full import b\n")
     (source / "orbitfb" / "full" / "b.py").write_text("import math\n")
     assert circles(imports(source)) == []
+
+
+def test_what_says_something_about_time_is_a_system_test():
+    """`make test-alone` collects these only."""
+    marked = [
+        file
+        for file in (ROOT / "tests/unit").rglob("test_*.py")
+        if file != Path(__file__) and "mark.timing" in file.read_text(encoding="utf-8")
+    ]
+    assert marked == []
