@@ -16,7 +16,8 @@ from orbitfb.cli.options import (
 )
 
 importing = typer.Typer(
-    help="Take response matrices and orbit histories from HDF5, CSV, MATLAB or an archiver.",
+    help="Take response matrices and orbit histories from HDF5, CSV, MATLAB or an archiver, and "
+    "lattices of Accelerator Toolbox.",
     no_args_is_help=True,
 )
 
@@ -169,3 +170,52 @@ def import_history_command(
     slow = {name: (each.pv, each.scale) for name, each in settings.epics.auxiliary.items()}
     history, noticed = read_history(request, channels, slow)
     show(noticed | write_history(history, loaded, channels, out, period, anyway), as_json)
+
+
+@importing.command("lattice")
+def import_lattice_command(
+    file: Annotated[Path, typer.Argument(help="Lattice that pyAT reads: .m, .mat or .json.")],
+    calibration: Annotated[
+        float, typer.Option(help="Kick per ampere of every corrector [rad/A]; no lattice says it.")
+    ],
+    calibration_y: Annotated[
+        float | None, typer.Option(help="The same in the vertical plane [as --calibration].")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="File for `ring.places` (CSV).")] = Path(
+        "places.csv"
+    ),
+    parameters: Annotated[Path, typer.Option(help="File for `ring.parameters` (JSON).")] = Path(
+        "ring.json"
+    ),
+    bpms: Annotated[
+        str | None, typer.Option(help="Families of BPMs, with * and ? [all monitors].")
+    ] = None,
+    correctors: Annotated[
+        str | None, typer.Option(help="Families of correctors [all of class Corrector].")
+    ] = None,
+    names: Annotated[
+        str | None,
+        typer.Option(help="Attribute with the name of each element [its family, numbered]."),
+    ] = None,
+    variable: Annotated[
+        str | None, typer.Option(help="Which of several lattices in the file [the only one].")
+    ] = None,
+    harmonic: Annotated[
+        int | None, typer.Option(min=1, help="RF periods per turn [of the cavities].")
+    ] = None,
+    bpm_pv: Annotated[
+        str, typer.Option(help="Form of PV names: {name}, {plane} (x), {PLANE} (X).")
+    ] = "{name}:{PLANE}",
+    setpoint_pv: Annotated[str, typer.Option(help="The same of setpoints.")] = "{name}:{PLANE}:SP",
+    readback_pv: Annotated[str, typer.Option(help="The same of readbacks.")] = "{name}:{PLANE}:RB",
+    as_json: AsJson = False,
+) -> None:
+    """Make a table of places and ring parameters of a lattice (takes the extra `lattice`)."""
+    from orbitfb.exchange.lattice.table import LatticeRequest, import_lattice
+
+    kicks = (calibration, calibration if calibration_y is None else calibration_y)
+    request = LatticeRequest(
+        file, kicks, out, parameters, bpms, correctors, names, variable, harmonic, bpm_pv,
+        setpoint_pv, readback_pv,
+    )  # fmt: skip
+    show(import_lattice(request), as_json)

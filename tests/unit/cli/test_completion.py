@@ -48,6 +48,6 @@ def test_bash_completes_commands_and_options():
     assert "-F _orbitfb_completion orbitfb" in done.stderr
     found = [line.split() for line in done.stdout.split("\n")[: len(lines)]]
     assert found[0] == ["doctor"]
-    assert found[1] == ["response", "history"]
+    assert found[1] == ["response", "history", "lattice"]
     assert found[2] == ["--out"]
     assert found[3] == ["activate"]

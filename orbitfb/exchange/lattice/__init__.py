@@ -1,0 +1,1 @@
+"""A lattice of Accelerator Toolbox becomes a table of places."""

@@ -1,0 +1,46 @@
+"""A lattice of Accelerator Toolbox becomes a ring, and a loop closes on it."""
+
+import json
+from pathlib import Path
+
+import at
+import pytest
+from free_ports import free_port
+from service_process import orbitfb
+
+pytestmark = pytest.mark.system
+
+
+def save(path: Path) -> None:
+    """A small ring, as somebody else may have it."""
+    cells = 8
+    cell = [
+        at.Quadrupole("QF", 0.3, 2.2), at.Drift("D", 0.2), at.Monitor("BPM"), at.Drift("D", 0.6),
+        at.Dipole("B", 1.0, 3.141592653589793 / cells), at.Drift("D", 0.3),
+        at.Corrector("COR", 0.1, [0.0, 0.0]), at.Drift("D", 0.15), at.Quadrupole("QD", 0.3, -2.0),
+        at.Drift("D", 0.25), at.Monitor("BPM"), at.Drift("D", 0.3),
+        at.Dipole("B", 1.0, 3.141592653589793 / cells), at.Drift("D", 0.4),
+        at.Corrector("COR", 0.1, [0.0, 0.0]), at.Drift("D", 0.2),
+    ]  # fmt: skip
+    at.save_lattice(at.Lattice(cell, name="cell", energy=3e9, periodicity=cells), path)
+
+
+def test_a_loop_closes_on_a_ring_that_was_a_lattice(tmp_path: Path):
+    save(tmp_path / "cell.json")
+    made = orbitfb(
+        "import", "lattice", tmp_path / "cell.json", "--calibration", 1e-4, "--harmonic", 64,
+        "--out", tmp_path / "places.csv", "--parameters", tmp_path / "ring.json", "--json",
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr
+    assert json.loads(made.stdout)["BPM"] == 16
+    config = tmp_path / "config.toml"
+    config.write_text('[ring]\nplaces = "places.csv"\nparameters = "ring.json"\n')
+    done = orbitfb(
+        "run", "--ioc", "sim", "--config", config, "--data", tmp_path / "data", "--port",
+        free_port(), "--metrics-port", 0, "--duration", 6, "--summary", tmp_path / "summary.json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["state"] == "CLOSED" and summary["bpms"] == 16
+    rms = summary["orbit_rms_um"]  # the last 10 s are all of it: the first second counts, too
+    assert rms["last_10s"] < 0.5 * rms["first"]
