@@ -24,7 +24,7 @@ class Channels:
         correctors: m names of correctors.
         orbit_pvs: n PVs of the readings [mm].
         setpoint_pvs: m PVs of the setpoints [A].
-        readback_pvs: m PVs of the readbacks [A].
+        readback_pvs: m PVs of the readbacks [A]; empty where a corrector has none.
         bpm_counts: How many of the n are in each plane; empty: as many in each.
         corrector_counts: How many of the m are in each plane; empty: as many in each.
     """
@@ -85,12 +85,14 @@ class Reading:
 
     Args:
         orbit: The coherent orbit.
-        readback: Corrector readbacks, shape (m,) [A]; NaN where none is known.
+        readback: Corrector readbacks, shape (m,) [A]; NaN where none is known. Of a corrector that
+            has none, the setpoint in force as the machine posts it.
         auxiliary: Slow channels by name, SI: `current` [A], `rf_frequency` [Hz], others as
             configured; NaN where none is known.
         received: When the orbit was complete, on the monotonic clock [s].
         away: Correctors whose setpoint cannot be written now, shape (m,); None: all can.
-        behind: Correctors whose readback was taken before the orbit, shape (m,); None: none.
+        behind: Correctors whose readback was taken before the orbit, or that have none, shape (m,);
+            None: none.
         left_out: Why connected BPMs are not in the orbit, by index.
         refused: Why correctors did not take what was put to them since the last read, by index.
         unknown: Why slow channels are not known, by name, for those that are not.

@@ -18,7 +18,7 @@ from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.channels import ChannelGroup, Monitor
 from orbitfb.epics.connecting import check_oscillator, check_units, wait_for_channels
-from orbitfb.epics.inbox import Inbox
+from orbitfb.epics.inbox import Frame, Inbox
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.oscillator import EpicsOscillator
@@ -94,7 +94,11 @@ class EpicsMachine:
             self._orbit_assembler.count(counting)
         waived = _waived(channels, counting, movable)
         self._put_watch = PutWatch(size)
-        self._readback_assembler = Assembler(len(channels.readback_pvs), settings.stamp_window)
+        self._read_back: Mask = np.array(
+            [bool(name) for name in channels.readback_pvs], dtype=np.bool_
+        )
+        have = int(np.count_nonzero(self._read_back))
+        self._readback_assembler = Assembler(have, settings.stamp_window)
         self._inbox = Inbox(
             self._orbit_assembler,
             self._readback_assembler,
@@ -185,13 +189,14 @@ class EpicsMachine:
         away = ~(self._setpoints.connected & self._setpoints.writable)
         received = frame.arrival.received
         gone = away if away.any() else None
+        readback, behind = self._readbacks(frame)
         return Reading(
             orbit,
-            frame.readback,
+            readback,
             auxiliary,
             received,
             gone,
-            frame.behind,
+            behind,
             snapshot.left_out,
             self._put_errors.take(),
             unknown,
@@ -199,6 +204,22 @@ class EpicsMachine:
             self._servers.told,
             self._put_watch.take(),
         )
+
+    def _readbacks(self, frame: Frame) -> tuple[Vector, Mask | None]:
+        """Put the setpoint, as the machine posts it, where a corrector has no readback.
+
+        It tells that the put arrived, and nothing of what the supply does: it counts as older than
+        the orbit.
+        """
+        have, behind = self._read_back, frame.behind
+        if have.all():
+            return frame.readback, behind
+        readback = np.where(self._setpoints.connected, self._put_watch.records["value"], np.nan)
+        readback[have] = frame.readback
+        older = ~have
+        if behind is not None:
+            older[have] = behind
+        return readback, older
 
     def setpoints(self) -> Vector:
         """Ask the machine for the absolute setpoints in force, shape (m,) [A].
@@ -303,7 +324,7 @@ class EpicsMachine:
             self._setpoints,
             ChannelGroup(
                 context,
-                channels.readback_pvs,
+                tuple(filter(None, channels.readback_pvs)),
                 Monitor(readbacks.records, readbacks.arrived, inbox.readbacks_complete),
                 readbacks.set_connected,
             ),

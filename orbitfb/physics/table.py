@@ -28,7 +28,8 @@ _NUMBERS = {
     "QUAD": ("length_m", "strength"),
     "SEXT": ("length_m", "strength"),
 }
-_TEXTS = {"BPM": _PVS, "COR": _PVS + _READBACKS, "QUAD": (), "SEXT": ()}
+_OPTIONAL = {"COR": _READBACKS}
+_TEXTS = {"BPM": _PVS, "COR": _PVS, "QUAD": (), "SEXT": ()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +46,7 @@ class PlacesTable:
         strength: k1L of quadrupoles [1/m], b2L of sextupoles [1/m²], shape (N,); else NaN.
         calibration: Kick per ampere, rows x and y, shape (2, N) [rad/A]; NaN where no corrector.
         pv: BPM readings and corrector setpoints, rows x and y; empty where none.
-        readback: Corrector readbacks, rows x and y; empty where none.
+        readback: Corrector readbacks, rows x and y; empty where there is none.
     """
 
     name: tuple[str, ...]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.names import CURRENT_PV, RF_PV, RF_READBACK_PV
-from orbitfb.core.signals import Channels, Vector
+from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.sim.ring import RingState
 from orbitfb.sim.settings import SimSettings
 
@@ -63,6 +63,7 @@ class Layout:
         stored: The stored current that the simulated ring is to have [mA].
         rf_frequency: What the oscillator shows at the start [Hz].
         planes: x, y or xy.
+        read_back: Correctors that have a readback, shape (m,).
     """
 
     readings: tuple[PvSpec, ...]
@@ -71,6 +72,7 @@ class Layout:
     stored: PvSpec
     rf_frequency: float
     planes: str
+    read_back: Mask
 
     def __len__(self) -> int:
         return len(self.readings) + len(self.setpoints) + len(self.knobs)
@@ -99,7 +101,8 @@ class Layout:
         true_rms = float(np.sqrt(np.mean(np.square(state.true_orbit)))) * MILLI
         current = self.stored.initial if stored is None else stored
         slow = (current, self.rf_frequency if rf is None else rf, true_rms, float(tick))
-        return np.concatenate((state.readback, state.reading * MILLI, slow))
+        readback = state.readback[self.read_back]
+        return np.concatenate((readback, state.reading * MILLI, slow))
 
 
 def lay_out(channels: Channels, settings: SimSettings) -> Layout:
@@ -138,7 +141,7 @@ def lay_out(channels: Channels, settings: SimSettings) -> Layout:
         PvSpec(TICK_PV, "", 0),
     )
     return Layout(
-        readings=(*ammeters(channels.readback_pvs, NO_RANGE), *bpms, *slow),
+        readings=(*ammeters(list(filter(None, channels.readback_pvs)), NO_RANGE), *bpms, *slow),
         setpoints=(
             *ammeters(channels.setpoint_pvs, drive),
             PvSpec(RF_PV, "Hz", 3, display=rf_range, drive=rf_range, initial=rf),
@@ -149,4 +152,5 @@ def lay_out(channels: Channels, settings: SimSettings) -> Layout:
         ),
         rf_frequency=rf,
         planes=channels.planes,
+        read_back=np.array([bool(name) for name in channels.readback_pvs], dtype=np.bool_),
     )

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from base_ioc_process import CURRENT, RF_FREQUENCY, BaseIoc, is_coherent, small_ring
 from free_ports import free_port
+from service_process import wait_for
 
 from orbitfb.core.errors import ConnectError, MachineError
 from orbitfb.epics.machine import EpicsMachine
@@ -71,6 +72,33 @@ def test_readback_is_of_the_tick_of_the_orbit(ioc: BaseIoc):
                 readback = machine.read(1.0).readback
             np.testing.assert_array_equal(readback, np.full(SIZE, float(value)))
     assert late <= 4
+
+
+@pytest.mark.parametrize("without", [range(0, SIZE, 2), range(SIZE)])
+def test_a_corrector_without_a_readback_shows_the_setpoint_in_force(
+    ioc: BaseIoc, without: range
+) -> None:
+    """Also one that somebody else has put; it never says that the supply has acted."""
+    none = np.isin(np.arange(SIZE), [*without])
+    names = tuple("" if no else pv for no, pv in zip(none, RING.readback_pvs, strict=True))
+    ring = replace(RING, readback_pvs=names)
+    settings = EpicsSettings(server_port=ioc.port)
+    with EpicsMachine(ring, settings) as machine, EpicsMachine(RING, settings) as other:
+        assert machine.channel_counts()[2].channels == SIZE - none.sum()
+        other.read(1.0)
+        for writer, value in ((machine, 1.5), (other, -2.5)):
+            machine.read(1.0)
+            writer.write(np.full(SIZE, value))
+
+            def arrived(value: float = value) -> bool:
+                return bool((machine.read(1.0).readback == value).all())
+
+            wait_for("readbacks", arrived, 5.0)
+        reading = machine.read(1.0)
+        assert reading.behind is not None and reading.behind[none].all()
+        if not none.all():
+            late = [machine.read(1.0).behind for _ in range(5)]
+            assert any(not behind[~none].any() for behind in late if behind is not None)
 
 
 def test_every_write_arrives(machine: EpicsMachine):

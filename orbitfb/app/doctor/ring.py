@@ -90,7 +90,7 @@ def _search(
     kinds = {
         "BPMs": channels.orbit_pvs,
         "setpoints": channels.setpoint_pvs,
-        "readbacks": channels.readback_pvs,
+        "readbacks": tuple(filter(None, channels.readback_pvs)),
         "slow channels": tuple(slow),
     }
     listener, doubles = Listener(len(channels.orbit_pvs), settings), Doubles()

@@ -73,7 +73,7 @@ def test_a_missing_column_is_named(column):
         ("BPM", "pv_x", "SR:C30-BI{BPM:2}Pos:X-I", "stands already on line"),
         ("BPM", "pv_y", "SR:C30-BI{BPM:1}Pos:X-I", "stands already on line 3, column pv_x"),
         ("BPM", "pv_x", "", "is no PV, but a BPM needs one"),
-        ("COR", "rb_y", "", "is no PV, but a COR needs one"),
+        ("COR", "pv_y", "", "is no PV, but a COR needs one"),
         ("BPM", "s_m", "five", "is not a number"),
         ("BPM", "s_m", "", "is not a number"),
         ("BPM", "eta_x_m", "nan", "is not finite"),
