@@ -89,7 +89,7 @@ class Session:
         stack: Ends what was started.
     """
 
-    def __init__(self, directory, stack):
+    def __init__(self, directory, stack, watch=True):
         self.directory = directory
         self.ports = {page: str(free_port()) for page in PORTS}
         # The path of a Unix socket is short, that of a test's directory may not be.
@@ -103,6 +103,8 @@ class Session:
         }
         for port, section in PORTS.items():
             self.environment[f"ORBITFB_{section}__PORT"] = self.ports[port]
+        if not watch:  # half a minute of computing beside a loop
+            self.environment["ORBITFB_DIAGNOSE__LIVE__ENABLED"] = "false"
         self._stack = stack
         self.shell = Shell(directory, self.environment)
         stack.callback(self.shell.close)

@@ -181,10 +181,13 @@ def test_a_frozen_ioc_is_noticed_too(tmp_path: Path):
 
 
 def test_the_store_survives_a_kill_while_it_is_written(tmp_path: Path):
-    """A controller killed during its start leaves nothing that the next one stumbles over."""
+    """A controller killed during its start leaves no child, and the next one does not stumble."""
     data = tmp_path / "data"
-    with Service(data, "sim", "--duration", 60) as service:
+    with Service(data, "sim", "--duration", 60, learn=True) as service:
+        children = [service.child(module) for module in ("orbitfb.sim", "orbitfb.learn")]
         service.kill()
+        for child in children:
+            child.wait(20.0)
     again = orbitfb(
         *("run", "--ioc", "sim", "--port", 0, "--metrics-port", 0, "--data", data),
         *("--duration", 1, "--summary", tmp_path / "s.json"),

@@ -3,10 +3,8 @@
 import json
 import os
 import signal
-import time
 from pathlib import Path
 
-import psutil
 import pytest
 from service_process import Service, orbitfb, refused, rms, transitions, wait_for
 
@@ -98,22 +96,6 @@ def test_a_trainer_that_is_killed_is_told_and_replaced(tmp_path: Path):
         assert running.status()["ticks"] > ticks  # which the loop does not
         assert report["rows"] > 40
         assert running.child("orbitfb.learn").pid != trainer.pid
-
-
-def test_no_trainer_is_left_behind(tmp_path: Path):
-    with service(tmp_path, "svd") as running:
-        trainer = running.child("orbitfb.learn")
-        running.stop()
-        assert not trainer.is_running()
-    again = tmp_path / "again"
-    again.mkdir()
-    with service(again, "svd") as running:
-        trainer = running.child("orbitfb.learn")
-        running.kill()
-        deadline = time.monotonic() + 10.0
-        while trainer.is_running() and trainer.status() != psutil.STATUS_ZOMBIE:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
 
 
 def test_an_unknown_kind_is_refused(tmp_path: Path):

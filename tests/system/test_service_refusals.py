@@ -1,6 +1,7 @@
 """What cannot be done is refused: what, where, what to do; no traceback, nothing left running."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -8,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from service_process import CHANNELS, PROGRAM, Ioc, Service, orbitfb, read_log, refused
+from service_process import CHANNELS, PROGRAM, Ioc, Service, lean, orbitfb, read_log, refused
 
 from orbitfb.core.errors import MOST_SHOWN
 from orbitfb.physics.places import Ring
@@ -216,13 +217,17 @@ def test_refit_of_nobody(tmp_path: Path):
     assert refused("refit", "--data", tmp_path).startswith("no service of this user runs on ")
 
 
+def lean_here() -> dict[str, str]:
+    return os.environ | lean(["run"])
+
+
 @pytest.mark.parametrize("lines", [0, 1])
 def test_a_closed_terminal_does_not_stop_the_loop(tmp_path: Path, lines: int):
     """`orbitfb run | head -1`: whoever read has gone, before the first line or after it."""
     command = [*PROGRAM, *map(str, SIM[:3]), "--ioc", "sim", "--port", "0", "--duration", "2.5"]
     summary = tmp_path / "s.json"
     options = ["--data", str(tmp_path / "data"), "--summary", str(summary)]
-    with subprocess.Popen([*command, *options], stdout=subprocess.PIPE) as run:
+    with subprocess.Popen([*command, *options], stdout=subprocess.PIPE, env=lean_here()) as run:
         assert run.stdout is not None
         for _ in range(lines):
             run.stdout.readline()

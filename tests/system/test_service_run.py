@@ -278,7 +278,9 @@ def test_a_signal_stops_it_within_2_s_and_nothing_is_left(tmp_path: Path):
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         with Service(data, "sim", "--summary", summary, *same, learn=True) as service:
             service.wait_state("CLOSED")
+            trainer = service.child("orbitfb.learn")
             took = service.stop(number)
+            assert not trainer.is_running()
             assert service.popen.returncode == 0 and service.err == ""
         assert took < 2.0, number
         assert json.loads(summary.read_text())["state"] == "CLOSED"

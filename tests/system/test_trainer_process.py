@@ -53,11 +53,11 @@ def loop(policy: Policy, ticks: int = 200) -> ClosedLoop:
 def begin():
     trainers = []
 
-    def start(kind="svd", settings=WIDE, **job):
-        policy = PolicySettings(kind=kind)
-        asked = TrainerJob(settings, policy, WRONG, **job)
+    def start(kind="svd", settings=WIDE, first=None, **job):
+        asked = TrainerJob(settings, PolicySettings(kind=kind), WRONG, **job)
         trainers.append(ProcessTrainer(asked))
-        return trainers[-1], learner_of(asked), first_policy(WRONG, policy, job.get("movable"))
+        policy = first_policy(WRONG, PolicySettings(kind=first or kind), job.get("movable"))
+        return trainers[-1], learner_of(asked), policy
 
     yield start
     for trainer in trainers:
@@ -126,7 +126,7 @@ def test_a_killed_trainer_is_noticed_and_a_new_one_begins(begin, monkeypatch):
 
 
 def test_killed_in_the_middle_of_a_task_it_is_answered(begin):
-    trainer, _, incumbent = begin("supervised")
+    trainer, _, incumbent = begin("supervised", first="network")
     rows = loop(incumbent).transitions()
     wait(lambda: trainer.ready)
     trainer.submit(Task(rows, incumbent, "on-demand"))

@@ -73,7 +73,7 @@ ticks_of_events = st.lists(
 )
 
 
-@settings(max_examples=400)
+@settings(max_examples=200)
 @given(script=ticks_of_events, skew=st.integers(0, 3), window=st.integers(0, 3))
 def test_every_published_orbit_is_coherent_and_new_whatever_comes(script, skew, window):
     """Stamps may even go back here: safety needs no assumption on the server."""

@@ -15,11 +15,11 @@ def begun():
 
 @pytest.fixture(scope="module")
 def still(begun):
-    return evaluate_refit(RefitEvaluationSettings(ticks=1200, seed=4), begun.append)
+    return evaluate_refit(RefitEvaluationSettings(ticks=800, seed=4), begun.append)
 
 
 def test_it_says_what_begins(still, begun):
-    assert begun == [f"{law}: 1200 ticks" for law in ("frozen", "naive", "ours")]
+    assert begun == [f"{law}: 800 ticks" for law in ("frozen", "naive", "ours")]
 
 
 def test_ours_does_no_harm_on_a_still_ring(still):
@@ -46,7 +46,7 @@ def test_files_hold_figures_settings_and_series(still, tmp_path):
         assert document[name] == still.figures[name]
     assert document["seed"] == 4
     assert document["settings"]["policy"]["gain"] == 0.5
-    assert len(document["series"]["true_rms_m"]["ours"]) == 1200
+    assert len(document["series"]["true_rms_m"]["ours"]) == 800
     assert document["within_uncertainty_ours"]["within_two_sigma"] > 0.9
     assert (tmp_path / "new" / "refit.png").read_bytes().startswith(b"\x89PNG")
 

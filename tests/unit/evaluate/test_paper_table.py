@@ -28,7 +28,7 @@ def result() -> PaperResult:
         methods=("svd", "true-response", "modal"),
         trajectories=2,
         static_trajectories=3,
-        steps=300,
+        steps=120,
         after=5,
     )
     return evaluate_paper(settings, workers=1)

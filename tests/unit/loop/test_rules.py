@@ -230,6 +230,6 @@ class LoopUnderFaults(RuleBasedStateMachine):
 
 
 LoopUnderFaults.TestCase.settings = settings(
-    max_examples=100, stateful_step_count=40, deadline=None, derandomize="CI" in os.environ
+    max_examples=50, stateful_step_count=40, deadline=None, derandomize="CI" in os.environ
 )
 TestLoopUnderFaults = LoopUnderFaults.TestCase
