@@ -22,11 +22,13 @@ class Channels:
         planes: `x`, `y` or `xy`.
         bpms: n names of BPMs, as in the places table.
         correctors: m names of correctors.
-        orbit_pvs: n PVs of the readings [mm].
+        orbit_pvs: n PVs of the readings.
         setpoint_pvs: m PVs of the setpoints [A].
         readback_pvs: m PVs of the readbacks [A]; empty where a corrector has none.
         bpm_counts: How many of the n are in each plane; empty: as many in each.
         corrector_counts: How many of the m are in each plane; empty: as many in each.
+        bpm_units: Unit of each reading at its PV, n texts, empty where that is not said; or nothing
+            at all.
     """
 
     planes: str
@@ -37,6 +39,7 @@ class Channels:
     readback_pvs: tuple[str, ...]
     bpm_counts: tuple[int, ...] = ()
     corrector_counts: tuple[int, ...] = ()
+    bpm_units: tuple[str, ...] = ()
 
     @property
     def bpm_parts(self) -> dict[str, slice]:

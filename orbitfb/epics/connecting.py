@@ -3,6 +3,9 @@
 import time
 from collections.abc import Collection, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from orbitfb.core.errors import ConnectError, MachineError, few
 from orbitfb.core.names import RF_FREQUENCY, RF_READBACK
 from orbitfb.core.ports import Clock
@@ -11,7 +14,7 @@ from orbitfb.epics.libca import Context
 from orbitfb.epics.oscillator import EpicsOscillator
 from orbitfb.epics.requests import Getter
 from orbitfb.epics.settings import EpicsSettings
-from orbitfb.epics.units import bpm_contradiction, corrector_contradiction
+from orbitfb.epics.units import corrector_contradiction, metres_of
 
 LOOK_EVERY = 0.01
 
@@ -94,26 +97,37 @@ def _missing(
     return list(dict.fromkeys(missing))  # the RF setpoint is read and written
 
 
-def check_units(context: Context, groups: Sequence[ChannelGroup], settings: EpicsSettings) -> None:
+def check_units(
+    context: Context,
+    groups: Sequence[ChannelGroup],
+    settings: EpicsSettings,
+    said: Sequence[str] = (),
+) -> NDArray[np.float64]:
     """Refuse PVs that state another unit than the configuration.
 
     Args:
         context: Of the groups.
         groups: BPMs, setpoints and readbacks, connected; what follows is not looked at.
         settings: Has the unit of the BPMs.
+        said: Of each BPM, by the places table; empty: nothing.
+
+    Returns:
+        Length of the unit of each BPM, shape (n,) [m]; NaN for one that is away and has none.
 
     Raises:
-        MachineError: Some do; the first are named.
+        MachineError: Some do, or state none where it is needed; the first are named.
     """
     bpms, setpoints, readbacks, *_ = groups
     stated = {
         group: Getter(context, group, settings.answer_timeout).units()
         for group in (bpms, setpoints, readbacks)
     }
-    wrong = [bpm_contradiction(bpms.names, stated[bpms], settings.bpm_unit)]
+    metres, told = metres_of(bpms.names, stated[bpms], said, settings.bpm_unit, bpms.connected)
+    wrong = [told]
     wrong += [corrector_contradiction(its.names, stated[its]) for its in (setpoints, readbacks)]
     if told := "\n".join(filter(None, wrong)):
         raise MachineError(told)
+    return metres
 
 
 def check_oscillator(oscillator: EpicsOscillator) -> None:

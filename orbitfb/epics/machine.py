@@ -28,7 +28,6 @@ from orbitfb.epics.reconnecting import Keeper
 from orbitfb.epics.requests import Getter, Putter
 from orbitfb.epics.servers import Doubles, ServerWatch
 from orbitfb.epics.settings import EpicsSettings
-from orbitfb.epics.units import LENGTHS
 from orbitfb.safety.bounds import ROUNDING
 from orbitfb.safety.verdict import name_some
 
@@ -77,7 +76,7 @@ class EpicsMachine:
     ) -> None:
         self._channels = channels
         self._settings = settings
-        self._metres = LENGTHS[settings.bpm_unit]
+        self._metres = np.full(len(channels.orbit_pvs), np.nan)
         self._clock: Clock = clock or SystemClock()
         self._closed = False
         self._limits_due = True
@@ -116,7 +115,7 @@ class EpicsMachine:
         try:
             wait_for_channels(self._groups, self._setpoints, settings, self._clock, waived)
             self.setpoints()
-            check_units(self._context, self._groups, settings)
+            self._metres = check_units(self._context, self._groups, settings, channels.bpm_units)
             if self.oscillator is not None:
                 check_oscillator(self.oscillator)
         except MachineError:

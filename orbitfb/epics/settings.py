@@ -1,6 +1,6 @@
 """How to reach the machine over Channel Access."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -72,10 +72,10 @@ class EpicsSettings(Settings):
     answer_timeout: float = Field(
         default=1.0, gt=0, description="How long to wait for the answers to one request [s]."
     )
-    bpm_unit: LengthUnit = Field(
+    bpm_unit: LengthUnit | Literal["egu"] = Field(
         default="mm",
-        description="Unit of the BPM PVs, of all of them; PVs that state another one (EGU) are "
-        "refused.",
+        description="Unit of the BPM PVs of which the places table (column unit) says none; egu: "
+        "what each of them states. PVs that state another one (EGU) are refused.",
     )
     stamp_window: float = Field(
         default=0.0,

@@ -137,6 +137,7 @@ class Ring:
         """Names behind the orbit and the setpoints, x first and then y."""
         bpms, correctors = self.places("BPM"), self.places("COR")
         rows = [plane_row(plane) for plane in split(planes)]
+        units = tuple(self.table.unit[int(i)] for i in bpms) if self.table.unit else ()
         return Channels(
             planes=planes,
             bpms=self.names("BPM") * len(rows),
@@ -144,6 +145,7 @@ class Ring:
             orbit_pvs=_pick(self.table.pv, rows, bpms),
             setpoint_pvs=_pick(self.table.pv, rows, correctors),
             readback_pvs=_pick(self.table.readback, rows, correctors),
+            bpm_units=units * len(rows) if any(units) else (),
         )
 
 

@@ -20,7 +20,11 @@ _CALIBRATIONS = ("cal_x_rad_per_A", "cal_y_rad_per_A")
 _PVS = ("pv_x", "pv_y")
 _READBACKS = ("rb_x", "rb_y")
 COLUMNS = ("name", "kind", *_OPTICS, "length_m", "strength", *_CALIBRATIONS, *_PVS, *_READBACKS)
-"""Columns that the table must have; others are ignored."""
+"""Columns that the table must have; others are ignored, but `unit`."""
+UNIT = "unit"
+"""Column that the table may have: the unit of the readings of a BPM at its PVs."""
+LENGTH_UNITS = ("m", "mm", "um", "nm")
+"""What it may hold."""
 
 _NUMBERS = {
     "BPM": (),
@@ -47,6 +51,7 @@ class PlacesTable:
         calibration: Kick per ampere, rows x and y, shape (2, N) [rad/A]; NaN where no corrector.
         pv: BPM readings and corrector setpoints, rows x and y; empty where none.
         readback: Corrector readbacks, rows x and y; empty where there is none.
+        unit: Of the readings of a BPM at its PVs; empty where it is not said.
     """
 
     name: tuple[str, ...]
@@ -59,6 +64,7 @@ class PlacesTable:
     calibration: NDArray[np.float64]
     pv: tuple[tuple[str, ...], tuple[str, ...]]
     readback: tuple[tuple[str, ...], tuple[str, ...]]
+    unit: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +155,8 @@ def _check_cells(row: _Row, circumference: float) -> None:
     for column in _CALIBRATIONS if kind == "COR" else ():
         if row.number(column) == 0:
             raise row.wrong(column, "is a corrector that cannot kick", "give its calibration")
+    if kind == "BPM" and row.cells.get(UNIT) not in (None, "", *LENGTH_UNITS):
+        raise row.wrong(UNIT, "is no unit of a BPM", f"use one of {', '.join(LENGTH_UNITS)}")
     for column in _TEXTS[kind]:
         if not row.cells[column]:
             raise row.wrong(column, f"is no PV, but a {kind} needs one", "give the PV")
@@ -201,6 +209,7 @@ def _columns(rows: Sequence[_Row]) -> PlacesTable:
         calibration=optional(*_CALIBRATIONS),
         pv=(texts("pv_x"), texts("pv_y")),
         readback=(texts("rb_x"), texts("rb_y")),
+        unit=tuple(row.cells.get(UNIT) or "" for row in rows),
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from orbitfb.core.names import CURRENT_PV, RF_PV, RF_READBACK_PV
 from orbitfb.core.signals import Channels, Mask, Vector
+from orbitfb.epics.units import LENGTHS
 from orbitfb.sim.ring import RingState
 from orbitfb.sim.settings import SimSettings
 
@@ -64,6 +65,7 @@ class Layout:
         rf_frequency: What the oscillator shows at the start [Hz].
         planes: x, y or xy.
         read_back: Correctors that have a readback, shape (m,).
+        metres: Unit of each reading, shape (n,) [m].
     """
 
     readings: tuple[PvSpec, ...]
@@ -73,6 +75,7 @@ class Layout:
     rf_frequency: float
     planes: str
     read_back: Mask
+    metres: Vector
 
     def __len__(self) -> int:
         return len(self.readings) + len(self.setpoints) + len(self.knobs)
@@ -102,7 +105,29 @@ class Layout:
         current = self.stored.initial if stored is None else stored
         slow = (current, self.rf_frequency if rf is None else rf, true_rms, float(tick))
         readback = state.readback[self.read_back]
-        return np.concatenate((readback, state.reading * MILLI, slow))
+        return np.concatenate((readback, state.reading / self.metres, slow))
+
+
+_DIGITS = {"m": 8, "mm": 5, "um": 2, "nm": 0}
+"""Digits after the point of a reading: 10 nm, and whole nanometres."""
+_SCREEN = 5e-3
+"""Range of a reading on a screen [m]."""
+
+
+def _reading(name: str, unit: str, settings: SimSettings) -> PvSpec:
+    """Give the PV of a BPM in its unit."""
+
+    def both(limit: float) -> Range:
+        return (-limit / LENGTHS[unit], limit / LENGTHS[unit])
+
+    return PvSpec(
+        name,
+        unit,
+        _DIGITS[unit],
+        display=both(_SCREEN),
+        warning=both(settings.orbit_warning),
+        alarm=both(settings.orbit_alarm),
+    )
 
 
 def lay_out(channels: Channels, settings: SimSettings) -> Layout:
@@ -123,16 +148,10 @@ def lay_out(channels: Channels, settings: SimSettings) -> Layout:
             for name in names
         )
 
+    units = channels.bpm_units or ("",) * len(channels.orbit_pvs)
     bpms = tuple(
-        PvSpec(
-            name,
-            "mm",
-            5,
-            display=both(5.0),
-            warning=both(settings.orbit_warning * MILLI),
-            alarm=both(settings.orbit_alarm * MILLI),
-        )
-        for name in channels.orbit_pvs
+        _reading(name, unit or "mm", settings)
+        for name, unit in zip(channels.orbit_pvs, units, strict=True)
     )
     slow = (
         PvSpec(CURRENT_PV, "mA", 3, display=most),
@@ -152,5 +171,6 @@ def lay_out(channels: Channels, settings: SimSettings) -> Layout:
         ),
         rf_frequency=rf,
         planes=channels.planes,
+        metres=np.array([LENGTHS[unit or "mm"] for unit in units]),
         read_back=np.array([bool(name) for name in channels.readback_pvs], dtype=np.bool_),
     )

@@ -109,6 +109,18 @@ def test_every_write_arrives(machine: EpicsMachine):
     np.testing.assert_array_equal(machine.setpoints(), wanted)
 
 
+def test_each_bpm_has_the_unit_of_the_table(ioc: BaseIoc):
+    """The records of this IOC state none."""
+    units = ("mm", "um") * (SIZE // 2)
+    settings = EpicsSettings(server_port=ioc.port)
+    with EpicsMachine(replace(RING, bpm_units=units), settings) as machine:
+        position = machine.read(1.0).orbit.position
+    assert is_coherent(position * np.tile([1.0, 1e3], SIZE // 2))
+    asked = EpicsSettings(server_port=ioc.port, bpm_unit="egu")
+    with pytest.raises(MachineError, match=f"{SIZE} of {SIZE} BPM PVs state no unit of length"):
+        EpicsMachine(RING, asked)
+
+
 def test_drive_limits_come_from_the_server(machine: EpicsMachine):
     np.testing.assert_array_equal(machine.drive_limits, np.tile([-18.0, 18.0], (SIZE, 1)))
 

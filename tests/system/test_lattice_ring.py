@@ -2,6 +2,7 @@
 
 import csv
 import json
+from itertools import cycle
 from pathlib import Path
 
 import at
@@ -26,12 +27,15 @@ def save(path: Path) -> None:
     at.save_lattice(at.Lattice(cell, name="cell", energy=3e9, periodicity=cells), path)
 
 
-def without_every_second_readback(places: Path) -> None:
-    """Not every supply tells its current."""
+def as_devices_are(places: Path) -> None:
+    """Not every supply tells its current, and BPMs are of several makers."""
     with places.open(newline="") as file:
         rows = [*csv.DictReader(file)]
     for row in [row for row in rows if row["kind"] == "COR"][::2]:
         row["rb_x"] = row["rb_y"] = ""
+    units = cycle(("nm", "um", "mm", "m"))
+    for row in rows:
+        row["unit"] = next(units) if row["kind"] == "BPM" else ""
     with places.open("w", newline="") as file:
         writer = csv.DictWriter(file, [*rows[0]])
         writer.writeheader()
@@ -46,7 +50,7 @@ def test_a_loop_closes_on_a_ring_that_was_a_lattice(tmp_path: Path):
     )  # fmt: skip
     assert made.returncode == 0, made.stderr
     assert json.loads(made.stdout)["BPM"] == 16
-    without_every_second_readback(tmp_path / "places.csv")
+    as_devices_are(tmp_path / "places.csv")
     config = tmp_path / "config.toml"
     config.write_text('[ring]\nplaces = "places.csv"\nparameters = "ring.json"\n')
     done = orbitfb(

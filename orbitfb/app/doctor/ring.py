@@ -127,7 +127,7 @@ def _search(
         found = [_reached(kind, group, where, slow) for kind, group in groups.items()]
         found += _servers(ServerWatch(tuple(groups.values())), doubles)
         if bpms.connected.any():
-            found += _units(context, groups, settings)
+            found += _units(context, groups, settings, channels.bpm_units)
             found.append(_fresh(records[bpms.connected].copy(), settings))
             found += judge(listener, bpms.names, settings, config.loop)
         found += [_writable(groups["setpoints"]), _real(groups["setpoints"])]
@@ -157,18 +157,21 @@ def _servers(watch: ServerWatch, doubles: Doubles) -> Iterator[Finding]:
 
 
 def _units(
-    context: Context, groups: Mapping[str, ChannelGroup], settings: EpicsSettings
+    context: Context,
+    groups: Mapping[str, ChannelGroup],
+    settings: EpicsSettings,
+    said: Sequence[str],
 ) -> Iterator[Finding]:
     """Compare the units that the records state with those of the configuration."""
     kinds = [groups[kind] for kind in ("BPMs", "setpoints", "readbacks")]
     try:
-        check_units(context, kinds, settings)
+        check_units(context, kinds, settings, said)
     except MachineError as error:
         yield Finding(_PART, "units", Verdict.FAILED, str(error), "the values would be taken for "
                       "others by powers of ten")  # fmt: skip
     else:
-        yield Finding(_PART, "units", Verdict.OK, f"none states another than {settings.bpm_unit} "
-                      "and A")  # fmt: skip
+        yield Finding(_PART, "units", Verdict.OK, "none of the BPMs and correctors states "
+                      "another than the configuration")  # fmt: skip
 
 
 def _reached(kind: str, group: ChannelGroup, where: str, slow: Mapping[str, str]) -> Finding:

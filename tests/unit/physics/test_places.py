@@ -200,3 +200,17 @@ def test_a_table_as_spreadsheets_save_it(tmp_path, saved):
     parameters = json.loads((resources.files("orbitfb") / "data" / "ring.json").read_text())
     (tmp_path / "ring.json").write_text("\ufeff" + json.dumps(parameters), encoding="utf-8")
     assert Ring.load(path, tmp_path / "ring.json").channels("x") == Ring.load().channels("x")
+
+
+def test_the_unit_of_each_bpm_may_stand_in_a_column_of_its_own(tmp_path):
+    lines = [f"{LINES[0]},unit"]
+    units = iter(["um", "nm", ""])
+    lines += [f"{line},{next(units, 'm') if ',BPM,' in line else ''}" for line in LINES[1:]]
+    (tmp_path / "places.csv").write_text("\n".join(lines))
+    channels = Ring.load(tmp_path / "places.csv").channels("xy")
+    n = len(channels.bpms) // 2
+    assert channels.bpm_units[:4] == ("um", "nm", "", "m")
+    assert channels.bpm_units[n:] == channels.bpm_units[:n]
+    assert Ring.load().channels("x").bpm_units == ()
+    bad = "\n".join(lines).replace(",um", ",inch", 1)
+    assert "column unit: 'inch' is no unit of a BPM; use one of m, mm, um, nm" in refusal(bad)
