@@ -3,7 +3,8 @@
 PYTHON ?= python3.11
 BIN := .venv/bin
 STAMP := .venv/.installed
-BESIDE := -n logical --maxprocesses 8 --dist loadscope --no-loadscope-reorder
+WORKERS := $(shell echo $$(($$(nproc) + 1)))
+BESIDE := -n $(WORKERS) --maxprocesses 8 --dist loadscope --no-loadscope-reorder
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
 # make docs: the pages as a site in site/.
@@ -13,7 +14,8 @@ run: venv
 	$(BIN)/orbitfb run --ioc sim
 
 # What says something about time runs alone, after all others: those run beside each other on all
-# cores, each with ports and a runtime directory of its own. What each took is kept in build/times.
+# cores, one more than there are, as services are waited for; each with ports and a runtime directory
+# of its own. What each took is kept in build/times.
 # Of a failed test nothing is tried again: it is a bug of test or program.
 test: venv
 	$(MAKE) --no-print-directory --keep-going --jobs=1 test-beside test-alone
@@ -51,7 +53,7 @@ lint: venv
 	$(BIN)/ruff format --check .
 
 types: venv
-	$(BIN)/pyright
+	$(BIN)/pyright --threads 2
 
 layers: venv
 	$(BIN)/lint-imports
