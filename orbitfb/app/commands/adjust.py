@@ -155,6 +155,10 @@ class Adjuster:
         fits = (
             saved.planes == channels.planes
             and len(saved.reference) == len(bpms)
+            and all(
+                (len(bump.orbit), len(bump.setpoints)) == (len(bpms), len(correctors))
+                for bump in saved.bumps
+            )
             and saved.gain.keys() == self._gain.keys()
             and all(0 <= gain <= LARGEST_GAIN for gain in saved.gain.values())
             and (saved.dead_band is None or saved.dead_band.keys() == self._gain.keys())

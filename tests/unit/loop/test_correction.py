@@ -25,9 +25,10 @@ class Bench:
     def __init__(self, depth=20, kick=KICK, setpoint=50.0):
         self.machine = ScriptedMachine(new_clock())
         self.machine.inside = kick.copy()
+        self.policy = InversePolicy()
         self.runner = Runner(
             self.machine,
-            PolicySlot(InversePolicy()),
+            PolicySlot(self.policy),
             LoopSettings(ramp=0.0, proving=2),
             LimitSettings(setpoint=setpoint, change_per_tick=10.0),
             InterlockSettings(bpm_proving=1, bpm_jump=1.0, distortion_rms=3e-4),
@@ -159,6 +160,20 @@ def test_it_does_not_begin_elsewhere_than_it_was_computed_for():
     with pytest.raises(ControlError, match="setpoints are not those it was computed for: COR3"):
         outcome.result(0)
     assert bench.machine.writes == []
+
+
+def test_a_corrector_that_was_disabled_meanwhile_is_not_moved():
+    bench = Bench()
+    bench.policy.movable = np.array([True, False, True, True])
+    bench.ticks(1)
+    outcome = bench.order(np.zeros(M))
+    bench.ticks(1)
+    with pytest.raises(ControlError, match=r"correction refused: the loop does not move COR1$"):
+        outcome.result(0)
+    outcome = bench.order(np.array([0.0, KICK[1], 0.0, 0.0]))
+    bench.ticks(8)
+    assert outcome.result(0).steps == 3
+    assert not any(put[1] for put in bench.machine.put)
 
 
 def test_what_somebody_moved_is_not_undone():

@@ -1,5 +1,6 @@
 """A closed bump as a change of the reference: whole, bounded, there after a restart."""
 
+import json
 from pathlib import Path
 from typing import Any, cast
 
@@ -7,8 +8,9 @@ import numpy as np
 import pytest
 from test_adjust import CHANNELS, Bench, M, N, off
 
+from orbitfb.app.commands.autosave import FILE
 from orbitfb.app.commands.bumps import Bumps
-from orbitfb.core.errors import ControlError
+from orbitfb.core.errors import ConfigError, ControlError
 from orbitfb.panel.settings import PanelSettings
 from orbitfb.physics.bump import closed_bump, find_source
 from orbitfb.physics.places import Ring
@@ -74,6 +76,16 @@ def test_it_is_there_after_a_restart_and_can_be_taken_away(bench: Bench, tmp_pat
     assert again.adjuster.shown()["Bumps-I"] == f"{PLACE} y 30 um 2 urad"
     again("bump", place=PLACE, plane="y", position=0, angle=0)
     np.testing.assert_allclose(reference(again), NOTHING, atol=1e-18)
+
+
+def test_a_bump_of_another_ring_is_not_restored(bench: Bench, tmp_path: Path):
+    bench("bump", place=PLACE, plane="y", position=30e-6)
+    file = tmp_path / FILE
+    saved = json.loads(file.read_text())
+    saved["bumps"][0]["orbit"].pop()
+    file.write_text(json.dumps(saved))
+    with pytest.raises(ConfigError, match="is of another ring or other planes"):
+        Bench(tmp_path).adjuster.restore()
 
 
 def test_another_reference_is_without_bumps(bench: Bench):
