@@ -12,8 +12,22 @@ from typing import Any
 import numpy as np
 import structlog
 
-from orbitfb.app.commands.arguments import number, reference_of, switches
-from orbitfb.app.commands.autosave import FILE, Saved, labels, read_whole, write_whole
+from orbitfb.app.commands.arguments import (
+    number,
+    plane_of,
+    reference_of,
+    switches,
+    whole_number,
+)
+from orbitfb.app.commands.autosave import (
+    FILE,
+    Saved,
+    all_but,
+    fits,
+    names_off,
+    read_whole,
+    write_whole,
+)
 from orbitfb.app.commands.bumps import Bumps
 from orbitfb.app.commands.references import load_reference, reference_file, save_reference
 from orbitfb.core.errors import ConfigError, ControlError, OrbitFeedbackError
@@ -149,28 +163,13 @@ class Adjuster:
         advice = "it holds what operators had set; mend it, or remove it and set it anew"
         saved = read_whole(path, Saved, advice)
         channels = self._base.channels
-        bpms = labels(channels.bpms, channels.planes)
-        correctors = labels(channels.correctors, channels.planes)
-        unknown = {*saved.disabled_bpms} - {*bpms} | {*saved.disabled_correctors} - {*correctors}
-        fits = (
-            saved.planes == channels.planes
-            and len(saved.reference) == len(bpms)
-            and all(
-                (len(bump.orbit), len(bump.setpoints)) == (len(bpms), len(correctors))
-                for bump in saved.bumps
-            )
-            and saved.gain.keys() == self._gain.keys()
-            and all(0 <= gain <= LARGEST_GAIN for gain in saved.gain.values())
-            and (saved.dead_band is None or saved.dead_band.keys() == self._gain.keys())
-            and not unknown
-        )
-        if not fits:
+        if not fits(saved, channels, LARGEST_GAIN):
             raise ConfigError(f"{path}: is of another ring or other planes; {advice}")
         self._gain.update(saved.gain)
         self._reference_name = saved.reference_name
-        self._correctors = _without(correctors, saved.disabled_correctors)
+        self._correctors = all_but(channels.correctors, channels, saved.disabled_correctors)
         reference = self._checked(saved.reference)
-        enabled = _without(bpms, saved.disabled_bpms)
+        enabled = all_but(channels.bpms, channels, saved.disabled_bpms)
         self._check_left(enabled, self._correctors)
         self._bumps.restore(saved.bumps, reference)
         self._average, self._dead_band = saved.average, saved.dead_band
@@ -201,10 +200,8 @@ class Adjuster:
         return handle
 
     def _set_gain(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
-        plane, value = request.get("plane"), number(request, "value", 0.0, LARGEST_GAIN)
-        if plane not in self._gain:
-            raise ControlError(f"no plane {plane!r}; the loop has {', '.join(self._gain)}")
-        self._gain[str(plane)] = value
+        value = number(request, "value", 0.0, LARGEST_GAIN)
+        self._gain[plane_of(request, self._gain)] = value
         self._apply()
         return {"gain": dict(self._gain)}
 
@@ -240,15 +237,7 @@ class Adjuster:
         self._apply(reference=self._checked(change.reference.tolist()))
         self._bumps.take(change)
         self._reference_name = ""
-        bump = change.bump
-        return {
-            "place": bump.place,
-            "plane": bump.plane,
-            "position_um": bump.position * 1e6,
-            "angle_urad": bump.angle * 1e6,
-            "largest_reference_change_um": float(np.abs(change.reference - before).max() * 1e6),
-            "largest_setpoint_change_A": float(np.abs(change.setpoints).max()),
-        }
+        return change.told(before)
 
     def _enable_bpms(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         enabled = switches(request, len(self._base.channels.bpms))
@@ -271,19 +260,13 @@ class Adjuster:
         return {"orbit_cost": cost}
 
     def _set_average(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
-        orbits = number(request, "orbits", 1, MOST_AVERAGED)
-        if orbits != int(orbits):
-            raise ControlError(f"orbits must be a whole number, not {orbits:g}")
-        self._average = int(orbits)
+        self._average = whole_number(request, "orbits", 1, MOST_AVERAGED)
         self._apply(average=self._average)
         return {"average_orbits": self._average}
 
     def _set_dead_band(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         value = number(request, "value", 0.0, self._base.limits.dead_band_limit)
-        plane = request.get("plane")
-        if plane not in self._gain:
-            raise ControlError(f"no plane {plane!r}; the loop has {', '.join(self._gain)}")
-        bands = self._dead_band = {**self._dead_bands, str(plane): value}
+        bands = self._dead_band = {**self._dead_bands, plane_of(request, self._gain): value}
         self._apply(dead_band=tuple(bands.values()))
         return {"dead_band_um": {its: band * 1e6 for its, band in bands.items()}}
 
@@ -336,8 +319,6 @@ class Adjuster:
 
     def _save(self) -> None:
         wanted, channels = self._runner.adjustments, self._base.channels
-        bpms = labels(channels.bpms, channels.planes)
-        correctors = labels(channels.correctors, channels.planes)
         saved = Saved(
             planes=channels.planes,
             gain=self._gain,
@@ -346,8 +327,8 @@ class Adjuster:
             average=self._average,
             dead_band=self._dead_band,
             bumps=tuple(self._bumps.in_force.values()),
-            disabled_bpms=_names_off(bpms, wanted.enabled),
-            disabled_correctors=_names_off(correctors, self._correctors),
+            disabled_bpms=names_off(channels.bpms, channels, wanted.enabled),
+            disabled_correctors=names_off(channels.correctors, channels, self._correctors),
             dither=self._dither_cost,
         )
         write_whole(self._base.directory / FILE, saved)
@@ -360,11 +341,3 @@ def _say_unsaved(error: OrbitFeedbackError) -> None:
 def _moving(policy: Policy, movable: Mask) -> Policy:
     inside: Any = unmasked(policy)
     return masked(inside, movable)
-
-
-def _without(names: tuple[str, ...], off: tuple[str, ...]) -> Mask:
-    return np.array([name not in off for name in names], dtype=np.bool_)
-
-
-def _names_off(names: tuple[str, ...], enabled: Mask) -> tuple[str, ...]:
-    return tuple(name for name, on in zip(names, enabled, strict=True) if not on)

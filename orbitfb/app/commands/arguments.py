@@ -1,6 +1,6 @@
 """What a request may ask for: numbers, switches and references, checked as a whole."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,30 @@ def number(request: Mapping[str, Any], key: str, low: float, high: float) -> flo
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise ControlError(f"{key} must be a number from {low:g} to {high:g}, not {value!r}")
     return float(value)
+
+
+def whole_number(request: Mapping[str, Any], key: str, low: int, high: int) -> int:
+    """Read a whole number within limits.
+
+    Raises:
+        ControlError: It is missing, none, or beyond the limits.
+    """
+    value = number(request, key, low, high)
+    if value != int(value):
+        raise ControlError(f"{key} must be a whole number, not {value:g}")
+    return int(value)
+
+
+def plane_of(request: Mapping[str, Any], planes: Iterable[str]) -> str:
+    """Read a plane.
+
+    Raises:
+        ControlError: It is none of these.
+    """
+    plane, known = request.get("plane"), tuple(planes)
+    if plane not in known:
+        raise ControlError(f"no plane {plane!r}; the loop has {', '.join(known)}")
+    return str(plane)
 
 
 def switches(request: Mapping[str, Any], size: int) -> Mask:

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 from pydantic import Field, ValidationError
 
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError
 from orbitfb.core.files.state import make_directory, replace_file
 from orbitfb.core.settings import Settings
+from orbitfb.core.signals import Channels, Mask
 
 S = TypeVar("S", bound=Settings)
 
@@ -65,6 +67,40 @@ def labels(names: Sequence[str], planes: str) -> tuple[str, ...]:
     """Give every element of a vector a name of its own, `NAME:plane`."""
     size = len(names) // len(planes)
     return tuple(f"{name}:{planes[index // size]}" for index, name in enumerate(names))
+
+
+def fits(saved: Saved, channels: Channels, largest_gain: float) -> bool:
+    """Say whether what was saved is of this ring and within its limits.
+
+    Args:
+        saved: As read.
+        channels: Of the loop.
+        largest_gain: That operators may set.
+    """
+    bpms = labels(channels.bpms, channels.planes)
+    correctors = labels(channels.correctors, channels.planes)
+    unknown = {*saved.disabled_bpms} - {*bpms} | {*saved.disabled_correctors} - {*correctors}
+    planes, sizes = {*channels.planes}, (len(bpms), len(correctors))
+    return (
+        saved.planes == channels.planes
+        and len(saved.reference) == len(bpms)
+        and all((len(bump.orbit), len(bump.setpoints)) == sizes for bump in saved.bumps)
+        and saved.gain.keys() == planes
+        and all(0 <= gain <= largest_gain for gain in saved.gain.values())
+        and (saved.dead_band is None or saved.dead_band.keys() == planes)
+        and not unknown
+    )
+
+
+def all_but(names: Sequence[str], channels: Channels, off: Sequence[str]) -> Mask:
+    """Give the devices that are not among some, `NAME:plane` each, shape (k,)."""
+    return np.array([its not in off for its in labels(names, channels.planes)], dtype=np.bool_)
+
+
+def names_off(names: Sequence[str], channels: Channels, enabled: Mask) -> tuple[str, ...]:
+    """Name the devices that are not enabled, `NAME:plane` each."""
+    own = labels(names, channels.planes)
+    return tuple(name for name, on in zip(own, enabled, strict=True) if not on)
 
 
 def write_whole(path: Path, content: Settings) -> None:

@@ -34,6 +34,21 @@ class Change:
     base: Vector
     setpoints: Vector
 
+    def told(self, before: Vector) -> dict[str, Any]:
+        """Tell it to who asked for it.
+
+        Args:
+            before: Reference before it, shape (n,) [m].
+        """
+        return {
+            "place": self.bump.place,
+            "plane": self.bump.plane,
+            "position_um": self.bump.position / MICRO,
+            "angle_urad": self.bump.angle / MICRO,
+            "largest_reference_change_um": float(np.abs(self.reference - before).max() / MICRO),
+            "largest_setpoint_change_A": float(np.abs(self.setpoints).max()),
+        }
+
 
 class Bumps:
     """Knows the bumps in force; each is what was asked for last at its place.
