@@ -37,6 +37,11 @@ class Choice:
     settled: bool
     reasons: tuple[str, ...]
 
+    @property
+    def whole(self) -> bool:
+        """Whether all that was asked for may be sent."""
+        return self.limited.verdict.may_act and self.limited.scale == 1.0 and self.settled
+
 
 def choose(
     guard: Guard,

@@ -304,44 +304,29 @@ class Engine:
             if settled and policy_state is not self.memory.policy_state:
                 self.memory = replace(self.memory, policy_state=policy_state)
 
-    def go_back(self, work: Work, reading: Reading, checked: Checked) -> None:
-        """Go a step back to the last good setpoints, if a trip asks for it.
+    def step_aside(self, work: Work, reading: Reading, checked: Checked) -> None:
+        """Make a step that no policy asks for: back after a trip, or of a move by hand.
 
         Args:
             work: The tick in hand.
             reading: Its orbit.
-            checked: The same.
+            checked: The same; for a move by hand looked at as if the loop were to close.
         """
-        if self.memory.way is None:
-            return
-        mine, ask = self._mine(), self._state_setpoints
-        bounds = self._guard.bounds(self._rules.limits.setpoint, len(mine))
-        step = comeback.next_step(
-            self.memory, checked, self._rules, mine, lambda: ask(reading), bounds
-        )
-        self.memory = step.memory
-        if step.limited is None:
-            return
-        work.requested = step.limited.change
-        if not self._write(work, reading, step.limited):
-            self.memory = comeback.stop(self.memory, "a write failed")
-
-    def move_by_hand(self, work: Work, reading: Reading, checked: Checked) -> None:
-        """Make the next step of a move that operators have ordered, if there is one.
-
-        Args:
-            work: The tick in hand.
-            reading: Its orbit.
-            checked: The same, looked at as if the loop were to close.
-        """
-        mine = self._mine()
-        bounds = self._guard.bounds(self._rules.limits.setpoint, len(mine))
-        limited = self.hand.step(self.memory, checked, reading, self._rules, mine, bounds)
+        memory, rules, mine = self.memory, self._rules, self._mine()
+        bounds = self._guard.bounds(rules.limits.setpoint, len(mine))
+        limited = None
+        if memory.state is LoopState.TRIPPED and memory.way is not None:
+            ask = self._state_setpoints
+            step = comeback.next_step(memory, checked, rules, mine, lambda: ask(reading), bounds)
+            self.memory, limited = step.memory, step.limited
+        if self.hand.busy:  # in no other state than OPEN does it give a step
+            limited = self.hand.step(self.memory, checked, reading, rules, mine, bounds) or limited
         if limited is None:
             return
         work.requested = limited.change
         if not self._write(work, reading, limited):
             self.hand.fail(self.memory.reason)
+            self.memory = comeback.stop(self.memory, "a write failed")
 
     def _step(self, reading: Reading, mine: Mask) -> Step | None:
         """Ask whether the RF frequency is to be stepped with this tick."""
@@ -352,11 +337,9 @@ class Engine:
 
     def _put(self, step: Step, choice: Choice) -> bool:
         """Put a step of the RF frequency, if all that goes with it may be sent."""
-        whole = choice.limited.verdict.may_act and choice.limited.scale == 1.0 and choice.settled
-        if self._follower is None or not whole:
+        if self._follower is None or not choice.whole:
             return False
-        now = self._clock.monotonic()
-        sent, self.memory = self._follower.put(step, self.memory, now)
+        sent, self.memory = self._follower.put(step, self.memory, self._clock.monotonic())
         return sent
 
     def _expect(

@@ -259,10 +259,8 @@ class Runner:
         self._close(checked.verdict)
         engine.supervise(reading, checked.verdict)
         work.done("check")
-        if self.state is LoopState.TRIPPED:
-            engine.go_back(work, reading, checked)
-        if engine.hand.busy:
-            engine.move_by_hand(work, reading, checked)
+        if self.state is LoopState.TRIPPED or engine.hand.busy:
+            engine.step_aside(work, reading, checked)
         if not checked.verdict.may_act:
             return False
         if self.state in (LoopState.SHADOW, LoopState.CLOSED):
