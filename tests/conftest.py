@@ -8,10 +8,12 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import psutil
 import pytest
+import typer.main
 from hypothesis import settings
 from times import pytest_addoption, pytest_configure
 
@@ -48,6 +50,9 @@ def _force_environment() -> None:
 
 
 _force_environment()
+
+# A command line makes all its commands at each call, which takes 40 ms; here they are made once.
+typer.main.get_command = cache(typer.main.get_command)
 
 # A busy computer is no bug: how long an example takes is never an assertion.
 settings.register_profile("orbitfb", deadline=None)

@@ -30,7 +30,7 @@ from orbitfb.app.commands.requests import ARGUMENTS
 
 pytestmark = pytest.mark.system
 
-DURATION = 8.0
+DURATION = 6.0
 """Of the runs that end by themselves [s]."""
 SUMMARY = {
     "orbit_rms_um": {"first", "last_10s", "true_last_10s"},
