@@ -1,10 +1,11 @@
 """What operators do by PV while the loop is open, over Channel Access: one service, one story."""
 
+import json
 from collections.abc import Iterator
 
 import pytest
 from ioc_clients import CHANNELS, run_client
-from service_process import Service
+from service_process import Service, orbitfb, refused
 from test_panel import operate, start
 
 from orbitfb.control.socket import ask
@@ -67,7 +68,18 @@ def test_what_somebody_moved_meanwhile_is_not_corrected_over(service: Service):
             ask(service.data, {"command": command})
     operate(service, 'put("Undo-Cmd", "do"); finish(text("State-I"))')
     assert "refused" in ask(service.data, {"command": "panel"})["figures"]["CorrectText-I"]
-    ask(service.data, {"command": "correct", "once": True})  # of what is there now
+    told = orbitfb("command", "correct", "--once", "--data", service.data, "--json")
+    answer = json.loads(told.stdout)  # of what is there now
+    assert answer["can_be_undone"] == 2 and answer["after_rms_um"] < 5.0
+
+
+def test_what_makes_no_sense_is_refused_by_the_command_line(service: Service):
+    for words, reason in (
+        (("correct", "law=best"), "law must be baseline or active, not 'best'"),
+        (("close", "--once"), "close takes nothing with it: once is unknown"),
+        (("bump", "place=NOWHERE"), "bump refused: no source 'NOWHERE'"),
+    ):
+        assert reason in refused("command", *words, "--data", service.data)
 
 
 PLACE = "PL1B_C30,PL1A_C01"
