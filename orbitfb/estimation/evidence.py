@@ -120,6 +120,28 @@ class NormalTerms:
             found[its.used] = its.scale * cho_solve(its.factor, its.scale * self.pull[its.used])
         return found
 
+    def log_density(self, mean: Vector) -> float:
+        """What sizes at their mean and the width of their posterior add to a log density.
+
+        Args:
+            mean: Posterior mean, shape (k,).
+        """
+        used = self.used
+        if not len(used):
+            return 0.0
+        its = NormalPriors.of(self.information, self.variance)
+        width = float(np.sum(np.log(np.diag(its.factor[0]))))
+        return -0.5 * float(np.sum(mean[used] ** 2 / self.variance[used])) - width
+
+    def covariance(self) -> Matrix:
+        """Posterior covariance of the sizes, shape (k, k)."""
+        found = np.zeros_like(self.information)
+        its = NormalPriors.of(self.information, self.variance)
+        if len(its.used):
+            inverse = cho_solve(its.factor, np.diag(its.scale))
+            found[np.ix_(its.used, its.used)] = its.scale[:, None] * inverse
+        return found
+
     def beyond(self, pull: Vector, information: Matrix, cross: Matrix) -> tuple[Vector, Matrix]:
         """Pull and information of other terms, with these marginalised.
 

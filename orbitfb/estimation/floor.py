@@ -7,7 +7,7 @@ expectation maximisation (A. Dempster, N. Laird, D. Rubin, J. R. Stat. Soc. B 39
 second moments of the transformed steps in bands of λ.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,10 @@ class Moments:
         count = transform.count.astype(float)
         mean = np.bincount(transform.band, transform.eigenvalue) / count
         return cls(np.stack([part.T @ part for part in parts]), count, mean)
+
+    def beside(self, more: Matrix) -> "Moments":
+        """The same with others added, shape (B, n, n) [m²]."""
+        return replace(self, total=self.total + more)
 
 
 def first_noise(steps: Matrix, shape: Matrix) -> StepNoise:

@@ -48,7 +48,7 @@ class StepNoise:
 
     def variance(self, transform: StepTransform) -> Matrix:
         """Variance q + λ of every mode at every frequency, shape (T, n)."""
-        return self.ratio + transform.level[:, None]
+        return self.ratio + transform.eigenvalue[:, None]
 
     def pull(self, spectrum: Matrix, transform: StepTransform) -> Matrix:
         """Ω_f z_f of a spectrum z, Ω = (Q + λN)⁻¹, shape (T, n) [1/m]."""
@@ -68,5 +68,5 @@ class StepNoise:
         return np.stack([(seen * weight) @ seen.T for weight in mean])
 
     def inverse_variance(self, transform: StepTransform) -> Matrix:
-        """1/(q + λ) of every mode in every band, shape (B, n)."""
-        return 1.0 / (self.ratio + transform.band_levels()[:, None])
+        """Mean of 1/(q + λ) of every mode over every band, shape (B, n)."""
+        return transform.by_band(1.0 / self.variance(transform)) / transform.count[:, None]

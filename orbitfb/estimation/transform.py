@@ -7,7 +7,7 @@ independent from frequency to frequency: Q the covariance of the walk, N that of
 (G. Strang, SIAM Review 41 (1999) 135, on the eigenvectors of the second difference).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,6 @@ class StepTransform:
         begins: First row of every stretch, shape (S,).
         pieces: Steps that are transformed together, in order.
         eigenvalue: λ_f of every frequency, piece by piece, shape (T,), T = N − S.
-        level: The λ that stands for it where the noise is weighed, shape (T,): the mean of its
-            band, so that sums by band and by frequency are the same.
         band: Band of every frequency, shape (T,).
         count: Frequencies in every band, shape (B,).
     """
@@ -41,7 +39,6 @@ class StepTransform:
     begins: Indices
     pieces: tuple[slice, ...]
     eigenvalue: Vector
-    level: Vector
     band: Indices
     count: Indices
 
@@ -75,16 +72,11 @@ class StepTransform:
             edges = np.geomspace(_LOWEST, 4.0, bands)[:-1]
             _, band = np.unique(np.searchsorted(edges, eigenvalue), return_inverse=True)
         count = np.bincount(band)
-        level = (np.bincount(band, eigenvalue) / count)[band]
-        return cls(len(starts), begins, tuple(pieces), eigenvalue, level, band, count)
-
-    def exact(self) -> "StepTransform":
-        """The same with every λ for itself, for what is not summed by band."""
-        return replace(self, level=self.eigenvalue)
+        return cls(len(starts), begins, tuple(pieces), eigenvalue, band, count)
 
     def band_levels(self) -> Vector:
-        """λ that stands for every band, shape (B,)."""
-        return np.bincount(self.band, self.level) / self.count
+        """Mean λ of every band, shape (B,)."""
+        return np.bincount(self.band, self.eigenvalue) / self.count
 
     def __len__(self) -> int:
         return len(self.eigenvalue)

@@ -10,7 +10,6 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.refit import Course, joined
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.priors import HEARD, VALUE_SCATTER
 from orbitfb.estimation.transform import Matrix
 
@@ -85,7 +84,7 @@ class Candidate:
         if field is not None:
             space = space.explaining(field)
         if self.walk is not None:
-            noise = StepNoise(space.noise.walk + self.walk, space.noise.white)
+            noise = replace(space.noise, walk=space.noise.walk + self.walk)
             space = replace(space, held=space.held + self.walk, noise=noise)
         if self.raised:
             shares = list(space.shares)

@@ -48,7 +48,7 @@ def scan_jumps(
         scorer: Of what is left to explain.
     """
     space = scorer.space
-    weight = np.mean(1.0 / space.noise.variance(space.transform.exact()), axis=0)
+    weight = np.mean(1.0 / space.noise.variance(space.transform), axis=0)
     own = ((patterns.T @ space.noise.modes) ** 2) @ weight
     pull = scorer.rows.late @ patterns
     gain = any_size(pull, np.broadcast_to(own, pull.shape))

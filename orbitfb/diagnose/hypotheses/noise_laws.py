@@ -40,7 +40,7 @@ class ReadingNoise:
         late = scorer.rows.late
         following = np.vstack([late[1:], np.zeros_like(late[:1])])
         found = white * (late - following)
-        share = np.mean(transform.eigenvalue[:, None] / noise.variance(transform.exact()), axis=0)
+        share = np.mean(transform.eigenvalue[:, None] / noise.variance(transform), axis=0)
         spread = white**2 * ((noise.modes**2) @ share)
         return cls(found / np.sqrt(spread))
 

@@ -43,10 +43,10 @@ def scan_random(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
     if law.together and law.patterns.shape[1] != 1:
         return []
     space = scorer.space
-    noise = StepNoise(space.shape + space.held, space.noise.white)
+    noise = replace(space.noise, walk=space.shape + space.held)
     mean = space.errors.mean()
     left = space.residual - space.terms.contribution(mean)
-    exact = space.transform.exact()
+    exact = space.transform
     pulled = noise.pull(left, exact)
     weighed = _Weighed(noise, pulled, exact.turn(pulled))
     steady = _steady(kind, law, space, weighed)
@@ -64,7 +64,7 @@ def scan_random(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
 
 def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighed) -> Candidate:
     """Amplitudes that are normal at every row."""
-    transform, noise = space.transform.exact(), weighed.noise
+    transform, noise = space.transform, weighed.noise
     seen = (law.patterns.T @ noise.modes) ** 2
     weights = (1.0 / noise.variance(transform)) @ seen.T
     count = transform.count[:, None].astype(float)
@@ -133,7 +133,7 @@ def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate
     Few strokes are far above the walk that they are on average, so the floor may have any shape.
     """
     space = scorer.space
-    transform = space.transform.exact()
+    transform = space.transform
     seen = (law.patterns.T @ space.noise.modes) ** 2
     weights = (1.0 / space.noise.variance(transform)) @ seen.T
     own = weights.mean(axis=0)

@@ -88,7 +88,7 @@ class Rows:
         """Weigh a spectrum, shape (T, n) [m]."""
         groups = tuple(np.array_split(np.argsort(noise.ratio), _GROUPS))
         typical = np.array([np.exp(np.mean(np.log(noise.ratio[one] + 1e-6))) for one in groups])
-        late = transform.turn(noise.pull(left, transform.exact()))
+        late = transform.turn(noise.pull(left, transform))
         return cls(noise, transform, late, moving_root(typical), groups)
 
     def fourier(self, finer: int) -> Turned:
@@ -108,7 +108,7 @@ class Rows:
             field: Spectrum of what it adds to the readings, shape (T, n) [m].
         """
         modes = self.noise.modes.astype(np.float32)
-        variance = self.noise.variance(self.transform.exact()).astype(np.float32)
+        variance = self.noise.variance(self.transform).astype(np.float32)
         pulled = ((field.astype(np.float32) @ modes) / variance) @ modes.T
         return self.late - self.transform.turn(pulled)
 

@@ -56,7 +56,7 @@ class Parts:
             rest: What a free course explains beside them [nats].
             windows: Of the record.
         """
-        transform, field = its.space.transform.exact(), its.named
+        transform, field = its.space.transform, its.named
         pulled = its.noise.pull(its.nominal - 0.5 * field, transform)
         shares = [
             one.evidence if field is None else float(np.sum(field * pulled))

@@ -120,6 +120,21 @@ class Terms:
             total += ((seen * weight) @ others.T)[self.pattern] * product
         return total
 
+    def scatter(self, covariance: Matrix, transform: StepTransform) -> Matrix:
+        """Second moments by band of what sizes of a covariance add, shape (B, n, n) [m²]."""
+        runs = [(part, self._along(part)) for part in self._runs()]
+        count = self.patterns.shape[1]
+        found = np.empty((len(self.grams), len(self.patterns), len(self.patterns)))
+        for band, gram in enumerate(self.grams):
+            by_pattern = np.zeros((count, count))
+            for row, mine in runs:
+                for column, theirs in runs:
+                    by_pattern[slice(*mine), slice(*theirs)] += (
+                        covariance[row, column] * gram[row, column]
+                    )
+            found[band] = self.patterns @ by_pattern @ self.patterns.T
+        return found
+
     def contribution(self, sizes: Vector) -> Matrix:
         """Spectrum of what given sizes add to the readings, shape (T, n) [m]."""
         by_pattern = np.zeros((len(self.spectrum), self.patterns.shape[1]))

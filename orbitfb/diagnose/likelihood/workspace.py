@@ -1,7 +1,7 @@
 """The likelihood of a record: its floor, its healthy errors, and the causes that were accepted."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import eigh
@@ -25,6 +25,7 @@ from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.priors import (
     AGAIN,
+    EXACTLY,
     FREELY,
     LEAST_SHARE,
     LIMITS,
@@ -60,6 +61,7 @@ class Workspace:
         weights: Of them in the walk, shape (F,); empty before the first fit.
         reference: Of a healthy time, whose walk is the prior of this one's; None: there is none.
         widened: Log of the factor by which undoing accepted causes widens the readings' density.
+        known: The healthy errors as the residual pulls at them, once they were asked for.
     """
 
     signals: Signals
@@ -81,6 +83,7 @@ class Workspace:
     weights: Vector
     reference: "Workspace | None" = None
     widened: float = 0.0
+    known: list[NormalTerms] = field(default_factory=list, init=False)
 
     @classmethod
     def of(
@@ -190,23 +193,50 @@ class Workspace:
     @property
     def errors(self) -> NormalTerms:
         """The healthy errors under the floor, as the residual pulls at them."""
-        pull = self.terms.pull(self.noise.pull(self.residual, self.transform), self.informed)
-        return NormalTerms(pull, self.information, self.variance)
+        if not self.known:
+            self.known.append(self._fitted(self.variance))
+        return self.known[0]
+
+    def _fitted(self, variance: Vector) -> NormalTerms:
+        """Terms whose mean is right to the last frequency, though their information is by band.
+
+        Newton's steps with the information by band from the exact slope: each leaves what it is
+        wrong by, of what the last one left. The pull is that which makes the two agree.
+
+        Args:
+            variance: Of the columns before the record is seen, shape (k,).
+        """
+        used = np.flatnonzero(variance > 0.0)
+        mean = np.zeros(len(variance))
+        pull = self._pull_beyond(mean)
+        for _ in range(EXACTLY):
+            slope = np.zeros_like(pull)
+            slope[used] = pull[used] - mean[used] / variance[used]
+            mean = mean + NormalTerms(slope, self.information, variance).mean()
+            pull = self._pull_beyond(mean)
+        return NormalTerms(pull + self.information @ mean, self.information, variance)
+
+    def _pull_beyond(self, sizes: Vector) -> Vector:
+        """Pull at the columns when some of them have sizes, shape (k,)."""
+        left = self.residual
+        if np.any(sizes):
+            left = left - self.terms.contribution(sizes)
+        return self.terms.pull(self.noise.pull(left, self.transform), self.informed)
 
     def with_floor(self) -> "Workspace":
         """Estimate the floor anew, on what a saturated linear model leaves; then the errors."""
         wide = np.maximum(saturated(self.blocks, len(self.terms), WIDE), self.single)
-        pull = self.terms.pull(self.noise.pull(self.residual, self.transform))
-        mean = NormalTerms(pull, self.saturable().information, wide).mean()
-        left = self.residual - self.terms.contribution(mean)
-        moments = Moments.of(left, self.transform)
+        fit = self.saturable()._fitted(wide)
+        left = self.residual - self.terms.contribution(fit.mean())
+        taken = self.terms.scatter(fit.covariance(), self.transform)
+        moments = Moments.of(left, self.transform).beside(taken)
         mixed, weights = fit_shapes(
             self.noise, moments, self.ground, self.held, self.weights, rounds=AGAIN
         )
         shape = mixed.walk - self.held
         if self.reference is not None:
             shape = self.reference.noise.walk
-            mixed = StepNoise(shape + self.held, mixed.white)
+            mixed = replace(mixed, walk=shape + self.held)
         noise = improve(mixed, moments, mixed.walk, FREELY, self._counts)
         fresh = replace(self, noise=noise, shape=shape, weights=weights)
         return fresh._knowing(self._own).with_errors()
@@ -242,8 +272,7 @@ class Workspace:
             share if share > 1.0 else LEAST_SHARE if block.accepted else 0.0
             for share, block in zip(self.shares, self.blocks, strict=True)
         ]
-        pull = self.terms.pull(self.noise.pull(self.residual, self.transform), self.informed)
-        terms = NormalTerms(pull, self.information, self.single)
+        terms = replace(self.errors, variance=self.single)
         shares, _ = fitted_scales(self.blocks, terms, given, self.shares)
         return replace(self, shares=tuple(shares))
 
@@ -305,8 +334,11 @@ class Workspace:
 
     def log_likelihood(self) -> float:
         """Log density of the readings, healthy errors marginalised."""
-        plain = self.noise.log_likelihood(self.residual, self.transform)
-        return plain + self.errors.evidence() + self.widened
+        errors = self.errors
+        mean = errors.mean()
+        left = self.residual - self.terms.contribution(mean)
+        plain = self.noise.log_likelihood(left, self.transform)
+        return plain + errors.log_density(mean) + self.widened
 
     def log_posterior(self) -> float:
         """The same with what its distance from its prior takes off the floor.

@@ -20,7 +20,11 @@ def as_it_is(currents: Matrix) -> Matrix:
 
 
 def make_record(
-    seed: int, currents: Bent = as_it_is, sensed: Bent = as_it_is, gain: float = 0.4
+    seed: int,
+    currents: Bent = as_it_is,
+    sensed: Bent = as_it_is,
+    gain: float = 0.4,
+    dither: float = 0.02,
 ) -> Record:
     """A loop of some gain with dither, a walk of random kicks, and white noise."""
     rng = np.random.default_rng(seed)
@@ -35,8 +39,8 @@ def make_record(
         orbit = response @ (acting + kicks[row])
         readings[row] = sensed(orbit[None])[0] + noise[row]
         if row + 1 < ROWS:
-            dither = 0.02 * rng.standard_normal(CORRECTORS)
-            setpoints[row + 1] = setpoints[row] - gain * inverse @ readings[row] + dither
+            more = dither * rng.standard_normal(CORRECTORS)
+            setpoints[row + 1] = setpoints[row] - gain * inverse @ readings[row] + more
     requested = np.vstack([np.diff(setpoints, axis=0), np.full((1, CORRECTORS), np.nan)])
     layout = Layout(
         Devices(tuple(f"B{i}" for i in range(BPMS)), ("x",) * BPMS, ("",) * BPMS),
