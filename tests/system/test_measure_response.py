@@ -84,6 +84,27 @@ def begun(ring, tmp_path, config):
     return process
 
 
+def test_it_refuses_beside_a_closed_loop(tmp_path, config):
+    with Ioc(tmp_path, 0, ["--rate", 50]) as ring:
+        place = f"127.0.0.1:{ring.port}"
+        with Service(tmp_path / "loop", place, "--rate", 50, "--start", "closed") as service:
+            service.wait_state("CLOSED")
+            asked = arguments(ring, tmp_path, config)
+            same = [tmp_path / "loop" if each == tmp_path / "data" else each for each in asked]
+            assert "is CLOSED" in refused(*same)
+            # Another user, or another computer: no lock tells, but the lease does, and where there
+            # is none, the setpoints move.
+            (tmp_path / "elsewhere").mkdir(mode=0o700)
+            there = {"XDG_RUNTIME_DIR": str(tmp_path / "elsewhere")}
+            assert "is under the control of" in refused(*asked, **there, ORBITFB_LEASE__PV=LEASE_PV)
+            done = orbitfb(*asked, **there)
+            assert done.returncode == 2
+            assert "somebody else moves them" in done.stderr
+            assert service.status()["state"] == "CLOSED"
+            service.stop()
+    assert not (tmp_path / "response.safetensors").exists()
+
+
 def test_the_matrix_is_the_rings_and_a_loop_runs_on_it(ring, tmp_path, config):
     done = orbitfb(*arguments(ring, tmp_path, config, "--at-once", 0))
     assert done.returncode == 0, (done.stdout, done.stderr)
@@ -148,24 +169,3 @@ def test_after_a_kill_the_next_start_offers_to_put_the_setpoints_back(ring, tmp_
     found = read_response(tmp_path / "response.safetensors", CHANNELS)
     np.testing.assert_array_equal(np.flatnonzero(found.table.measured), MEASURED)
     assert apart(found) < 0.02
-
-
-def test_it_refuses_beside_a_closed_loop(tmp_path, config):
-    with Ioc(tmp_path, 0, ["--rate", 50]) as ring:
-        place = f"127.0.0.1:{ring.port}"
-        with Service(tmp_path / "loop", place, "--rate", 50, "--start", "closed") as service:
-            service.wait_state("CLOSED")
-            asked = arguments(ring, tmp_path, config)
-            same = [tmp_path / "loop" if each == tmp_path / "data" else each for each in asked]
-            assert "is CLOSED" in refused(*same)
-            # Another user, or another computer: no lock tells, but the lease does, and where there
-            # is none, the setpoints move.
-            (tmp_path / "elsewhere").mkdir(mode=0o700)
-            there = {"XDG_RUNTIME_DIR": str(tmp_path / "elsewhere")}
-            assert "is under the control of" in refused(*asked, **there, ORBITFB_LEASE__PV=LEASE_PV)
-            done = orbitfb(*asked, **there)
-            assert done.returncode == 2
-            assert "somebody else moves them" in done.stderr
-            assert service.status()["state"] == "CLOSED"
-            service.stop()
-    assert not (tmp_path / "response.safetensors").exists()
