@@ -214,3 +214,11 @@ def test_the_unit_of_each_bpm_may_stand_in_a_column_of_its_own(tmp_path):
     assert Ring.load().channels("x").bpm_units == ()
     bad = "\n".join(lines).replace(",um", ",inch", 1)
     assert "column unit: 'inch' is no unit of a BPM; use one of m, mm, um, nm" in refusal(bad)
+
+
+def test_the_default_ring_is_one_and_nobody_can_write_to_it():
+    ring = Ring.load()
+    assert Ring.load() is ring
+    for name in ("s", "beta", "phase", "dispersion", "strength", "calibration"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(ring.table, name)[...] = 0.0
