@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from service_process import START, Service, orbitfb, transitions
+from numpy.typing import NDArray
+from service_process import START, Service, orbitfb, transitions, wait_for
 
 from orbitfb.control import socket
+from orbitfb.core.transitions import Transitions
 
 pytestmark = pytest.mark.system
 
@@ -128,9 +130,15 @@ def test_a_policy_that_is_not_there_changes_nothing(service: Service, name: str)
     assert active(service) == service.status()["policy"] == before
 
 
+def swaps(archived: Transitions) -> NDArray[np.intp]:
+    """Rows of which the policy is another than that of the row before."""
+    return np.flatnonzero(archived.policy_id[1:] != archived.policy_id[:-1]) + 1
+
+
 def test_no_tick_was_lost_by_any_swap(service: Service):
+    wait_for("the last swap on disk", lambda: len(swaps(transitions(service.data))) >= 3, 5.0)
     archived = transitions(service.data)
-    swapped = np.flatnonzero(archived.policy_id[1:] != archived.policy_id[:-1]) + 1
+    swapped = swaps(archived)
     assert len(swapped) == 3
     assert (np.diff(archived.tick) == 1).all()
     # Whoever decided, decided on the very next orbit: the wait for it is one as at any other tick,

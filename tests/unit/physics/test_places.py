@@ -181,7 +181,8 @@ def test_whatever_stands_in_a_cell_is_read_or_refused_by_a_ring_error(kind, colu
     except RingError as error:
         assert "ring.csv, line" in str(error)
     else:
-        assert len(table.name) == 39
+        comment = lines[LINE_OF[kind]].startswith(("#", "%"))
+        assert len(table.name) == (38 if comment else 39)
 
 
 @pytest.mark.parametrize(
