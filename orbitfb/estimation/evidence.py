@@ -76,6 +76,22 @@ class NormalPriors:
         square = float(scaled @ cho_solve(self.factor, scaled))
         return 0.5 * square - float(np.sum(np.log(np.diag(self.factor[0]))))
 
+    def mean(self, pull: Vector) -> Vector:
+        """Posterior mean of every size, shape (k,), given their pull, shape (k,)."""
+        found = np.zeros(len(pull))
+        if len(self.used):
+            scaled = self.scale * pull[self.used]
+            found[self.used] = self.scale * cho_solve(self.factor, scaled)
+        return found
+
+    def covariance(self, count: int) -> Matrix:
+        """Posterior covariance of the sizes of all `count` terms, shape (count, count)."""
+        found = np.zeros((count, count))
+        if len(self.used):
+            inverse = cho_solve(self.factor, np.diag(self.scale))
+            found[np.ix_(self.used, self.used)] = self.scale[:, None] * inverse
+        return found
+
     def beyond(self, information: Matrix, cross: Matrix) -> Matrix:
         """Information of other terms, with these marginalised.
 
@@ -114,11 +130,7 @@ class NormalTerms:
 
     def mean(self) -> Vector:
         """Posterior mean of every size, shape (k,)."""
-        found = np.zeros(len(self.pull))
-        if len(self.used):
-            its = NormalPriors.of(self.information, self.variance)
-            found[its.used] = its.scale * cho_solve(its.factor, its.scale * self.pull[its.used])
-        return found
+        return NormalPriors.of(self.information, self.variance).mean(self.pull)
 
     def log_density(self, mean: Vector) -> float:
         """What sizes at their mean and the width of their posterior add to a log density.
@@ -132,15 +144,6 @@ class NormalTerms:
         its = NormalPriors.of(self.information, self.variance)
         width = float(np.sum(np.log(np.diag(its.factor[0]))))
         return -0.5 * float(np.sum(mean[used] ** 2 / self.variance[used])) - width
-
-    def covariance(self) -> Matrix:
-        """Posterior covariance of the sizes, shape (k, k)."""
-        found = np.zeros_like(self.information)
-        its = NormalPriors.of(self.information, self.variance)
-        if len(its.used):
-            inverse = cho_solve(its.factor, np.diag(its.scale))
-            found[np.ix_(its.used, its.used)] = its.scale[:, None] * inverse
-        return found
 
     def beyond(self, pull: Vector, information: Matrix, cross: Matrix) -> tuple[Vector, Matrix]:
         """Pull and information of other terms, with these marginalised.

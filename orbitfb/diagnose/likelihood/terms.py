@@ -120,7 +120,7 @@ class Terms:
             total += ((seen * weight) @ others.T)[self.pattern] * product
         return total
 
-    def scatter(self, covariance: Matrix, transform: StepTransform) -> Matrix:
+    def scatter(self, covariance: Matrix) -> Matrix:
         """Second moments by band of what sizes of a covariance add, shape (B, n, n) [m²]."""
         runs = [(part, self._along(part)) for part in self._runs()]
         count = self.patterns.shape[1]

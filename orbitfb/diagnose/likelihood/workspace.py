@@ -19,7 +19,7 @@ from orbitfb.diagnose.likelihood.ground import ground_shapes
 from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
-from orbitfb.estimation.evidence import NormalTerms
+from orbitfb.estimation.evidence import NormalPriors, NormalTerms
 from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
@@ -194,10 +194,10 @@ class Workspace:
     def errors(self) -> NormalTerms:
         """The healthy errors under the floor, as the residual pulls at them."""
         if not self.known:
-            self.known.append(self._fitted(self.variance))
+            self.known.append(self._fitted(self.variance)[0])
         return self.known[0]
 
-    def _fitted(self, variance: Vector) -> NormalTerms:
+    def _fitted(self, variance: Vector) -> tuple[NormalTerms, NormalPriors]:
         """Terms whose mean is right to the last frequency, though their information is by band.
 
         Newton's steps with the information by band from the exact slope: each leaves what it is
@@ -206,15 +206,15 @@ class Workspace:
         Args:
             variance: Of the columns before the record is seen, shape (k,).
         """
-        used = np.flatnonzero(variance > 0.0)
-        mean = np.zeros(len(variance))
+        its = NormalPriors.of(self.information, variance)
+        used, mean = its.used, np.zeros(len(variance))
         pull = self._pull_beyond(mean)
         for _ in range(EXACTLY):
             slope = np.zeros_like(pull)
             slope[used] = pull[used] - mean[used] / variance[used]
-            mean = mean + NormalTerms(slope, self.information, variance).mean()
+            mean = mean + its.mean(slope)
             pull = self._pull_beyond(mean)
-        return NormalTerms(pull + self.information @ mean, self.information, variance)
+        return NormalTerms(pull + self.information @ mean, self.information, variance), its
 
     def _pull_beyond(self, sizes: Vector) -> Vector:
         """Pull at the columns when some of them have sizes, shape (k,)."""
@@ -226,9 +226,9 @@ class Workspace:
     def with_floor(self) -> "Workspace":
         """Estimate the floor anew, on what a saturated linear model leaves; then the errors."""
         wide = np.maximum(saturated(self.blocks, len(self.terms), WIDE), self.single)
-        fit = self.saturable()._fitted(wide)
-        left = self.residual - self.terms.contribution(fit.mean())
-        taken = self.terms.scatter(fit.covariance(), self.transform)
+        fit, its = self.saturable()._fitted(wide)
+        left = self.residual - self.terms.contribution(its.mean(fit.pull))
+        taken = self.terms.scatter(its.covariance(len(wide)))
         moments = Moments.of(left, self.transform).beside(taken)
         mixed, weights = fit_shapes(
             self.noise, moments, self.ground, self.held, self.weights, rounds=AGAIN
