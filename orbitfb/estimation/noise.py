@@ -54,6 +54,11 @@ class StepNoise:
         """Ω_f z_f of a spectrum z, Ω = (Q + λN)⁻¹, shape (T, n) [1/m]."""
         return ((spectrum @ self.modes) / self.variance(transform)) @ self.modes.T
 
+    def pull_by_band(self, spectrum: Matrix, transform: StepTransform) -> Matrix:
+        """The same with the mean weight of every band, as information is summed, (T, n) [1/m]."""
+        weight = self.inverse_variance(transform)[transform.band]
+        return ((spectrum @ self.modes) * weight) @ self.modes.T
+
     def log_likelihood(self, spectrum: Matrix, transform: StepTransform) -> float:
         """Log density of transformed steps, shape (T, n)."""
         variance = self.variance(transform)

@@ -50,9 +50,13 @@ FREELY = 8
 """Steps up the likelihood in which the walk may leave the shapes; chosen by hand: more hardly raise
 it."""
 
-EXACTLY = 2
-"""Newton's steps from the exact slope: information by band is right to some per cent, two of them
-to 1e-4 of what the healthy errors explain."""
+EXACTLY = 0.02
+"""Nats that the next of Newton's steps may still gain when the healthy errors are told: they are
+compared by whole nats."""
+
+MOST_STEPS = 12
+"""Newton's steps from the exact slope at most: information by band is right to some per cent, where
+an excitation is at a few frequencies to a fifth, and each step leaves that share of the last."""
 
 WIDE = 10.0
 """How many times the healthy scatter the saturated model gives to every device: 10 % of gain, and

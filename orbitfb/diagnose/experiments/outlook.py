@@ -48,7 +48,7 @@ class Outlook:
 
     def told(self, fields: list[Matrix]) -> Matrix:
         """Information of whole fields, shape (T, n) each [m], healthy errors marginalised."""
-        weighed = [self.noise.pull(one, self.transform) for one in fields]
+        weighed = [self.noise.pull_by_band(one, self.transform) for one in fields]
         whole = np.array([[float(np.sum(a * b)) for b in fields] for a in weighed])
         if not len(self.terms):
             return whole

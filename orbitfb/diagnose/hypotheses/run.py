@@ -154,7 +154,8 @@ def _refined(candidates: list[Candidate], scorer: Scorer) -> list[Candidate]:
     while True:
         top = candidates[0].evidence if candidates else 0.0
         least = max(0.5 * SURE, CLOSE * top)
-        for place, one in enumerate(candidates[:FINALISTS]):
+        for place in _leading(candidates):
+            one = candidates[place]
             if one.finer is not None and one.evidence > least:
                 fine = one.finer()
                 better = one.field is None or fine.evidence > one.evidence
@@ -163,7 +164,8 @@ def _refined(candidates: list[Candidate], scorer: Scorer) -> list[Candidate]:
         else:
             break
         candidates = strongest(candidates)
-    for place, one in enumerate(candidates[:FINALISTS]):
+    for place in _leading(candidates):
+        one = candidates[place]
         if one.field is not None and one.evidence > 0.0:
             cost = one.cost
             if cost is None:
@@ -172,6 +174,12 @@ def _refined(candidates: list[Candidate], scorer: Scorer) -> list[Candidate]:
             gain = one.evidence + scorer.eased(one.field)
             candidates[place] = replace(one, evidence=gain, cost=cost)
     return strongest(candidates)
+
+
+def _leading(candidates: list[Candidate]) -> list[int]:
+    """Places of the finalists, and of the best of every effect: one has many sets and onsets."""
+    first = {one.kind.id: place for place, one in reversed(list(enumerate(candidates)))}
+    return sorted({*range(min(FINALISTS, len(candidates))), *first.values()})
 
 
 def refitted(candidates: list[Candidate], space: Workspace) -> list[Candidate]:

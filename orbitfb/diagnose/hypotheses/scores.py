@@ -73,7 +73,8 @@ class Scorer:
     def evaluate(self, fields: "Sequence[Matrix | Single]") -> tuple[Vector, Matrix]:
         """Pull and information of whole fields, healthy errors marginalised.
 
-        Fields and weights are in single precision, sums over the record in double.
+        What the errors take of a field is told by band, as their own information is: else a field
+        that they can nearly make would seem to have none left, or less than none.
 
         Args:
             fields: Spectra of what each adds to the readings, shape (T, n) each [m].
@@ -83,15 +84,17 @@ class Scorer:
         """
         pull = np.array([np.einsum("tn,tn->", self.pulled, one, dtype=float) for one in fields])
         seen = [one.astype(np.float32) @ self.modes for one in fields]
-        weighed = [one * self.weights for one in seen]
-        information = np.array(
-            [[np.einsum("tn,tn->", a, b, dtype=float) for b in seen] for a in weighed]
-        )
+        information = _products([one * self.weights for one in seen], seen)
         if not len(self.priors.used):
             return pull, information
         used = self.errors.variance > 0.0
+        weight = self.inverse[self.space.transform.band]
+        weighed = [one * weight for one in seen]
+        by_band = _products(weighed, seen)
         cross = [self.space.terms.pull(one @ self.modes.T, used) for one in weighed]
-        return pull, _positive(self.priors.beyond(information, np.stack(cross, axis=1)))
+        left = _positive(self.priors.beyond(by_band, np.stack(cross, axis=1)))
+        scale = np.sqrt(np.diag(information) / np.maximum(np.diag(by_band), 1e-300))
+        return pull, scale[:, None] * left * scale
 
     def columns(self, patterns: Matrix, spectrum: Single) -> tuple[Vector, Matrix]:
         """Pull and information of columns pattern ⊗ course, healthy errors marginalised.
@@ -272,6 +275,11 @@ class Scorer:
             information += np.sum(seen.own * power, axis=0)
             cross += np.sum(seen.own * beside, axis=0)
         return pull, information if own is None else own.marginal(information, cross)
+
+
+def _products(weighed: Sequence[Single], seen: Sequence[Single]) -> Matrix:
+    """Sums of the products of all pairs, in double precision, shape (k, k)."""
+    return np.array([[np.einsum("tn,tn->", a, b, dtype=float) for b in seen] for a in weighed])
 
 
 def _positive(information: Matrix) -> Matrix:

@@ -30,6 +30,7 @@ from orbitfb.estimation.priors import (
     LEAST_SHARE,
     LIMITS,
     MATERIAL,
+    MOST_STEPS,
     PRIOR_COUNTS,
     WIDE,
 )
@@ -209,10 +210,13 @@ class Workspace:
         its = NormalPriors.of(self.information, variance)
         used, mean = its.used, np.zeros(len(variance))
         pull = self._pull_beyond(mean)
-        for _ in range(EXACTLY):
+        for _ in range(MOST_STEPS):
             slope = np.zeros_like(pull)
             slope[used] = pull[used] - mean[used] / variance[used]
-            mean = mean + its.mean(slope)
+            step = its.mean(slope)
+            if float(slope @ step) < EXACTLY:
+                break
+            mean = mean + step
             pull = self._pull_beyond(mean)
         return NormalTerms(pull + self.information @ mean, self.information, variance), its
 

@@ -23,14 +23,15 @@ from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, PairLaw
 from orbitfb.effects.registry import all_effects
-from orbitfb.estimation.priors import SURE
+from orbitfb.estimation.priors import MISFIT, SURE
 from orbitfb.records.record import Record
 
 _NINETY = 1.645
 """Standard deviations of a normal number beyond which it is in one of ten cases, either side."""
 
 _AS_GOOD = 5.0
-"""Evidence by which the better of two must lead to be named alone [nats]."""
+"""Evidence by which the better of two must lead to be named alone [nats], in units of one and a
+share of what the better one explains: models are all a little wrong (`named.probabilities`)."""
 
 _SAME = 0.1
 """Rms by which what two laws make of a device may differ, of what one makes: nobody would act
@@ -127,11 +128,12 @@ def _foremost(found: Sequence[Candidate]) -> Candidate | None:
     """
     if not found or found[0].evidence <= 0.0:
         return None
+    top = found[0].evidence
     near = [
         one
         for one in found
         if (one.places == found[0].places or _does_the_same(found[0], one))
-        and one.evidence > found[0].evidence - _AS_GOOD
+        and one.evidence > top - _AS_GOOD * (1.0 + MISFIT * top)
     ]
     return min(near, key=lambda one: (_needed(one.kind), -one.evidence))
 

