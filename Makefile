@@ -21,10 +21,10 @@ test: venv
 	$(MAKE) --no-print-directory --keep-going --jobs=1 test-beside test-alone
 
 test-beside: venv
-	$(PYTEST) -m "not nightly and not timing" $(BESIDE) --times build/times/beside.txt
+	$(PYTEST) -m "not nightly and not timing" $(BESIDE) --times=build/times/beside.txt
 
 test-alone: venv
-	$(PYTEST) -m "timing and not nightly" tests/system --times build/times/alone.txt
+	$(PYTEST) -m "timing and not nightly" tests/system --times=build/times/alone.txt
 
 # Statistical and long tests, every page, faults at random, the bench, and what needs programs of
 # Debian, which are installed where that can be done; then safety rules, broken one at a time.
@@ -33,10 +33,10 @@ nightly: venv
 
 nightly-beside: venv
 	@tests/debian/install
-	$(PYTEST) -m "nightly and not timing" $(BESIDE) --times build/times/nightly-beside.txt tests tests/debian
+	$(PYTEST) -m "nightly and not timing" $(BESIDE) --times=build/times/nightly-beside.txt tests tests/debian
 
 nightly-alone: venv
-	$(PYTEST) -m "nightly and timing" tests/system --times build/times/nightly-alone.txt
+	$(PYTEST) -m "nightly and timing" tests/system --times=build/times/nightly-alone.txt
 
 mutants: venv
 	$(BIN)/python -m tests.mutants
