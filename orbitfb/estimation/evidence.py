@@ -9,10 +9,12 @@ to having no term is
     many at once, variances Λ: ½ bᵀ(Λ⁻¹ + G)⁻¹ b − ½ ln |1 + Λ G|
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.sparse.linalg import LinearOperator, cg
 
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.transform import Indices, Matrix
@@ -83,6 +85,43 @@ class NormalPriors:
             scaled = self.scale * pull[self.used]
             found[self.used] = self.scale * cho_solve(self.factor, scaled)
         return found
+
+    def exact_mean(
+        self, pull: Vector, informed: Callable[[Vector], Vector], enough: float, most: int
+    ) -> Vector:
+        """Posterior mean where the information is told exactly and the factor is that of another.
+
+        Conjugate gradients in the coordinates in which the other information is one
+        (`scipy.sparse.linalg.cg`).
+
+        Args:
+            pull: Of the terms, shape (k,).
+            informed: Exact information times sizes, shape (k,) of (k,).
+            enough: Nats that the next step may still gain.
+            most: Steps.
+        """
+        if not len(self.used):
+            return np.zeros(len(pull))
+        root = np.tril(self.factor[0])
+
+        def sizes(along: Vector) -> Vector:
+            found = np.zeros(len(pull))
+            found[self.used] = self.scale * solve_triangular(root, along, trans="T", lower=True)
+            return found
+
+        def turned(told: Vector) -> Vector:
+            return solve_triangular(root, self.scale * told[self.used], lower=True)
+
+        def apply(along: Vector) -> Vector:
+            its = sizes(along)
+            prior = np.zeros(len(pull))
+            prior[self.used] = its[self.used] / self.scale**2
+            return turned(informed(its) + prior)
+
+        count = len(self.used)
+        operator = LinearOperator((count, count), matvec=apply, dtype=np.float64)
+        found, _ = cg(operator, turned(pull), rtol=0.0, atol=float(np.sqrt(enough)), maxiter=most)
+        return sizes(found)
 
     def covariance(self, count: int) -> Matrix:
         """Posterior covariance of the sizes of all `count` terms, shape (count, count)."""

@@ -51,12 +51,12 @@ FREELY = 8
 it."""
 
 EXACTLY = 0.02
-"""Nats that the next of Newton's steps may still gain when the healthy errors are told: they are
+"""Nats that the next step may still gain when the sizes of the healthy errors are sought: they are
 compared by whole nats."""
 
 MOST_STEPS = 12
-"""Newton's steps from the exact slope at most: information by band is right to some per cent, where
-an excitation is at a few frequencies to a fifth, and each step leaves that share of the last."""
+"""Steps of that search at most: information by band is right to some per cent, where an excitation
+is at a few frequencies to a fifth, and each step leaves less than that share of the last."""
 
 WIDE = 10.0
 """How many times the healthy scatter the saturated model gives to every device: 10 % of gain, and

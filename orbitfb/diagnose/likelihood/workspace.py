@@ -201,31 +201,23 @@ class Workspace:
     def _fitted(self, variance: Vector) -> tuple[NormalTerms, NormalPriors]:
         """Terms whose mean is right to the last frequency, though their information is by band.
 
-        Newton's steps with the information by band from the exact slope: each leaves what it is
-        wrong by, of what the last one left. The pull is that which makes the two agree.
+        The pull is that which makes the two agree.
 
         Args:
             variance: Of the columns before the record is seen, shape (k,).
         """
-        its = NormalPriors.of(self.information, variance)
-        used, mean = its.used, np.zeros(len(variance))
-        pull = self._pull_beyond(mean)
-        for _ in range(MOST_STEPS):
-            slope = np.zeros_like(pull)
-            slope[used] = pull[used] - mean[used] / variance[used]
-            step = its.mean(slope)
-            if float(slope @ step) < EXACTLY:
-                break
-            mean = mean + step
-            pull = self._pull_beyond(mean)
-        return NormalTerms(pull + self.information @ mean, self.information, variance), its
 
-    def _pull_beyond(self, sizes: Vector) -> Vector:
-        """Pull at the columns when some of them have sizes, shape (k,)."""
-        left = self.residual
-        if np.any(sizes):
-            left = left - self.terms.contribution(sizes)
-        return self.terms.pull(self.noise.pull(left, self.transform), self.informed)
+        def pulled(spectrum: Matrix) -> Vector:
+            return self.terms.pull(self.noise.pull(spectrum, self.transform), self.informed)
+
+        def informed(sizes: Vector) -> Vector:
+            return pulled(self.terms.contribution(sizes))
+
+        its = NormalPriors.of(self.information, variance)
+        pull = pulled(self.residual)
+        mean = its.exact_mean(pull, informed, EXACTLY, MOST_STEPS)
+        agreeing = pull - informed(mean) + self.information @ mean
+        return NormalTerms(agreeing, self.information, variance), its
 
     def with_floor(self) -> "Workspace":
         """Estimate the floor anew, on what a saturated linear model leaves; then the errors."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from orbitfb.core.errors import EstimationError
-from orbitfb.estimation.evidence import NormalTerms, normal_size
+from orbitfb.estimation.evidence import NormalPriors, NormalTerms, normal_size
 from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
@@ -204,3 +204,24 @@ def test_no_body_of_a_healthy_ground_moves_like_all_others_together() -> None:
     assert share[8] == max(share[1:])
     assert share[8] <= 1.1 * LARGEST / len(shapes) * share.sum()
     assert share[8] > 0.9 * LARGEST / len(shapes) * share.sum()
+
+
+def test_sizes_are_exact_though_the_factor_is_that_of_another_information() -> None:
+    """Against dense algebra, information by band being wrong by up to three times."""
+    rng = np.random.default_rng(9)
+    root = rng.standard_normal((40, 30)) * np.geomspace(1.0, 1e3, 30)
+    exact = root.T @ root
+    wrong = np.sqrt(rng.uniform(1.0 / 3.0, 3.0, 30))
+    by_band = wrong[:, None] * exact * wrong
+    variance = rng.uniform(0.1, 2.0, 30)
+    variance[[3, 17]] = 0.0
+    pull = exact @ rng.standard_normal(30)
+    used = variance > 0.0
+    wanted = np.zeros(30)
+    inner = exact[np.ix_(used, used)] + np.diag(1.0 / variance[used])
+    wanted[used] = np.linalg.solve(inner, pull[used])
+    its = NormalPriors.of(by_band, variance)
+    found = its.exact_mean(pull, lambda sizes: exact @ sizes, 1e-6, 60)
+    assert (found - wanted)[used] @ inner @ (found - wanted)[used] < 1e-4
+    assert not np.any(found[~used])
+    assert its.mean(pull) != pytest.approx(wanted, rel=0.1)
