@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
-from scipy.sparse.linalg import LinearOperator, cg
+from scipy.sparse.linalg import aslinearoperator, cg
 
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.transform import Indices, Matrix
@@ -38,6 +38,15 @@ def normal_size(pull: Vector, information: Vector, variance: Vector | float) -> 
 def best_size(pull: Vector, information: Vector, variance: Vector | float = np.inf) -> Vector:
     """Most likely size of each term for itself, with a normal prior."""
     return pull / np.maximum(information + 1.0 / np.asarray(variance), 1e-300)
+
+
+@dataclass(frozen=True, slots=True)
+class _Applied:
+    """A matrix that is known by what it does to a vector, as `scipy.sparse.linalg` wants it."""
+
+    shape: tuple[int, int]
+    matvec: Callable[[Vector], Vector]
+    dtype: type[np.float64] = np.float64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +115,7 @@ class NormalPriors:
 
         def sizes(along: Vector) -> Vector:
             found = np.zeros(len(pull))
-            found[self.used] = self.scale * solve_triangular(root, along, trans="T", lower=True)
+            found[self.used] = self.scale * solve_triangular(root, along, trans=1, lower=True)
             return found
 
         def turned(told: Vector) -> Vector:
@@ -119,7 +128,7 @@ class NormalPriors:
             return turned(informed(its) + prior)
 
         count = len(self.used)
-        operator = LinearOperator((count, count), matvec=apply, dtype=np.float64)
+        operator = aslinearoperator(_Applied((count, count), apply))
         found, _ = cg(operator, turned(pull), rtol=0.0, atol=float(np.sqrt(enough)), maxiter=most)
         return sizes(found)
 
