@@ -144,8 +144,8 @@ class Shapes:
         """Sum them up by their weights, shape (n, n)."""
         scale = np.sqrt(weights[len(self.broad) :])
         used = scale > 0.0
-        scaled = (self.single[:, used] * scale[used]).astype(np.float32)
-        found = (scaled @ scaled.T).astype(float)
+        scaled = self.single[:, used] * scale[used]
+        found = scaled @ scaled.T  # in double precision: its inverse is asked for
         for weight, one in zip(weights, self.broad, strict=False):
             found += weight * one
         return found
