@@ -249,3 +249,12 @@ def test_a_ring_without_any_drift_that_is_moved_far_shows_no_strokes() -> None:
     readings = setpoints @ record.layout.response.T + noise
     moved = replace(record, setpoints=setpoints, readings=readings)
     assert winner(moved, kinds_for(moved)).evidence < SURE
+
+
+def test_floors_are_compared_though_the_prior_of_the_walk_is_singular() -> None:
+    record = make_record(18)
+    space = Workspace.of(record, kinds_for(record))
+    size, modes = np.linalg.eigh(space.shape)
+    size[0] = 0.0
+    singular = replace(space, shape=(modes * size) @ modes.T)
+    assert np.isfinite(singular.log_posterior())
