@@ -78,7 +78,8 @@ def limit(
     peak = float(size.max(initial=0.0))
     if peak <= settings.change_per_tick:  # a NaN does not get through here, nor through the next
         target = setpoints + change
-        if bool(((target >= bounds.low) & (target <= bounds.high)).all()):
+        inside = (target >= bounds.low) & (target <= bounds.high)
+        if bool((inside & ~(bounds.stranded(setpoints) & (size > 0.0))).all()):
             return Limited(change, target, 1.0, none, FINE)
     refused = _refusal(change, setpoints, names)
     if not refused.may_act:

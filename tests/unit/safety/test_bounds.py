@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from orbitfb.safety.bounds import Bounds, narrower
@@ -76,6 +76,9 @@ def test_it_is_told_which_are_narrower():
 numbers = st.floats(-12.0, 12.0, allow_subnormal=False)
 
 
+@example(
+    change=[0.0, -1.0, 0.0], there=[0.0, -1.0, 0.0], drive=[(0.0, 0.0), (-2.0, -2.0), (0.0, 0.0)]
+)
 @given(
     change=st.lists(numbers, min_size=3, max_size=3),
     there=st.lists(numbers, min_size=3, max_size=3),
