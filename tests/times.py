@@ -2,7 +2,7 @@
 
 Seconds of a clock say as much about the other programs of a computer; both are written.
 
-    pytest --times build/times/unit.txt
+    pytest --times=build/times/unit.txt
 
 prints the ten tests that took most, and writes what each took, the most expensive first. Of the
 setting up of a fixture that several tests share, the first one is told.

@@ -84,8 +84,22 @@ class NormalPriors:
         if not len(self.used):
             return 0.0
         scaled = self.scale * pull[self.used]
-        square = float(scaled @ cho_solve(self.factor, scaled))
-        return 0.5 * square - float(np.sum(np.log(np.diag(self.factor[0]))))
+        return 0.5 * float(scaled @ cho_solve(self.factor, scaled)) - self._width
+
+    @property
+    def _width(self) -> float:
+        """Logarithm of the priors' volume over that of the posterior."""
+        return float(np.sum(np.log(np.diag(self.factor[0]))))
+
+    def log_density(self, mean: Vector) -> float:
+        """What the terms add to the log density of what they leave at their mean.
+
+        Args:
+            mean: Posterior mean, shape (k,).
+        """
+        if not len(self.used):
+            return 0.0
+        return -0.5 * float(np.sum((mean[self.used] / self.scale) ** 2)) - self._width
 
     def mean(self, pull: Vector) -> Vector:
         """Posterior mean of every size, shape (k,), given their pull, shape (k,)."""
@@ -111,25 +125,21 @@ class NormalPriors:
         """
         if not len(self.used):
             return np.zeros(len(pull))
-        root = np.tril(self.factor[0])
+        root, count = np.tril(self.factor[0]), len(self.used)
 
         def sizes(along: Vector) -> Vector:
             found = np.zeros(len(pull))
             found[self.used] = self.scale * solve_triangular(root, along, trans=1, lower=True)
             return found
 
-        def turned(told: Vector) -> Vector:
-            return solve_triangular(root, self.scale * told[self.used], lower=True)
-
         def apply(along: Vector) -> Vector:
             its = sizes(along)
-            prior = np.zeros(len(pull))
-            prior[self.used] = its[self.used] / self.scale**2
-            return turned(informed(its) + prior)
+            told = self.scale * informed(its)[self.used] + its[self.used] / self.scale
+            return solve_triangular(root, told, lower=True)
 
-        count = len(self.used)
+        wanted = solve_triangular(root, self.scale * pull[self.used], lower=True)
         operator = aslinearoperator(_Applied((count, count), apply))
-        found, _ = cg(operator, turned(pull), rtol=0.0, atol=float(np.sqrt(enough)), maxiter=most)
+        found, _ = cg(operator, wanted, rtol=0.0, atol=float(np.sqrt(enough)), maxiter=most)
         return sizes(found)
 
     def covariance(self, count: int) -> Matrix:
@@ -179,32 +189,3 @@ class NormalTerms:
     def mean(self) -> Vector:
         """Posterior mean of every size, shape (k,)."""
         return NormalPriors.of(self.information, self.variance).mean(self.pull)
-
-    def log_density(self, mean: Vector) -> float:
-        """What sizes at their mean and the width of their posterior add to a log density.
-
-        Args:
-            mean: Posterior mean, shape (k,).
-        """
-        used = self.used
-        if not len(used):
-            return 0.0
-        its = NormalPriors.of(self.information, self.variance)
-        width = float(np.sum(np.log(np.diag(its.factor[0]))))
-        return -0.5 * float(np.sum(mean[used] ** 2 / self.variance[used])) - width
-
-    def beyond(self, pull: Vector, information: Matrix, cross: Matrix) -> tuple[Vector, Matrix]:
-        """Pull and information of other terms, with these marginalised.
-
-        Args:
-            pull: Of k' other terms, these being absent, shape (k',).
-            information: Of them, shape (k', k').
-            cross: Between these and them, shape (k, k').
-        """
-        if not len(self.used):
-            return pull, information
-        its = NormalPriors.of(self.information, self.variance)
-        seen = its.scale[:, None] * cross[its.used]
-        solved = cho_solve(its.factor, seen)
-        left = pull - solved.T @ (its.scale * self.pull[its.used])
-        return left, information - seen.T @ solved

@@ -81,7 +81,7 @@ MOST_DEVICES = 24
 
 WIDTHS = (0.5, 1.0, 2.0, 5.0)
 """Scatters of a size over the typical one that are tried where all devices have one of their
-own."""
+own. By hand: an octave apart."""
 
 MORE = 3.0
 """Nats beyond its look-elsewhere cost that a further device of a set must bring."""
@@ -140,8 +140,8 @@ HEARD = 3
 right to a thousandth."""
 
 SETTLED = 0.05
-"""Share of what is undone in the readings by which it may still move when its sizes are told
-[1]: a floor that was estimated with it in takes up to a third of it, then a third of that."""
+"""Share of what is undone in the readings by which it may still move when its sizes are told [1].
+By hand: a floor that was estimated with the cause in it takes part of it, the next one less."""
 
 FINENESS = 1.0 / 300.0
 """Share of the interval between two values of the grid to which the best one is found."""

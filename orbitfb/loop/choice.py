@@ -12,7 +12,8 @@ from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
 from orbitfb.safety.limits import Limited, at_limit, limit, near_limit
 
-_ROUNDS = 12
+ROUNDS = 12
+"""How often correctors at a limit leave the solution."""
 _SHARE = 0.3
 """Part of a period after which the solution is not tried again."""
 
@@ -96,7 +97,7 @@ def choose(
         more = out | tight
         rounds += 1
         alone = not guard.can_leave_out or not (mine & ~more).any()
-        if rounds > _ROUNDS or spent or not tight.any() or alone:
+        if rounds > ROUNDS or spent or not tight.any() or alone:
             break
         out, full = more, full | tight
     reasons = [alarm, limited.verdict.reason]

@@ -8,7 +8,8 @@ from typing import Any
 from orbitfb import __version__
 from orbitfb.core.signals import LoopState
 from orbitfb.observe.statistics.snapshot import Happening, LoopSnapshot
-from orbitfb.panel.pv_table import MICRO, MILLI, UNKNOWN_STATE
+from orbitfb.panel.pv_table import UNKNOWN_STATE
+from orbitfb.panel.pvs.forms import MICRO, MILLI
 
 _PHASES = ("read", "check", "decide", "limit", "act")
 _HIGHEST = 2**31 - 1

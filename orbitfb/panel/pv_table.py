@@ -7,12 +7,20 @@ from orbitfb.core.signals import Channels, LoopState, parts
 from orbitfb.panel.pv import Kind, Order, PanelPv
 from orbitfb.panel.pvs.bumps import bump_pvs
 from orbitfb.panel.pvs.corrections import correction_pvs
-from orbitfb.panel.pvs.forms import ONCE, choice_pv, count_pv, number_pv, pair_of, text_pv
+from orbitfb.panel.pvs.forms import (
+    MICRO,
+    MILLI,
+    ONCE,
+    choice_pv,
+    count_pv,
+    number_pv,
+    pair_of,
+    text_pv,
+)
 from orbitfb.panel.pvs.laws import restraint_pvs, trial_pvs
 from orbitfb.panel.pvs.vectors import vector_pvs
 from orbitfb.panel.settings import PanelSettings
 
-MILLI, MICRO = 1e-3, 1e-6
 UNKNOWN_STATE = "STARTING"
 STATES = (UNKNOWN_STATE, *(state.value for state in LoopState))
 """States that `State-I` shows."""

@@ -8,13 +8,12 @@ import numpy as np
 
 from orbitfb.app.commands.arguments import number
 from orbitfb.app.commands.autosave import SavedBump
+from orbitfb.app.commands.vectors import MICRO
 from orbitfb.core.errors import ControlError, RingError
 from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.panel.settings import PanelSettings
 from orbitfb.physics.bump import Bump, closed_bump, find_source
 from orbitfb.physics.places import Plane, Ring, split
-
-MICRO = 1e-6
 
 
 @dataclass(frozen=True, slots=True)

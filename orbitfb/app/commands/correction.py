@@ -12,6 +12,7 @@ from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.learn.builders import masked, unmasked
 from orbitfb.loop.adjustments import Adjustments
+from orbitfb.loop.choice import ROUNDS
 from orbitfb.loop.correction.move import Move
 from orbitfb.loop.correction.settings import CorrectionSettings
 from orbitfb.loop.runner import Runner
@@ -23,8 +24,6 @@ from orbitfb.safety.bounds import Bounds
 
 BASELINE, ACTIVE = LAWS
 """The SVD law with gain 1, or the policy in force as it is."""
-ROUNDS = 12
-"""How often correctors at a limit leave the solution, as in a tick (`loop.choice`)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from orbitfb.app.commands.vectors import MICRO
 from orbitfb.core.errors import ControlError
 from orbitfb.loop.frequency import Follower, Sight
 
 OFF, FOLLOWS, STOPPED = "OFF", "FOLLOWS", "STOPPED"
 """Words of the panel: nobody wants it, or by command; it follows while the loop is closed; the loop
 has let go of it."""
-MICRO = 1e-6
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.laws import DeviceLaw, Signals
-from orbitfb.estimation.evidence import NormalTerms
+from orbitfb.estimation.evidence import NormalPriors
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.transform import Indices, Matrix, StepTransform
 from orbitfb.records.record import Record
@@ -53,8 +53,7 @@ class Outlook:
         if not len(self.terms):
             return whole
         cross = np.stack([self.terms.pull(one) for one in weighed], axis=1)
-        errors = NormalTerms(np.zeros(len(self.terms)), self.information, self.variance)
-        return errors.beyond(np.zeros(len(fields)), whole, cross)[1]
+        return NormalPriors.of(self.information, self.variance).beyond(whole, cross)
 
 
 def outlook(
@@ -79,7 +78,7 @@ def outlook(
     signals = Signals(ahead, ahead.setpoints, orbit)
     transform = StepTransform.of(ahead.starts, 16)
     terms, variance = _errors(space, signals, transform, struck)
-    information = terms.information(space.noise, transform, np.ones(len(terms), dtype=bool))
+    information = terms.information(space.noise, transform)
     return Outlook(signals, transform, space.noise, terms, variance, information)
 
 

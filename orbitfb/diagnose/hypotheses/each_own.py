@@ -9,7 +9,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, within
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.hypotheses.sets import folded, grown_apart
+from orbitfb.diagnose.hypotheses.sets import grown_apart
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalTerms, given_size
@@ -100,8 +100,9 @@ def _candidate(
         Course(law, (place,), rank.values(int(number[place]), place), np.ones(1))
         for place in chosen
     ]
-    patterns = np.hstack([block[:, chosen] for block in law.patterns])
-    spectrum = np.empty((len(scorer.pulled), patterns.shape[1]), dtype=np.float32)
+    patterns = [block[:, chosen] for block in law.patterns]
+    whole, blocks = np.hstack(patterns), len(patterns)
+    spectrum = np.empty((len(scorer.pulled), whole.shape[1]), dtype=np.float32)
 
     def turned(place: int) -> None:
         source = sources[place]
@@ -114,12 +115,10 @@ def _candidate(
     for place in range(min(MOST_REFINED, len(sources)) if len(rank.alone) > 1 else 0):
         others = spectrum.copy()
         others[:, place :: len(chosen)] = 0.0
-        late = scorer.rows.without(others @ patterns.T.astype(np.float32))
+        late = scorer.rows.without(others @ whole.T.astype(np.float32))
         sources[place] = _nearer(kind, law, scorer, sources[place], late)
         turned(place)
     pull, information = scorer.columns(patterns, spectrum)
-    blocks = len(law.patterns)
-    pull, information = folded(pull, blocks), folded(folded(information, blocks).T, blocks)
     if free:
         terms = NormalTerms(pull, information, np.full(len(chosen), SIZE_WIDTH**2))
         best, evidence = terms.mean(), terms.evidence()
@@ -131,7 +130,7 @@ def _candidate(
     else:
         sizes = np.ones(len(chosen))
         evidence = float(pull.sum() - 0.5 * information.sum())
-    field = (spectrum * np.tile(sizes, blocks)) @ patterns.T
+    field = (spectrum * np.tile(sizes, blocks)) @ whole.T
     largest = int(np.argmax(np.abs(sizes) * np.sqrt(np.maximum(np.diag(information), 0.0))))
     scaled = dict(sources[largest].values)
     for parameter in kind.sizes:

@@ -8,7 +8,7 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.hypotheses.sets import folded, grown_apart
+from orbitfb.diagnose.hypotheses.sets import grown_apart
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
@@ -37,14 +37,13 @@ class _Mixed:
     def told(self, scorer: Scorer, numbers: Indices) -> tuple[Vector, Matrix]:
         """Pull (k,) and information (k, k) of pairs, healthy errors marginalised."""
         columns = self.law.pairs[numbers]
-        patterns = np.hstack([self.law.patterns[:, columns[:, side]] for side in range(2)])
+        patterns = [self.law.patterns[:, columns[:, side]] for side in range(2)]
         courses = [
             np.einsum("npl,pl->np", self.law.courses[:, columns], self.mixing[numbers, side])
             for side in range(2)
         ]
         spectrum = scorer.space.transform.quick_spectrum(np.hstack(courses))
-        pull, information = scorer.columns(patterns, spectrum)
-        return folded(pull, 2), folded(folded(information, 2).T, 2)
+        return scorer.columns(patterns, spectrum)
 
     def one(self, space: Workspace, number: int, size: float) -> Candidate:
         """A pair with a size, not weighed."""

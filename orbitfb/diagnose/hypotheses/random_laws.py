@@ -46,9 +46,8 @@ def scan_random(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
     noise = replace(space.noise, walk=space.shape + space.held)
     mean = space.errors.mean()
     left = space.residual - space.terms.contribution(mean)
-    exact = space.transform
-    pulled = noise.pull(left, exact)
-    weighed = _Weighed(noise, pulled, exact.turn(pulled))
+    pulled = noise.pull(left, space.transform)
+    weighed = _Weighed(noise, pulled, space.transform.turn(pulled))
     steady = _steady(kind, law, space, weighed)
     if not law.walk or law.smooth:
         return [steady]

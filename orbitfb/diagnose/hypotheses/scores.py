@@ -57,13 +57,11 @@ class Scorer:
     @classmethod
     def of(cls, space: Workspace) -> "Scorer":
         """Weigh what a workspace leaves."""
-        errors = space.errors
-        left = space.residual - space.terms.contribution(errors.mean())
-        pulled = space.noise.pull(left, space.transform)
-        transform = space.transform
+        errors, priors, transform = space.errors, space.priors, space.transform
+        left = space.residual - space.terms.contribution(priors.mean(errors.pull))
+        pulled = space.noise.pull(left, transform)
         return cls(
-            space, pulled, Rows.of(left, space.noise, transform), errors,
-            NormalPriors.of(errors.information, errors.variance),
+            space, pulled, Rows.of(left, space.noise, transform), errors, priors,
             space.noise.modes.astype(np.float32),
             space.noise.inverse_variance(transform).astype(np.float32),
             (1.0 / space.noise.variance(transform)).astype(np.float32),
@@ -96,16 +94,25 @@ class Scorer:
         scale = np.sqrt(np.diag(information) / np.maximum(np.diag(by_band), 1e-300))
         return pull, scale[:, None] * left * scale
 
-    def columns(self, patterns: Matrix, spectrum: Single) -> tuple[Vector, Matrix]:
-        """Pull and information of columns pattern ⊗ course, healthy errors marginalised.
+    def columns(self, patterns: Sequence[Matrix], spectrum: Single) -> tuple[Vector, Matrix]:
+        """Pull and information of devices of a size each, healthy errors marginalised.
 
         Args:
-            patterns: Shape (n, k) [m].
-            spectrum: Transformed steps of the courses, shape (T, k).
+            patterns: Of every block of columns, each (n, D) [m]; a device has one in each.
+            spectrum: Transformed steps of their courses, block by block, shape (T, k).
 
         Returns:
-            a, shape (k,), and H, shape (k, k).
+            a, shape (D,), and H, shape (D, D).
         """
+        blocks, whole = len(patterns), np.hstack(patterns)
+        pull, information = self._columns(whole, spectrum)
+        count = len(pull) // blocks
+        return (
+            pull.reshape(blocks, count).sum(axis=0),
+            information.reshape(blocks, count, blocks, count).sum(axis=(0, 2)),
+        )
+
+    def _columns(self, patterns: Matrix, spectrum: Single) -> tuple[Vector, Matrix]:
         along = self.pulled.astype(np.float32) @ patterns.astype(np.float32)
         pull = np.einsum("tk,tk->k", along, spectrum, dtype=float)
         seen = (patterns.T @ self.space.noise.modes).astype(np.float32)

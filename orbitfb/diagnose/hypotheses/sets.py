@@ -135,8 +135,3 @@ def _beside(pull: Vector, information: Matrix, chosen: list[int], free: bool) ->
     left = pull - solved.T @ pull[chosen]
     rest = own - np.einsum("kd,kd->d", solved, information[chosen])
     return normal_size(left, np.maximum(rest, 0.0), SIZE_WIDTH**2)
-
-
-def folded(values: Matrix | Vector, blocks: int) -> Matrix:
-    """Sum what the blocks of columns of the same devices say, shape (k, …) of (blocks · k, …)."""
-    return values.reshape(blocks, len(values) // blocks, *values.shape[1:]).sum(axis=0)

@@ -78,18 +78,23 @@ class Terms:
         edges = [0, *cuts.tolist(), len(self)] if len(self) else [0]
         return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
-    def information(self, noise: StepNoise, transform: StepTransform, wanted: Mask) -> Matrix:
+    def information(
+        self, noise: StepNoise, transform: StepTransform, wanted: Mask | None = None
+    ) -> Matrix:
         """Σ_b (Pᵀ Ω_b P) ∘ (courseᵀ course)_b of all pairs of columns, shape (k, k).
 
         Args:
             noise: The floor.
             transform: Of the record.
-            wanted: Columns that are asked for, shape (k,); runs with none of them are zero.
+            wanted: Columns that are asked for, shape (k,); runs with none of them are zero. None:
+                all.
         """
         seen = self.patterns.T @ noise.modes
         total = np.zeros((len(self), len(self)))
         inverse = noise.inverse_variance(transform)
-        runs = [(part, self._along(part)) for part in self._runs() if np.any(wanted[part])]
+        runs = [(part, self._along(part)) for part in self._runs()]
+        if wanted is not None:
+            runs = [one for one in runs if np.any(wanted[one[0]])]
         pairs = list(itertools.combinations_with_replacement(runs, 2))
         for weight, gram in zip(inverse, self.grams, strict=True):
             weighed = seen * weight

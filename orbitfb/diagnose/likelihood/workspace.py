@@ -66,7 +66,7 @@ class Workspace:
         weights: Of them in the walk, shape (F,); empty before the first fit.
         reference: Of a healthy time, whose walk is the prior of this one's; None: there is none.
         widened: Log of the factor by which undoing accepted causes widens the readings' density.
-        known: The healthy errors as the residual pulls at them, once they were asked for.
+        asked: The healthy errors and their factored priors, once they were asked for.
     """
 
     signals: Signals
@@ -88,7 +88,7 @@ class Workspace:
     weights: Vector
     reference: "Workspace | None" = None
     widened: float = 0.0
-    known: list[NormalTerms] = field(default_factory=list, init=False)
+    asked: list[tuple[NormalTerms, NormalPriors]] = field(default_factory=list, init=False)
 
     @classmethod
     def of(
@@ -198,9 +198,17 @@ class Workspace:
     @property
     def errors(self) -> NormalTerms:
         """The healthy errors under the floor, as the residual pulls at them."""
-        if not self.known:
-            self.known.append(self._fitted(self.variance)[0])
-        return self.known[0]
+        return self._asked()[0]
+
+    @property
+    def priors(self) -> NormalPriors:
+        """The same, factored."""
+        return self._asked()[1]
+
+    def _asked(self) -> tuple[NormalTerms, NormalPriors]:
+        if not self.asked:
+            self.asked.append(self._fitted(self.variance))
+        return self.asked[0]
 
     def _fitted(self, variance: Vector) -> tuple[NormalTerms, NormalPriors]:
         """Terms whose mean is right to the last frequency, though their information is by band.
@@ -328,17 +336,16 @@ class Workspace:
 
     def pulled(self) -> Matrix:
         """Ω z with the healthy errors marginalised, shape (T, n) [1/m]."""
-        mean = self.errors.mean()
+        mean = self.priors.mean(self.errors.pull)
         left = self.residual - self.terms.contribution(mean)
         return self.noise.pull(left, self.transform)
 
     def log_likelihood(self) -> float:
         """Log density of the readings, healthy errors marginalised."""
-        errors = self.errors
-        mean = errors.mean()
+        mean = self.priors.mean(self.errors.pull)
         left = self.residual - self.terms.contribution(mean)
         plain = self.noise.log_likelihood(left, self.transform)
-        return plain + errors.log_density(mean) + self.widened
+        return plain + self.priors.log_density(mean) + self.widened
 
     def log_posterior(self) -> float:
         """The same with what its distance from its prior takes off the floor.

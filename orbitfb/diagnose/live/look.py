@@ -30,8 +30,8 @@ _NINETY = 1.645
 """Standard deviations of a normal number beyond which it is in one of ten cases, either side."""
 
 _AS_GOOD = 5.0
-"""Evidence by which the better of two must lead to be named alone [nats], in units of one and a
-share of what the better one explains: models are all a little wrong (`named.probabilities`)."""
+"""Lead by which the better of two is named alone [nats]. It grows with what the better one explains
+as in `impact.named.probabilities`, because all models are a little wrong."""
 
 _SAME = 0.1
 """Rms by which what two laws make of a device may differ, of what one makes: nobody would act

@@ -1,10 +1,8 @@
 """The PVs of closed bumps: place, position, angle."""
 
 from orbitfb.panel.pv import Kind, Order, PanelPv
-from orbitfb.panel.pvs.forms import pair_of, text_pv
+from orbitfb.panel.pvs.forms import MICRO, pair_of, text_pv
 from orbitfb.panel.settings import PanelSettings
-
-MICRO = 1e-6
 
 
 def bump_pvs(settings: PanelSettings, planes: str) -> tuple[PanelPv, ...]:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from orbitfb.panel.pv import LONGEST_TEXT, NO_RANGE, Kind, Order, PanelPv
 
+MILLI, MICRO = 1e-3, 1e-6
 ONCE = ("-", "do")
 """Words of a command that takes nothing with it."""
 

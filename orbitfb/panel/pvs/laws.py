@@ -2,11 +2,9 @@
 
 from orbitfb.loop.settings import MOST_AVERAGED
 from orbitfb.panel.pv import Kind, Order, PanelPv
-from orbitfb.panel.pvs.forms import ONCE, choice_pv, number_pv, pair_of
+from orbitfb.panel.pvs.forms import MICRO, ONCE, choice_pv, number_pv, pair_of
 from orbitfb.panel.settings import PanelSettings
 from orbitfb.policies.svd import LARGEST_WEIGHT
-
-MICRO = 1e-6
 
 
 def restraint_pvs(settings: PanelSettings, planes: str) -> tuple[PanelPv, ...]:

@@ -80,8 +80,9 @@ def test_terms_that_are_marginalised_weaken_others_as_in_the_dense_covariance() 
     information = both @ both.T
     pull = rng.standard_normal(3)
     variance = np.array([0.7, 0.2, 0.0])
-    terms = NormalTerms(pull[:2], information[:2, :2], variance[:2])
-    a, h = terms.beyond(pull[2:], information[2:, 2:], information[:2, 2:])
+    its, cross = NormalPriors.of(information[:2, :2], variance[:2]), information[:2, 2:]
+    a = pull[2:] - cross.T @ its.mean(pull[:2])
+    h = its.beyond(information[2:, 2:], cross)
     with_third = NormalTerms(pull, information, np.array([0.7, 0.2, 1.3])).evidence()
     without = NormalTerms(pull, information, variance).evidence()
     assert with_third - without == pytest.approx(normal_size(a, h[0], 1.3)[0], abs=1e-9)

@@ -137,7 +137,7 @@ def test_a_size_without_a_meaning_is_not_told() -> None:
 def test_a_loop_without_dither_shows_no_delay_that_is_not_there() -> None:
     """Setpoints that follow the noise of readings tell nothing of a delay, if all is weighed right.
 
-    Weights that are the same over a band of frequencies told of one by 76 nats.
+    Weights that are the same over a band of frequencies tell of one.
     """
     told = 0.0
     for seed in range(30, 34):
