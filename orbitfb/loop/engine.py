@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orbitfb.core.errors import MachineError
+from orbitfb.core.errors import MachineError, NoOrbitError
 from orbitfb.core.ports import Clock, Machine, Policy
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
 from orbitfb.loop import comeback
@@ -25,6 +25,9 @@ from orbitfb.loop.guard import NONE, Guard, Safeguards
 from orbitfb.loop.inquiry import WAITS, Inquiry
 from orbitfb.loop.inspection import Asker, inspect, look_for_second, mine_of
 from orbitfb.loop.intake import Intake, await_orbit
+from orbitfb.loop.lending.carrying import Carrying, trouble_of
+from orbitfb.loop.lending.desk import Lending
+from orbitfb.loop.lending.turn import Turn
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.states import Event
@@ -36,6 +39,12 @@ from orbitfb.safety.limits import Limited
 from orbitfb.safety.prediction import Answers, predict
 from orbitfb.safety.verdict import Verdict
 from orbitfb.safety.watch import Growth
+
+PUT_BACK_STEP = 0.5
+"""How long a loop that ends waits for the orbit between two steps of putting back [s]."""
+SPEECHLESS = 10.0
+"""Without a call for so long [s] a borrower is given up by a loop that ends: it computes for a
+second at most, and a disk that takes longer to write a file does not work."""
 
 
 class Engine:
@@ -56,6 +65,7 @@ class Engine:
     Attributes:
         wanted: What operators want; any thread may put another value here.
         hand: Takes their orders to move setpoints while the loop is open.
+        lending: Lends the machine of an open loop.
     """
 
     def __init__(
@@ -87,7 +97,9 @@ class Engine:
             dead_band=(loop.dead_band,) * len(channels.planes),
         )
         self._adjustments: Adjustments = self.wanted
-        self.hand = Hand(rules.correction.undo_depth)
+        self._turn = Turn()
+        self.hand = Hand(rules.correction.undo_depth, self._turn)
+        self.lending = Lending(channels, self._turn, loop.period / 2)
         self.memory = remember.first_memory(
             start, rules, self.policy.initial_state(), clock.monotonic()
         )
@@ -327,6 +339,55 @@ class Engine:
         if not self._write(work, reading, limited):
             self.hand.fail(self.memory.reason)
             self.memory = comeback.stop(self.memory, "a write failed")
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether setpoints of the open loop are being moved for somebody."""
+        return self.hand.busy or self.lending.busy
+
+    def lend(self, work: Work, absence: str, checked: Checked | None) -> None:
+        """Serve whoever has borrowed the machine.
+
+        Args:
+            work: The tick in hand.
+            absence: Why it has no orbit; empty when it has one.
+            checked: That orbit, looked at as if the loop were to close; None: there is none.
+        """
+        loan, rules, mine = self.lending.loan, self._rules, self._mine()
+        if loan is None:
+            return
+        now, reading = self._clock.monotonic(), work.reading
+        loan.call_back(trouble_of(loan.lent, self.memory, reading, checked, rules, mine, now))
+        if checked is not None and not checked.verdict.may_act:
+            absence = checked.verdict.reason
+        given = NoOrbitError(absence) if reading is None or absence else reading
+        bounds = self._guard.bounds(rules.limits.setpoint, len(mine))
+        carrying = Carrying(self._machine, self.memory, rules, bounds, work)
+        self.lending.serve(given, carrying)
+        self.memory = carrying.memory
+
+    def end(self, reason: str) -> None:
+        """Let nobody move setpoints any more; a borrower may put back first what it moved.
+
+        Args:
+            reason: Why.
+        """
+        self._turn.end(reason)
+        self.hand.end(reason)
+        begin, calls = self._clock.monotonic(), -1
+        while (loan := self.lending.loan) is not None:
+            loan.call_back(reason)
+            work = Work(self._clock, self.memory.setpoints, np.zeros(len(loan.lent)))
+            absence = ""
+            try:
+                work.reading = self._machine.read(PUT_BACK_STEP)
+            except Exception as error:  # also what led to FAULT: putting back needs no orbit
+                absence = str(error) or type(error).__name__
+            self.lend(work, absence, None)
+            if loan.calls != calls:
+                begin, calls = self._clock.monotonic(), loan.calls
+            elif self._clock.monotonic() - begin > SPEECHLESS:
+                self.lending.give_up()
 
     def _step(self, reading: Reading, mine: Mask) -> Step | None:
         """Ask whether the RF frequency is to be stepped with this tick."""

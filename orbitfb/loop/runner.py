@@ -21,6 +21,8 @@ from orbitfb.loop.engine import Engine
 from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.frequency import Follower
 from orbitfb.loop.guard import NONE, Safeguards
+from orbitfb.loop.lending.desk import Lending
+from orbitfb.loop.lending.lent import LentMachine
 from orbitfb.loop.memory import Rules
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
@@ -151,6 +153,29 @@ class Runner:
         """Takes orders to move setpoints while the loop is open."""
         return self._engine.hand
 
+    @property
+    def lending(self) -> Lending:
+        """Whether the machine is lent."""
+        return self._engine.lending
+
+    def lend(self, name: str, correctors: Mask) -> LentMachine:
+        """Lend the machine of an open loop to a procedure in the caller's thread.
+
+        The loop answers each of its calls at a tick. As soon as the loop could not close, or has to
+        end, it calls the machine back: the procedure must put back what it moved, and close it.
+
+        Args:
+            name: What for, for messages.
+            correctors: Those that may be written, shape (m,).
+
+        Raises:
+            ControlError: The loop is not open, setpoints are being moved, or the loop has ended.
+        """
+        if self.state is not LoopState.OPEN:
+            first = "reset" if self.state is LoopState.TRIPPED else "open"
+            raise ControlError(f"{name} refused: the loop is {self.state}; `{first}` it first")
+        return self._engine.lending.lend(name, correctors)
+
     def subscribe(self, subscriber: Subscriber) -> None:
         """Give every record from the next tick on to one more; may be called from any thread."""
         self._subscribers = (*self._subscribers, subscriber)
@@ -187,8 +212,15 @@ class Runner:
             ControlError: No such command, not legal in the present state, or the loop ended.
         """
         event = as_command(name)
-        next_state(self.state, event)
+        self._after(event)
         return self._commands.put(event)
+
+    def _after(self, event: Event) -> LoopState:
+        """Look up the state after a command; a loop whose machine is lent stays open."""
+        after = next_state(self.state, event)
+        if after is not LoopState.OPEN and (lent := self._engine.lending.under_way):
+            raise ControlError(f"{event} refused: {lent}")
+        return after
 
     def run(self, stop: threading.Event) -> None:
         """Tick until told to stop, or FAULT; setpoints stay where they are.
@@ -247,13 +279,14 @@ class Runner:
             if not intake.absence:  # told to stop while it waited: nothing is wrong
                 return False
             work.missed = engine.without_orbit(intake)
+            engine.lend(work, intake.absence, None)
             tripped = self.state is LoopState.TRIPPED
             if tripped or self._clock.monotonic() >= self._closing_until:
                 self._refuse_closing(intake.absence)
             return False
         reading = work.reading = engine.believed(intake.reading)
         checked, work.missed = engine.check(
-            reading, intake.pace, bool(self._closing) or engine.hand.busy
+            reading, intake.pace, bool(self._closing) or engine.by_hand
         )
         work.setpoints = engine.memory.setpoints
         self._close(checked.verdict)
@@ -261,6 +294,7 @@ class Runner:
         work.done("check")
         if self.state is LoopState.TRIPPED or engine.hand.busy:
             engine.step_aside(work, reading, checked)
+        engine.lend(work, "", checked)
         if not checked.verdict.may_act:
             return False
         if self.state in (LoopState.SHADOW, LoopState.CLOSED):
@@ -270,13 +304,13 @@ class Runner:
     def _end(self, reason: str) -> None:
         """Refuse what is ordered and whatever comes later."""
         self._commands.end(reason)
-        self._engine.hand.end(reason)
+        self._engine.end(reason)
 
     def _obey(self) -> None:
         """Carry out the commands that came; those to close wait for the interlocks."""
         for event, future in self._commands.take():
             try:
-                after = next_state(self.state, event)
+                after = self._after(event)
                 if after is LoopState.CLOSED and after is not self.state:
                     self._closing.append((event, future))
                     self._closing_until = self._clock.monotonic() + ORBIT_TO_CLOSE_ON
@@ -291,8 +325,9 @@ class Runner:
     def _close(self, verdict: Verdict) -> None:
         if not self._closing:
             return
-        if not verdict.may_act:
-            self._refuse_closing(verdict.reason)
+        lent = self._engine.lending.under_way
+        if lent or not verdict.may_act:
+            self._refuse_closing(lent or verdict.reason)
             return
         self._engine.move(Event.CLOSE, "")
         orders, self._closing = self._closing, []

@@ -9,6 +9,7 @@ import numpy as np
 from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import Mask, Reading, Vector
 from orbitfb.loop.correction.move import Move, Way, next_step
+from orbitfb.loop.lending.turn import Turn
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
 from orbitfb.safety.bounds import Bounds
@@ -48,17 +49,17 @@ class Hand:
 
     Args:
         depth: Moves that can be undone.
+        turn: Whose turn it is to move setpoints.
 
     Attributes:
         made: Moves that can be undone, oldest first; any thread may read it.
     """
 
-    def __init__(self, depth: int) -> None:
-        self._depth = depth
+    def __init__(self, depth: int, turn: Turn) -> None:
+        self._depth, self._turn = depth, turn
         self._lock = threading.Lock()
         self._order: _Order | None = None
         self._way: Way | None = None
-        self._ended = ""
         self.made: tuple[Done, ...] = ()
 
     @property
@@ -80,14 +81,11 @@ class Hand:
             ControlError: Another one is under way, or the loop has ended.
         """
         order = _Order(move, Future(), undoes)
-        with self._lock:
-            if self._ended:
-                raise ControlError(f"{move.name} refused: {self._ended}")
-            if self._order is not None:
-                raise ControlError(f"{move.name} refused: {self._order.move.name} is under way")
-            if undoes is not None and (not self.made or self.made[-1] is not undoes):
-                raise ControlError(f"{move.name} refused: it is not the last one any more")
-            self._order = order
+        self._turn.take(move.name)
+        if undoes is not None and (not self.made or self.made[-1] is not undoes):
+            self._turn.leave()
+            raise ControlError(f"{move.name} refused: it is not the last one any more")
+        self._order = order
         return order.outcome
 
     def step(
@@ -114,8 +112,8 @@ class Hand:
             return None
         if way is None:
             if not order.outcome.set_running_or_notify_cancel():
-                with self._lock:
-                    self._order = None
+                self._order = None
+                self._turn.leave()
                 return None
             way = Way(order.move, order.move.start, reading.received)
         after = next_step(way, memory, checked, rules, mine, bounds, reading.received)
@@ -135,9 +133,7 @@ class Hand:
             self._end(order, way, reason)
 
     def end(self, reason: str) -> None:
-        """Refuse what is under way and whatever comes later: the loop has ended."""
-        with self._lock:
-            self._ended = reason
+        """Refuse what is under way: the loop has ended."""
         order = self._order
         if order is not None and (self._way or order.outcome.set_running_or_notify_cancel()):
             self._end(order, self._way or Way(order.move, order.move.start, 0.0), reason)
@@ -156,6 +152,7 @@ class Hand:
                 else:
                     self.made = self.made[:-1]
             self._order = self._way = None
+        self._turn.leave()
         if not reason:
             order.outcome.set_result(done)
             return
