@@ -204,7 +204,8 @@ def command(
             "reference-save and reference-load (name=golden), enable-bpms and enable-correctors "
             "(enabled=[true, …]), correct (law=active; then correct-apply, or undo), "
             "bump (place=NAME plane=x position=1e-4 angle=0, m and rad), "
-            "average (orbits=10), dead-band (plane=x value=1e-6, m).",
+            "average (orbits=10), dead-band (plane=x value=1e-6, m), "
+            "measure (action=start, abort or status; at_once=0, fresh=true).",
         ),
     ] = None,
     once: Annotated[

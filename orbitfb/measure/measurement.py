@@ -1,6 +1,6 @@
 """A whole measurement: group by group, the setpoints put back on every way out of each."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +13,8 @@ from orbitfb.measure.journal import Journal
 from orbitfb.measure.mover import Mover, restore_persistently
 from orbitfb.measure.multisine import Multisine, design
 from orbitfb.measure.settings import MeasureSettings
-from orbitfb.measure.stepping import measure_by_steps
-from orbitfb.measure.sweeping import measure_at_once
+from orbitfb.measure.stepping import measure_by_steps, orbits_by_steps
+from orbitfb.measure.sweeping import measure_at_once, orbits_at_once
 from orbitfb.measure.watch import Watch
 from orbitfb.safety.bounds import Bounds
 from orbitfb.safety.limits import LimitSettings
@@ -39,6 +39,19 @@ class Result:
     check: dict[int, float]
 
 
+class Teller:
+    """Is told how far a measurement is; this one keeps it to itself."""
+
+    def begin(self, orbits: int, done: int, total: int) -> None:
+        """Take how many orbits it needs if none is rejected, and how many correctors are done."""
+
+    def progress(self, done: int, total: int) -> None:
+        """Take how many of how many correctors are done."""
+
+    def played(self, share: float) -> None:
+        """Take which share of the waveform of a group at once is over."""
+
+
 class Measurement:
     """Measures the response matrix of a machine.
 
@@ -52,8 +65,8 @@ class Measurement:
         journal: Keeps what is moved and done.
         clock: Tells the time.
         seed: Of the waveforms at once.
-        progress: Told how many of how many correctors are done.
         bounds: Where the setpoint of each may be; None: the same for all, by the limits.
+        teller: Told how far it is.
     """
 
     def __init__(
@@ -67,15 +80,14 @@ class Measurement:
         journal: Journal,
         clock: Clock,
         seed: int = 0,
-        progress: Callable[[int, int], None] = lambda _done, _all: None,
         bounds: Bounds | None = None,
-        played: Callable[[float], None] = lambda _share: None,
+        teller: Teller | None = None,
     ) -> None:
         self._bounds = bounds or Bounds.of(limits.setpoint, len(movable))
         self._machine, self._nominal, self._settings = machine, nominal, settings
         self._limits, self._watch, self._movable = limits, watch, movable
-        self._journal, self._clock, self._progress = journal, clock, progress
-        self._seed, self._played = seed, played
+        self._journal, self._clock, self._seed = journal, clock, seed
+        self._teller = teller or Teller()
 
     def run(self, table: Table) -> Result:
         """Measure what is not in a table yet.
@@ -95,14 +107,26 @@ class Measurement:
         size = self._settings.at_once or max(1, len(todo))
         groups = [todo[k : k + size] for k in range(0, len(todo), size)]
         plans = [self._plan(group, mover.base, size > 1) for group in groups]
+        total = int(self._movable.sum())
+        self._teller.begin(self._orbits(groups, plans), int(table.measured.sum()), total)
         self._settle_down(mover)
         for group, (amplitudes, wave) in zip(groups, plans, strict=True):
             for j, column in zip(group, self._group(group, amplitudes, wave, mover), strict=True):
                 table.put(j, column)
             self._journal.save(table, conditions(self._settings))
-            self._progress(int(table.measured.sum()), int(self._movable.sum()))
+            self._teller.progress(int(table.measured.sum()), total)
         check = self._check(table, mover) if size > 1 else {}
         return Result(table, mover.base, check)
+
+    def _orbits(self, groups: list[list[int]], plans: list[tuple[Vector, Multisine | None]]) -> int:
+        """Count the orbits of the whole: those watched at first, all groups, the check."""
+        settings = self._settings
+        steps = orbits_by_steps(settings)
+        total = settings.watch
+        for group, (_, wave) in zip(groups, plans, strict=True):
+            total += steps * len(group) if wave is None else orbits_at_once(wave)
+        checked = settings.check if settings.at_once != 1 else 0
+        return total + steps * min(checked, int(self._movable.sum()))
 
     def _settle_down(self, mover: Mover) -> None:
         """See that nobody moves a setpoint, and take the orbit at the start."""
@@ -126,7 +150,7 @@ class Measurement:
                 ]
             else:
                 columns = measure_at_once(
-                    group, amplitudes, wave, mover, self._watch, self._settings, self._played
+                    group, amplitudes, wave, mover, self._watch, self._settings, self._teller.played
                 )
         finally:
             patience = self._settings.restore_timeout

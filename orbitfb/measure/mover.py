@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orbitfb.core.errors import MachineError, MeasurementError, NoOrbitError
+from orbitfb.core.errors import AwayError, MachineError, MeasurementError, NoOrbitError
 from orbitfb.core.ports import Clock, Machine
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.measure.watch import Watch
 from orbitfb.safety.bounds import Bounds
 from orbitfb.safety.limits import LimitSettings, limit
@@ -24,6 +24,7 @@ class Mover:
 
     Attributes:
         base: Setpoints that were found, shape (m,) [A].
+        astray: Correctors that the last `restore` could not bring back, as indices.
 
     Raises:
         MachineError: The setpoints cannot be read.
@@ -41,6 +42,7 @@ class Mover:
         self._bounds = bounds
         self.base = machine.setpoints()
         self._sent = self.base.copy()
+        self.astray: Sequence[int] = ()
 
     def verify(self) -> None:
         """See that the setpoints are where they were put.
@@ -93,22 +95,49 @@ class Mover:
     def restore(self, correctors: Sequence[int]) -> None:
         """Bring some correctors back to their base; others stay as they are now.
 
+        One that cannot be brought back keeps none of the others from it.
+
+        Args:
+            correctors: Their indices.
+
         Raises:
-            MeasurementError: A limit does not let them.
-            MachineError: The machine does not take it, or does not say where they are.
+            MachineError: Some are not back, or it is not known; `astray` has them.
         """
         mine = list(correctors)
+        self.astray = mine
         expected = self._sent.copy()
         expected[mine] = self.base[mine]
-        self._sent = self._machine.setpoints()
-        target = self._sent.copy()
-        target[mine] = self.base[mine]
-        while not self._step(target, mine):
-            self._machine.read(1.0)  # a step per orbit
-        present = self._machine.setpoints()
-        if not (np.abs(present[mine] - self.base[mine]) <= self._same).all():
-            raise MachineError("the setpoints that were put back do not read back")
+        self._sent, away = self._present()
+        there = [j for j in mine if not away[j]]
+        problem = self._bring(there)
+        for j in there if problem else ():
+            problem = self._bring([j]) or problem
+        present, away = self._present()
+        apart = away | ~(np.abs(present - self.base) <= self._same)
+        self.astray = [j for j in mine if apart[j]]
+        if self.astray:
+            names = name_some(apart, self._machine.channels.setpoint_pvs)
+            raise MachineError(problem or f"{names} do not read back what was put, or are away")
         self._sent = expected  # what somebody else moved meanwhile is still to be seen
+
+    def _present(self) -> tuple[Vector, Mask]:
+        """Ask for the setpoints, shape (m,) [A], and say which are away and only last known."""
+        try:
+            present = self._machine.setpoints()
+        except AwayError as error:
+            return error.last.copy(), error.away
+        return present, np.zeros(len(present), dtype=np.bool_)
+
+    def _bring(self, correctors: Sequence[int]) -> str:
+        """Bring some correctors to their base in limited steps; says what kept it from that."""
+        target = self._sent.copy()
+        target[list(correctors)] = self.base[list(correctors)]
+        try:
+            while not self._step(target, correctors):
+                self._machine.read(1.0)  # a step per orbit
+        except (MachineError, MeasurementError) as error:
+            return str(error)
+        return ""
 
 
 def restore_persistently(
@@ -140,10 +169,10 @@ def restore_persistently(
             machine.read(0.5)
         except NoOrbitError:
             continue
-    names = machine.channels.setpoint_pvs
-    told = ", ".join(f"{names[j]} to {mover.base[j]:.6g} A" for j in list(correctors)[:5])
-    more = f" and {len(correctors) - 5} more" if len(correctors) > 5 else ""
+    names, left = machine.channels.setpoint_pvs, list(mover.astray)
+    told = ", ".join(f"{names[j]} to {mover.base[j]:.6g} A" for j in left[:5])
+    more = f" and {len(left) - 5} more" if len(left) > 5 else ""
     raise MeasurementError(
-        f"the setpoints could NOT be put back within {patience:g} s ({problem}): {told}{more}; "
-        "start the measurement again: it offers to put them back"
+        f"{len(left)} setpoints could NOT be put back within {patience:g} s ({problem}): "
+        f"{told}{more}; start the measurement again: it offers to put them back"
     )

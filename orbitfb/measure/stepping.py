@@ -14,6 +14,16 @@ _ARRIVED = 0.02
 """Part of the amplitude by which a readback may miss its setpoint and count as arrived."""
 
 
+def orbits_by_steps(settings: MeasureSettings) -> int:
+    """Count the orbits of one corrector whose readback comes to its setpoint at once.
+
+    Args:
+        settings: Sizes, repeats, orbits.
+    """
+    steps = len(levels(settings.sizes, settings.repeats))
+    return steps * (settings.settle + settings.orbits)
+
+
 def measure_by_steps(
     corrector: int, amplitude: float, mover: Mover, watch: Watch, settings: MeasureSettings
 ) -> Column:

@@ -28,6 +28,15 @@ _LEAD = 10
 """Ticks in which the waveform grows from nothing before a pass."""
 
 
+def orbits_at_once(wave: Multisine) -> int:
+    """Count the orbits of a group that plays a waveform.
+
+    Args:
+        wave: The waveform.
+    """
+    return len(SIZES) * (wave.ticks + _LEAD)
+
+
 def measure_at_once(
     correctors: Sequence[int],
     amplitudes: Vector,

@@ -12,6 +12,7 @@ from orbitfb import __version__
 from orbitfb.core.ports import Clock
 from orbitfb.core.signals import LoopState, Mask, TickRecord, Vector
 from orbitfb.loop.frequency import Sight
+from orbitfb.measure.progress import Progress
 from orbitfb.observe.plain import plain
 from orbitfb.observe.statistics.snapshot import Happening, LoopSnapshot
 
@@ -35,6 +36,7 @@ class Sources:
         peaks: Gives the largest orbit RMS of late by plane [m], the monotonic time [s] in.
         noise: Noise of one BPM reading to believe before a refit has found it, rms [m].
         rf: Gives how the RF frequency is.
+        measurement: Gives how far a measurement of the response is.
     """
 
     snapshot: Callable[[], LoopSnapshot]
@@ -45,6 +47,7 @@ class Sources:
     peaks: Callable[[float], Mapping[str, float]]
     noise: float = math.nan
     rf: Callable[[], Sight] = Sight
+    measurement: Callable[[], Progress] = Progress
 
 
 class PageView:
@@ -90,6 +93,7 @@ class PageView:
                     **_figures(snapshot),
                     "rms_peak_um": self._peaks(snapshot),
                     "rf": _rf(self._sources.rf()),
+                    "measurement": _measurement(self._sources.measurement()),
                     "gap": _gap(snapshot, self._sources.gap(snapshot)),
                     "happenings": [
                         {"time": its.time, "kind": its.kind, "text": its.text}
@@ -181,6 +185,18 @@ def _rf(sight: Sight) -> dict[str, Any]:
         "frequency_Hz": sight.frequency,
         "energy_ppm": sight.energy / MICRO,
         "steps": sight.steps,
+    }
+
+
+def _measurement(progress: Progress) -> dict[str, Any]:
+    return {
+        "state": progress.stage,
+        "running": progress.running,
+        "done": progress.done,
+        "total": progress.total,
+        "share": progress.share,
+        "left_s": progress.left,
+        "text": progress.text,
     }
 
 

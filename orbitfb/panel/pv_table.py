@@ -18,6 +18,7 @@ from orbitfb.panel.pvs.forms import (
     text_pv,
 )
 from orbitfb.panel.pvs.laws import restraint_pvs, trial_pvs
+from orbitfb.panel.pvs.measuring import measuring_pvs
 from orbitfb.panel.pvs.vectors import vector_pvs
 from orbitfb.panel.settings import PanelSettings
 
@@ -82,6 +83,7 @@ def panel_pvs(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]:
         *_adjustments(settings, extent),
         *bump_pvs(settings, extent.planes),
         *correction_pvs(),
+        *measuring_pvs(),
         *vector_pvs(extent.lengths()),
     )
 

@@ -41,9 +41,11 @@ stale_after = 0.5
 class Session:
     """A closed loop on an IOC whose faults can be switched."""
 
-    def __init__(self, directory: Path, ioc: "subprocess.Popen[str]", port: int) -> None:
+    def __init__(
+        self, directory: Path, ioc: "subprocess.Popen[str]", port: int, more: str = ""
+    ) -> None:
         self._ioc, self.port = ioc, port
-        (directory / "c.toml").write_text(CONFIG)
+        (directory / "c.toml").write_text(CONFIG + more)
         where = f"127.0.0.1:{port}"
         options = ("--config", directory / "c.toml", "--start", "closed")
         self.client = RawClient(port)
@@ -103,23 +105,28 @@ class Session:
 
 
 @contextmanager
-def fault_session(directory: Path) -> Iterator[Session]:
+def fault_session(
+    directory: Path, more: str = "", micrometres: float = 1.0, **ring: Any
+) -> Iterator[Session]:
     """Start IOC and loop; wait until the orbit is good.
 
     Args:
         directory: For their files.
+        more: Configuration besides, as TOML.
+        micrometres: Rms of an orbit that is good [µm].
+        ring: More of the job of the IOC.
     """
     job = directory / "job.json"
-    job.write_text(json.dumps({"seed": 5, "sim": {"port": 0, "rate_hz": RATE}}))
+    job.write_text(json.dumps({"seed": 5, "sim": {"port": 0, "rate_hz": RATE}, **ring}))
     command = [sys.executable, str(HERE / "faulty_ioc.py"), str(job)]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=os.environ
     ) as ioc:
         try:
             assert ioc.stdout is not None
-            session = Session(directory, ioc, int(ioc.stdout.readline()))
+            session = Session(directory, ioc, int(ioc.stdout.readline()), more)
             with session.service, session.client:
-                session.well()
+                session.well(micrometres)
                 yield session
         finally:
             ioc.terminate()

@@ -30,6 +30,7 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     "correct": ("law", "once"),
     "correct-apply": (),
     "undo": (),
+    "measure": ("action", "fresh", "restore", "at_once"),
     "refit": ("activate",),
     "activate": ("policy", "force"),
 }

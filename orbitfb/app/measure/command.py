@@ -4,15 +4,15 @@ import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import structlog
 
-from orbitfb.app.measure.answer import about_of, activate, answer_of
 from orbitfb.app.measure.stopping import StopRequests
-from orbitfb.app.measure.unfinished import Say, put_back, taken_up
+from orbitfb.app.response.answer import activate
+from orbitfb.app.response.procedure import Choice, Subject, measure_on, place_of
+from orbitfb.app.response.unfinished import Say
 from orbitfb.app.setup.lease import take_lease
 from orbitfb.app.setup.production_guard import check_live
 from orbitfb.app.setup.simulated_ring import SimulatedRing
@@ -21,17 +21,13 @@ from orbitfb.app.setup.stored_policies import sim_job
 from orbitfb.config.tree import AppConfig
 from orbitfb.control.socket import ask, is_running
 from orbitfb.core.clock import SystemClock
-from orbitfb.core.errors import ConfigError, ControlError, OrbitFeedbackError, OwnershipError
+from orbitfb.core.errors import ControlError, OrbitFeedbackError, OwnershipError
 from orbitfb.core.files.ownership import Lock
 from orbitfb.core.ports import Machine
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.loop.machines.guarded import GuardedMachine
-from orbitfb.measure.journal import Journal
-from orbitfb.measure.judging import judge
 from orbitfb.measure.left import DIRECTORY
-from orbitfb.measure.measurement import Measurement
-from orbitfb.measure.response_file import write_response
-from orbitfb.measure.watch import Watch
+from orbitfb.measure.measurement import Teller
 from orbitfb.observe.logs import configure_logs
 from orbitfb.physics.response import response
 from orbitfb.policies.masking import mask_of
@@ -94,9 +90,8 @@ def measure_response(
     epics = find_ring(config, request.ioc)
     check_live(epics, request.ioc, None, request.live)
     make_directory(config.data_directory)
-    out = _place(config, request)
+    out = place_of(config, request.out)
     clock = SystemClock()
-    begin = clock.wall()
     with ExitStack() as stack:
         _be_alone(config, stack)
         if simulated:
@@ -105,7 +100,7 @@ def measure_response(
         else:
             directory = config.data_directory / DIRECTORY
         take_ring(epics, channels, stack)
-        where = f"{epics.address_list}:{epics.server_port}"
+        where = f"{epics.searched}:{epics.server_port}"
         logs = configure_logs(config.observe.logs, config.data_directory)
         stack.callback(logs.close)
         ring_machine = EpicsMachine(channels, epics, clock)
@@ -116,59 +111,20 @@ def measure_response(
         lease = take_lease(config, epics, _lease_lost, stack)
         if lease is not None:
             machine = GuardedMachine(machine, lease.refusal)
-        journal = Journal(directory, channels, where)
-        timeout = max(1.0, 5.0 * config.loop.period)
-        watch = Watch(machine, config.measure, config.interlocks, counting, timeout, stop.asked)
-        put_back(
-            machine, nominal, journal, where, watch, config, request.restore, say, confirm, bounds
+        subject = Subject(
+            config, machine, nominal, counting, moving, bounds, where, directory, clock
         )
-        table = taken_up(journal, channels, config, request.fresh, begin, say)
-        measurement = Measurement(
-            machine,
-            nominal,
-            config.measure,
-            config.limits,
-            watch,
-            moving,
-            journal,
-            clock,
-            config.seed,
-            _progress(say),
-            bounds,
-            _waveform(say),
-        )
-        say(f"measuring {int(moving.sum())} correctors at {where}; Ctrl-C puts the setpoints back")
-        _log.info("response_measurement_started", ring=where, correctors=int(moving.sum()))
+        choice = Choice(out, request.fresh, request.restore)
         try:
-            result = measurement.run(table)
+            answer = measure_on(subject, choice, stop.asked, _Saying(say, where), say, confirm)
         except OrbitFeedbackError as error:
             _log.warning("response_measurement_ended", problem=str(error))
             raise
-        judgement = judge(result.table, nominal, channels, config.measure, counting)
-        about = about_of(config, result, where, begin, clock.wall(), watch.rejected, channels)
-        write_response(out, result.table, result.base, channels, judgement, about)
-        journal.forget()
-        _log.info("response_measured", file=str(out), bad_correctors=len(judgement.correctors))
-    answer = answer_of(result, judgement, nominal, counting, out, about, channels)
+        bad = len(answer["bad_correctors"])
+        _log.info("response_measured", file=str(out), bad_correctors=bad)
     if request.activate:
         answer |= activate(config, out, channels, counting, moving)
     return answer
-
-
-def _place(config: AppConfig, request: MeasureRequest) -> Path:
-    """See beforehand that the file can be written."""
-    name = f"response-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.safetensors"
-    out = request.out or config.data_directory / name
-    try:
-        with tempfile.TemporaryFile(dir=out.parent):
-            pass
-    except OSError as error:
-        raise ConfigError(
-            f"--out {out}: its directory cannot be written to ({error.strerror}); name another"
-        ) from error
-    if out.is_dir():
-        raise ConfigError(f"--out {out}: that is a directory; name a file")
-    return out
 
 
 def _be_alone(config: AppConfig, stack: ExitStack) -> None:
@@ -192,30 +148,36 @@ def _be_alone(config: AppConfig, stack: ExitStack) -> None:
     )
 
 
-def _progress(say: Say) -> Callable[[int, int], None]:
-    told = -1
+class _Saying(Teller):
+    """Says now and then how far it is.
 
-    def progress(done: int, total: int) -> None:
-        nonlocal told
+    Args:
+        say: Told in words.
+        where: The ring.
+    """
+
+    def __init__(self, say: Say, where: str) -> None:
+        self._say, self._where = say, where
+        self._correctors, self._waveform = -1, 0
+
+    def begin(self, orbits: int, done: int, total: int) -> None:
+        """Take how many correctors it is about."""
+        self._say(f"measuring {total} correctors at {self._where}; Ctrl-C puts the setpoints back")
+        _log.info("response_measurement_started", ring=self._where, correctors=total)
+
+    def progress(self, done: int, total: int) -> None:
+        """Take how many of how many correctors are done."""
         part = done * _TOLD_TIMES // total
-        if part > told:
-            told = part
-            say(f"{done} of {total} correctors are done")
+        if part > self._correctors:
+            self._correctors = part
+            self._say(f"{done} of {total} correctors are done")
 
-    return progress
-
-
-def _waveform(say: Say) -> Callable[[float], None]:
-    told = 0
-
-    def played(share: float) -> None:
-        nonlocal told
+    def played(self, share: float) -> None:
+        """Take which share of the waveform of a group at once is over."""
         part = int(share * _TOLD_TIMES)
-        if 0 < part < _TOLD_TIMES and part != told:
-            told = part
-            say(f"{part / _TOLD_TIMES:.0%} of the waveform is played")
-
-    return played
+        if 0 < part < _TOLD_TIMES and part != self._waveform:
+            self._waveform = part
+            self._say(f"{part / _TOLD_TIMES:.0%} of the waveform is played")
 
 
 def _lease_lost(owner: str) -> None:

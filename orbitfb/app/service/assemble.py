@@ -1,6 +1,7 @@
 """The composition root: builds everything from the configuration, and starts it."""
 
 import gc
+import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -63,7 +64,7 @@ from orbitfb.loop.machines.guarded import GuardedMachine
 from orbitfb.loop.machines.masked import MaskedMachine
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.measure.left import left_astray
+from orbitfb.measure.left import DIRECTORY, left_astray
 from orbitfb.observe.clock_watch import ClockWatch
 from orbitfb.observe.event_log import EventLog
 from orbitfb.observe.http import ObserveServer
@@ -278,6 +279,8 @@ class Service:
             lambda: Bounds.of(limit, len(names), self.machine.drive_limits),
             frequency,
             measured,
+            f"{epics.searched}:{epics.server_port}",
+            self._journal(directory, stack),
         )
         opened = open_doors(config, doors, remote, stack)
         http = ObserveServer(
@@ -361,6 +364,12 @@ class Service:
             if self.runner.failure is not None:
                 _log.error("loop_failed", exc_info=self.runner.failure)
             _log.info("service_stopped", state=self.runner.state, reason=self.runner.reason)
+
+    def _journal(self, directory: Path, stack: ExitStack) -> Path:
+        """Say where a measurement keeps its journal: that of a simulated ring ends with it."""
+        if self._own_ring is None:
+            return directory / DIRECTORY
+        return Path(stack.enter_context(tempfile.TemporaryDirectory()))
 
     def _obstacle(self) -> str:
         """Say why the machine must not be written to now; empty when it may."""

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from orbitfb.app.commands.correct import Corrections
 from orbitfb.app.commands.correction import Sources as CorrectionSources
 from orbitfb.app.commands.dispatch import Commands, Handler
 from orbitfb.app.commands.frequency import FrequencyCommands
+from orbitfb.app.commands.measuring import Measuring
+from orbitfb.app.commands.measuring import Sources as MeasuringSources
 from orbitfb.app.commands.preview import Latest, Trial
 from orbitfb.app.commands.vectors import Sources as VectorSources
 from orbitfb.app.commands.vectors import Vectors
@@ -60,6 +63,8 @@ class Parts:
         bounds: Gives the limits of the setpoints that are in force.
         frequency: The RF.
         measured: The response that was measured, shape (n, m) [m/A]; None: that of the optics.
+        where: The machine, as messages and journals call it.
+        journal: Where a measurement of the response keeps its journal.
     """
 
     ring: Ring
@@ -76,6 +81,8 @@ class Parts:
     bounds: Callable[[], Bounds]
     frequency: FrequencyCommands
     measured: Vector | None
+    where: str
+    journal: Path
 
     @property
     def lease_shown(self) -> dict[str, Any]:
@@ -167,6 +174,21 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
             raise ControlError(f"close refused: {reason}")
         return remote(request)
 
+    measuring = Measuring(
+        MeasuringSources(
+            config,
+            parts.ring,
+            parts.runner,
+            parts.counting,
+            lambda: adjuster.movable,
+            parts.bounds,
+            parts.where,
+            parts.journal,
+            SystemClock(),
+        ),
+        statistics,
+    )
+    stack.callback(measuring.close)
     peaks = Peaks(config.ring.planes)
     parts.runner.subscribe(peaks)
     view = PageView(
@@ -179,6 +201,7 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
             peaks.since,
             config.learn.identify.reading_noise,
             lambda: parts.frequency.sight,
+            lambda: measuring.sight,
         ),
         SystemClock(),
         config.observe.stale_after,
@@ -218,6 +241,7 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
             **adjuster.handlers,
             **trial.handlers,
             **corrections.handlers,
+            **measuring.handlers,
             **parts.frequency.handlers,
         },
         statistics,
@@ -227,6 +251,7 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
             **trial.shown(),
             **vectors.shown(),
             **corrections.shown(),
+            **measuring.shown(),
             **parts.frequency.shown(),
             **parts.lease_shown,
         },

@@ -3,7 +3,7 @@
 import { RingChart, TREND_SPAN, TrendChart } from "./charts.js";
 import { Link } from "./link.js";
 import { at, orbitOld, say, showState } from "./state.js";
-import { ago, count, moment, quantity, signed, some, timeOfDay, UNKNOWN } from "./words.js";
+import { ago, count, duration, moment, quantity, signed, some, timeOfDay, UNKNOWN } from "./words.js";
 
 const LOOK = 250; // how often to look whether the picture is still live [ms]
 const TOLD = 5; // how often to tell the charts in words [s]
@@ -53,6 +53,7 @@ function show() {
   gap(picture);
   policy(picture);
   loop(picture);
+  measurement(picture);
   happened(picture);
   look(true);
 }
@@ -216,6 +217,19 @@ function loop(its) {
   say("rf", rf.follows ? `follows, ${rf.steps} steps${energy}` : `left alone: ${rf.reason}`);
   say("latency", `p50 ${quantity(its.latency50_ms, "ms")}, p99 ${quantity(its.latency99_ms, "ms")}`);
   say("service", `orbitfb ${its.version}, since ${moment(its.started, its.time)}`);
+}
+
+// The page shows the command and does not give it: whoever reads the page is not known to it.
+function measurement(its) {
+  const { state, running, done, total, share, left_s: left, text } = its.measurement;
+  const part = `${done} of ${total} correctors, ${duration(left)} left`;
+  say("measure", running ? `${state.toLowerCase()}: ${part}` : state === "IDLE" ? "none since the start" : state.toLowerCase());
+  at("measure-share").hidden = !running;
+  at("measure-share").value = share;
+  say("measure-text", text);
+  const may = running || its.state === "OPEN";
+  say("measure-what", running ? "Abort and put back:" : may ? "Start:" : "It needs a loop that is OPEN.");
+  say("measure-how", may ? `orbitfb command measure action=${running ? "abort" : "start"}` : "");
 }
 
 function happened(its) {

@@ -7,7 +7,7 @@ import types
 import numpy as np
 from safetensors import safe_open
 
-from orbitfb.app.measure.answer import about_of
+from orbitfb.app.response.answer import about_of
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.signals import Channels
 from orbitfb.measure.column import Table

@@ -9,7 +9,7 @@ from orbitfb.core.clock import ManualClock
 from orbitfb.measure.column import Table
 from orbitfb.measure.journal import Journal
 from orbitfb.measure.judging import judge
-from orbitfb.measure.measurement import Measurement
+from orbitfb.measure.measurement import Measurement, Teller
 from orbitfb.measure.settings import MeasureSettings
 from orbitfb.measure.watch import Watch
 from orbitfb.physics.drift import DriftSettings
@@ -119,6 +119,22 @@ class Late(Effect):
         return shown.copy()
 
 
+class Told(Teller):
+    """Keeps what it is told."""
+
+    def __init__(self, bench):
+        self.bench = bench
+
+    def begin(self, orbits, done, total):
+        self.bench.planned = orbits
+
+    def progress(self, done, total):
+        self.bench.told.append((done, total))
+
+    def played(self, share):
+        self.bench.played.append(share)
+
+
 @dataclass
 class Bench:
     """A ring, and everything that a measurement of it needs."""
@@ -146,14 +162,14 @@ class Bench:
         self.movable[list(self.correctors)] = True
         self.journal = Journal(self.directory / "measurement", CHANNELS, "here")
         self.stop = False
-        self.told, self.played = [], []
+        self.told, self.played, self.planned = [], [], 0
 
     @property
     def true(self):
         """The response that the ring has, from the plant, shape (180, k)."""
         return self.machine.plant.response[:, list(self.correctors)]
 
-    def run(self, table=None, **settings):
+    def run(self, table=None, bounds=None, **settings):
         """Measure."""
         asked = self.settings.model_copy(update=settings)
         watch = Watch(self.machine, asked, self.interlocks, self.counting, 0.5, lambda: self.stop)
@@ -166,8 +182,8 @@ class Bench:
             self.movable,
             self.journal,
             self.clock,
-            progress=lambda done, total: self.told.append((done, total)),
-            played=self.played.append,
+            bounds=bounds,
+            teller=Told(self),
         )
         return measurement.run(table or Table.empty(180, 180))
 

@@ -8,17 +8,20 @@ from measured_ring import CHANNELS, NOISY, RING, Bench
 from numpy.testing import assert_array_equal
 
 from orbitfb.core.errors import (
+    AwayError,
     ConfigError,
     MachineError,
     MeasurementError,
     RingError,
     StoppedError,
+    WriteError,
 )
 from orbitfb.measure.column import Table
 from orbitfb.measure.journal import Journal
 from orbitfb.measure.judging import Judgement
 from orbitfb.measure.response_file import nominal_response, read_response, write_response
 from orbitfb.policies.masking import MaskSettings
+from orbitfb.safety.bounds import Bounds
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 
@@ -95,6 +98,14 @@ def test_one_by_one_never_moves_two(tmp_path):
     bench = Bench(tmp_path)
     bench.run()
     assert ((np.array(bench.machine.writes) != bench.base).sum(axis=1) <= 1).all()
+
+
+@pytest.mark.parametrize("at_once", [1, 0])
+def test_it_tells_beforehand_how_many_orbits_it_takes(tmp_path, at_once):
+    bench = Bench(tmp_path)
+    before = bench.machine.plant.tick
+    bench.run(at_once=at_once)
+    assert bench.planned == pytest.approx(bench.machine.plant.tick - before, rel=0.03)
 
 
 def test_what_does_not_fit_the_limits_is_refused_before_anything_moves(tmp_path):
@@ -176,6 +187,42 @@ def test_what_cannot_be_put_back_is_said_and_stays_on_disk(tmp_path):
     name = CHANNELS.setpoint_pvs[bench.correctors[1]]
     assert name in str(caught.value)
     assert bench.journal.moved().setpoint_pvs == (name,)
+
+
+@pytest.mark.parametrize("how", ["away", "refuses", "beyond its drive limits"])
+def test_one_that_cannot_be_put_back_keeps_none_of_the_others(tmp_path, how, monkeypatch):
+    bench = Bench(tmp_path)
+    lost = np.zeros(180, dtype=bool)
+    lost[40] = True
+    setpoints, write = bench.machine.setpoints, bench.machine.write
+    bounds = Bounds.of(17.5, 180)
+
+    def asked():
+        raise AwayError("CH is away", setpoints(), lost)
+
+    def refused(values, which=None):
+        if which is None or which[40]:
+            raise WriteError("CH is read-only; nothing was sent")
+        return write(values, which)
+
+    def lose(_):
+        ask_to_stop(bench)
+        if how == "away":
+            monkeypatch.setattr(bench.machine, "setpoints", asked)
+        if how != "beyond its drive limits":
+            monkeypatch.setattr(bench.machine, "write", refused)
+            return
+        bounds.high[40], bounds.drive[40] = bench.base[40] - 1.0, True
+
+    bench.machine.at = {200: lose}
+    with pytest.raises(MeasurementError, match="1 setpoints could NOT be put back") as caught:
+        bench.run(at_once=0, bounds=bounds)
+    assert CHANNELS.setpoint_pvs[40] in str(caught.value)
+    assert CHANNELS.setpoint_pvs[41] not in str(caught.value)
+    others = ~lost
+    assert_array_equal(setpoints()[others], bench.base[others])
+    assert setpoints()[40] != bench.base[40]
+    assert len(bench.journal.moved().setpoint_pvs) == 5
 
 
 def test_columns_of_another_measurement_are_not_taken_up(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from measured_ring import NOMINAL, Bench
 from numpy.testing import assert_array_equal
 
-from orbitfb.app.measure.unfinished import put_back
+from orbitfb.app.response.unfinished import put_back
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import MeasurementError
 from orbitfb.measure.watch import Watch

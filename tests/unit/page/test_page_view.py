@@ -9,6 +9,7 @@ import pytest
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.refit import Decision, RefitReport
 from orbitfb.core.signals import Channels, LoopState, Orbit, Phases, Reading, TickRecord
+from orbitfb.measure.progress import Progress, Stage
 from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.page.peaks import Peaks
 from orbitfb.page.view import PageView, Sources
@@ -44,6 +45,7 @@ class Loop:
             lambda snapshot: f"gap of {snapshot.ticks.ticks} ticks",
             self.peaks.since,
             0.2e-6,
+            measurement=lambda: Progress(Stage.MEASURING, 12, 180, 0.0667, 790.0, "goes on"),
         )
         self.view = PageView(sources, self.clock, 5.0)
 
@@ -89,6 +91,13 @@ def test_figures_have_the_units_of_the_pvs(loop):
     assert (its["worst_bpm"], its["worst_um"]) == ("D", pytest.approx(5.0))
     assert (its["policy"], its["reason"], its["ticks"]) == ("svd-1", "why", 1)
     assert its["gap"] == {"headline": "gap of 1 ticks", "resolved": False, "time": None}
+
+
+def test_a_measurement_of_the_response_is_shown(loop):
+    assert loop.shown()["measurement"] == {
+        "state": "MEASURING", "running": True, "done": 12, "total": 180, "share": 0.0667,
+        "left_s": 790.0, "text": "goes on",
+    }  # fmt: skip
 
 
 def test_an_excursion_of_one_tick_is_in_the_peak_of_those_who_ask_once_a_second(loop):

@@ -1,5 +1,6 @@
 """What came of a measurement: for its file, for people, for programs."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,10 @@ from orbitfb.measure.growth import growth_told
 from orbitfb.measure.judging import Judgement
 from orbitfb.measure.measurement import Result
 from orbitfb.measure.response_file import adopted, read_response
+from orbitfb.policies.masking import mask_of
+
+LINEAR = ("svd", "modal")
+"""Kinds of policy that are made of a matrix at once; others are trained, which takes minutes."""
 
 
 def about_of(
@@ -69,11 +74,49 @@ def answer_of(
     }
 
 
+def offered(
+    config: AppConfig, answer: Mapping[str, Any], channels: Channels
+) -> tuple[dict[str, Any], str]:
+    """Make a policy of a matrix that was just measured and store it; nothing is put in force.
+
+    Args:
+        config: Names the kind of policy.
+        answer: What came of the measurement.
+        channels: Of the ring.
+
+    Returns:
+        Id of the policy, if one was stored, and what to tell people.
+
+    Raises:
+        OrbitFeedbackError: The matrix cannot be used as it is.
+    """
+    out = Path(answer["file"])
+    told = f"{answer['correctors']} correctors in {answer['duration_s']:.0f} s: {out}"
+    bad = len(answer["bad_correctors"]), len(answer["bad_bpms"])
+    if any(bad):
+        told += f"; {bad[0]} correctors and {bad[1]} BPMs are bad: see `measure` and its file"
+        return {}, f"{told}; mend or mask them, then measure again"
+    if config.policy.kind not in LINEAR:
+        return {}, f"{told}; set ring.response to it and train a policy: `orbitfb train`"
+    counting, moving = mask_of(channels, config.masks)
+    policy, _ = _stored(config, out, channels, counting, moving)
+    advice = f"`orbitfb policies activate {policy}` (or PV Activate-Cmd) puts it in force"
+    return {"policy": policy}, f"{told}; stored as policy {policy}, {advice}"
+
+
 def activate(
     config: AppConfig, out: Path, channels: Channels, counting: Mask, moving: Mask
 ) -> dict[str, Any]:
     """Make a policy of a measured matrix and put it in force; refused if anything is bad."""
+    policy, stored = _stored(config, out, channels, counting, moving)
+    return {"stored": stored, **activate_stored(config, policy)}
+
+
+def _stored(
+    config: AppConfig, out: Path, channels: Channels, counting: Mask, moving: Mask
+) -> tuple[str, Any]:
+    """Make a policy of a measured matrix and store it; give its id and where it is."""
     matrix = adopted(read_response(out, channels), out, channels, counting, moving)
     policy = first_policy(matrix, config.policy, movable(config, config.ring.load()))
     stored = open_store(config).save(policy, channels, training={"measured": str(out)})
-    return {"stored": stored, **activate_stored(config, policy.policy_id)}
+    return policy.policy_id, stored
