@@ -25,7 +25,7 @@ import numpy as np
 
 from benchmarks.circumstances import circumstances, load
 from benchmarks.measure import Samples, cpu_time
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.history.archive import read_archive
 
 KINDS: dict[str, tuple[int, int]] = {

@@ -16,7 +16,7 @@ from typing import Any
 
 from playwright.sync_api import expect, sync_playwright
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 
 HOW_TO = Path(__file__).parent / "how-to"
 OPTIONS = (

@@ -7,7 +7,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from orbitfb.config.tree import load_config
+from orbitfb.config.load import load_config
 from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.panel.pv_table import Extent, panel_pvs
 from orbitfb.panel.site_files import site_files

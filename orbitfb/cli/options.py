@@ -1,5 +1,6 @@
 """What the commands share: options, configuration, the way answers are printed."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -85,7 +86,7 @@ def configure(path: Path | None, effects_file: Path | None = None, **options: An
     Raises:
         ConfigError: The configuration is wrong, or the effects of the file are not of its ring.
     """
-    from orbitfb.config.tree import load_config
+    from orbitfb.config.load import load_config
 
     settings = load_config(
         path, {name.replace("__", "."): value for name, value in options.items()}
@@ -93,6 +94,23 @@ def configure(path: Path | None, effects_file: Path | None = None, **options: An
     if effects_file is not None:
         _check_effects(settings, effects_file)
     return settings
+
+
+def data_directory(config_file: Path | None, data: Path | None) -> Path:
+    """Give the data directory; the configuration, half a second, is read where there is one.
+
+    Args:
+        config_file: What `--config` says.
+        data: What `--data` says.
+
+    Raises:
+        ConfigError: The configuration is wrong.
+    """
+    from orbitfb.config.defaults import DATA_DIRECTORY, ENVIRONMENT_PREFIX
+
+    if config_file is None and not any(name.startswith(ENVIRONMENT_PREFIX) for name in os.environ):
+        return data or Path(DATA_DIRECTORY)
+    return configure(config_file, data_directory=data).data_directory
 
 
 def _check_effects(settings: "AppConfig", file: Path) -> None:

@@ -23,6 +23,7 @@ from orbitfb.cli.options import (
     Seed,
     chosen_effects,
     configure,
+    data_directory,
     pairs,
     show,
 )
@@ -217,9 +218,8 @@ def command(
 ) -> None:
     """Command the running service."""
     from orbitfb.app.commands.requests import check_request
-    from orbitfb.control.socket import ask
+    from orbitfb.control.client import ask
 
     request = {**pairs(values or []), "command": name, **({"once": True} if once else {})}
     check_request(request)
-    settings = configure(config_file, data_directory=data)
-    show(ask(settings.data_directory, request), as_json)
+    show(ask(data_directory(config_file, data), request), as_json)

@@ -25,10 +25,11 @@ traceback and exits with 2.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:  # a question to the service waits for no arithmetic
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 class OrbitFeedbackError(Exception):
@@ -100,7 +101,9 @@ class AwayError(MachineError):
         away: Which are away, shape (m,).
     """
 
-    def __init__(self, message: str, last: NDArray[np.float64], away: NDArray[np.bool_]) -> None:
+    def __init__(
+        self, message: str, last: "NDArray[np.float64]", away: "NDArray[np.bool_]"
+    ) -> None:
         self.last, self.away = last, away
         super().__init__(message)
 

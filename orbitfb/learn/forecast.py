@@ -4,7 +4,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from orbitfb.core.signals import Vector
 from orbitfb.models.linear import LinearModel
@@ -45,6 +44,8 @@ class Gain:
 
 def student(freedom: int) -> float:
     """Give the two-sided 95 % point of Student's t."""
+    from scipy.special import stdtrit  # half a second, and only the trainer needs it
+
     return float(stdtrit(freedom, 0.975))
 
 

@@ -20,7 +20,6 @@ The former policy comes back when at one of the levels
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import bdtrc, betaincinv
 
 from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Vector
@@ -79,6 +78,8 @@ def usual_of(observed: Vector, factor: float, level: float | None = None) -> Usu
         level: Its median, where the ticks themselves are no longer known [m]; then they are taken
             for as many as are looked at, none of them bad.
     """
+    from scipy.special import betaincinv
+
     if level is None:
         level = float(np.median(observed)) if observed.size else np.inf
         count = max(int(observed.size), 1)
@@ -87,6 +88,11 @@ def usual_of(observed: Vector, factor: float, level: float | None = None) -> Usu
     bad = [int(np.sum(observed > limit * level)) for limit in (factor, np.sqrt(factor))]
     chances = [float(betaincinv(k + 1, max(count - k, 1), _CONFIDENCE)) for k in bad]
     return Usual(level, (chances[0], chances[1]))
+
+
+def prepare_watch() -> None:
+    """Import what a watch counts with: half a second, better before the loop than beside it."""
+    import scipy.special  # noqa: F401
 
 
 @dataclass(slots=True)
@@ -110,6 +116,8 @@ class _Count:
 
     def by_chance(self) -> float:
         """Give the probability of so many bad ticks if nothing is wrong."""
+        from scipy.special import bdtrc
+
         return float(bdtrc(self.bad - 1, self.counted, self.chance)) if self.bad else 1.0
 
 

@@ -24,6 +24,7 @@ from orbitfb.learn.succession import (
     TransitionSource,
 )
 from orbitfb.learn.trainer import MOST_ROWS, Answer, Task, Trainer, explain
+from orbitfb.learn.watch import prepare_watch
 from orbitfb.safety.limits import LimitSettings
 
 _POLL = 0.2
@@ -76,6 +77,7 @@ class LearnerThread(threading.Thread):
         teaching: TransitionSource | None = None,
     ) -> None:
         super().__init__(name="learner", daemon=True)
+        prepare_watch()
         self._trainer, self._slot = trainer, slot
         self._teaching = history if teaching is None else teaching
         self._publish, self._poll, self._alarmed = publish, poll, alarmed

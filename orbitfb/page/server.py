@@ -12,7 +12,7 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.core.connections import Connections
 from orbitfb.core.errors import ControlError, OrbitFeedbackError, OwnershipError
 from orbitfb.page.app import PATIENCE, page_app

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.core.bursts import Bursts
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ControlError, OrbitFeedbackError

@@ -9,7 +9,7 @@ from typing import Any
 
 import psutil
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.core.errors import ArchiveError, ControlError
 from orbitfb.history.archive import read_archive
 from orbitfb.history.reader import segment_paths

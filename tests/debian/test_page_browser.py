@@ -20,7 +20,7 @@ from typing import Any
 
 import pytest
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 
 pytestmark = pytest.mark.system
 

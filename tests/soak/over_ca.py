@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.core.errors import ControlError
 from orbitfb.history.archive import read_archive
 from tests.soak.flat import Soak, first_and_last

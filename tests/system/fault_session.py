@@ -13,7 +13,7 @@ import numpy as np
 from ioc_clients import KICK, RMS, RawClient
 from service_process import CHANNELS, START, Service, wait_for
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.core.errors import ControlError
 
 RATE = 40.0

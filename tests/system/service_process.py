@@ -21,7 +21,7 @@ from free_ports import free_port
 from ioc_clients import run_client
 
 from orbitfb.cli.app import main
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.core.errors import ControlError
 from orbitfb.core.transitions import Transitions
 from orbitfb.history.archive import read_archive

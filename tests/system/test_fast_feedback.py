@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from service_process import Service
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.core.errors import ControlError
 
 pytestmark = pytest.mark.system

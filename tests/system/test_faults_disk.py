@@ -8,7 +8,7 @@ import psutil
 import pytest
 from service_process import Service, transitions, wait_for
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 
 pytestmark = pytest.mark.system
 

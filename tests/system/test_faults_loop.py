@@ -9,7 +9,7 @@ import pytest
 from fault_session import RATE, Session, fault_session
 from service_process import CHANNELS, START, transitions, wait_for
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.core.errors import ControlError
 
 pytestmark = pytest.mark.system

@@ -12,7 +12,7 @@ from service_process import Ioc, Service, orbitfb, refused, wait_for
 from orbitfb.app.setup.lease import take_lease
 from orbitfb.app.setup.production_guard import check_live
 from orbitfb.app.setup.startup import find_ring
-from orbitfb.config.tree import load_config
+from orbitfb.config.load import load_config
 from orbitfb.core.errors import ConfigError, OwnershipError
 
 pytestmark = pytest.mark.system

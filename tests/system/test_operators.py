@@ -8,7 +8,7 @@ from ioc_clients import CHANNELS, run_client
 from service_process import Service, orbitfb, refused
 from test_panel import operate, start
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.core.errors import ControlError
 
 pytestmark = pytest.mark.system

@@ -20,7 +20,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from orbitfb.app.service.page_process import PageProcess
 from orbitfb.config.tree import AppConfig
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.core.clock import SystemClock
 from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.page.server import MORE_CONNECTIONS

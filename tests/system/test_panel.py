@@ -13,7 +13,7 @@ from ioc_clients import KICK, run_client
 from service_process import Service, refused, wait_for
 
 from orbitfb import __version__
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.panel.pv_table import Extent, panel_pvs
 from orbitfb.panel.settings import PanelSettings
 from orbitfb.physics.places import Ring

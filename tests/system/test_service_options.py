@@ -7,7 +7,7 @@ import pytest
 from service_process import as_process, refused
 
 from orbitfb.app.setup.startup import find_ring
-from orbitfb.config.tree import load_config
+from orbitfb.config.load import load_config
 from orbitfb.core.errors import ConfigError
 
 pytestmark = pytest.mark.system

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from service_process import START, Service, orbitfb, transitions, wait_for
 
-from orbitfb.control import socket
+from orbitfb.control import client
 from orbitfb.core.transitions import Transitions
 
 pytestmark = pytest.mark.system
@@ -41,7 +41,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     options = ("--rate", RATE_HZ, "--drift", "strong", "--drift-ticks", 100, "--config", config)
     with Service(directory / "data", "sim", *options, learn=True) as running:
         running.wait_status("ticks", lambda status: status["ticks"] > 400, 2 * START)
-        socket.ask(running.data, {"command": "open"})  # else the orbit leaves while we wait
+        client.ask(running.data, {"command": "open"})  # else the orbit leaves while we wait
         yield running
 
 
@@ -84,7 +84,7 @@ def test_refit_keeps_what_the_judge_accepts_and_activates_nothing(service: Servi
 
 def test_refit_with_activate_swaps_the_policy(service: Service):
     baseline = service.where["policy"]
-    socket.ask(service.data, {"command": "close"})  # a candidate is looked at on closed ticks
+    client.ask(service.data, {"command": "close"})  # a candidate is looked at on closed ticks
     service.wait_below(20.0)  # and on none at which even the step towards the reference is limited
     report = json.loads(ask(service, "refit", "--activate", "--json"))
     assert report["decision"] == "promoted", report["reason"]

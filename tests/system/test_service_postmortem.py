@@ -10,7 +10,7 @@ import pytest
 from ioc_clients import KICK, run_client
 from service_process import Service, orbitfb, rms, wait_for
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.postmortem.reading import read_postmortem
 from orbitfb.sim.layout import STORED_PV
 

@@ -12,7 +12,7 @@ import pytest
 from ioc_clients import run_client, serving
 from service_process import Service, refused, wait_for
 
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.core.errors import ControlError
 from orbitfb.physics.frequency import frequency_model
 from orbitfb.physics.places import Ring

@@ -13,7 +13,7 @@ from service_process import Service, orbitfb
 from typer.testing import CliRunner
 
 from orbitfb.cli.app import app
-from orbitfb.control.socket import ask
+from orbitfb.control.client import ask
 from orbitfb.panel.settings import PanelSettings
 
 pytestmark = pytest.mark.system

@@ -42,7 +42,7 @@ from orbitfb.loop.slot import PolicySlot
 from orbitfb.panel.settings import PanelSettings
 from orbitfb.physics.places import Ring
 
-_log = structlog.stdlib.get_logger("orbitfb.control.socket")
+_log = structlog.stdlib.get_logger("orbitfb.control.server")
 
 LARGEST_GAIN = 1.0
 """A policy is judged with its own gain; operators may only take some of it away."""

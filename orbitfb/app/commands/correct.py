@@ -18,7 +18,7 @@ from orbitfb.loop.correction.move import Move
 from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.panel.pvs.corrections import LAWS
 
-_log = structlog.stdlib.get_logger("orbitfb.control.socket")
+_log = structlog.stdlib.get_logger("orbitfb.control.server")
 
 PATIENCE = 20.0
 """How long the answer waits for a move to be over [s]; a longer one goes on and is logged."""

@@ -18,7 +18,7 @@ from orbitfb.core.printable import escaped
 from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.panel.figures import Figures
 
-_log = structlog.stdlib.get_logger("orbitfb.control.socket")
+_log = structlog.stdlib.get_logger("orbitfb.control.server")
 
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 

@@ -9,7 +9,8 @@ from orbitfb.app.doctor.finding import Finding, Verdict
 from orbitfb.app.doctor.network import look_at_environment, look_at_ports
 from orbitfb.app.doctor.program import look_at_program
 from orbitfb.app.doctor.ring import look_at_ring
-from orbitfb.config.tree import AppConfig, load_config
+from orbitfb.config.load import load_config
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.measure.response_file import nominal_response
 from orbitfb.physics.places import Ring

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from orbitfb.app.doctor.finding import Finding, Verdict
 from orbitfb.config.tree import AppConfig
-from orbitfb.control.socket import is_running
+from orbitfb.control.client import is_running
 from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.core.files.ownership import runtime_directory
 from orbitfb.history.columns import layout, row_bytes

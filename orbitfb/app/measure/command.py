@@ -19,7 +19,7 @@ from orbitfb.app.setup.simulated_ring import SimulatedRing
 from orbitfb.app.setup.startup import SIMULATED, find_ring, make_directory, take_ring
 from orbitfb.app.setup.stored_policies import sim_job
 from orbitfb.config.tree import AppConfig
-from orbitfb.control.socket import ask, is_running
+from orbitfb.control.client import ask, is_running
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ControlError, OrbitFeedbackError, OwnershipError
 from orbitfb.core.files.ownership import Lock

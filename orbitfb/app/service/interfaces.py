@@ -23,7 +23,7 @@ from orbitfb.app.commands.vectors import Vectors
 from orbitfb.app.service.page_process import PageProcess
 from orbitfb.app.service.panel_process import PanelProcess
 from orbitfb.config.tree import AppConfig
-from orbitfb.control.socket import ControlServer
+from orbitfb.control.server import ControlServer
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import Channels, Mask, Vector

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from orbitfb.config.tree import AppConfig
-from orbitfb.control.socket import ask, is_running
+from orbitfb.control.client import ask, is_running
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError, StoreError
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import Mask, Vector

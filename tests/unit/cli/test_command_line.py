@@ -19,9 +19,28 @@ def test_linear_algebra_has_one_thread_from_the_start():
 
 
 def test_a_question_to_the_service_waits_for_no_import_of_arithmetic():
-    """`orbitfb command status` reads the configuration and asks; of that it starts quickly."""
+    """`orbitfb command status` asks; where nothing is configured it builds no configuration."""
     asked = (
-        "import sys, orbitfb.cli.app, orbitfb.app.commands.requests, orbitfb.config.tree\n"
+        "import sys\n"
+        "from orbitfb.cli.app import main\n"
+        "sys.argv = ['orbitfb', 'command', 'status', '--data', 'nowhere']\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "slow = {'numpy', 'orbitfb.config.tree', 'scipy', 'h5py', 'torch', 'structlog', 'rich'}\n"
+        "print(sorted(slow & set(sys.modules)))"
+    )
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("ORBITFB_")}
+    told = subprocess.run(
+        [sys.executable, "-c", asked], capture_output=True, text=True, check=True, env=environment
+    )
+    assert "no service of this user runs on" in told.stderr
+    assert told.stdout.strip() == "[]"
+
+
+def test_settings_wait_for_no_import_of_arithmetic():
+    """What reads the configuration, as a command with `--config` does."""
+    asked = (
+        "import sys, orbitfb.config.load\n"
         "slow = {'scipy', 'h5py', 'torch', 'structlog', 'prometheus_client', 'epics', 'caproto'}\n"
         "print(sorted(slow & set(sys.modules)))"
     )
@@ -33,7 +52,7 @@ def test_the_loop_leaves_the_arithmetic_of_the_learner_to_the_trainer():
     """Half a second of every start."""
     asked = (
         "import sys, orbitfb.app.service.run\n"
-        "slow = {'scipy.linalg', 'scipy.optimize', 'torch', 'orbitfb.models.identify'}\n"
+        "slow = {'scipy', 'torch', 'orbitfb.models.identify'}\n"
         "print(sorted(slow & set(sys.modules)))"
     )
     told = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)

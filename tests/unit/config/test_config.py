@@ -11,8 +11,8 @@ from typer.main import get_command
 
 import orbitfb.cli
 from orbitfb.cli.app import app
+from orbitfb.config.load import OPTIONS, load_config
 from orbitfb.config.text import to_toml
-from orbitfb.config.tree import OPTIONS, load_config
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError, RingError
 
 BAD_TOML = {

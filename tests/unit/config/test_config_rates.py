@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
+from orbitfb.config.load import load_config
 from orbitfb.config.text import to_toml
-from orbitfb.config.tree import AppConfig, load_config
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError
 
 RATES = (0.1, 0.2, 0.5, 1.0, 10.0, 100.0)

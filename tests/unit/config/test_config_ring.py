@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from orbitfb.config.tree import load_config
+from orbitfb.config.load import load_config
 from orbitfb.core.errors import RingError
 from orbitfb.physics.places import Ring
 

@@ -18,8 +18,9 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from orbitfb.control import socket as control
-from orbitfb.control.socket import MESSAGE_LIMIT, MOST_CONVERSATIONS, ControlServer, ask, is_running
+from orbitfb.control import server as control
+from orbitfb.control.client import MESSAGE_LIMIT, ask, is_running, socket_path
+from orbitfb.control.server import MOST_CONVERSATIONS, ControlServer
 from orbitfb.core.errors import ControlError, OwnershipError
 from orbitfb.core.files import ownership
 from orbitfb.core.files.ownership import Lock, runtime_directory
@@ -75,7 +76,7 @@ def raw(data: Path, message: bytes) -> bytes:
     """Send bytes and give all that comes back."""
     with socket.socket(socket.AF_UNIX) as connection:
         connection.settimeout(5.0)
-        connection.connect(str(control._socket_path(data)))
+        connection.connect(str(socket_path(data)))
         connection.sendall(message)
         connection.shutdown(socket.SHUT_WR)
         return b"".join(iter(lambda: connection.recv(65536), b""))
@@ -100,7 +101,7 @@ def test_a_bad_message_gets_an_answer(served: Path, message: bytes, answer: byte
 def test_a_message_without_end_is_refused(served: Path):
     with socket.socket(socket.AF_UNIX) as connection:
         connection.settimeout(5.0)
-        connection.connect(str(control._socket_path(served)))
+        connection.connect(str(socket_path(served)))
         with pytest.raises(OSError, match=r"Broken pipe|reset"):
             for _ in range(MESSAGE_LIMIT):
                 connection.sendall(b" " * 65536)
@@ -109,7 +110,7 @@ def test_a_message_without_end_is_refused(served: Path):
 
 def test_a_client_that_says_nothing_keeps_nobody(served: Path):
     with socket.socket(socket.AF_UNIX) as connection:
-        connection.connect(str(control._socket_path(served)))
+        connection.connect(str(socket_path(served)))
         assert ask(served, {"command": "x"})
 
 
@@ -128,7 +129,7 @@ def test_many_ask_at_once(served: Path):
 
 
 def test_only_its_user_can_open_the_socket(served: Path):
-    path = control._socket_path(served)
+    path = socket_path(served)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
 
@@ -143,7 +144,7 @@ def test_nobody_there(tmp_path: Path):
 
 
 def test_a_socket_left_by_a_killed_service_is_taken_over(tmp_path: Path):
-    path = control._socket_path(tmp_path)
+    path = socket_path(tmp_path)
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(path))
     assert path.exists() and not is_running(tmp_path)
@@ -155,7 +156,7 @@ def test_a_socket_left_by_a_killed_service_is_taken_over(tmp_path: Path):
 
 def test_a_service_that_does_not_answer(tmp_path: Path):
     with socket.socket(socket.AF_UNIX) as mute:
-        mute.bind(str(control._socket_path(tmp_path)))
+        mute.bind(str(socket_path(tmp_path)))
         mute.listen()
         with pytest.raises(ControlError, match=r"the service did not answer within 0.05 s"):
             ask(tmp_path, {"command": "x"}, timeout=0.05)
@@ -250,7 +251,7 @@ def test_a_lock_is_free_when_its_holder_is_killed():
 def connect_to(data: Path) -> socket.socket:
     connection = socket.socket(socket.AF_UNIX)
     connection.settimeout(5.0)
-    connection.connect(str(control._socket_path(data)))
+    connection.connect(str(socket_path(data)))
     return connection
 
 

@@ -13,7 +13,7 @@ import typer
 import yaml
 
 from orbitfb.cli.app import app
-from orbitfb.config.tree import load_config
+from orbitfb.config.load import load_config
 from orbitfb.panel.access import read_access
 from orbitfb.panel.pv_table import Extent, panel_pvs, writable_names
 from orbitfb.panel.settings import PanelSettings

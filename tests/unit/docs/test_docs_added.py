@@ -16,7 +16,7 @@ import pytest
 from docs_pieces import ROOT, pieces
 
 from orbitfb.cli.app import app
-from orbitfb.config.tree import load_config
+from orbitfb.config.load import load_config
 from orbitfb.core.errors import ConfigError
 from orbitfb.effects.registry import all_effects
 from orbitfb.learn.builders import builder, first_policy

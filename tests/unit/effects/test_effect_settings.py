@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orbitfb.config.tree import load_config
+from orbitfb.config.load import load_config
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.units import parse_quantity
 from orbitfb.effects.files import effects_toml, read_effects

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from orbitfb.app.commands import autosave
-from orbitfb.config.tree import load_config
+from orbitfb.config.load import load_config
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError, RecordError
 from orbitfb.core.files.bounded import LARGEST_TEXT, read_bytes
 from orbitfb.diagnose.result.diagnosis import read_diagnosis

@@ -13,7 +13,8 @@ from orbitfb.app.doctor.finding import Finding, Verdict, as_text
 from orbitfb.app.doctor.network import look_at_environment, look_at_ports
 from orbitfb.app.doctor.ring import look_at_ring
 from orbitfb.cli.app import app
-from orbitfb.config.tree import AppConfig, load_config
+from orbitfb.config.load import load_config
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError
 from orbitfb.physics.places import Ring
 

@@ -14,7 +14,8 @@ from orbitfb.app.train.policy import train_policy
 from orbitfb.app.train.request import METHODS, TrainingRequest
 from orbitfb.cli.app import app
 from orbitfb.cli.text import as_text
-from orbitfb.config.tree import AppConfig, load_config
+from orbitfb.config.load import load_config
+from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError, ControlError, StoreError
 
 QUICK = {

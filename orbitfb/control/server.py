@@ -1,31 +1,20 @@
-"""How one command line speaks to a running service.
-
-It listens on a Unix socket that only its user can open: one JSON object per line in, one out.
-The socket lives in the user's run-time directory, as a data directory may lie where there are none.
-"""
+"""How a running service listens to command lines; `client` is the other end."""
 
 import contextlib
 import errno
-import json
-import os
 import pwd
 import socket
 import struct
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import structlog
 
+from orbitfb.control.client import address_of, encode, receive, socket_path
 from orbitfb.core.connections import Connections
-from orbitfb.core.errors import ControlError, OrbitFeedbackError, OwnershipError
-from orbitfb.core.files.ownership import own_file
-
-MESSAGE_LIMIT = 1 << 20
-"""Longest message that either side reads [bytes]."""
-
-_LONGEST_SOCKET_PATH = 100
+from orbitfb.core.errors import OrbitFeedbackError, OwnershipError
 
 BACKLOG = 128
 """Connections that may wait; beyond it the kernel turns a command line away at once."""
@@ -42,24 +31,7 @@ _BREATH = 0.1
 
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
-_log = structlog.stdlib.get_logger("orbitfb.control.socket")
-
-
-def _socket_path(data_directory: Path) -> Path:
-    return own_file(str(data_directory.resolve()), ".sock")
-
-
-@contextlib.contextmanager
-def _address(path: Path) -> Iterator[str]:
-    """Give a socket's path as the kernel takes it, through an open directory if it is long."""
-    if len(os.fsencode(path)) <= _LONGEST_SOCKET_PATH:
-        yield str(path)
-        return
-    directory = os.open(path.parent, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        yield f"/proc/self/fd/{directory}/{path.name}"
-    finally:
-        os.close(directory)
+_log = structlog.stdlib.get_logger("orbitfb.control.server")
 
 
 class ControlServer:
@@ -78,7 +50,7 @@ class ControlServer:
     """
 
     def __init__(self, data_directory: Path, handler: Handler) -> None:
-        self._path = _socket_path(data_directory)
+        self._path = socket_path(data_directory)
         self._handler = handler
         self._problem = ""
         self._closed = threading.Event()
@@ -86,7 +58,7 @@ class ControlServer:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._path.unlink(missing_ok=True)
-            with _address(self._path) as address:
+            with address_of(self._path) as address:
                 self._listener.bind(address)
             self._path.chmod(0o600)
             self._listener.listen(BACKLOG)
@@ -147,20 +119,20 @@ class ControlServer:
         problem = "the service is busy with other commands; ask again in some seconds"
         with connection, contextlib.suppress(OSError):
             connection.setblocking(False)
-            connection.sendall(_encode({"ok": False, "error": problem}))
+            connection.sendall(encode({"ok": False, "error": problem}))
 
     def _converse(self, connection: socket.socket) -> None:
         with connection, contextlib.suppress(OSError):
             connection.settimeout(30.0)
             try:
-                request = {**_receive(connection), "peer": _peer(connection)}
+                request = {**receive(connection), "peer": _peer(connection)}
                 self._conversations.keep(connection)
-                answer = _encode({"ok": True, **self._handler(request)})
+                answer = encode({"ok": True, **self._handler(request)})
             except OrbitFeedbackError as error:
-                answer = _encode({"ok": False, "error": str(error)})
+                answer = encode({"ok": False, "error": str(error)})
             except Exception as error:  # the outermost guard of this thread: the asker is told
                 problem = f"the service failed at this: {error!r}"
-                answer = _encode({"ok": False, "error": problem})
+                answer = encode({"ok": False, "error": problem})
             try:
                 connection.sendall(answer)
             finally:
@@ -187,67 +159,3 @@ def _peer(connection: socket.socket) -> dict[str, Any]:
     except KeyError:
         name = str(user)
     return {"user": name, "process": process}
-
-
-def is_running(data_directory: Path) -> bool:
-    """Say whether a service answers for a data directory."""
-    with (
-        socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection,
-        _address(_socket_path(data_directory)) as address,
-    ):
-        return connection.connect_ex(address) == 0
-
-
-def ask(data_directory: Path, request: Mapping[str, Any], timeout: float = 30.0) -> dict[str, Any]:
-    """Send one request to the service that owns a data directory and wait for the answer.
-
-    Args:
-        data_directory: The service's data directory.
-        request: A JSON object, `{"command": "status"}`.
-        timeout: How long to wait for the answer [s].
-
-    Raises:
-        ControlError: No service runs there, it does not answer, or it refuses.
-    """
-    path = _socket_path(data_directory)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(timeout)
-        try:
-            with _address(path) as address:
-                connection.connect(address)
-        except OSError:
-            raise ControlError(
-                f"no service of this user runs on {data_directory.resolve()}; start one with "
-                f"`orbitfb run`, name its directory with --data, or give this shell the service's "
-                f"XDG_RUNTIME_DIR (here its socket would be in {path.parent})"
-            ) from None
-        try:
-            connection.sendall(_encode(request))
-            answer = dict(_receive(connection))
-        except OSError as error:
-            raise ControlError(f"the service did not answer within {timeout} s: {error}") from None
-    if not answer.pop("ok", False):
-        raise ControlError(str(answer.get("error", "the service refused without a reason")))
-    return answer
-
-
-def _encode(message: Mapping[str, Any]) -> bytes:
-    return json.dumps(message, allow_nan=False).encode() + b"\n"
-
-
-def _receive(connection: socket.socket) -> Mapping[str, Any]:
-    data = b""
-    while not data.endswith(b"\n"):
-        chunk = connection.recv(65536)
-        if not chunk:
-            raise ControlError("the other side hung up in the middle of a message")
-        data += chunk
-        if len(data) > MESSAGE_LIMIT:
-            raise ControlError(f"a message of more than {MESSAGE_LIMIT} bytes was refused")
-    try:
-        message = json.loads(data)
-    except (ValueError, RecursionError):
-        raise ControlError("the message is not JSON") from None
-    if not isinstance(message, dict):
-        raise ControlError("the message is not a JSON object")
-    return message
