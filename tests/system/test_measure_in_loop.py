@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_session import Session, fault_session
-from orbitfb.control.socket import ask
 from service_process import CHANNELS, Service, wait_for
 from test_panel import PREFIX, operate
 
+from orbitfb.control.client import ask
 from orbitfb.core.errors import ControlError
 from orbitfb.measure.response_file import read_response
 from orbitfb.physics.places import Ring
