@@ -52,8 +52,9 @@ lint: venv
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
+# Threads share nothing, so that each reads the stubs of all libraries again.
 types: venv
-	$(BIN)/pyright --threads 2
+	$(NICE) $(BIN)/pyright --threads $(or $(THREADS),2)
 
 layers: venv
 	$(BIN)/lint-imports

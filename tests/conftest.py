@@ -5,22 +5,17 @@ import shutil
 import socket
 import sys
 import tempfile
-import threading
-import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
-import psutil
 import pytest
 import typer.main
 from hypothesis import settings
+from left_behind import watch
 from times import pytest_addoption, pytest_configure
 
 __all__ = ["pytest_addoption", "pytest_configure"]
-
-PATIENCE = 2.0
-"""How long what a test has stopped may take to be gone [s]."""
 
 _LOOPBACK_EPICS = {
     "EPICS_CA_ADDR_LIST": "127.0.0.1",
@@ -93,68 +88,14 @@ def _stay_on_loopback() -> Iterator[None]:
         yield
 
 
-def _childless() -> bool:
-    """Say quickly, where the system can, that there is no child: psutil looks at all processes."""
-    try:
-        threads = os.listdir("/proc/self/task")
-        return not any(Path(f"/proc/self/task/{each}/children").read_text() for each in threads)
-    except OSError:
-        return False
-
-
-def _children() -> set[str]:
-    found: set[str] = set()
-    if _childless():
-        return found
-    for child in psutil.Process().children(recursive=True):
-        try:
-            command = " ".join(child.cmdline())
-            if child.status() != psutil.STATUS_ZOMBIE and "resource_tracker" not in command:
-                found.add(f"process {child.pid}: {command or child.name()}")
-        except psutil.NoSuchProcess:
-            continue
-    return found
-
-
-def _threads() -> set[str]:
-    """Threads that Python started; those of libca live as long as the process."""
-    return {
-        f"thread {thread.ident}: {thread.name}"
-        for thread in threading.enumerate()
-        if not isinstance(thread, threading._DummyThread)
-    }
-
-
-def _listeners() -> set[str]:
-    """TCP ports on which this process listens."""
-    return {
-        f"listening port {connection.laddr.port}"
-        for connection in psutil.Process().net_connections("tcp")
-        if connection.status == psutil.CONN_LISTEN
-    }
-
-
-def _watch() -> Iterator[None]:
-    def present() -> set[str]:
-        return _children() | _threads() | _listeners()
-
-    before = present()
-    yield
-    deadline = time.monotonic() + PATIENCE
-    while left := present() - before:
-        if time.monotonic() > deadline:
-            pytest.fail("left behind: " + "; ".join(sorted(left)))
-        time.sleep(0.02)
-
-
 @pytest.fixture(scope="module", autouse=True)
 def _module_leaves_nothing_behind() -> Iterator[None]:
-    yield from _watch()
+    yield from watch()
 
 
 @pytest.fixture(autouse=True)
 def _test_leaves_nothing_behind() -> Iterator[None]:
-    yield from _watch()
+    yield from watch()
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 import contextlib
 import io
 import json
-import math
 import os
 import signal
 import subprocess
@@ -33,8 +32,11 @@ START = 120.0
 """How long a start may take on a loaded computer [s]."""
 PATIENCE = 4.0
 """How much longer what takes a while on an idle computer may take on a loaded one."""
-POLL = 0.02
-"""From one look to the next [s]."""
+SOONEST, LATEST = 0.02, 0.2
+"""From one look to the next, at first and after a while [s]: a look at the metrics takes 8 ms of
+computing, at every look of a long wait a tenth of what all the tests compute."""
+GROWTH = 1.1
+"""How much longer each pause is than the one before [1]: a tenth of the wait until then."""
 
 
 Done = subprocess.CompletedProcess[str]
@@ -125,10 +127,13 @@ def wait_for(what: str, look: Callable[[], Any], timeout: float = START) -> Any:
     counted, not seconds: a computer that stands still for a while looks no more often.
     """
     most = min(PATIENCE * timeout, max(timeout, START))
-    for _ in range(math.ceil(most / POLL)):
+    waited, pause = 0.0, SOONEST
+    while waited < most:
         if seen := look():
             return seen
-        time.sleep(POLL)
+        time.sleep(pause)
+        waited += pause
+        pause = min(GROWTH * pause, LATEST)
     raise AssertionError(f"no {what} within {most} s")
 
 
