@@ -201,9 +201,10 @@ def command(
         typer.Argument(
             metavar="KEY=VALUE",
             help="What goes with gain (plane=x value=0.5), dither (orbit_cost=1e-6), try "
-            "(singular_values=120 regularisation=1e-5; then apply), reference (values=[…], m), "
-            "reference-save and reference-load (name=golden), enable-bpms and enable-correctors "
-            "(enabled=[true, …]), correct (law=active; then correct-apply, or undo), "
+            "(singular_values=120 regularisation=1e-5, of one plane with plane=y; then apply), "
+            "reference (values=[…], m), reference-save and reference-load (name=golden), "
+            "enable-bpms and enable-correctors (enabled=[true, …]), "
+            "correct (law=active; then correct-apply, or undo), "
             "bump (place=NAME plane=x position=1e-4 angle=0, m and rad), "
             "average (orbits=10), dead-band (plane=x value=1e-6, m), "
             "measure (action=start, abort or status; at_once=0, fresh=true).",

@@ -25,6 +25,7 @@ from orbitfb.core.errors import ConfigError
 from orbitfb.core.files.bounded import LARGEST_TEXT, parse_toml, read_text
 from orbitfb.core.settings import without
 from orbitfb.loop.timing.timeouts import RULES
+from orbitfb.policies.blocks import sized
 
 OPTIONS = {
     "data_directory": "--data",
@@ -93,7 +94,17 @@ def load_config(
             f"the configuration is refused:\n{listed}\n"
             "`orbitfb config show` prints every key with its value and meaning."
         )
-    return config
+    return _planned(config)
+
+
+def _planned(config: AppConfig) -> AppConfig:
+    """Give the SVD law of each plane the sizes of that plane, if there are laws by plane."""
+    if not config.policy.svd.planes:
+        return config
+    channels = config.ring.load().channels(config.ring.planes)
+    laws = sized(config.policy.svd.planes, channels)
+    svd = config.policy.svd.model_copy(update={"planes": laws})
+    return config.model_copy(update={"policy": config.policy.model_copy(update={"svd": svd})})
 
 
 def _fitted(config: AppConfig) -> tuple[AppConfig, list[str]]:

@@ -262,7 +262,7 @@ def _adjustments(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]
             )
         ),
         *restraint_pvs(settings, extent.planes),
-        *trial_pvs(extent.bpms, extent.correctors),
+        *trial_pvs(extent.lengths()),
     )
 
 

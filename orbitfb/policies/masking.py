@@ -118,16 +118,18 @@ class MaskedPolicy:
                 f"a mask of shape {movable.shape} that leaves {np.count_nonzero(movable)} "
                 f"correctors does not fit {m} correctors; leave at least one to move"
             )
-        if regularisation is None:
-            regularisation = getattr(getattr(policy, "settings", None), "regularisation", 0.0)
+        damping: Vector | float | None = regularisation
+        if damping is None:
+            damping = getattr(policy, "damping", None)
+        if damping is None:
+            damping = getattr(getattr(policy, "settings", None), "regularisation", 0.0)
         if covariance is None:
             covariance = getattr(policy, "covariance", None)
         self.policy, self.response = policy, response
         self.movable = movable.copy()
         self.movable.setflags(write=False)
-        strength = float(regularisation or 0.0)
-        weights: Vector | None = getattr(policy, "bpm_weights", None)
-        rows = response if weights is None else weights[:, None] * response
+        strength = np.broadcast_to(np.asarray(0.0 if damping is None else damping), (m,))
+        rows: Vector = getattr(policy, "solved", response)
         self._share = _share(rows, movable, strength, covariance)
         self._shares = Recent(lambda valid: _share(rows[valid], self.movable, strength, covariance))
 
@@ -167,12 +169,10 @@ class MaskedPolicy:
         return self._share @ inside.gain_matrix
 
 
-def _share(
-    response: Vector, movable: Mask, regularisation: float, covariance: Vector | None
-) -> Vector:
+def _share(response: Vector, movable: Mask, damping: Vector, covariance: Vector | None) -> Vector:
     """Give the matrix that takes a change to the one without masked correctors, (m, m)."""
     n, m = response.shape
-    square = response.T @ response + regularisation**2 * np.eye(m)
+    square = response.T @ response + np.diag(damping**2)
     if covariance is not None:
         square = square + n * covariance
     free, still = np.flatnonzero(movable), np.flatnonzero(~movable)
@@ -180,7 +180,7 @@ def _share(
     share[free, free] = 1.0
     if len(still):
         among, across = square[np.ix_(free, free)], square[np.ix_(free, still)]
-        if regularisation > 0:  # a corrector may be lost in the middle of a tick
+        if damping[free].min() > 0:  # a corrector may be lost in the middle of a tick
             share[np.ix_(free, still)] = np.linalg.solve(among, across)
         else:  # without λ the equations may have no unique solution
             share[np.ix_(free, still)] = np.linalg.lstsq(among, across, rcond=None)[0]

@@ -16,6 +16,8 @@ expected square of the next orbit over what is not known about R,
 
 solved within the modes that are kept, so that P = 0 gives the law above exactly.
 
+With a law for each plane (`policies.blocks`) each diagonal block of R is solved so by itself.
+
 With weights w of the BPMs, W = diag(w) of mean square 1, it minimises |W (e + R a)|²: the law above
 for W R and W e. A BPM of weight 0 has no say; λ and P keep their meaning.
 """
@@ -25,6 +27,7 @@ from pydantic import Field, field_validator
 
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.policies.blocks import Plane, PlaneLaw, blocks_of, within
 from orbitfb.policies.inverse import (
     checked_covariance,
     checked_response,
@@ -55,6 +58,11 @@ class SvdSettings(PidSettings):
         description=f"Weight of each BPM, 0 to {LARGEST_WEIGHT:g}, x first, then y, relative to "
         "the others [1]; empty: all the same.",
     )
+    planes: dict[Plane, PlaneLaw] = Field(
+        default={},
+        description="Cut and λ of each plane by itself, tables `planes.x` and `planes.y`; none: "
+        "one cut and one λ for the whole response.",
+    )
 
     @field_validator("bpm_weights")
     @classmethod
@@ -83,6 +91,9 @@ class SvdPolicy:
         settings: Gains and regularisation.
         bpm_weights: Of mean square 1, shape (n,) [1], or None.
         gain_matrix: K, shape (m, n) [A/m]: the proportional law is a = −K e.
+        solved: R as the law sees it: weighted, and without what one plane does in the other,
+            shape (n, m) [m/A].
+        damping: λ of each corrector, shape (m,) [m/A].
 
     Raises:
         RingError: A matrix is not finite or has the wrong shape.
@@ -101,20 +112,29 @@ class SvdPolicy:
         columns = self.response.shape[1]
         self.covariance = None if covariance is None else checked_covariance(covariance, columns)
         self.settings = settings
-        modes = min(self.response.shape)
-        if settings.singular_values is not None and settings.singular_values > modes:
-            raise ConfigError(
-                f"singular_values is {settings.singular_values}, but a response matrix of shape "
-                f"{self.response.shape} has only {modes}; lower it or leave it unset"
-            )
+        self._blocks = blocks_of(
+            settings.planes,
+            self.response.shape,
+            settings.singular_values,
+            settings.regularisation,
+        )
         self.bpm_weights = _weights(settings.bpm_weights, len(self.response))
-        unset = () if settings.bpm_weights else ("bpm_weights",)  # the names of old laws stay
+        weights = 1.0 if self.bpm_weights is None else self.bpm_weights[:, None]
+        self.solved = frozen(within(self._blocks, weights * self.response))
+        self.damping = np.concatenate(
+            [
+                np.full(its.columns.stop - its.columns.start, its.regularisation)
+                for its in self._blocks
+            ]
+        )
+        # The names of old laws stay.
+        unset = [key for key in ("bpm_weights", "planes") if not getattr(settings, key)]
         self._policy_id = policy_id or "svd-" + content_hash(
             settings, self.response, self.covariance, exclude=unset
         )
-        self.gain_matrix = self._solve(self.response, self.bpm_weights)
+        self.gain_matrix = self._solve(np.ones(len(self.response), dtype=np.bool_))
         self._memoryless = settings.is_memoryless
-        self._masked = Recent(self._solve_valid)
+        self._masked = Recent(self._solve)
 
     @property
     def policy_id(self) -> str:
@@ -172,21 +192,23 @@ class SvdPolicy:
             )
         return -(errors @ self.gain_matrix.T)
 
-    def _solve_valid(self, valid: Mask) -> Vector:
-        """Solve the law of the BPMs that count, shape (m, valid)."""
-        weights = self.bpm_weights
-        return self._solve(self.response[valid], None if weights is None else weights[valid])
-
-    def _solve(self, response: Vector, weights: Vector | None) -> Vector:
-        """Invert a response matrix, shape (rows, m), into K, shape (m, rows)."""
-        settings = self.settings
-        inverse = regularised_inverse(
-            response if weights is None else weights[:, None] * response,
-            settings.regularisation,
-            self.covariance,
-            settings.singular_values,
-        )
-        return frozen(settings.gain * (inverse if weights is None else inverse * weights))
+    def _solve(self, valid: Mask) -> Vector:
+        """Solve the law of the BPMs that count, K, shape (m, valid), block by block."""
+        weights = None if self.bpm_weights is None else self.bpm_weights[valid]
+        gains = np.zeros((self.response.shape[1], int(np.count_nonzero(valid))))
+        first = 0
+        for block in self._blocks:
+            own, columns = valid[block.rows], block.columns
+            here = slice(first, first + int(np.count_nonzero(own)))
+            doubt = None if self.covariance is None else self.covariance[columns, columns]
+            gains[columns, here] = regularised_inverse(
+                self.solved[block.rows, columns][own],
+                block.regularisation,
+                doubt,
+                block.singular_values,
+            )
+            first = here.stop
+        return frozen(self.settings.gain * (gains if weights is None else gains * weights))
 
 
 def _weights(given: tuple[float, ...], rows: int) -> Vector | None:

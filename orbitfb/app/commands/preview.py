@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from orbitfb.app.commands.arguments import plane_of
 from orbitfb.core.errors import ControlError, OrbitFeedbackError
 from orbitfb.core.signals import Channels, Mask, TickRecord, Vector
 from orbitfb.learn.builders import masked, unmasked
 from orbitfb.loop.slot import PolicySlot
+from orbitfb.policies.blocks import Plane, sized
 from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.policies.svd import LARGEST_WEIGHT, SvdPolicy, SvdSettings
 
@@ -71,7 +73,7 @@ class Trial:
         self._configured, self._latest = configured, latest
         self._movable, self._activate = movable, activate
         self._lock = threading.Lock()
-        self._wanted: dict[str, Any] = {}
+        self._wanted: tuple[Mapping[str, Any], ...] = ()
         self._policy: SvdPolicy | None = None
         self._incumbent = ""
         self._predicted: dict[str, float] = {}
@@ -84,13 +86,12 @@ class Trial:
     def shown(self) -> dict[str, Any]:
         """Give what is in force and what the last trial predicts, by PV of the panel."""
         inside = unmasked(self._slot.current)
-        known = isinstance(inside, SvdPolicy)
+        settings = inside.settings if isinstance(inside, SvdPolicy) else None
         bpms = len(self._channels.bpms)
-        modes = min(bpms, len(self._channels.correctors))
+        weights = None if settings is None else list(settings.bpm_weights or (1.0,) * bpms)
         return {
-            "BpmWeight-RB": list(inside.settings.bpm_weights or (1.0,) * bpms) if known else None,
-            "Modes-RB": (inside.settings.singular_values or modes) if known else None,
-            "Lambda-RB": inside.settings.regularisation if known else None,
+            "BpmWeight-RB": weights,
+            **_cuts(settings, self._channels),
             "PredictedMax-I": self._predicted.get("largest_change_A"),
             "PredictedRms-I": self._predicted.get("rms_change_A"),
             "PredictedOrbit-I": self._predicted.get("orbit_rms_um"),
@@ -99,14 +100,14 @@ class Trial:
     def _try(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         """Build the law with what was asked for so far and predict its next change."""
         with self._lock:
-            wanted = {**self._wanted, **self._checked(request)}
             current = self._slot.current
             inside: Any = unmasked(current)
             settings = inside.settings if isinstance(inside, SvdPolicy) else self._configured
+            wanted = _added(self._wanted, request)
+            for each in wanted:
+                settings = self._with(settings, each)
             policy = SvdPolicy(
-                inside.response,
-                settings.model_copy(update=wanted),
-                covariance=getattr(inside, "covariance", None),
+                inside.response, settings, covariance=getattr(inside, "covariance", None)
             )
             predicted = self._predict(policy)
             self._wanted, self._policy, self._predicted = wanted, policy, predicted
@@ -127,12 +128,34 @@ class Trial:
             answer = self._activate(
                 {**request, "command": "activate", "policy": policy.policy_id, "force": False}
             )
-            self._wanted, self._policy, self._predicted = {}, None, {}
+            self._wanted, self._policy, self._predicted = (), None, {}
             return answer
 
-    def _checked(self, request: Mapping[str, Any]) -> dict[str, Any]:
+    def _with(self, settings: SvdSettings, request: Mapping[str, Any]) -> SvdSettings:
+        """Give the settings with what was asked for; a cut or λ without a plane is of the whole."""
+        plane: Plane | None = None
+        if "plane" in request:
+            plane = "x" if plane_of(request, self._channels.planes) == "x" else "y"
+        cut = self._cut(request, plane)
+        if not cut and "weights" not in request:
+            raise ControlError("try takes singular_values, regularisation, weights, or several")
+        changes: dict[str, Any] = {}
+        if "weights" in request:
+            changes["bpm_weights"] = self._weights(request["weights"])
+        if plane is None:
+            changes |= cut | ({"planes": {}} if cut else {})
+        elif cut:
+            laws = sized(settings.planes, self._channels)
+            laws[plane] = laws[plane].model_copy(update=cut)
+            changes["planes"] = laws
+        else:
+            raise ControlError("plane goes with singular_values or regularisation")
+        return settings.model_copy(update=changes)
+
+    def _cut(self, request: Mapping[str, Any], plane: str | None) -> dict[str, Any]:
+        """Read a cut and a λ."""
         checked: dict[str, Any] = {}
-        modes = min(len(self._channels.bpms), len(self._channels.correctors))
+        modes = modes_in(self._channels, plane)
         if "singular_values" in request:
             value = request["singular_values"]
             if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= modes:
@@ -146,10 +169,6 @@ class Trial:
                     f"regularisation must be from 0 to {LARGEST_LAMBDA:g} m/A, not {value!r}"
                 )
             checked["regularisation"] = float(value)
-        if "weights" in request:
-            checked["bpm_weights"] = self._weights(request["weights"])
-        if not checked:
-            raise ControlError("try takes singular_values, regularisation, weights, or several")
         return checked
 
     def _weights(self, values: object) -> tuple[float, ...]:
@@ -180,3 +199,47 @@ class Trial:
             "largest_change_A": float(np.abs(change).max()),
             "orbit_rms_um": float(np.sqrt(np.mean(after**2)) * 1e6),
         }
+
+
+def modes_in(channels: Channels, plane: str | None = None) -> int:
+    """Count the modes of a plane, or of the whole response.
+
+    Args:
+        channels: Of the loop.
+        plane: The plane; None: all of them.
+    """
+    rows, columns = len(channels.bpms), len(channels.correctors)
+    if plane is not None:
+        row, column = channels.bpm_parts[plane], channels.corrector_parts[plane]
+        rows, columns = row.stop - row.start, column.stop - column.start
+    return min(rows, columns)
+
+
+def _added(
+    before: tuple[Mapping[str, Any], ...], request: Mapping[str, Any]
+) -> tuple[Mapping[str, Any], ...]:
+    """Add a request to those that are tried, in the place of an older one for the same things."""
+
+    def about(its: Mapping[str, Any]) -> tuple[frozenset[str], object]:
+        return frozenset(its) - {"origin", "peer"}, its.get("plane")
+
+    return (*(old for old in before if about(old) != about(request)), request)
+
+
+def _cuts(settings: SvdSettings | None, channels: Channels) -> dict[str, Any]:
+    """Give cut and λ in force by PV; None: that plane or the whole has none of its own."""
+    values: dict[str, Any] = {"Modes-RB": None, "Lambda-RB": None}
+    several = len(channels.planes) > 1
+    if settings is not None and not settings.planes:
+        values["Modes-RB"] = settings.singular_values or modes_in(channels)
+        values["Lambda-RB"] = settings.regularisation
+    for plane in channels.planes if several else ():
+        law = None if settings is None else {**settings.planes}.get(plane)
+        modes = law and (law.singular_values or modes_in(channels, plane))
+        values[f"Modes{plane.upper()}-RB"] = modes
+        values[f"Lambda{plane.upper()}-RB"] = (
+            law
+            and settings
+            and (settings.regularisation if law.regularisation is None else law.regularisation)
+        )
+    return values

@@ -25,7 +25,7 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     "average": ("orbits",),
     "dead-band": ("plane", "value"),
     "rf": ("follow",),
-    "try": ("singular_values", "regularisation", "weights"),
+    "try": ("plane", "singular_values", "regularisation", "weights"),
     "apply": (),
     "correct": ("law", "once"),
     "correct-apply": (),

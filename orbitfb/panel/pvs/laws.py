@@ -1,5 +1,7 @@
 """The PVs of how the loop corrects: averages, dead band, cut, lambda and weights of an SVD law."""
 
+from collections.abc import Mapping
+
 from orbitfb.loop.settings import MOST_AVERAGED
 from orbitfb.panel.pv import Kind, Order, PanelPv
 from orbitfb.panel.pvs.forms import MICRO, ONCE, choice_pv, number_pv, pair_of
@@ -36,29 +38,14 @@ def restraint_pvs(settings: PanelSettings, planes: str) -> tuple[PanelPv, ...]:
     return tuple(pv for its in (average, *bands) for pv in pair_of(its))
 
 
-def trial_pvs(bpms: int, correctors: int) -> tuple[PanelPv, ...]:
+def trial_pvs(lengths: Mapping[str, tuple[int, int]]) -> tuple[PanelPv, ...]:
     """Give those by which another SVD law is tried.
 
     Args:
-        bpms: Length of an orbit.
-        correctors: Length of a set of setpoints.
+        lengths: BPMs and correctors of each plane.
     """
-    modes = PanelPv(
-        "Modes",
-        Kind.INTEGER,
-        "Singular values that an SVD law keeps; SP: to try, RB: in force.",
-        limits=(1.0, float(min(bpms, correctors))),
-        order=Order("try", "singular_values"),
-    )
-    strength = PanelPv(
-        "Lambda",
-        Kind.DOUBLE,
-        "Tikhonov's lambda of an SVD law; SP: to try, RB: in force.",
-        "m/A",
-        7,
-        limits=(0.0, 1.0),
-        order=Order("try", "regularisation"),
-    )
+    bpms, correctors = (sum(its[kind] for its in lengths.values()) for kind in (0, 1))
+    several = len(lengths) > 1
     weights = PanelPv(
         "BpmWeight",
         Kind.DOUBLES,
@@ -68,12 +55,45 @@ def trial_pvs(bpms: int, correctors: int) -> tuple[PanelPv, ...]:
         length=bpms,
         order=Order("try", "weights"),
     )
+    of_planes = (
+        pv
+        for plane, (rows, columns) in (lengths.items() if several else ())
+        for pv in _cut(min(rows, columns), plane)
+    )
     return (
-        *pair_of(modes),
-        *pair_of(strength),
+        *_cut(min(bpms, correctors)),
+        *of_planes,
         *pair_of(weights),
         number_pv("PredictedRms-I", "Next change that the tried law would make, rms.", "A", 6),
         number_pv("PredictedMax-I", "The same, largest.", "A", 6),
         number_pv("PredictedOrbit-I", "Rms orbit error expected after it.", "um", 3),
         choice_pv("Apply-Cmd", "Puts the tried law in force.", ONCE, {"command": "apply"}),
+    )
+
+
+def _cut(modes: int, plane: str = "") -> tuple[PanelPv, ...]:
+    """Give cut and lambda of a plane, or of the whole response."""
+    letter, more = plane.upper(), (("plane", plane),) if plane else ()
+    where = f"of plane {plane} by itself" if plane else "of the whole response"
+    return (
+        *pair_of(
+            PanelPv(
+                f"Modes{letter}",
+                Kind.INTEGER,
+                f"Singular values {where} that an SVD law keeps; SP: to try, RB: in force.",
+                limits=(1.0, float(modes)),
+                order=Order("try", "singular_values", more=more),
+            )
+        ),
+        *pair_of(
+            PanelPv(
+                f"Lambda{letter}",
+                Kind.DOUBLE,
+                f"Tikhonov's lambda {where}; SP: to try, RB: in force.",
+                "m/A",
+                7,
+                limits=(0.0, 1.0),
+                order=Order("try", "regularisation", more=more),
+            )
+        ),
     )

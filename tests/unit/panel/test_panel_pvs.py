@@ -23,7 +23,7 @@ def test_names_are_unique_and_fit_into_a_pv_name():
 
 def test_every_setpoint_has_a_readback_and_limits():
     wishes = [pv for pv in PVS if pv.name.endswith("-SP")]
-    assert len(wishes) == 17
+    assert len(wishes) == 21
     for pv in wishes:
         shown = BY_NAME[pv.name.removesuffix("-SP") + "-RB"]
         assert pv.limits[0] < pv.limits[1] or pv.kind is Kind.TEXT

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import pytest
@@ -24,24 +24,29 @@ REFERENCE = 1e-5 * np.ones(N)
 
 
 class Bench:
-    def __init__(self, directory: Path) -> None:
-        self.slot = PolicySlot(SvdPolicy(RESPONSE, SvdSettings(gain=0.5)))
+    def __init__(self, directory: Path, planes: Literal["x", "xy"] = "x") -> None:
+        matrix = response(Ring.load(), planes)
+        self.channels = Ring.load().channels(planes)
+        self.slot = PolicySlot(SvdPolicy(matrix, SvdSettings(gain=0.5)))
         self.store = PolicyStore(directory)
         self.latest = Latest()
         self.asked: list[Any] = []
         self.trial = Trial(
             self.slot,
             self.store,
-            CHANNELS,
+            self.channels,
             SvdSettings(),
             self.latest,
-            lambda: np.ones(M, dtype=bool),
+            lambda: np.ones(matrix.shape[1], dtype=bool),
             lambda request: self.asked.append(request) or {"policy": request["policy"]},
         )
 
     def see(self) -> None:
-        reading = Reading(Orbit(ORBIT, np.ones(N, dtype=bool), 0.0), np.zeros(M), {}, 0.0)
-        self.latest(cast(Any, SimpleNamespace(reading=reading, reference=REFERENCE)))
+        times = len(self.channels.planes)
+        orbit, valid = np.tile(ORBIT, times), np.ones(times * N, dtype=bool)
+        reading = Reading(Orbit(orbit, valid, 0.0), np.zeros(times * M), {}, 0.0)
+        reference = np.tile(REFERENCE, times)
+        self.latest(cast(Any, SimpleNamespace(reading=reading, reference=reference)))
 
     def __call__(self, command: str, **arguments: object) -> Any:
         return self.trial.handlers[command]({"command": command, **arguments})
@@ -79,6 +84,53 @@ def test_cut_and_lambda_add_up_until_they_are_applied(bench: Bench):
     settings = stored.settings
     assert (settings.singular_values, settings.regularisation, settings.gain) == (40, 1e-4, 0.5)
     assert bench.asked == [{"command": "activate", "policy": both, "force": False}]
+    with pytest.raises(ControlError, match="nothing was tried yet"):
+        bench("apply")
+
+
+def test_each_plane_has_a_cut_and_a_lambda_of_its_own(tmp_path: Path):
+    bench = Bench(tmp_path, "xy")
+    bench.see()
+    shown = bench.trial.shown()
+    assert (shown["Modes-RB"], shown["ModesX-RB"], shown["LambdaY-RB"]) == (2 * M, None, None)
+    bench("try", plane="y", singular_values=40)
+    bench("try", plane="x", regularisation=2e-4)
+    answer = bench("try", plane="y", singular_values=30)  # takes the place of the 40
+    stored = bench("apply")["policy"]
+    assert stored == answer["policy"]
+    policy = bench.store.load(stored, bench.channels)
+    assert isinstance(policy, SvdPolicy)
+    laws = policy.settings.planes
+    assert (laws["x"].singular_values, laws["x"].regularisation) == (None, 2e-4)
+    assert (laws["y"].singular_values, laws["y"].regularisation) == (30, None)
+    bench.slot.swap(policy)
+    shown = bench.trial.shown()
+    assert shown["Modes-RB"] is None and shown["Lambda-RB"] is None
+    assert (shown["ModesX-RB"], shown["ModesY-RB"]) == (M, 30)
+    assert (shown["LambdaX-RB"], shown["LambdaY-RB"]) == (2e-4, 70e-6)
+    whole = bench("try", singular_values=300)["policy"]  # without a plane: of the whole again
+    bench("apply")
+    whole = bench.store.load(whole, bench.channels)
+    assert isinstance(whole, SvdPolicy)
+    assert whole.settings.singular_values == 300 and not whole.settings.planes
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"plane": "z", "singular_values": 3}, "no plane 'z'"),
+        ({"plane": "y", "singular_values": M + 1}, f"from 1 to {M}"),
+        ({"plane": "y"}, "try takes singular_values, regularisation, weights"),
+        ({"plane": "y", "weights": [1.0] * 2 * N}, "plane goes with"),
+    ],
+)
+def test_what_makes_no_sense_of_a_plane_is_refused(
+    tmp_path: Path, arguments: dict[str, object], told: str
+):
+    bench = Bench(tmp_path, "xy")
+    bench.see()
+    with pytest.raises(ControlError, match=told):
+        bench("try", **arguments)
     with pytest.raises(ControlError, match="nothing was tried yet"):
         bench("apply")
 
