@@ -2,7 +2,6 @@
 
 import ast
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import pytest
 from typer.main import get_command
 
 import orbitfb.cli
-from orbitfb.cli.app import app
+from orbitfb.cli.app import app, main
 from orbitfb.config.load import OPTIONS, load_config
 from orbitfb.config.text import to_toml
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError, RingError
@@ -319,33 +318,33 @@ def test_every_refusal_is_of_the_family():
     assert issubclass(ConfigError, OrbitFeedbackError) and issubclass(RingError, OrbitFeedbackError)
 
 
-def cli(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "orbitfb", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+def cli(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """Run the program to its end: exit code, output, what it says on standard error."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["orbitfb", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            main()
+            sys.exit(0)
+    told = capsys.readouterr()
+    return int(end.value.code or 0), told.out, told.err
 
 
-def test_command_line_tells_it_on_stderr_and_exits_with_2(tmp_path: Path):
+def test_command_line_tells_it_on_stderr_and_exits_with_2(tmp_path: Path, capsys):
     file = tmp_path / "bad.toml"
     file.write_text("[loop]\nrate_hz = -1.0\n")
-    done = cli("config", "check", file)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == (
+    code, out, err = cli(capsys, "config", "check", file)
+    assert (code, out) == (2, "")
+    assert err == (
         "orbitfb: the configuration is refused:\n"
         f"  loop.rate_hz: Input should be greater than 0, got -1.0 ({file}, line 2)\n"
         "`orbitfb config show` prints every key with its value and meaning.\n"
     )
 
 
-def test_command_line_accepts_what_it_shows(tmp_path: Path):
+def test_command_line_accepts_what_it_shows(tmp_path: Path, capsys):
     file = tmp_path / "shown.toml"
-    file.write_text(cli("config", "show").stdout)
-    done = cli("config", "check", file)
-    assert (done.returncode, done.stdout, done.stderr) == (0, f"{file}: good\n", "")
+    file.write_text(cli(capsys, "config", "show")[1])
+    assert cli(capsys, "config", "check", file) == (0, f"{file}: good\n", "")
 
 
 @pytest.mark.parametrize(
@@ -355,12 +354,12 @@ def test_command_line_accepts_what_it_shows(tmp_path: Path):
         ('[ring]\nresponse = "nowhere.safetensors"\n', "nowhere.safetensors"),
     ],
 )
-def test_the_check_opens_the_files_that_are_named(tmp_path: Path, text: str, words: str):
+def test_the_check_opens_the_files_that_are_named(tmp_path: Path, capsys, text: str, words: str):
     file = tmp_path / "named.toml"
     file.write_text(text)
-    done = cli("config", "check", file)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert words in done.stderr
+    code, out, err = cli(capsys, "config", "check", file)
+    assert (code, out) == (2, "")
+    assert words in err
 
 
 def test_a_fast_feedback_whose_status_nobody_reads_is_refused():

@@ -51,13 +51,17 @@ def test_files_hold_figures_settings_and_series(still, tmp_path):
     assert (tmp_path / "new" / "refit.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_same_seed_same_result_and_drift_is_followed():
-    settings = RefitEvaluationSettings(drift="paper", ticks=600, seed=5)
-    first, second = evaluate_refit(settings), evaluate_refit(settings)
-    for law, series in first.true_rms.items():
-        assert np.array_equal(series, second.true_rms[law])
-    assert first.figures["rms_ratio_frozen"] != 1.0
-    assert first.figures["rms_ratio_ours"] < 1.3
+def test_drift_is_followed():
+    figures = evaluate_refit(RefitEvaluationSettings(drift="paper", ticks=600, seed=5)).figures
+    assert figures["rms_ratio_frozen"] != 1.0
+    assert figures["rms_ratio_ours"] < 1.3
+
+
+@pytest.mark.nightly
+def test_same_seed_same_result(still):
+    again = evaluate_refit(RefitEvaluationSettings(ticks=800, seed=4))
+    for law, series in still.true_rms.items():
+        assert np.array_equal(series, again.true_rms[law])
 
 
 def test_begins_with_a_wrong_response_when_asked():

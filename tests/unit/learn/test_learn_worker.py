@@ -144,7 +144,7 @@ def test_does_not_roll_back_over_an_operators_choice():
 
 def test_a_good_swap_is_kept():
     bench = Bench(factor=0.4, every=100)
-    bench.advance(800)
+    bench.advance(400)
     assert Decision.ROLLED_BACK not in {r.decision for r in bench.reports}
 
 

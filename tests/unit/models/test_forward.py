@@ -80,22 +80,24 @@ def honest():
     return fit_forward(rows, record(response, 1500, 2, dither=3e-5), response, SETTINGS)
 
 
-def test_plain_training_in_closed_loop_is_biased_and_the_validation_says_so():
-    """−RK tends to 1 + g/2 at the noise floor; here two inputs share it, s and a."""
+@pytest.fixture(scope="module")
+def plain():
+    """A net fitted to the changes of the orbit in the same loop."""
     response = ring()
     rows, other = record(response, 3000, 1), record(response, 1500, 2, dither=3e-5)
-    plain = fit_forward(rows, other, response, PLAIN)
-    assert loop_gain(plain, response) > 1.2
+    return fit_forward(rows, other, response, PLAIN)
+
+
+def test_plain_training_in_closed_loop_is_biased_and_the_validation_says_so(plain):
+    """−RK tends to 1 + g/2 at the noise floor; here two inputs share it, s and a."""
+    assert loop_gain(plain, ring()) > 1.2
     assert plain.figures["slope"] > 1.1
     assert plain.figures["validation_chi2"] > 1.1 * plain.figures["validation_chi2_response"]
     assert plain.figures["trusted"] == 0.0
 
 
-def test_the_one_step_error_prefers_the_biased_net(honest):
+def test_the_one_step_error_prefers_the_biased_net(honest, plain):
     """Why one-step errors decide nothing, not even on rows with a dither."""
-    response = ring()
-    rows, other = record(response, 3000, 1), record(response, 1500, 2, dither=3e-5)
-    plain = fit_forward(rows, other, response, PLAIN)
     assert plain.figures["validation_r2"] > honest.figures["validation_r2"]
 
 

@@ -101,6 +101,7 @@ def test_an_uninformed_start_becomes_better_than_svd_in_a_second_or_two() -> Non
     assert judge(embed(result.policy), rings, trial).score == pytest.approx(reached.score, abs=1e-3)
 
 
+@pytest.mark.nightly
 def test_gain_at_the_floor_is_found_to_be_that_of_the_kalman_filter() -> None:
     response = 1e-2 * np.eye(12)
     noise = motion = 1e-6

@@ -129,6 +129,7 @@ def test_one_step_without_noise_is_learnt_as_the_inverse() -> None:
     assert result.curve[-1] < 0.1 < result.curve[0]
 
 
+@pytest.mark.nightly
 def test_modes_reach_what_raw_coordinates_do_not() -> None:
     response = ring()
     shared = {"iterations": 150, "hidden": 36}
@@ -293,6 +294,7 @@ def test_groups_of_responses_each_move_their_own_trajectories() -> None:
         )
 
 
+@pytest.mark.nightly
 def test_drawn_responses_make_the_policy_hold_for_all_of_them() -> None:
     response = ring()
     rng = np.random.default_rng(5)
