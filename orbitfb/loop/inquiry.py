@@ -1,4 +1,4 @@
-"""The loop asks whether the orbit answers (`safety.answering`), and heeds what it is told."""
+"""The loop asks whether the orbit answers (`safety.answers`), and heeds what it is told."""
 
 from dataclasses import dataclass, replace
 
@@ -9,9 +9,9 @@ from orbitfb.loop.guard import Guard
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
 from orbitfb.loop.timing.waiting import too_early
-from orbitfb.safety.answering import Found, Seen, interrupted, look, note
-from orbitfb.safety.owing import Sent
-from orbitfb.safety.questions import Question
+from orbitfb.safety.answers.answering import Found, Seen, interrupted, look, note
+from orbitfb.safety.answers.owing import Sent
+from orbitfb.safety.answers.questions import Question
 from orbitfb.safety.verdict import FINE, Action, Verdict, name_some
 
 WAITS = "corrects nothing until the orbit has answered what was asked of it"

@@ -11,13 +11,13 @@ from orbitfb.loop.correction.settings import USUAL, CorrectionSettings
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.states import Event, next_state
 from orbitfb.loop.timing.pacing import Pace
-from orbitfb.safety.answering import opened
+from orbitfb.safety.answers.answering import opened
+from orbitfb.safety.answers.owing import Answering
 from orbitfb.safety.arrival import Sent
 from orbitfb.safety.bpms import BpmMemory
 from orbitfb.safety.frequency import Frequency
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
-from orbitfb.safety.owing import Answering
 from orbitfb.safety.prediction import Answers
 from orbitfb.safety.refusals import Refusals
 from orbitfb.safety.second_controller import SecondController

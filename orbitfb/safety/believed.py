@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Mask
-from orbitfb.safety.owing import Answering
+from orbitfb.safety.answers.owing import Answering
 
 KEPT = 64
 """Stretches of refused ticks that are remembered: more lie within no history that is kept."""

@@ -9,8 +9,8 @@ from lying import closed_loop
 from orbitfb.core.signals import LoopState
 from orbitfb.loop.inquiry import WAITS
 from orbitfb.physics.places import Ring
-from orbitfb.safety.expectation import Owed
-from orbitfb.safety.owing import GRACE, Session
+from orbitfb.safety.answers.expectation import Owed
+from orbitfb.safety.answers.owing import GRACE, Session
 
 FAR = 20e-6
 """True orbit error that no such fault may reach [m]."""

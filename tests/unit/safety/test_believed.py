@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from orbitfb.safety.answers.expectation import Owed
+from orbitfb.safety.answers.owing import Answering, Session
 from orbitfb.safety.believed import KEPT, Believed
-from orbitfb.safety.expectation import Owed
-from orbitfb.safety.owing import Answering, Session
 
 OWED, ASKS = Owed.nothing(2, 2), Session.begin(2, 2)
 

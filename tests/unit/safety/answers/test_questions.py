@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbitfb.safety.owing import Answering, Sent, Session
-from orbitfb.safety.questions import Question, Ring, Sight, ask_at_any, ask_devices, ask_ring
-from orbitfb.safety.questions import Test as Sums
+from orbitfb.safety.answers.evidence import Test as Sums
+from orbitfb.safety.answers.evidence import ask_at_any, ask_devices, ask_ring
+from orbitfb.safety.answers.owing import Answering, Sent, Session
+from orbitfb.safety.answers.questions import Question, Ring, Sight
 
 N, M, LAGS = 30, 24, 3
 NOISE = SIZE = 0.2e-6

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.safety.questions import CLIP, MEDIAN, Ring
+from orbitfb.safety.answers.questions import CLIP, MEDIAN, Ring
 
 FOLLOWING = 0.4
 """Share of a surprise that the observer takes over [1]: noise of 1.12 times its least size is left,

@@ -13,10 +13,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.safety.expectation import Expectation, Owed, shown
+from orbitfb.safety.answers.evidence import Test, ask_at_any, ask_devices, ask_ring
+from orbitfb.safety.answers.expectation import Expectation, Owed, shown
+from orbitfb.safety.answers.owing import HALF, LAGS, Answering, Sent, Session, rms
+from orbitfb.safety.answers.questions import Ring, Sight
 from orbitfb.safety.interlocks import InterlockSettings
-from orbitfb.safety.owing import HALF, LAGS, Answering, Sent, Session, rms
-from orbitfb.safety.questions import Ring, Sight, Test, ask_at_any, ask_devices, ask_ring
 
 ANSWERED = 4.0
 """z from which a device answers: by chance once in exp(4² / 2) = 3,000 questions at most, and then

@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.safety.expectation import Expectation, Owed
+from orbitfb.safety.answers.evidence import Test
+from orbitfb.safety.answers.expectation import Expectation, Owed
+from orbitfb.safety.answers.questions import Question, Ring
 from orbitfb.safety.interlocks import InterlockSettings
-from orbitfb.safety.questions import Question, Ring, Test
 
 LAGS = 3
 """Orbits at which an answer may come: in time, or one or two late."""

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbitfb.safety.answering import Seen as Orbit
-from orbitfb.safety.answering import interrupted, look, note
-from orbitfb.safety.expectation import Expectation, Owed
+from orbitfb.safety.answers.answering import Seen as Orbit
+from orbitfb.safety.answers.answering import interrupted, look, note
+from orbitfb.safety.answers.expectation import Expectation, Owed
+from orbitfb.safety.answers.owing import FEW, GRACE, Answering, Sent, Session
+from orbitfb.safety.answers.questions import Question, Ring
 from orbitfb.safety.interlocks import InterlockSettings
-from orbitfb.safety.owing import FEW, GRACE, Answering, Sent, Session
-from orbitfb.safety.questions import Question, Ring
 
 N, M = 40, 40
 SETTINGS = InterlockSettings()

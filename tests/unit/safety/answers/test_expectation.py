@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from orbitfb.safety.expectation import LEAST, Expectation, Owed, shown
-from orbitfb.safety.questions import Ring
+from orbitfb.safety.answers.expectation import LEAST, Expectation, Owed, shown
+from orbitfb.safety.answers.questions import Ring
 
 N, M = 30, 24
 NOISE = 0.2e-6
