@@ -30,7 +30,10 @@ from orbitfb.epics.libca import (
 from orbitfb.epics.records import RECORD
 
 FIELD_TYPES = {0: "text", 1: "a short integer", 3: "an enumeration", 4: "bytes", 5: "an integer"}
-"""Native types that cannot hold a current, by their number in db_access.h."""
+"""Native types that hold no real number, by their number in db_access.h."""
+REAL, WHOLE = (DBR_FLOAT, DBR_DOUBLE), (1, 5)
+"""Native types that hold real numbers, and whole ones. An int64 is a real number to Channel
+Access: that its record rounds is not to be seen there."""
 
 ChangeHandler = Callable[[int, bool], None]
 
@@ -118,16 +121,34 @@ class ChannelGroup:
     @property
     def not_real(self) -> tuple[str, ...]:
         """The PVs that are connected and hold no real number, each with what it holds."""
+        return self._told_of_other(REAL)
+
+    @property
+    def not_numbers(self) -> tuple[str, ...]:
+        """The PVs that are connected and hold no number, each with what it holds."""
+        return self._told_of_other((*REAL, *WHOLE))
+
+    @property
+    def whole(self) -> Mask:
+        """PVs that are connected and hold whole numbers only, shape (k,)."""
+        mask = np.zeros(len(self), dtype=np.bool_)
+        mask[[index for index, kind in self._kinds().items() if kind in WHOLE]] = True
+        return mask
+
+    def _told_of_other(self, kinds: tuple[int, ...]) -> tuple[str, ...]:
+        return tuple(
+            f"{self.names[index]} is {FIELD_TYPES.get(kind, f'of type {kind}')}"
+            for index, kind in self._kinds().items()
+            if kind not in kinds
+        )
+
+    def _kinds(self) -> dict[int, int]:
+        """Native types of those that are connected, by index."""
         with self.lock:
-            kinds = {
+            return {
                 index: int(self._library.ca_field_type(self.handles[index]))
                 for index in np.flatnonzero(self.connected).tolist()
             }
-        return tuple(
-            f"{self.names[index]} is {FIELD_TYPES.get(kind, f'of type {kind}')}"
-            for index, kind in kinds.items()
-            if kind not in (DBR_FLOAT, DBR_DOUBLE)
-        )
 
     def open(self) -> None:
         """Create all channels and start to search for them."""

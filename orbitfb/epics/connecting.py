@@ -61,12 +61,23 @@ def wait_for_channels(
             f"{few(read_only)}\n"
             "Ask for write access for this host and user."
         )
-    if not_real := setpoints.not_real:
+    if wrong := setpoints.not_numbers:
         raise MachineError(
-            f"{len(not_real)} of {len(setpoints)} setpoints cannot hold a current:\n"
-            f"{few(not_real)}\n"
+            f"{len(wrong)} of {len(setpoints)} setpoints cannot hold a current:\n"
+            f"{few(wrong)}\n"
             "Name the PV of the current [A] in the places table: a record of type ao."
         )
+
+
+def steps_of(setpoints: ChannelGroup, settings: EpicsSettings) -> NDArray[np.float64]:
+    """Give the step of each setpoint, shape (m,) [A]; 0: it holds any value.
+
+    Args:
+        setpoints: Connected.
+        settings: Has the step that records round to.
+    """
+    step = settings.setpoint_step
+    return np.where(setpoints.whole, max(np.ceil(step), 1.0), step)
 
 
 def _origin(missing: Sequence[str], settings: EpicsSettings) -> str:

@@ -17,7 +17,7 @@ from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
 from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.channels import ChannelGroup, Monitor
-from orbitfb.epics.connecting import check_oscillator, check_units, wait_for_channels
+from orbitfb.epics.connecting import check_oscillator, check_units, steps_of, wait_for_channels
 from orbitfb.epics.inbox import Frame, Inbox
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
@@ -134,6 +134,11 @@ class EpicsMachine:
         Read when the setpoints connect, after they were away, and when one is not what was sent.
         """
         return self._drive_limits.copy()
+
+    @property
+    def steps(self) -> Vector:
+        """Step of each setpoint, shape (m,) [A]; 0: it holds any value."""
+        return steps_of(self._setpoints, self._settings)
 
     @property
     def disconnected(self) -> tuple[str, ...]:

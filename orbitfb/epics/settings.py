@@ -77,6 +77,12 @@ class EpicsSettings(Settings):
         description="Unit of the BPM PVs of which the places table (column unit) says none; egu: "
         "what each of them states. PVs that state another one (EGU) are refused.",
     )
+    setpoint_step: float = Field(
+        default=0.0,
+        ge=0,
+        description="Step that the setpoint records hold [A], where they round what is put; 0: "
+        "any value. Records of whole numbers (longout) have 1 A at least.",
+    )
     stamp_window: float = Field(
         default=0.0,
         ge=0,

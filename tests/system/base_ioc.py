@@ -3,10 +3,11 @@
     python base_ioc.py JOB.json
 
 JOB is `{orbit_pvs, setpoint_pvs, readback_pvs, auxiliary: {pv: value}, rate_hz, read_only,
-plant_seed}`. All readings of a tick carry the stamp of one record (TSEL). Without a plant BPM i
-reads `(tick % 1000) * 1e-3 + i * 1e-6` mm, so that a torn orbit is seen in the values alone; with
-a `plant_seed` the BPMs see the default ring of that seed, which answers the setpoints. Faults are
-switched on by PVs: TEST:SKIP, TEST:NAN, TEST:INVALID hold the index of a BPM or -1.
+plant_seed, setpoint_record}`. All readings of a tick carry the stamp of one record (TSEL).
+Without a plant BPM i reads `(tick % 1000) * 1e-3 + i * 1e-6` mm, so that a torn orbit is seen in
+the values alone; with a `plant_seed` the BPMs see the default ring of that seed, which answers
+the setpoints. Faults are switched on by PVs: TEST:SKIP, TEST:NAN, TEST:INVALID hold the index of a
+BPM or -1.
 Prints READY when it serves.
 """
 
@@ -29,7 +30,7 @@ DBF_DOUBLE = 10  # numbering of db_put_field_process
 STAMP = "TEST:STAMP"
 FAULTS = ("TEST:SKIP", "TEST:NAN", "TEST:INVALID")
 INVALID_ABOVE = 1e6
-DRIVE_LIMIT = 18.0
+DRIVE_LIMIT = 18
 
 ACCESS = """
 ASG(DEFAULT) { RULE(1, READ) RULE(1, WRITE) }
@@ -48,7 +49,7 @@ def database(job: dict) -> str:
     records += [f'record(ai, "{pv}") {{ {reading} {alarm} }}' for pv in job["orbit_pvs"]]
     records += [f'record(ai, "{pv}") {{ {reading} }}' for pv in job["readback_pvs"]]
     records += [
-        f'record(ao, "{pv}") {{ {drive} field(VAL, "0") field(PINI, "YES") }}'
+        f'record({job["setpoint_record"]}, "{pv}") {{ {drive} field(VAL, "0") field(PINI, "YES") }}'
         for pv in job["setpoint_pvs"]
     ]
     records += [

@@ -50,6 +50,7 @@ class BaseIoc:
         auxiliary: dict[str, float] | None = None,
         read_only: bool = False,
         plant_seed: int | None = None,
+        setpoint_record: str = "ao",
     ) -> None:
         self.port = port or free_port()
         self._job = {
@@ -60,6 +61,7 @@ class BaseIoc:
             "rate_hz": rate_hz,
             "read_only": read_only,
             "plant_seed": plant_seed,
+            "setpoint_record": setpoint_record,
         }
         self._process: subprocess.Popen[bytes] | None = None
         self._folder = tempfile.TemporaryDirectory()

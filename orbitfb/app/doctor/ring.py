@@ -11,16 +11,18 @@ from orbitfb.app.setup.production_guard import check_live
 from orbitfb.app.setup.startup import SIMULATED, find_ring, servers_of
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError, MachineError
-from orbitfb.core.signals import Channels
+from orbitfb.core.signals import Vector
 from orbitfb.epics.channels import ChannelGroup, Monitor
-from orbitfb.epics.connecting import check_units
+from orbitfb.epics.connecting import check_units, steps_of
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.records import stamps_of, usable, wall_time
 from orbitfb.epics.requests import Getter
 from orbitfb.epics.servers import Doubles, ServerWatch
 from orbitfb.epics.settings import EpicsSettings
+from orbitfb.loop.machines.stepped import rounding_told
 from orbitfb.physics.places import Ring
+from orbitfb.physics.response import response
 from orbitfb.safety.bounds import narrower
 
 _PART = "ring"
@@ -76,16 +78,17 @@ def look_at_ring(
             f"--ioc {ioc}: {', '.join(beyond)} is beyond this computer; give --live if you mean to "
             "ask a machine (nothing is written)"
         )
-    yield from _search(settings, ring.channels(config.ring.planes), config, deadline, servers)
+    yield from _search(settings, ring, config, deadline, servers)
 
 
 def _search(
     settings: EpicsSettings,
-    channels: Channels,
+    ring: Ring,
     config: AppConfig,
     deadline: float,
     servers: Sequence[str],
 ) -> Iterator[Finding]:
+    channels = ring.channels(config.ring.planes)
     slow = {each.pv: name for name, each in config.epics.auxiliary.items()}
     kinds = {
         "BPMs": channels.orbit_pvs,
@@ -130,7 +133,10 @@ def _search(
             found += _units(context, groups, settings, channels.bpm_units)
             found.append(_fresh(records[bpms.connected].copy(), settings))
             found += judge(listener, bpms.names, settings, config.loop)
-        found += [_writable(groups["setpoints"]), _real(groups["setpoints"])]
+        found += [
+            _writable(groups["setpoints"]),
+            _real(groups["setpoints"], response(ring, config.ring.planes), settings),
+        ]
         if groups["setpoints"].connected.any():
             found.append(_drive_limits(context, groups["setpoints"], config))
     finally:
@@ -231,17 +237,23 @@ def _writable(group: ChannelGroup) -> Finding:
     )
 
 
-def _real(group: ChannelGroup) -> Finding:
-    """Tell whether the setpoints can hold a current."""
-    wrong = group.not_real
+def _real(group: ChannelGroup, matrix: Vector, settings: EpicsSettings) -> Finding:
+    """Tell whether the setpoints can hold a current, and what rounding does to the orbit."""
+    wrong = group.not_numbers
+    told = rounding_told(steps_of(group, settings), matrix, group.names)
+    verdict = Verdict.WARNING if told else Verdict.OK
     return Finding(
         _PART,
         "setpoint records",
-        Verdict.FAILED if wrong else Verdict.OK if group.connected.any() else Verdict.SKIPPED,
+        Verdict.FAILED if wrong else verdict if group.connected.any() else Verdict.SKIPPED,
         f"{len(wrong)} cannot hold a current: {', '.join(wrong[:_MOST_NAMED])}"
         if wrong
-        else "all that answer hold real numbers",
-        "name the PVs of the currents [A] in the places table, records of type ao" if wrong else "",
+        else told or "all that answer hold real numbers",
+        "name the PVs of the currents [A] in the places table, records of type ao"
+        if wrong
+        else "is that meant? Records of type ao hold any current"
+        if told
+        else "",
         {"not_real": list(wrong)},
     )
 

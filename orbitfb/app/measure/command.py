@@ -23,9 +23,9 @@ from orbitfb.control.client import ask, is_running
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import ControlError, OrbitFeedbackError, OwnershipError
 from orbitfb.core.files.ownership import Lock
-from orbitfb.core.ports import Machine
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.loop.machines.guarded import GuardedMachine
+from orbitfb.loop.machines.stepped import stepped
 from orbitfb.measure.left import DIRECTORY
 from orbitfb.measure.measurement import Teller
 from orbitfb.observe.logs import configure_logs
@@ -107,7 +107,12 @@ def measure_response(
         stack.callback(ring_machine.close)
         drive = ring_machine.drive_limits
         bounds = Bounds.of(config.limits.setpoint, len(channels.correctors), drive)
-        machine: Machine = ring_machine
+        machine = stepped(
+            ring_machine,
+            ring_machine.steps,
+            config.limits.setpoint,
+            lambda: ring_machine.drive_limits,
+        )
         lease = take_lease(config, epics, _lease_lost, stack)
         if lease is not None:
             machine = GuardedMachine(machine, lease.refusal)

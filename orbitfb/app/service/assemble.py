@@ -62,6 +62,7 @@ from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.excitation.movement import Excitation
 from orbitfb.loop.machines.guarded import GuardedMachine
 from orbitfb.loop.machines.masked import MaskedMachine
+from orbitfb.loop.machines.stepped import rounding_told, stepped
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.measure.left import DIRECTORY, left_astray
@@ -75,6 +76,7 @@ from orbitfb.observe.server_news import ServerNews
 from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.observe.terminal import Terminal
 from orbitfb.observe.view import Surroundings
+from orbitfb.physics.response import response as optics
 from orbitfb.policies.masking import mask_of
 from orbitfb.policies.stability import is_unstable, unstable_on, warning_of
 from orbitfb.policies.trips import TripNotes
@@ -144,7 +146,12 @@ class Service:
         if told := narrower(limit, self.machine.drive_limits, names):
             say_and_log(say, told)
         bounds = Bounds.of(limit, len(names), self.machine.drive_limits)
+        steps = self.machine.steps
+        matrix = optics(ring, config.ring.planes)
+        if told := rounding_told(steps, matrix, self.channels.setpoint_pvs):
+            say_and_log(say, told)
         machine: Machine = self.machine
+        machine = stepped(machine, steps, limit, lambda: self.machine.drive_limits)
         if self.lease is not None:
             machine = GuardedMachine(machine, self.lease.refusal)
         if not counting.all():

@@ -5,7 +5,7 @@ import pytest
 from fake_libca import Bench
 
 from orbitfb.core.errors import ConnectError, MachineError, WriteError
-from orbitfb.epics.connecting import wait_for_channels
+from orbitfb.epics.connecting import steps_of, wait_for_channels
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 
 
@@ -82,7 +82,21 @@ def test_drive_limits_are_read_again_when_a_setpoint_is_not_what_was_sent(bench)
     np.testing.assert_array_equal(bench.machine.drive_limits[1], [-0.05, 0.05])
 
 
-@pytest.mark.parametrize(("kind", "word"), [(5, "an integer"), (3, "an enumeration"), (0, "text")])
+def test_records_of_whole_numbers_are_taken_with_their_step(bench):
+    bench.library.types["COR1"] = 5
+    machine = bench.machine
+    wait_for_channels(machine._groups, machine._setpoints, EpicsSettings(), bench.clock)
+    assert machine.steps.tolist() == [0.0, 1.0, 0.0]
+    coarse = EpicsSettings(setpoint_step=0.25)
+    assert steps_of(machine._setpoints, coarse).tolist() == [0.25, 1.0, 0.25]
+    assert steps_of(machine._setpoints, EpicsSettings(setpoint_step=1.5)).tolist() == [
+        1.5,
+        2.0,
+        1.5,
+    ]
+
+
+@pytest.mark.parametrize(("kind", "word"), [(4, "bytes"), (3, "an enumeration"), (0, "text")])
 def test_setpoints_that_cannot_hold_a_current_are_refused_at_the_start(bench, kind, word):
     bench.library.types["COR1"] = kind
     machine = bench.machine
