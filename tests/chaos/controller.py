@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-import orbitfb.app.service.assemble as composition
+from orbitfb.app.service.active_policy import Keeper
 from orbitfb.cli.app import main
+from orbitfb.loop.slot import PolicySlot
 
 WORD = "Misbehaving"
 LATE = 0.1
@@ -49,9 +50,9 @@ def misbehaving(policy: Any, file: int) -> Any:
 
 if __name__ == "__main__":
     told = os.open(sys.argv[1], os.O_RDONLY | os.O_CLOEXEC)
-    first = composition.Keeper.first
-    composition.Keeper.first = lambda *a, **k: misbehaving(first(*a, **k), told)
-    swap = composition.PolicySlot.swap  # what the learner promotes obeys too
-    composition.PolicySlot.swap = lambda slot, policy: swap(slot, misbehaving(policy, told))
+    first = Keeper.first
+    Keeper.first = lambda *a, **k: misbehaving(first(*a, **k), told)
+    swap = PolicySlot.swap  # what the learner promotes obeys too
+    PolicySlot.swap = lambda slot, policy: swap(slot, misbehaving(policy, told))
     sys.argv = ["orbitfb", *sys.argv[2:]]
     main()
