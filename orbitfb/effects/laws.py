@@ -50,6 +50,8 @@ class DeviceLaw:
         groups: Devices that are commonly struck together, by name.
         whole: Whether only all devices together can be struck.
         periodic: Whether the course is a wave whose frequency is to be found.
+        standing: Whether it acts on an orbit of which the record tells only the changes: where it
+            begins in the middle of a record its first kick has any size.
         driven: Whether the courses follow from the currents alone, whatever the orbit is.
         many: Courses of all devices for several sets of values at once, shape (N, V · D); None
             where that is no quicker than one after the other.
@@ -64,6 +66,7 @@ class DeviceLaw:
     groups: Mapping[str, Indices] = field(default_factory=dict)
     whole: bool = False
     periodic: bool = False
+    standing: bool = False
     driven: bool = False
     many: Callable[[Sequence[Values], Signals], Matrix] | None = None
     undone: Callable[[Values, Signals, Indices], tuple[Matrix, Vector]] | None = None

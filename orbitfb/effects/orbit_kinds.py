@@ -78,7 +78,11 @@ class SourceKind(EffectKind):
 
         names = self.places_of(layout)
         families = self.families(layout)
-        return (DeviceLaw(patterns, course, names, families, periodic=self.periodic),)
+        return (
+            DeviceLaw(
+                patterns, course, names, families, periodic=self.periodic, standing=self.standing
+            ),
+        )
 
     def drivers_at(
         self, places: Indices, values: Values, record: Record, currents: Matrix, orbit: Matrix

@@ -13,11 +13,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, get_lapack_funcs, solve_triangular
 from scipy.sparse.linalg import aslinearoperator, cg
 
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.transform import Indices, Matrix
+
+(_POTRI,) = get_lapack_funcs(("potri",), dtype=np.float64)
 
 ROUNDING = 1e-12
 """Share of the information of a term that may be rounding [1]: sums of thousands of numbers are
@@ -146,8 +148,9 @@ class NormalPriors:
         """Posterior covariance of the sizes of all `count` terms, shape (count, count)."""
         found = np.zeros((count, count))
         if len(self.used):
-            inverse = cho_solve(self.factor, np.diag(self.scale))
-            found[np.ix_(self.used, self.used)] = self.scale[:, None] * inverse
+            inverse, _ = _POTRI(self.factor[0], lower=True)
+            whole = np.tril(inverse) + np.tril(inverse, -1).T
+            found[np.ix_(self.used, self.used)] = self.scale[:, None] * whole * self.scale
         return found
 
     def beyond(self, information: Matrix, cross: Matrix) -> Matrix:

@@ -7,6 +7,7 @@ expectation maximisation (A. Dempster, N. Laird, D. Rubin, J. R. Stat. Soc. B 39
 second moments of the transformed steps in bands of λ.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,11 +15,18 @@ import numpy as np
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.noise import StepNoise
-from orbitfb.estimation.priors import LARGEST, LEAST_STEPS, PRIOR_COUNTS
+from orbitfb.estimation.priors import LARGEST, LEAST_STEPS
 from orbitfb.estimation.transform import Matrix, StepTransform
 
 _RESTART = 1e-3
 """Share of an even part that a weight begins with at least: one that is zero could not grow."""
+
+_STRIDE = 1.5
+"""Power of the ratio by which a weight rises or falls [1]: with 1 a weight that alone makes its
+orbit is right at once and those that share one are slow; below 2 both settle."""
+
+_GLANCE = 2
+"""Steps up the likelihood by which priors are compared: their order is that after sixteen."""
 
 _LEAST_VARIANCE = 1e-6
 """Least variance of a BPM's noise, of the median BPM's: one that repeats its reading has none."""
@@ -49,6 +57,39 @@ class Moments:
     def beside(self, more: Matrix) -> "Moments":
         """The same with others added, shape (B, n, n) [m²]."""
         return replace(self, total=self.total + more)
+
+    @classmethod
+    def halves(
+        cls, spectrum: Matrix, transform: StepTransform, more: Matrix
+    ) -> "tuple[Moments, Moments]":
+        """Those of every other frequency, and of the rest.
+
+        Args:
+            spectrum: Transformed steps, shape (T, n) [m].
+            transform: Of the record.
+            more: Others that are added to all, shared by count, shape (B, n, n) [m²].
+        """
+        even = np.arange(len(transform)) % 2 == 0
+        found: list[Moments] = []
+        for chosen in (even, ~even):
+            parts = [
+                rows[chosen[rows]]
+                for rows in (transform.members(band) for band in range(len(transform.count)))
+            ]
+            count = np.array([float(len(rows)) for rows in parts])
+            total = np.stack([spectrum[rows].T @ spectrum[rows] for rows in parts])
+            total += more * (count / transform.count)[:, None, None]
+            level = [float(np.sum(transform.eigenvalue[rows])) for rows in parts]
+            found.append(cls(total, count, np.array(level) / np.maximum(count, 1.0)))
+        return found[0], found[1]
+
+    def log_density(self, noise: StepNoise) -> float:
+        """Log density of the steps under a noise, but for a constant."""
+        square = np.einsum("nm,bnk,km->bm", noise.modes, self.total, noise.modes, optimize=True)
+        variance = noise.ratio + self.eigenvalue[:, None]
+        by_band = self.count[:, None] * np.log(variance) + square / variance
+        whitened = float(np.linalg.slogdet(noise.modes)[1])
+        return float(np.sum(self.count)) * whitened - 0.5 * float(np.sum(by_band))
 
 
 def first_noise(steps: Matrix, shape: Matrix) -> StepNoise:
@@ -84,7 +125,7 @@ def improve(
     moments: Moments,
     shape: Matrix,
     iterations: int,
-    counts: float = PRIOR_COUNTS,
+    counts: float,
 ) -> StepNoise:
     """Go some steps up the likelihood, by minorisation.
 
@@ -105,6 +146,27 @@ def improve(
         white = white * np.sqrt(noisy / usual)
         white = np.maximum(white, _LEAST_VARIANCE * float(np.median(white)))
     return StepNoise(walk, np.diag(white))
+
+
+def trusted(noise: StepNoise, halves: tuple[Moments, Moments], choices: Sequence[float]) -> float:
+    """What the prior shape of the walk is worth, in steps: by what one half says of the other.
+
+    Where the shapes are those of the ring's ground, a walk that leaves them follows chance and fits
+    the other half of the frequencies worse; where they are not, better.
+
+    Args:
+        noise: That the shapes make; its walk is the prior's.
+        halves: Moments of every other frequency, and of the rest.
+        choices: Counts to choose from.
+    """
+    worth = [
+        sum(
+            other.log_density(improve(noise, one, noise.walk, _GLANCE, counts))
+            for one, other in (halves, halves[::-1])
+        )
+        for counts in choices
+    ]
+    return choices[int(np.argmax(worth))]
 
 
 def _nearer(walk: Matrix, pull: Matrix, expected: Matrix, shape: Matrix, counts: float) -> Matrix:
@@ -195,7 +257,7 @@ def fit_shapes(
         usually = shapes.seen(expected)
         ratio = np.where(usually > 0.0, shapes.seen(pull) / np.maximum(usually, 1e-300), 0.0)
         most = LARGEST * float(np.sum(weights * unit)) / max(len(shapes), 1)
-        weights = weights * np.maximum(ratio, 1e-3)
+        weights = weights * np.maximum(ratio, 1e-3) ** _STRIDE
         single = slice(len(shapes.broad), None)
         weights[single] = np.minimum(weights[single], most / np.maximum(unit[single], 1e-300))
         white = np.maximum(white * shaken / usual, _LEAST_VARIANCE * float(np.median(white)))

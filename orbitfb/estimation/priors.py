@@ -4,9 +4,10 @@ import numpy as np
 
 # Noise, drift and healthy errors.
 
-PRIOR_COUNTS = 100.0
-"""Steps that the prior shape of the walk is worth: it rules modes that a record of some hundred
-rows cannot show, and gives way where thousands speak."""
+TRUST = (100.0, 300.0, 1000.0)
+"""Steps that the prior shape of the walk may be worth: a record tells which, by what each half of
+its frequencies says of the other. That is flat about its best, so a factor of three is near enough;
+100 rule modes that a record of some hundred rows cannot show."""
 
 LEAST_STEPS = 40
 """Steps below which walk and noise cannot be told apart: λ then has too few values."""
@@ -41,6 +42,10 @@ LEAST_SHARE = 0.1
 LIMITS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 """Multiples of the usual healthy scatter that a healthy record may show: measured rings have gains
 of 1 to 8 % and optics that beat by 1 to 10 %."""
+
+AT_FIRST = 30
+"""Rounds of the first fit of the floor's shapes, which begins with what raw readings make of them:
+a shape that the ring does not have takes tens of them to fade."""
 
 AGAIN = 12
 """Rounds by which the floor's shapes are fitted anew from where they stood: they were fitted
@@ -89,6 +94,10 @@ MORE = 3.0
 ONSET_SIGN = 8.0
 """Nats a²/2H of one device from which onsets of its law are looked for: a law that begins at the
 middle of a record shows half of its final evidence in the whole of it."""
+
+STANDING = 100.0
+"""How many times larger than its motion in a record the orbit that stands in a magnet is [1]: some
+tenths of a millimetre beside some micrometres. A factor of ten costs two nats."""
 
 ROUNDS = 4
 """Causes that are accepted at most."""
@@ -158,6 +167,9 @@ ONSET_MARGIN = 30
 
 OWN_REACH = 0.25
 """Logarithm of the ratio within which a device's own value is searched: half a step of a grid."""
+
+OWN_VALUES = 9
+"""Values that are tried within that reach: a sixteenth apart, and a parabola between them."""
 
 RANKED_VALUES = 3
 """Values of a grid that are scored for all sets of devices, by each of two marks."""

@@ -22,7 +22,7 @@ from orbitfb.diagnose.hypotheses.sets import best_set
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
-from orbitfb.estimation.evidence import best_size, given_size
+from orbitfb.estimation.evidence import NormalTerms, best_size, given_size, normal_size
 from orbitfb.estimation.priors import (
     FINENESS,
     GRID_REACH,
@@ -30,6 +30,7 @@ from orbitfb.estimation.priors import (
     ONSET_SIGN,
     ONSETS_EVERY,
     SIZE_WIDTH,
+    STANDING,
     VALUE_COST,
 )
 from orbitfb.estimation.transform import Matrix
@@ -76,14 +77,18 @@ def scan_devices(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked)
                 gain = float(worth(np.array([pull.sum()]), np.array([information.sum()]))[0])
                 every.append(_Found(gain, (), values, free))
         if kind.sudden and not law.whole:
-            begun = _late(kind, law, scorer, spectra, pull, information, values)
+            sign = pull**2 / (2.0 * np.maximum(np.diag(information), 1e-300))
+            begun = _late(kind, law, scorer, spectra, sign, values)
             late = max(late, begun, key=lambda one: one[0])
+    if kind.sudden and law.standing and not rank.promising:  # the first kick may tell of it
+        spectra = scorer.space.courses.spectra(law, grid[0])
+        late = _late(kind, law, scorer, spectra, np.zeros(len(law.names)), grid[0])
     candidates = []
     for found in (every, some):
         top = max(found, key=lambda one: one.evidence, default=None)
         if top is not None and top.evidence > 0.0 and not usual:
             candidates.append(_refined(kind, law, scorer, grid, top, cost))
-    best = max((one.evidence for one in (*every, *some)), default=0.0)
+    best = 0.0 if usual else max((one.evidence for one in (*every, *some)), default=0.0)
     if late[0] > max(0.0, best):
         candidates += _late_candidates(kind, law, scorer, late, cost)
     return candidates
@@ -143,13 +148,22 @@ def _late(
     law: DeviceLaw,
     scorer: Scorer,
     spectra: Sequence[Single],
-    pull: Vector,
-    information: Matrix,
+    sign: Vector,
     values: Values,
 ) -> tuple[float, int, int, Values]:
-    """The best single device that begins late: evidence, device, onset row, values."""
-    own = np.diag(information)
-    sign = pull**2 / (2.0 * np.maximum(own, 1e-300))
+    """The best single device that begins late: evidence, device, onset row, values.
+
+    Args:
+        kind: The effect.
+        law: Of its devices.
+        scorer: Of what is left to explain.
+        spectra: Of the courses.
+        sign: Log likelihood ratio of each device over the whole record, shape (D,).
+        values: Of the parameters.
+    """
+    kicks = _kicks(law, scorer, spectra) if law.standing else None
+    if kicks is not None:
+        sign = sign + np.maximum(kicks.max(axis=0) - np.log(len(kicks)), 0.0)
     hopeful = np.flatnonzero(sign > ONSET_SIGN)
     if not len(hopeful):
         return (-np.inf, 0, 0, values)
@@ -171,17 +185,35 @@ def _late(
     free = scales(kind)
     worth = any_size if free else given_size
     gain = worth(np.asarray(total_pull), np.asarray(total_information))
+    if kicks is not None:
+        gain += np.maximum.reduceat(kicks[:, hopeful], onsets, axis=0)
     outside = (onsets < ONSET_MARGIN) | (onsets > len(scorer.space.transform) - ONSET_MARGIN)
     gain[outside] = -np.inf
     onset, device = np.unravel_index(int(np.argmax(gain)), gain.shape)
-    cost = np.log(len(pull)) + np.log(len(onsets))
+    cost = np.log(len(sign)) + np.log(len(onsets))
+    row = int(onsets[onset])
+    if kicks is not None:  # the kick tells the row
+        row += int(np.argmax(kicks[row : row + ONSETS_EVERY, hopeful[device]]))
     rows = scorer.space.transform.step_rows()
-    return (
-        float(gain[onset, device] - cost),
-        int(hopeful[device]),
-        int(rows[onsets[onset]]),
-        values,
-    )
+    return (float(gain[onset, device] - cost), int(hopeful[device]), int(rows[row]), values)
+
+
+def _kicks(law: DeviceLaw, scorer: Scorer, spectra: Sequence[Single]) -> Matrix:
+    """Log evidence of a first kick of any size of every device at every step, shape (T, D)."""
+    space = scorer.space
+    weight = np.mean(1.0 / space.noise.variance(space.transform), axis=0)
+    total: Matrix | float = 0.0
+    for pattern, spectrum in zip(law.patterns, spectra, strict=True):
+        size = _standing(spectrum)
+        own = ((pattern.T @ space.noise.modes) ** 2) @ weight * size**2
+        pull = (scorer.rows.late @ pattern) * size
+        total = total + normal_size(pull, np.broadcast_to(own, pull.shape), 1.0)
+    return np.asarray(total)
+
+
+def _standing(spectrum: Single) -> Vector:
+    """Size that a first kick may have, in the units of a course, (D,) or (1,) of (T, D or 1)."""
+    return STANDING * np.sqrt(np.mean(spectrum.astype(np.float64) ** 2, axis=0))
 
 
 def _late_candidates(
@@ -193,6 +225,8 @@ def _late_candidates(
 ) -> list[Candidate]:
     """The finalist that begins late, with and without what its beginning kicks, row by row."""
     _, device, onset, values = late
+    if law.standing:
+        return [_standing_candidate(kind, law, scorer, device, values, onset, cost)]
     free = scales(kind)
     courses = law.course(values, scorer.space.signals)
     last = scorer.space.transform.rows - 2
@@ -213,6 +247,41 @@ def _late_candidates(
         best = max(best, (float(gain[place]), int(tried[place]), kick))
     _, row, kick = best
     return [_candidate(kind, law, scorer, (device,), values, row, free, cost, kick)]
+
+
+def _standing_candidate(
+    kind: EffectKind,
+    law: DeviceLaw,
+    scorer: Scorer,
+    device: int,
+    values: Values,
+    onset: int,
+    cost: float,
+) -> Candidate:
+    """A device that begins late, and kicks by an orbit that stands in it, plane by plane."""
+    space = scorer.space
+    source = Course(law, (device,), values, np.ones(1), onset)
+    courses = source.of(space.signals, values)
+    fields = [field_of(law, scorer, courses, source.places, source.size)]
+    jump = (np.arange(space.transform.rows) >= onset).astype(float)[:, None]
+    spectrum = space.transform.quick_spectrum(jump)
+    whole = law.course(values, space.signals)
+    for pattern, course in zip(law.patterns, whole, strict=True):
+        own = course if course.shape[1] == 1 else course[:, [device]]
+        size = _standing(space.transform.quick_spectrum(own))
+        fields.append(spectrum @ (size * pattern[:, [device]]).T.astype(np.float32))
+    pull, information = scorer.evaluate(fields)
+    variance = np.array([SIZE_WIDTH**2, *np.ones(len(fields) - 1)])
+    terms = NormalTerms(pull, information, variance)
+    sizes = terms.mean()
+    size = within(kind, values, float(sizes[0]))
+    added = size * fields[0] + sum(k * one for k, one in zip(sizes[1:], fields[1:], strict=True))
+    gain = terms.evidence() - cost - _choices(law, (device,)) - np.log(space.transform.rows)
+    scaled = {**values, **{one.name: size * values[one.name] for one in kind.sizes}}
+    return Candidate(
+        kind, (device,), (law.names[device],), scaled, float(gain), onset=onset,
+        field=np.asarray(added, dtype=float), sources=(replace(source, size=size * source.size),),
+    )  # fmt: skip
 
 
 def _begun(course: Vector, onset: int, kick: bool) -> Vector:

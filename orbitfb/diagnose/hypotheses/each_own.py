@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import fminbound
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, within
@@ -17,6 +16,7 @@ from orbitfb.estimation.priors import (
     HOPE,
     MOST_REFINED,
     OWN_REACH,
+    OWN_VALUES,
     SIZE_WIDTH,
     VALUE_COST,
 )
@@ -157,25 +157,26 @@ def _nearer(
     name = next((p.name for p in kind.parameters if p.log and p.name in source.values), None)
     if name is None or source.values[name] <= 0.0:
         return source
-    signals = scorer.space.signals
-    pattern = [block[:, source.places[0]] for block in law.patterns]
+    law, place, transform = source.law, source.places[0], scorer.space.transform
+    bent = np.log(source.values[name]) + np.linspace(-OWN_REACH, OWN_REACH, OWN_VALUES)
+    sets = [{**source.values, name: float(one)} for one in np.exp(bent)]
+    courses = scorer.space.courses
+    courses.ahead(law, sets)
     error = scorer.own_error(kind, np.array(source.places))
-    worth = any_size if scales(kind) else given_size
-
-    def loss(bent: float) -> float:
-        values = {**source.values, name: float(np.exp(bent))}
-        pull, information = np.zeros(1), np.zeros(1)
-        for block, course in zip(pattern, source.of(signals, values), strict=True):
-            part, weight = scorer.rows.quick(block, course, error, late)
-            pull, information = pull + part, information + weight
-        return -float(worth(pull, information)[0])
-
-    middle = float(np.log(source.values[name]))
-    best = float(
-        np.asarray(
-            fminbound(loss, middle - OWN_REACH, middle + OWN_REACH, xtol=1e-3, full_output=False)
-        )
-    )
-    if loss(best) >= loss(middle):
-        return source
-    return replace(source, values={**source.values, name: float(np.exp(best))})
+    pull, information = np.zeros(len(sets)), np.zeros(len(sets))
+    for number, block in enumerate(law.patterns):
+        spectra = [courses.spectra(law, values)[number] for values in sets]
+        own = [one[:, 0] if one.shape[1] == 1 else one[:, place] for one in spectra]
+        steps = transform.turn(np.stack(own, axis=1))
+        part, weight = scorer.rows.weighed(block[:, place], steps, error, late)
+        pull, information = pull + part, information + weight
+    gain = (any_size if scales(kind) else given_size)(pull, information)
+    best = int(np.argmax(gain))
+    if 0 < best < OWN_VALUES - 1:  # the top of the parabola through the best and those beside it
+        low, middle, high = gain[best - 1 : best + 2]
+        bend = low - 2.0 * middle + high
+        shift = 0.5 * (low - high) / bend if bend < 0.0 else 0.0
+        value = float(np.exp(bent[best] + shift * (bent[1] - bent[0])))
+    else:
+        value = float(np.exp(bent[best]))
+    return replace(source, values={**source.values, name: value})

@@ -13,8 +13,12 @@ from orbitfb.estimation.transform import Indices, Matrix, StepTransform
 
 Turned = NDArray[np.complex128]
 
-_GROUPS = 3
-"""Groups of modes, by the walk over the noise, that share one whitening filter for onsets."""
+_ALIKE = 4.0
+"""Ratio of the walk over noise within which modes share one whitening filter for onsets [1]: the
+weight of none is off by more than two, and that of a pattern by some per cent."""
+
+_STILL = 1e-5
+"""Walk over noise below which all modes are alike: λ of the slowest frequency of a record [1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,10 +39,18 @@ class OwnError:
     variance: Vector
     information: Vector
 
-    def marginal(self, information: Vector, cross: Vector) -> Vector:
-        """Information of other courses of the devices with the error marginalised."""
+    def marginal(self, information: Vector, cross: Vector, own: Vector | None = None) -> Vector:
+        """Information of other courses of the devices with the error marginalised.
+
+        Args:
+            information: Of the courses.
+            cross: Between them and the error.
+            own: Of the error, summed as those are; None: by frequency. A course that is nearly the
+                error's would else seem to have no information left, or less.
+        """
         known = np.where(self.variance > 0.0, 1.0 / np.maximum(self.variance, 1e-300), np.inf)
-        return np.maximum(information - cross**2 / (known + self.information), 0.0)
+        its = self.information if own is None else own
+        return np.maximum(information - cross**2 / (known + its), 0.0)
 
 
 def whitened_by(steps: Matrix, root: float) -> Matrix:
@@ -86,8 +98,10 @@ class Rows:
     @classmethod
     def of(cls, left: Matrix, noise: StepNoise, transform: StepTransform) -> "Rows":
         """Weigh a spectrum, shape (T, n) [m]."""
-        groups = tuple(np.array_split(np.argsort(noise.ratio), _GROUPS))
-        typical = np.array([np.exp(np.mean(np.log(noise.ratio[one] + 1e-6))) for one in groups])
+        bent = np.log(np.maximum(noise.ratio, _STILL))
+        number = np.floor(bent / np.log(_ALIKE))
+        groups = tuple(np.flatnonzero(number == one) for one in np.unique(number))
+        typical = np.array([np.exp(np.mean(bent[one])) for one in groups])
         late = transform.turn(noise.pull(left, transform))
         return cls(noise, transform, late, moving_root(typical), groups)
 
@@ -147,14 +161,18 @@ class Rows:
         pull = sums_since((self.late @ pattern) * steps, onsets)
         seen = (pattern.T @ self.noise.modes) ** 2
         information, cross = np.zeros_like(pull), np.zeros_like(pull)
+        usual = np.zeros(pull.shape[1])
         for root, group in zip(self.roots, self.groups, strict=True):
             weight = root * seen[:, group].sum(axis=1)
             whitened = whitened_by(steps, float(root))
             information += weight * sums_since(whitened**2, onsets)
             if own is not None:
-                beside = whitened * whitened_by(own.steps, float(root))
-                cross += weight * sums_since(beside, onsets)
-        return pull, information if own is None else own.marginal(information, cross), onsets
+                beside = whitened_by(own.steps, float(root))
+                cross += weight * sums_since(whitened * beside, onsets)
+                usual += weight * np.sum(beside**2, axis=0)
+        if own is not None:
+            information = own.marginal(information, cross, usual)
+        return pull, information, onsets
 
     def quick(
         self, pattern: Vector, course: Matrix, own: OwnError | None, late: Matrix | None = None
@@ -167,14 +185,22 @@ class Rows:
             own: Healthy error of the device, which is marginalised.
             late: Ω z from row to row, shape (T, n); None: that of all that is left to explain.
         """
-        steps = self.transform.steps(course)
+        return self.weighed(pattern, self.transform.steps(course), own, late)
+
+    def weighed(
+        self, pattern: Vector, steps: Matrix, own: OwnError | None, late: Matrix | None = None
+    ) -> tuple[Vector, Vector]:
+        """The same of courses whose steps are known, shape (T, k)."""
         pull = ((self.late if late is None else late) @ pattern) @ steps
         seen = (pattern @ self.noise.modes) ** 2
         information, cross = np.zeros(len(pull)), np.zeros(len(pull))
+        usual = np.zeros(1)
         for root, group in zip(self.roots, self.groups, strict=True):
             weight = root * float(seen[group].sum())
             whitened = whitened_by(steps, float(root))
             information += weight * np.sum(whitened**2, axis=0)
             if own is not None:
-                cross += weight * np.sum(whitened * whitened_by(own.steps, float(root)), axis=0)
-        return pull, information if own is None else own.marginal(information, cross)
+                beside = whitened_by(own.steps, float(root))
+                cross += weight * np.sum(whitened * beside, axis=0)
+                usual += weight * np.sum(beside**2, axis=0)
+        return pull, information if own is None else own.marginal(information, cross, usual)

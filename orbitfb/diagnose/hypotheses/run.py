@@ -70,18 +70,15 @@ def tournament(
     while True:
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
-        candidates = [one for one in candidates_of(space, left, tell) if not _echo(one, accepted)]
-        candidates = _last_resort(refitted(candidates, space), bool(accepted))
+        enough = SURE + MISFIT * sum(one.evidence for one in accepted)
+        candidates = candidates_of(space, left, tell, enough)
+        candidates = [one for one in candidates if not _echo(one, accepted)]
+        candidates = _last_resort(refitted(candidates, space, enough), bool(accepted))
         free = scan_free(Scorer.of(space))[:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())
-        told = sum(one.evidence for one in accepted)
-        if (
-            len(accepted) == ROUNDS
-            or not candidates
-            or candidates[0].evidence < SURE + MISFIT * told
-        ):
+        if len(accepted) == ROUNDS or not candidates or candidates[0].evidence < enough:
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
@@ -91,6 +88,7 @@ def tournament(
 
 def _settled(best: Candidate, space: Workspace) -> tuple[Candidate, Workspace]:
     """Accept a candidate, with the sizes that it has over the floor that it leaves."""
+    space = space.trusting()
     after = best.accepted(space)
     for _ in range(HEARD):
         if best.again is None or best.field is None:
@@ -130,9 +128,12 @@ def _light(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def candidates_of(
-    space: Workspace, kinds: Sequence[EffectKind], tell: Callable[[str], None]
+    space: Workspace,
+    kinds: Sequence[EffectKind],
+    tell: Callable[[str], None] = lambda text: None,
+    enough: float = SURE,
 ) -> list[Candidate]:
-    """Try every hypothesis on what is left, the best first."""
+    """Try every hypothesis on what is left, the best first; exactly where it may have enough."""
     scorer = Scorer.of(space)
     began = time.process_time()
     found = list(scan_errors(scorer))
@@ -142,18 +143,18 @@ def candidates_of(
         for law in space.courses.laws(kind):
             found += _scan(kind, law, scorer)
         tell(f"{kind.id} {time.process_time() - began:.2f} s")
-    return _refined(strongest(found), scorer)
+    return _refined(strongest(found), scorer, enough)
 
 
-def _refined(candidates: list[Candidate], scorer: Scorer) -> list[Candidate]:
+def _refined(candidates: list[Candidate], scorer: Scorer, enough: float) -> list[Candidate]:
     """Evaluate the finalists exactly, and refine their values, until all that lead are.
 
-    A scan leaves out up to half of what is worth something, so less than half of what is sure, or
-    a small part of the best, can win no more.
+    A scan leaves out up to half of what is worth something, so less than half of what is enough,
+    or a small part of the best, can win no more.
     """
     while True:
         top = candidates[0].evidence if candidates else 0.0
-        least = max(0.5 * SURE, CLOSE * top)
+        least = max(0.5 * enough, CLOSE * top)
         for place in _leading(candidates):
             one = candidates[place]
             if one.finer is not None and one.evidence > least:
@@ -182,7 +183,9 @@ def _leading(candidates: list[Candidate]) -> list[int]:
     return sorted({*range(min(FINALISTS, len(candidates))), *first.values()})
 
 
-def refitted(candidates: list[Candidate], space: Workspace) -> list[Candidate]:
+def refitted(
+    candidates: list[Candidate], space: Workspace, enough: float = SURE
+) -> list[Candidate]:
     """Compare those that lead under floors that are estimated with each of them.
 
     A floor that was estimated without a cause stands in for what the cause does as far as it can,
@@ -192,13 +195,14 @@ def refitted(candidates: list[Candidate], space: Workspace) -> list[Candidate]:
     Args:
         candidates: The best first.
         space: That they were tried on.
+        enough: Evidence from which one is accepted [nats]; half of it may be in the floor.
 
     Returns:
         The candidates, the best first.
     """
-    if not candidates or candidates[0].evidence < SURE or candidates[0].noisy:
+    least = max(0.5 * enough, CLOSE * candidates[0].evidence) if candidates else np.inf
+    if not candidates or candidates[0].evidence < least or candidates[0].noisy:
         return candidates  # what is said of the noise alone is not weighed so
-    least = max(SURE, CLOSE * candidates[0].evidence)
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
     base = space.with_floor().log_posterior()
@@ -210,7 +214,7 @@ def refitted(candidates: list[Candidate], space: Workspace) -> list[Candidate]:
             found.append(one)
             continue
         # Each BPM is the scale of what is undone: beside the floor of all that counts for little.
-        leads = one.evidence > (SURE if one.undone else least)
+        leads = one.evidence > (enough if one.undone else least)
         new = one.kind.id not in weighed and (one.undone or len(weighed) < LEADING)
         if one.cost is not None and new and leads:
             weighed.add(one.kind.id)

@@ -33,6 +33,7 @@ class Scorer:
         errors: The healthy errors, as the residual pulls at them.
         priors: The same, factored.
         modes: That part walk and noise, shape (n, n) [1/m].
+        patterns: Of the healthy errors in these modes, shape (n, P).
         inverse: Mean inverse variance of every mode in every band, shape (B, n).
         weights: 1/(q + λ) of every mode at every frequency, shape (T, n).
         members: Frequencies of every band.
@@ -47,6 +48,7 @@ class Scorer:
     errors: NormalTerms
     priors: NormalPriors
     modes: Single
+    patterns: Single
     inverse: Single
     weights: Single
     members: tuple[Indices, ...]
@@ -63,6 +65,7 @@ class Scorer:
         return cls(
             space, pulled, Rows.of(left, space.noise, transform), errors, priors,
             space.noise.modes.astype(np.float32),
+            (space.noise.modes.T @ space.terms.patterns).astype(np.float32),
             space.noise.inverse_variance(transform).astype(np.float32),
             (1.0 / space.noise.variance(transform)).astype(np.float32),
             tuple(transform.members(band) for band in range(len(transform.count))),
@@ -89,7 +92,7 @@ class Scorer:
         weight = self.inverse[self.space.transform.band]
         weighed = [one * weight for one in seen]
         by_band = _products(weighed, seen)
-        cross = [self.space.terms.pull(one @ self.modes.T, used) for one in weighed]
+        cross = [self.space.terms.pull(one, used, self.patterns) for one in weighed]
         left = _positive(self.priors.beyond(by_band, np.stack(cross, axis=1)))
         scale = np.sqrt(np.diag(information) / np.maximum(np.diag(by_band), 1e-300))
         return pull, scale[:, None] * left * scale

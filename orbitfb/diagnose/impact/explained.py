@@ -108,7 +108,7 @@ class Explained:
 
         A model with as many degrees of freedom takes this share of the noise with it.
         """
-        space = self.space.saturable()
+        space = self.space.knowing_all()
         wide = np.maximum(saturated(space.blocks, len(space.terms), WIDE), space.single)
         count = float(self.healthy.size)
         return (

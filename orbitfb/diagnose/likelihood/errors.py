@@ -9,7 +9,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
-from orbitfb.estimation.evidence import NormalTerms
+from orbitfb.estimation.evidence import NormalPriors, NormalTerms
 from orbitfb.estimation.priors import SHARES
 from orbitfb.estimation.transform import Matrix, StepTransform
 
@@ -145,6 +145,33 @@ def saturated(blocks: Sequence[ErrorBlock], count: int, times: float) -> Vector:
             repeat = copies // len(block.limit)
             variance[block.delayed] = np.tile((times * block.limit) ** 2, repeat)
     return variance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Saturated:
+    """All columns free within wide limits: what a floor is estimated beside.
+
+    Args:
+        information: Of the columns under a floor, shape (k, k).
+        variance: Of every column before the record is seen, shape (k,).
+        priors: The two, factored.
+        scatter: Second moments by band of what remains unknown of the columns, (B, n, n) [m²].
+    """
+
+    information: Matrix
+    variance: Vector
+    priors: NormalPriors
+    scatter: Matrix
+
+    @classmethod
+    def of(cls, terms: Terms, information: Matrix, variance: Vector) -> "Saturated":
+        """Factor, and tell what a residual lacks."""
+        its = NormalPriors.of(information, variance)
+        return cls(information, variance, its, terms.scatter(its.covariance(len(variance))))
+
+    def fits(self, information: Matrix, variance: Vector) -> bool:
+        """Whether it is that of an information and a variance."""
+        return self.information is information and np.array_equal(self.variance, variance)
 
 
 def _delayed(courses: Matrix, rows: int, transform: StepTransform) -> Matrix:

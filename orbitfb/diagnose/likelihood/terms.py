@@ -20,7 +20,7 @@ class Terms:
     Args:
         patterns: Different patterns, shape (n, P) [m].
         pattern: Which of them a column has, shape (k,).
-        spectrum: Transformed steps of the courses, shape (T, k).
+        spectrum: Transformed steps of the courses, shape (T, k), column after column in memory.
         grams: Σ_f∈b course_c(f) course_c'(f), shape (B, k, k): in double precision, because
             courses of neighbours are nearly alike.
     """
@@ -35,7 +35,7 @@ class Terms:
         cls, patterns: Matrix, pattern: Indices, courses: Matrix, transform: StepTransform
     ) -> "Terms":
         """Transform courses, shape (N, k), and sum their products by band."""
-        spectrum = transform.spectrum(courses).astype(np.float32)
+        spectrum = np.asfortranarray(transform.spectrum(courses).astype(np.float32))
         return cls(patterns, pattern, spectrum, _grams(spectrum, transform))
 
     def __len__(self) -> int:
@@ -45,7 +45,7 @@ class Terms:
         self, patterns: Matrix, pattern: Indices, courses: Matrix, transform: StepTransform
     ) -> "Terms":
         """These columns and others behind them."""
-        spectrum = np.hstack([self.spectrum, transform.quick_spectrum(courses)])
+        spectrum = np.asfortranarray(np.hstack([self.spectrum, transform.quick_spectrum(courses)]))
         return Terms(
             np.hstack([self.patterns, patterns]),
             np.concatenate([self.pattern, self.patterns.shape[1] + pattern]),
@@ -53,24 +53,39 @@ class Terms:
             _grams(spectrum, transform, self.grams),
         )
 
-    def pull(self, pulled: "Matrix | Single", used: Mask | None = None) -> Vector:
+    def pull(
+        self, pulled: "Matrix | Single", used: Mask | None = None, patterns: Single | None = None
+    ) -> Vector:
         """Σ_f (pattern · Ω z)_f course_f of every column, shape (k,).
 
         Args:
             pulled: Ω_f z_f, shape (T, n) [1/m].
             used: Columns that are asked for, shape (k,); the others are zero. None: all.
+            patterns: What the patterns are in other coordinates, if `pulled` is in those, (n, P).
         """
         found = np.zeros(len(self))
-        along: dict[tuple[int, int], NDArray[np.floating]] = {}
-        patterns = self.patterns.astype(pulled.dtype)
+        seen = (self.patterns if patterns is None else patterns).astype(np.float32)
+        turned = np.ascontiguousarray(pulled.astype(np.float32).T)
+        along: dict[tuple[int, int], Single] = {}
         for part in self._runs():
             if used is not None and not np.any(used[part]):
                 continue
             its = self._along(part)
             if its not in along:
-                along[its] = pulled @ patterns[:, slice(*its)]
-            found[part] = np.einsum("fc,fc->c", along[its], self.spectrum[:, part], dtype=float)
+                along[its] = seen[:, slice(*its)].T @ turned
+            found[part] = np.einsum("cf,cf->c", along[its], self.spectrum.T[part])
         return found
+
+    def applied(self, sizes: Vector, seen: Single, variance: Single, used: Mask) -> Vector:
+        """What given sizes pull at the columns: their exact information times the sizes, (k,).
+
+        Args:
+            sizes: Shape (k,).
+            seen: Patterns in the modes that part walk and noise, shape (n, P).
+            variance: Of every mode at every frequency, shape (T, n).
+            used: Columns that are asked for, shape (k,); the others are zero.
+        """
+        return self.pull((self._by_pattern(sizes) @ seen.T) / variance, used, seen)
 
     def _runs(self) -> list[slice]:
         """Columns whose patterns follow one another."""
@@ -128,25 +143,30 @@ class Terms:
     def scatter(self, covariance: Matrix) -> Matrix:
         """Second moments by band of what sizes of a covariance add, shape (B, n, n) [m²]."""
         runs = [(part, self._along(part)) for part in self._runs()]
+        pairs = list(itertools.combinations_with_replacement(runs, 2))
         count = self.patterns.shape[1]
         found = np.empty((len(self.grams), len(self.patterns), len(self.patterns)))
         for band, gram in enumerate(self.grams):
-            by_pattern = np.zeros((count, count))
-            for row, mine in runs:
-                for column, theirs in runs:
-                    by_pattern[slice(*mine), slice(*theirs)] += (
-                        covariance[row, column] * gram[row, column]
-                    )
-            found[band] = self.patterns @ by_pattern @ self.patterns.T
+            half = np.zeros((count, count))  # the other half is its transpose
+            for (row, mine), (column, theirs) in pairs:
+                share = covariance[row, column] * gram[row, column]
+                half[slice(*mine), slice(*theirs)] += 0.5 * share if row == column else share
+            mixed = self.patterns @ half @ self.patterns.T
+            found[band] = mixed + mixed.T
         return found
 
     def contribution(self, sizes: Vector) -> Matrix:
         """Spectrum of what given sizes add to the readings, shape (T, n) [m]."""
-        by_pattern = np.zeros((len(self.spectrum), self.patterns.shape[1]))
+        return self._by_pattern(sizes).astype(np.float64) @ self.patterns.T
+
+    def _by_pattern(self, sizes: Vector) -> Single:
+        """The same along every pattern, shape (T, P)."""
+        found = np.zeros((self.patterns.shape[1], len(self.spectrum)), dtype=np.float32)
+        single = sizes.astype(np.float32)[:, None]
         for part in self._runs():
             if np.any(sizes[part]):
-                by_pattern[:, slice(*self._along(part))] += self.spectrum[:, part] * sizes[part]
-        return by_pattern @ self.patterns.T
+                found[slice(*self._along(part))] += self.spectrum.T[part] * single[part]
+        return found.T
 
 
 def _grams(spectrum: Single, transform: StepTransform, known: "Matrix | None" = None) -> Matrix:

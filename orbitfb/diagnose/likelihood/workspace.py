@@ -10,6 +10,7 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.likelihood.courses import Courses
 from orbitfb.diagnose.likelihood.errors import (
     ErrorBlock,
+    Saturated,
     fitted_scales,
     healthy_errors,
     saturated,
@@ -20,18 +21,19 @@ from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.estimation.evidence import NormalPriors, NormalTerms
-from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve
+from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve, trusted
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.priors import (
     AGAIN,
+    AT_FIRST,
     EXACTLY,
     FREELY,
     LEAST_SHARE,
     LIMITS,
     MATERIAL,
     MOST_STEPS,
-    PRIOR_COUNTS,
+    TRUST,
     WIDE,
 )
 from orbitfb.estimation.transform import Indices, Matrix, StepTransform
@@ -65,6 +67,8 @@ class Workspace:
         ground: Shapes that the walk may have.
         weights: Of them in the walk, shape (F,); empty before the first fit.
         reference: Of a healthy time, whose walk is the prior of this one's; None: there is none.
+        free: The saturated model under that floor, if it was asked for.
+        trust: Steps that the prior mean of the walk is worth; zero: the next floor tells.
         widened: Log of the factor by which undoing accepted causes widens the readings' density.
         asked: The healthy errors and their factored priors, once they were asked for.
     """
@@ -87,6 +91,8 @@ class Workspace:
     ground: Shapes
     weights: Vector
     reference: "Workspace | None" = None
+    free: tuple[Saturated, ...] = ()
+    trust: float = 0.0
     widened: float = 0.0
     asked: list[tuple[NormalTerms, NormalPriors]] = field(default_factory=list, init=False)
 
@@ -125,7 +131,7 @@ class Workspace:
             blocks = reference.wider(blocks)
         plain = transform.spectrum(residual)
         first, weights = fit_shapes(
-            noise, Moments.of(plain, transform), ground, np.zeros_like(noise.walk)
+            noise, Moments.of(plain, transform), ground, np.zeros_like(noise.walk), rounds=AGAIN
         )
         space = cls(
             signals,
@@ -146,8 +152,9 @@ class Workspace:
             ground,
             weights,
             reference,
+            trust=0.0 if reference is None else float(len(reference.transform)),
         )
-        return space.with_floor().refined(kinds).with_floor()
+        return space.with_floor(AT_FIRST).refined(kinds).with_floor()
 
     def wider(self, blocks: Sequence[ErrorBlock]) -> tuple[ErrorBlock, ...]:
         """Limits of healthy errors, where this healthy record shows larger ones, for another."""
@@ -207,56 +214,70 @@ class Workspace:
 
     def _asked(self) -> tuple[NormalTerms, NormalPriors]:
         if not self.asked:
-            self.asked.append(self._fitted(self.variance))
+            its = NormalPriors.of(self.information, self.variance)
+            # The pull is that which makes the mean right to the last frequency agree with an
+            # information by band.
+            pull, mean, applied = self._fitted(its)
+            agreeing = pull - applied + self.information @ mean
+            self.asked.append((NormalTerms(agreeing, self.information, self.variance), its))
         return self.asked[0]
 
-    def _fitted(self, variance: Vector) -> tuple[NormalTerms, NormalPriors]:
-        """Terms whose mean is right to the last frequency, though their information is by band.
-
-        The pull is that which makes the two agree.
+    def _fitted(self, its: NormalPriors) -> tuple[Vector, Vector, Vector]:
+        """Pull of the columns, their mean to the last frequency, and what that takes of the pull.
 
         Args:
-            variance: Of the columns before the record is seen, shape (k,).
+            its: Priors of the columns, factored with their information by band.
         """
-
-        def pulled(spectrum: Matrix) -> Vector:
-            return self.terms.pull(self.noise.pull(spectrum, self.transform), self.informed)
+        seen = (self.noise.modes.T @ self.terms.patterns).astype(np.float32)
+        weigh = self.noise.variance(self.transform).astype(np.float32)
 
         def informed(sizes: Vector) -> Vector:
-            return pulled(self.terms.contribution(sizes))
+            return self.terms.applied(sizes, seen, weigh, self.informed)
 
-        its = NormalPriors.of(self.information, variance)
-        pull = pulled(self.residual)
+        weighed = (self.residual @ self.noise.modes).astype(np.float32) / weigh
+        pull = self.terms.pull(weighed, self.informed, seen)
         mean = its.exact_mean(pull, informed, EXACTLY, MOST_STEPS)
-        agreeing = pull - informed(mean) + self.information @ mean
-        return NormalTerms(agreeing, self.information, variance), its
+        return pull, mean, informed(mean)
 
-    def with_floor(self) -> "Workspace":
-        """Estimate the floor anew, on what a saturated linear model leaves; then the errors."""
-        wide = np.maximum(saturated(self.blocks, len(self.terms), WIDE), self.single)
-        fit, its = self.saturable()._fitted(wide)
-        left = self.residual - self.terms.contribution(its.mean(fit.pull))
-        taken = self.terms.scatter(its.covariance(len(wide)))
-        moments = Moments.of(left, self.transform).beside(taken)
+    def with_floor(self, rounds: int = AGAIN) -> "Workspace":
+        """Estimate the floor anew, on what a saturated linear model leaves; then the errors.
+
+        Args:
+            rounds: In which the shapes of the walk are fitted, at most.
+        """
+        space = self.saturable()
+        free = space.free[0]
+        _, mean, _ = space._fitted(free.priors)
+        left = self.residual - self.terms.contribution(mean)
+        moments = Moments.of(left, self.transform).beside(free.scatter)
         mixed, weights = fit_shapes(
-            self.noise, moments, self.ground, self.held, self.weights, rounds=AGAIN
+            self.noise, moments, self.ground, self.held, self.weights, rounds=rounds
         )
         shape = mixed.walk - self.held
         if self.reference is not None:
             shape = self.reference.noise.walk
             mixed = replace(mixed, walk=shape + self.held)
-        noise = improve(mixed, moments, mixed.walk, FREELY, self._counts)
-        fresh = replace(self, noise=noise, shape=shape, weights=weights)
+        halves = Moments.halves(left, self.transform, free.scatter)
+        trust = self.trust or trusted(mixed, halves, TRUST)
+        noise = improve(mixed, moments, mixed.walk, FREELY, trust)
+        fresh = replace(self, noise=noise, shape=shape, weights=weights, trust=trust)
         return fresh._knowing(self._own).with_errors()
 
-    @property
-    def _counts(self) -> float:
-        """Steps that the prior mean of the walk is worth."""
-        return PRIOR_COUNTS if self.reference is None else float(len(self.reference.transform))
+    def trusting(self) -> "Workspace":
+        """Let the next floor tell what its prior is worth, now that more is known."""
+        return self if self.reference is not None else replace(self, trust=0.0)
 
-    def saturable(self) -> "Workspace":
+    def knowing_all(self) -> "Workspace":
         """Know the information of all columns, those of a saturated model too."""
         return self._knowing(np.ones(len(self.terms), dtype=bool))
+
+    def saturable(self) -> "Workspace":
+        """Know what a saturated model takes of the floor."""
+        space = self.knowing_all()
+        wide = np.maximum(saturated(space.blocks, len(space.terms), WIDE), space.single)
+        if not any(one.fits(space.information, wide) for one in space.free):
+            space = replace(space, free=(Saturated.of(space.terms, space.information, wide),))
+        return space
 
     @property
     def _own(self) -> Mask:
@@ -359,4 +380,4 @@ class Workspace:
         ratio = eigh(self.noise.walk + least, prior + least, eigvals_only=True)
         ratio = np.maximum(ratio, 1e-300)
         apart = float(np.sum(np.log(ratio) + 1.0 / ratio - 1.0))
-        return self.log_likelihood() - 0.5 * self._counts * apart
+        return self.log_likelihood() - 0.5 * self.trust * apart

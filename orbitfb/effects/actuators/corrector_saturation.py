@@ -27,6 +27,9 @@ _CORNERS = (
 )
 """Roundings, and with each distances of the limit below the top, as shares of the range."""
 
+_SOFT = (0.15, (-0.3, 0.0, 0.3))
+"""Rounding of soft limits, and their distances below the top, as shares of the range."""
+
 _SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
 """Shares of the rows in which a setpoint is below the limits that are scanned."""
 
@@ -88,9 +91,17 @@ class CorrectorSaturation(ActuatorKind):
     splits = "A slow ramp of this corrector through the suspected limit, at both signs."
 
     def own_grid(self, record: Record) -> tuple[OwnValues, ...]:
-        """Limits at shares of the sizes that every corrector's setpoint has."""
-        sizes = np.quantile(np.abs(record.setpoints), _SHARES, axis=0)
-        return tuple({"limit": one, "side": 0.0, "rounding": _SHARP} for one in sizes)
+        """Limits at shares of the sizes that every corrector's setpoint has; soft ones about it."""
+        every = np.abs(record.setpoints)
+        sizes = np.quantile(every, _SHARES, axis=0)
+        sharp = [{"limit": one, "side": 0.0, "rounding": _SHARP} for one in sizes]
+        top, reach = every.max(axis=0), np.maximum(np.ptp(every, axis=0), _SHARP)
+        rounding, below = _SOFT
+        soft = [
+            {"limit": top - share * reach, "side": 0.0, "rounding": rounding * reach}
+            for share in below
+        ]
+        return (*sharp, *soft)
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Hold back."""

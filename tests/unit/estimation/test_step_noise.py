@@ -5,7 +5,7 @@ import pytest
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.estimation.evidence import NormalPriors, NormalTerms, normal_size
-from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve
+from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve, trusted
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.priors import LARGEST
@@ -134,9 +134,33 @@ def test_the_floor_is_found_where_the_walk_is_small() -> None:
     )
     assert np.sqrt(np.diag(found.white)) == pytest.approx(sigma, rel=0.08)
     assert np.sqrt(np.trace(found.walk)) == pytest.approx(np.sqrt(np.trace(walk)), rel=0.15)
-    freer = improve(found, moments, found.walk, 4)
+    freer = improve(found, moments, found.walk, 4, 100.0)
     spectrum = transform.spectrum(readings)
     assert freer.log_likelihood(spectrum, transform) > found.log_likelihood(spectrum, transform)
+
+
+@pytest.mark.parametrize(("strange", "trust"), [(0.0, 1000.0), (1.0, 100.0)])
+def test_the_shapes_of_the_walk_are_trusted_as_far_as_one_half_foretells_the_other(
+    strange: float, trust: float
+) -> None:
+    """A walk that is of the shapes, and one with eight orbits that none of them has."""
+    rng = np.random.default_rng(7)
+    count, rows = 24, 2001
+    root, other = rng.standard_normal((count, 8)), rng.standard_normal((count, 8))
+    walk = 0.1**2 * (root @ root.T + strange * other @ other.T + 0.1 * np.eye(count))
+    orbit = rng.multivariate_normal(np.zeros(count), walk, rows).cumsum(axis=0)
+    readings = orbit + 0.2 * rng.standard_normal((rows, count))
+    starts = np.zeros(rows, dtype=np.bool_)
+    starts[0] = True
+    transform = StepTransform.of(starts)
+    spectrum = transform.spectrum(readings)
+    moments = Moments.of(spectrum, transform)
+    shapes = Shapes((root @ root.T, np.eye(count)), np.zeros((count, 0)))
+    begin = first_noise(transform.steps(readings), shapes.broad[0])
+    mixed, _ = fit_shapes(begin, moments, shapes, np.zeros_like(walk))
+    halves = Moments.halves(spectrum, transform, np.zeros_like(moments.total))
+    assert halves[0].total + halves[1].total == pytest.approx(moments.total)
+    assert trusted(mixed, halves, (100.0, 300.0, 1000.0)) == trust
 
 
 @pytest.mark.parametrize(

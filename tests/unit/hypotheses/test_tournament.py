@@ -6,12 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.small_ring import small_ring
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose import hypotheses, likelihood
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.run import candidates_of, tournament
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.effects.build import layout_of
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind, Parameter, Values
 from orbitfb.effects.registry import all_effects
@@ -19,6 +21,7 @@ from orbitfb.estimation.priors import SURE
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
+from orbitfb.physics.response import response
 from orbitfb.records.layout import Devices, Layout
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import BPMS, NOISE, kinds_for, make_record
@@ -112,6 +115,34 @@ def test_a_corrector_the_wrong_way_round_in_a_large_motion_is_no_scatter_of_all_
     assert (first[0].kind.id, first[0].places) == ("corrector-polarity", (4,))
     wide = next(one for one in first if one.kind.id == "corrector-gain" and not one.places)
     assert first[0].evidence > wide.evidence + SURE
+
+
+def test_a_gradient_that_changes_late_kicks_by_the_orbit_that_stands_in_its_magnet() -> None:
+    """The record tells changes of the orbit alone: the first kick may have any size."""
+    ring, rng, late = small_ring(), np.random.default_rng(19), 400
+    layout = layout_of(ring, "x", 0.1)
+    quadrupole, change, stands = 20, 0.001, 150e-6
+    errors = np.zeros(len(ring.places("QUAD")))
+    errors[quadrupole] = change
+    setpoints = (0.01 * rng.standard_normal((900, layout.response.shape[1]))).cumsum(axis=0)
+    orbit = setpoints @ layout.response.T
+    orbit[late:] += setpoints[late:] @ (response(ring, "x", errors) - layout.response).T
+    orbit[late:] -= change * stands * layout.orbit_per_kick("QUAD", "x")[:, quadrupole]
+    moved = (2e-9 * rng.standard_normal((900, len(errors)))).cumsum(axis=0)
+    readings = orbit + moved @ layout.orbit_per_kick("QUAD", "x").T
+    readings += NOISE * rng.standard_normal(readings.shape)
+    made = make_record(19)
+    record = replace(
+        made, layout=layout, readings=readings, setpoints=setpoints,
+        requested=np.vstack([np.diff(setpoints, axis=0), setpoints[:1] * np.nan]),
+        filled=np.zeros_like(readings, dtype=np.bool_),
+    )  # fmt: skip
+    found = winner(record, kinds_for(record))
+    assert (found.kind.id, found.names) == (
+        "quadrupole-gradient", (ring.names("QUAD")[quadrupole],)
+    )  # fmt: skip
+    assert found.onset == late
+    assert found.values["gradient"] == pytest.approx(change, rel=0.25)
 
 
 def test_a_reading_that_jumps_is_an_offset_from_that_row_on() -> None:
