@@ -237,14 +237,15 @@ def test_a_closed_terminal_does_not_stop_the_loop(tmp_path: Path, lines: int):
 
 
 def test_a_hangup_leaves_no_child(tmp_path: Path, request: pytest.FixtureRequest):
-    """The window is closed: SIGHUP kills the service; its ring and its trainer go with it."""
+    """The window is closed: the service stops in good order; its ring and its trainer go too."""
     # A session under nohup ignores the signal, and so would what it starts.
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     request.addfinalizer(lambda: signal.signal(signal.SIGHUP, before))
     with Service(tmp_path / "data", "sim", learn=True) as service:
         children = [service.child(module) for module in ("orbitfb.sim", "orbitfb.learn")]
         service.popen.send_signal(signal.SIGHUP)
-        service.popen.wait(20.0)
+        assert service.popen.wait(20.0) == 0
+        assert read_log(service.data)[-1]["event"] == "service_stopped"
         for child in children:
             child.wait(20.0)
 
