@@ -16,10 +16,9 @@ import numpy as np
 
 from benchmarks.measured_lattice import read
 from orbitfb.core.errors import OrbitFeedbackError
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.loco.growth import growths
 from orbitfb.loco.run import diagnose
-
-_TO_SIGMA = 1.4826
 
 
 def fitted(path: Path) -> dict[str, Any]:
@@ -45,7 +44,7 @@ def fitted(path: Path) -> dict[str, Any]:
             factor = np.median(theirs / own)
             apart = np.median(np.abs(theirs / factor - own))
             answer[plane][f"{group}_correlation"] = round(float(np.corrcoef(own, theirs)[0, 1]), 4)
-            answer[plane][f"{group}_mad"] = round(_TO_SIGMA * float(apart), 5)
+            answer[plane][f"{group}_mad"] = round(TO_SIGMA * float(apart), 5)
     answer["growth"] = {
         one.planes: one.per_tick for one in growths(its.ring, its.measured, found.nominal)
     }

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import Values
 from orbitfb.physics.effect import Effect
@@ -26,8 +27,6 @@ from orbitfb.records.record import Record
 
 _FEW_LARGE = 0.3
 """Usual size of changes over their rms below which few large ones make the rms."""
-_NORMAL = 1.4826
-"""Standard deviation of normal numbers over the median of their sizes."""
 
 
 class ColumnsEffect(Effect, ABC):
@@ -182,7 +181,7 @@ def usual_change(record: Record) -> float:
     Their rms, if they are normal; few large ones, as when an orbit is steered away, do not count.
     """
     size = np.abs(changes(record.setpoints, record))
-    return _NORMAL * float(np.median(size[size > 0.0])) if size.any() else 1e-3
+    return TO_SIGMA * float(np.median(size[size > 0.0])) if size.any() else 1e-3
 
 
 def scales_of_change(record: Record) -> tuple[float, ...]:

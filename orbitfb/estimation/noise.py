@@ -9,9 +9,6 @@ from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.transform import Matrix, StepTransform
 
-TO_SIGMA = 1.4826
-"""Standard deviation of normal numbers over the median of their sizes [1]."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepNoise:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.loco.coupling import Coupling
 from orbitfb.loco.fit import PlaneFit
@@ -14,8 +15,6 @@ GAUGE = (
     "In each plane the gains of the BPMs that do not stand out are 1 on average; the common "
     "factor of gains and calibrations is in the calibrations."
 )
-
-_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +77,7 @@ def estimates(fitting: PlaneFit, fit: Fit, coupling: Coupling | None) -> dict[st
 
 
 def _typical(values: Vector) -> float:
-    return _TO_SIGMA * float(np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
+    return TO_SIGMA * float(np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 
 def _contrast(fit: Fit, name: str) -> tuple[Matrix, Vector]:

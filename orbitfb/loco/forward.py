@@ -10,6 +10,7 @@ with the errors.
 import numpy as np
 
 from orbitfb.core.errors import RingError
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Vector
 from orbitfb.loco.measured import Measured
 from orbitfb.loco.normal import Piece, normal_equations
@@ -66,7 +67,7 @@ class PlaneModel:
         there = np.isfinite(left)
         sigma = self.measured.dispersion_sigma
         if not np.isfinite(sigma):
-            sigma = max(float(1.4826 * np.median(np.abs(left[there]))), 1e-6)
+            sigma = max(float(TO_SIGMA * np.median(np.abs(left[there]))), 1e-6)
         weight = np.where(there, 1.0 / sigma, 0.0)
         return np.where(there, left, 0.0) * weight, weight, read
 

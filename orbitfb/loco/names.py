@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.loco.coupling import Coupling
 from orbitfb.loco.estimates import Estimate
 from orbitfb.loco.fit import PlaneFit
@@ -174,7 +175,7 @@ def _shapes(fit: Fit, plane: Plane, rows: tuple[str, ...], columns: tuple[str, .
     ):
         usual = float(np.nanmedian(left))
         logs = np.log(left / usual)
-        scatter = 1.4826 * float(np.nanmedian(np.abs(logs)))
+        scatter = TO_SIGMA * float(np.nanmedian(np.abs(logs)))
         for number in np.flatnonzero(logs > max(np.log(_SHAPE), STANDS_OUT * scatter)):
             known = noise.rows[number] if kind == "bpm-row" else np.inf
             if kind == "bpm-row" and left[number] <= 1.5 * known and known > 3.1 * usual:

@@ -2,11 +2,10 @@
 
 import numpy as np
 
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.physics.optics import Matrix
 
-_TO_SIGMA = 1.4826
-"""Standard deviation of a normal number over the median of its size."""
 _ROUNDS = 4
 
 
@@ -29,9 +28,9 @@ def spreads(residual: Matrix, kept: Mask) -> tuple[Vector, Vector]:
         return s, t
     mine, its = np.ones(inner.shape[0]), np.ones(inner.shape[1])
     for _ in range(_ROUNDS):
-        mine = _TO_SIGMA * np.nanmedian(inner / its, axis=1)
+        mine = TO_SIGMA * np.nanmedian(inner / its, axis=1)
         mine = np.maximum(mine, 1e-6 * (np.median(mine) or 1.0))
-        its = _TO_SIGMA * np.nanmedian(inner / mine[:, None], axis=0)
+        its = TO_SIGMA * np.nanmedian(inner / mine[:, None], axis=0)
         its = np.maximum(its, 1e-6)
         its /= np.median(its)
     s[rows], t[columns] = mine, its

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Vector
 from orbitfb.postmortem.devices import OUTSIDE, Device, error_of, first_bpm, first_corrector
 from orbitfb.postmortem.reading import PostMortem
@@ -103,7 +104,7 @@ def _onset(rms: Vector, trip: int) -> int | None:
     if not len(early) or not np.isfinite(rms[: trip + 1]).any():
         return None
     middle = float(np.median(early))
-    spread = 1.4826 * float(np.median(np.abs(early - middle)))
+    spread = TO_SIGMA * float(np.median(np.abs(early - middle)))
     limit = max(middle + OUTSIDE * spread, _RISE * middle)
     high = ~(rms[: trip + 1] <= limit)  # a tick without an orbit ends no stretch
     if not high[-1]:

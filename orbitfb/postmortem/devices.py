@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.observe.wording import micrometres
 from orbitfb.postmortem.reading import PostMortem
@@ -80,7 +81,7 @@ def first_bpm(
         return None
     known = error[usual]
     middle = _median(known)
-    spread = np.maximum(1.4826 * _median(np.abs(known - middle)), _LEAST_DEVIATION)
+    spread = np.maximum(TO_SIGMA * _median(np.abs(known - middle)), _LEAST_DEVIATION)
     spread = np.where(np.isfinite(spread), spread, _LEAST_DEVIATION)
     away = np.abs(error[onset] - np.nan_to_num(middle))
     score = np.nan_to_num(away / np.maximum(spread, np.median(spread)))

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import RandomLaw
-from orbitfb.estimation.noise import TO_SIGMA
 from orbitfb.estimation.priors import (
     ANYWHERE,
     LEVEL_RATIOS,

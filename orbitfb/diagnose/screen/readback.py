@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.screen.steps import inner, runs
 from orbitfb.physics.places import Indices
@@ -53,7 +54,7 @@ def check_readback(record: Record) -> list[Finding]:
 def _stuck(label: str, rows: Indices, setpoint: Vector, readback: Vector) -> Finding | None:
     """Tell a readback that stands still to the end while its setpoint moves."""
     last = float(readback[-1])
-    noise = 1.4826 * float(np.median(np.abs(np.diff(readback[-_WINDOW:])))) * 3.0
+    noise = TO_SIGMA * float(np.median(np.abs(np.diff(readback[-_WINDOW:])))) * 3.0
     far = np.flatnonzero(np.abs(readback - last) > noise + 1e-6 * abs(last) + 1e-12)
     begin = int(far[-1]) + 1 if len(far) else 0
     if len(readback) - begin < _WINDOW:

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Mask
-from orbitfb.estimation.noise import TO_SIGMA
 from orbitfb.estimation.transform import Matrix
 from orbitfb.records.finding import Finding, counted, listed
 from orbitfb.records.record import Record

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Mask
 from orbitfb.diagnose.screen.actions import other_actions
 from orbitfb.diagnose.screen.steps import inner
@@ -17,7 +18,6 @@ _ROUNDING = 0.05
 _FEWEST = 10
 _JITTER = 0.02
 _PERIOD = 0.05
-_TO_SIGMA = 1.4826
 
 
 def check_writes(record: Record) -> list[Finding]:
@@ -144,7 +144,7 @@ def check_clock(record: Record) -> list[Finding]:
             f"orbits are stamped {usual:.4g} s apart, but the period is said to be {period:.4g} s"
         )
         found.append(Finding("period", "warning", (), None, text))
-    spread = _TO_SIGMA * float(np.median(np.abs(gaps - usual))) / np.sqrt(2.0)
+    spread = TO_SIGMA * float(np.median(np.abs(gaps - usual))) / np.sqrt(2.0)
     if spread > _JITTER * usual:
         text = (
             f"the stamps tremble by {spread * 1e3:.3g} ms rms, {100 * spread / usual:.0f} % of a "

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
 
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Vector
 from orbitfb.effects.actuating import usual_change
 from orbitfb.physics.optics import Matrix
@@ -26,7 +27,6 @@ _APART = 6  # frequencies between two peaks
 _CLOSER = 12  # peaks of single columns that are looked at closely
 _TRIED = 30  # frequencies of one column that are tried at the tip of their needle
 _NODES = 17  # between which the transform of one column is smooth
-_NORMAL = 1.4826  # standard deviation of normal numbers over the median of their sizes
 
 
 def common_steps(
@@ -147,8 +147,8 @@ def _peaks(
     if first == usable:
         return []
     # of normal numbers the highest is this; of the sizes of complex ones too
-    noise = _NORMAL * float(np.median(np.abs(score[first:])))
-    noise /= 1.0 if absolute else _NORMAL * float(np.sqrt(np.log(2.0)))
+    noise = TO_SIGMA * float(np.median(np.abs(score[first:])))
+    noise /= 1.0 if absolute else TO_SIGMA * float(np.sqrt(np.log(2.0)))
     highest = noise * float(np.sqrt((2.0 if absolute else 1.0) * np.log(others * usable)))
     peaks: list[tuple[float, float, float]] = []
     for _ in range(count):

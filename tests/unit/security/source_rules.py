@@ -35,7 +35,7 @@ def violations(source: str) -> Iterator[tuple[int, str]]:
                 yield node.lineno, f"import {module}"
         if not isinstance(node, ast.Call):
             continue
-        name = ast.unparse(node.func)
+        name = _name(node.func)
         if name in FORBIDDEN_CALLS:
             yield node.lineno, name
         options = {word.arg: word.value for word in node.keywords}
@@ -52,7 +52,7 @@ def unbounded_reads(source: str) -> Iterator[tuple[int, str]]:
     for node in _telling(source):
         if not isinstance(node, ast.Call):
             continue
-        name = ast.unparse(node.func)
+        name = _name(node.func)
         if isinstance(node.func, ast.Attribute) and node.func.attr in UNBOUNDED:
             yield node.lineno, name
         if name in ("json.load", "tomllib.load", "csv.reader", "np.loadtxt", "np.genfromtxt"):
@@ -64,8 +64,8 @@ def unbounded_reads(source: str) -> Iterator[tuple[int, str]]:
 def opens(source: str) -> Iterator[tuple[int, str]]:
     """Yield calls that hand a file to a parser of containers."""
     for node in _telling(source):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) in OPENERS:
-            yield node.lineno, ast.unparse(node.func)
+        if isinstance(node, ast.Call) and (name := _name(node.func)) in OPENERS:
+            yield node.lineno, name
 
 
 @cache
@@ -73,6 +73,16 @@ def _telling(source: str) -> tuple[ast.Call | ast.Import | ast.ImportFrom, ...]:
     """Give the nodes that rules are about; a source is parsed once for all rules."""
     kinds = (ast.Call, ast.Import, ast.ImportFrom)
     return tuple(node for node in ast.walk(ast.parse(source)) if isinstance(node, kinds))
+
+
+def _name(function: ast.expr) -> str:
+    """Give what is called, `a.b.c`; of what is called on a value, the last words."""
+    words: list[str] = []
+    while isinstance(function, ast.Attribute):
+        words.append(function.attr)
+        function = function.value
+    words.append(function.id if isinstance(function, ast.Name) else "…")
+    return ".".join(reversed(words))
 
 
 def _imported(node: ast.AST) -> list[str]:
