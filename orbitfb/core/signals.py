@@ -47,6 +47,16 @@ class Channels:
         return parts(self.planes, len(self.bpms), self.bpm_counts)
 
     @property
+    def bpm_planes(self) -> tuple[str, ...]:
+        """The plane of each of the n readings."""
+        return planes_in(self.bpm_parts)
+
+    @property
+    def corrector_planes(self) -> tuple[str, ...]:
+        """The plane of each of the m setpoints."""
+        return planes_in(self.corrector_parts)
+
+    @property
     def corrector_parts(self) -> dict[str, slice]:
         """Where the correctors of each plane are in a set of setpoints."""
         return parts(self.planes, len(self.correctors), self.corrector_counts)
@@ -65,6 +75,16 @@ def parts(planes: str, size: int, counts: Sequence[int] = ()) -> dict[str, slice
     return {
         plane: slice(end - count, end) for plane, count, end in zip(planes, each, ends, strict=True)
     }
+
+
+COUNTS = ("bpm_counts", "corrector_counts")
+"""Fields of `Channels` that say how many devices each plane has; files keep them where they are not
+the same for all."""
+
+
+def planes_in(parts: Mapping[str, slice]) -> tuple[str, ...]:
+    """Give the plane of each element of a vector that is cut into planes."""
+    return tuple(plane for plane, part in parts.items() for _ in range(part.stop - part.start))
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,12 +65,11 @@ def layout_of(ring: Ring, planes: Planes, period: float, response: Matrix | None
         period: From one orbit to the next [s].
         response: Nominal response, shape (n, m) [m/A]; that of the optics when None.
     """
-    each = split(planes)
-    bpms, correctors = ring.names("BPM"), ring.names("COR")
+    each, channels = split(planes), ring.channels(planes)
     return Layout(
-        bpms=devices_of(bpms * len(each), [plane for plane in each for _ in bpms]),
+        bpms=devices_of(channels.bpms, [plane for plane in each for _ in ring.names("BPM", plane)]),
         correctors=devices_of(
-            correctors * len(each), [plane for plane in each for _ in correctors]
+            channels.correctors, [plane for plane in each for _ in ring.names("COR", plane)]
         ),
         response=nominal_response(ring, planes) if response is None else response,
         period=period,

@@ -97,7 +97,7 @@ def interpolation(layout: Layout, kind: Kind, plane: ChannelPlane) -> Matrix:
     if not len(columns):
         return found
     at_bpms = layout.orbit_per_kick("QUAD", plane)[columns] * strength
-    at_places = green(ring, kind, "QUAD", plane) * strength
+    at_places = green(ring, places, "QUAD", plane) * strength
     spread = at_bpms @ at_bpms.T
     spread += _UNRESOLVED * np.trace(spread) / len(columns) * np.eye(len(columns))
     found[:, columns] = np.linalg.solve(spread, at_bpms @ at_places.T).T

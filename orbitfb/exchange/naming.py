@@ -15,20 +15,26 @@ _MOST_TOLD = 5
 
 def bpm_labels(channels: Channels) -> dict[str, int]:
     """Map every way to name a reading to its place in an orbit."""
-    return _labels(channels.bpms, channels.planes, (channels.orbit_pvs,))
+    return _labels(channels.bpms, channels.bpm_planes, (channels.orbit_pvs,))
 
 
 def corrector_labels(channels: Channels) -> dict[str, int]:
     """Map every way to name a setpoint to its place."""
     return _labels(
-        channels.correctors, channels.planes, (channels.setpoint_pvs, channels.readback_pvs)
+        channels.correctors,
+        channels.corrector_planes,
+        (channels.setpoint_pvs, channels.readback_pvs),
     )
 
 
-def plain_labels(names: Sequence[str], planes: str) -> tuple[str, ...]:
-    """Name every element NAME:x or NAME:y, whatever the planes."""
-    own = len(names) // len(planes)
-    return tuple(f"{name}:{planes[index // own]}" for index, name in enumerate(names))
+def plain_labels(names: Sequence[str], planes: Sequence[str]) -> tuple[str, ...]:
+    """Name every element NAME:x or NAME:y, whatever the planes.
+
+    Args:
+        names: Of its devices.
+        planes: Of each of them.
+    """
+    return tuple(f"{name}:{plane}" for name, plane in zip(names, planes, strict=True))
 
 
 def places_of(names: Sequence[str], labels: dict[str, int], what: str, file: object) -> Indices:
@@ -74,7 +80,9 @@ def places_of(names: Sequence[str], labels: dict[str, int], what: str, file: obj
     return np.array(places, dtype=np.intp)
 
 
-def _labels(names: Sequence[str], planes: str, pvs: Sequence[Sequence[str]]) -> dict[str, int]:
+def _labels(
+    names: Sequence[str], planes: Sequence[str], pvs: Sequence[Sequence[str]]
+) -> dict[str, int]:
     found: dict[str, int] = {}
     for place, (name, label) in enumerate(zip(names, plain_labels(names, planes), strict=True)):
         found[label] = place

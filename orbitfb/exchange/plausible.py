@@ -66,10 +66,9 @@ def response_problem(
         unit: That the file is taken to have.
         units: All units of its kind, by size in SI.
     """
-    n = len(channels.bpms) // len(channels.planes)
-    m = len(channels.correctors) // len(channels.planes)
-    for number, plane in enumerate(channels.planes):
-        block = np.s_[number * n : (number + 1) * n, number * m : (number + 1) * m]
+    columns = channels.corrector_parts
+    for plane, rows in channels.bpm_parts.items():
+        block = rows, columns[plane]
         found = likeness(matrix[block], nominal[block], plane)
         if not np.isfinite(matrix[block]).any():
             continue

@@ -24,7 +24,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.signals import Channels
+from orbitfb.core.signals import COUNTS, Channels
 from orbitfb.history.columns import AUXILIARY, STATES, UNITS, Columns, Layout
 from orbitfb.history.sink import Sink, write_all
 
@@ -179,6 +179,9 @@ def _create(sink: Sink, channels: Channels, plan: Layout, rows: int, run: str) -
     with h5py.File(sink, "w", libver=_FORMAT) as file:
         file.attrs["schema_version"] = SCHEMA_VERSION
         file.attrs["planes"] = channels.planes
+        for word in COUNTS:
+            if counts := getattr(channels, word):
+                file.attrs[word] = np.array(counts, dtype=np.int64)
         file.attrs["run"] = run
         file.attrs["compressed"] = False
         file[CHANNELS + "bpms"] = np.array([name.encode() for name in channels.bpms])

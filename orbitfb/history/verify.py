@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 
 from orbitfb.core.errors import ArchiveError
-from orbitfb.core.signals import Channels
+from orbitfb.core.signals import COUNTS, Channels
 from orbitfb.history.columns import AUXILIARY, STATES, Columns, layout, row_bytes
 from orbitfb.history.segment import CHANNELS, MARK, SCHEMA_VERSION, count_rows
 
@@ -90,7 +90,8 @@ def _read(file: h5py.File, path: Path, largest: int) -> SegmentContent:
     planes, run = file.attrs["planes"], file.attrs["run"]
     if not isinstance(planes, str) or not isinstance(run, str):
         raise ValueError("planes or run is no text")
-    channels = Channels(planes, names["bpms"], names["correctors"], (), (), ())
+    each = [_counts(file, word, len(its)) for word, its in zip(COUNTS, names.values(), strict=True)]
+    channels = Channels(planes, names["bpms"], names["correctors"], (), (), (), each[0], each[1])
     slow = file[AUXILIARY[:-1]]
     if not isinstance(slow, h5py.Group) or len(slow) > _MOST_AUXILIARY:
         raise ValueError(f"'{slow.name}' is no group of slow channels")
@@ -139,6 +140,18 @@ def _dataset(file: h5py.File, name: str, path: Path) -> h5py.Dataset:
         if size > _LARGEST_CHUNK:
             raise CorruptSegmentError(f"'{name}' of {path} has chunks of {size} bytes; {_ADVICE}")
     return dataset
+
+
+def _counts(file: h5py.File, word: str, size: int) -> tuple[int, ...]:
+    """Read how many devices each plane has; empty: as many in each."""
+    if word not in file.attrs:
+        return ()
+    counts = np.asarray(file.attrs[word])
+    if counts.shape != (len(str(file.attrs["planes"])),) or counts.dtype != np.int64:
+        raise ValueError(f"{word} has shape {counts.shape} and type {counts.dtype}")
+    if not (counts > 0).all() or counts.sum() != size:
+        raise ValueError(f"{word} holds {counts.tolist()} for {size} devices")
+    return tuple(counts.tolist())
 
 
 def _names(dataset: h5py.Dataset) -> tuple[str, ...]:

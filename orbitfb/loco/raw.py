@@ -10,7 +10,7 @@ import numpy as np
 from orbitfb.core.errors import ExchangeError
 from orbitfb.core.files.arrays import first_line
 from orbitfb.core.files.bounded import LARGEST_TEXT, parse_json, read_text
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import COUNTS, Vector, parts, planes_in
 from orbitfb.exchange.formats.csv_file import COLUMNS, ROWS, VALUES, CsvSource
 from orbitfb.exchange.formats.datasets import LARGEST_FILE, Source, column_of, matrix_of
 from orbitfb.exchange.formats.source import check_file, names_from, open_source
@@ -125,14 +125,14 @@ def _unpacked(file: Path) -> zipfile.ZipFile:
 def _packed(file: Path) -> Raw:
     tensors, card = read_packed(file, "response", _ADVICE, ExchangeError)
     planes = str(card.get("planes", "x"))
-    own = len(card["bpms"]) // len(planes), len(card["correctors"]) // len(planes)
 
-    def labels(names: Any, count: int) -> tuple[str, ...]:
-        return tuple(f"{name}:{planes[number // count]}" for number, name in enumerate(names))
+    def labels(names: Any, counts: Any) -> tuple[str, ...]:
+        each = planes_in(parts(planes, len(names), counts))
+        return tuple(f"{name}:{plane}" for name, plane in zip(names, each, strict=True))
 
     return Raw(
-        "response", tensors["response"], "m/A", labels(card["bpms"], own[0]),
-        labels(card["correctors"], own[1]), tensors["sigma"], None, planes,
+        "response", tensors["response"], "m/A", labels(card["bpms"], card.get(COUNTS[0], ())),
+        labels(card["correctors"], card.get(COUNTS[1], ())), tensors["sigma"], None, planes,
     )  # fmt: skip
 
 

@@ -59,7 +59,7 @@ def screened(
         orbit.valid,
         memory.bpms,
         rules.interlocks,
-        len(rules.channels.planes),
+        tuple(rules.channels.bpm_parts.values()),
         memory.state in (LoopState.CLOSED, LoopState.HELD),
     )
     if (left := memory.answering.left) is not None:
@@ -95,7 +95,7 @@ def check(
         error = np.where(valid, error, 0.0)
     rms, largest = _size(error, int(np.count_nonzero(valid)))
     fresh, last = watch.repeated(reading.orbit, valid, memory.last, settings)
-    planes, left_out = len(names.planes), reading.left_out
+    planes, left_out = tuple(names.bpm_parts.values()), reading.left_out
     quota = bpm_quota(valid, settings, names.bpms, rules.counting, flaws, planes, left_out)
     unknown = Action.TRIP if closed else Action.HOLD
     active = closed or memory.state is LoopState.HELD

@@ -30,11 +30,10 @@ def growth_of_optics(measured: Vector, nominal: Vector) -> float | None:
 
 def growth_told(measured: Vector, nominal: Vector, channels: Channels) -> dict[str, str]:
     """Say it plane by plane, for people."""
-    n = len(channels.bpms) // len(channels.planes)
-    m = len(channels.correctors) // len(channels.planes)
     found: dict[str, str] = {}
-    for number, plane in enumerate(channels.planes):
-        block = np.s_[number * n : (number + 1) * n, number * m : (number + 1) * m]
+    columns = channels.corrector_parts
+    for plane, rows in channels.bpm_parts.items():
+        block = rows, columns[plane]
         growth = growth_of_optics(measured[block], nominal[block])
         if growth is not None:
             found[plane] = told(growth)

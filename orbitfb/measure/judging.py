@@ -27,12 +27,16 @@ class Judgement:
     missing: tuple[str, ...]
 
 
-def labels(names: tuple[str, ...], planes: str) -> tuple[str, ...]:
-    """Name every element as `masks` does: NAME, or NAME:x and NAME:y where there are both."""
-    if len(planes) == 1:
+def labels(names: tuple[str, ...], planes: tuple[str, ...]) -> tuple[str, ...]:
+    """Name every element as `masks` does: NAME, or NAME:x and NAME:y in a loop of both planes.
+
+    Args:
+        names: Of its devices.
+        planes: Of each of them.
+    """
+    if len({*planes}) == 1:
         return names
-    own = len(names) // len(planes)
-    return tuple(f"{name}:{planes[index // own]}" for index, name in enumerate(names))
+    return tuple(f"{name}:{plane}" for name, plane in zip(names, planes, strict=True))
 
 
 def judge(
@@ -54,13 +58,13 @@ def judge(
     measured = table.measured
     bpms = _judge_bpms(table, nominal, settings, counting)
     good = counting & np.array([not problem for problem in bpms])
-    names = labels(channels.correctors, channels.planes)
+    names = labels(channels.correctors, channels.corrector_planes)
     correctors = {
         names[j]: problem
         for j in np.flatnonzero(measured)
         if (problem := _judge_corrector(table, nominal, settings, good, int(j)))
     }
-    rows = labels(channels.bpms, channels.planes)
+    rows = labels(channels.bpms, channels.bpm_planes)
     return Judgement(
         correctors,
         {rows[i]: problem for i, problem in enumerate(bpms) if problem},

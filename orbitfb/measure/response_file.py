@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from orbitfb.core.errors import RingError
-from orbitfb.core.signals import Channels, Mask, Vector
+from orbitfb.core.signals import COUNTS, Channels, Mask, Vector
 from orbitfb.measure.column import Table, table_shapes
 from orbitfb.measure.judging import Judgement, labels
 from orbitfb.measure.packed import read_packed, write_packed
@@ -59,6 +59,7 @@ def write_response(
     card = {
         "kind": _KIND,
         "planes": channels.planes,
+        **{word: counts for word in COUNTS if (counts := getattr(channels, word))},
         "bpms": channels.bpms,
         "correctors": channels.correctors,
         "bad_bpms": judgement.bpms,
@@ -117,7 +118,7 @@ def adopted(
     problems = [
         (f"masks.correctors {label!r}", str(bad.get(label, "was not measured")))
         for label, wanted, done in zip(
-            labels(channels.correctors, channels.planes),
+            labels(channels.correctors, channels.corrector_planes),
             movable,
             measured.table.measured,
             strict=True,
@@ -127,7 +128,7 @@ def adopted(
     bad = measured.card.get("bad_bpms", {})
     problems += [
         (f"masks.bpms {label!r}", str(bad[label]))
-        for label, wanted in zip(labels(channels.bpms, channels.planes), counting, strict=True)
+        for label, wanted in zip(labels(channels.bpms, channels.bpm_planes), counting, strict=True)
         if wanted and label in bad
     ]
     matrix = np.where(np.outer(counting, movable), measured.table.response, 0.0)

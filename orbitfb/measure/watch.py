@@ -83,8 +83,14 @@ class Watch:
         return np.where(self._counting & reading.orbit.valid, reading.orbit.position, np.nan)
 
     def _problem(self, reading: Reading) -> str:
-        names = self._machine.channels.bpms
-        quota = bpm_quota(reading.orbit.valid, self._interlocks, names, self._counting)
+        channels = self._machine.channels
+        quota = bpm_quota(
+            reading.orbit.valid,
+            self._interlocks,
+            channels.bpms,
+            self._counting,
+            planes=tuple(channels.bpm_parts.values()),
+        )
         if quota.action is Action.HOLD:
             return quota.reason
         position = self.position(reading)

@@ -16,8 +16,14 @@ class PageLayout(Settings):
 
     planes: Planes = Field(description="Planes under feedback.")
     bpms: tuple[str, ...] = Field(description="Names of the BPMs.")
+    bpm_counts: tuple[int, ...] = Field(
+        default=(), description="BPMs of each plane; empty: as many in each."
+    )
     bpm_s: tuple[float, ...] = Field(description="Their places [m].")
     correctors: tuple[str, ...] = Field(description="Names of the correctors.")
+    corrector_counts: tuple[int, ...] = Field(
+        default=(), description="Correctors of each plane; empty: as many in each."
+    )
     corrector_s: tuple[float, ...] = Field(description="Their places [m].")
     circumference: float = Field(gt=0, description="Of the ring [m].")
     limit: float = Field(gt=0, description="Limit of a setpoint, absolute [A].")
@@ -38,6 +44,8 @@ class PageLayout(Settings):
             {
                 "planes": channels.planes,
                 "bpms": channels.bpms,
+                "bpm_counts": channels.bpm_counts,
+                "corrector_counts": channels.corrector_counts,
                 "bpm_s": tuple(at[name] for name in channels.bpms),
                 "correctors": channels.correctors,
                 "corrector_s": tuple(at[name] for name in channels.correctors),

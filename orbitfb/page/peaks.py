@@ -3,10 +3,11 @@
 import math
 import threading
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
-from orbitfb.core.signals import TickRecord
+from orbitfb.core.signals import TickRecord, parts
 
 SLOT, SLOTS = 0.25, 6
 """Length of a slot of time [s], and how many are kept: more than a second, as who asks once a
@@ -18,10 +19,11 @@ class Peaks:
 
     Args:
         planes: Under feedback; vectors are x first, then y.
+        counts: BPMs of each plane; empty: as many in each.
     """
 
-    def __init__(self, planes: str) -> None:
-        self._planes = planes
+    def __init__(self, planes: str, counts: Sequence[int] = ()) -> None:
+        self._planes, self._counts = planes, counts
         self._lock = threading.Lock()
         self._slots: deque[tuple[int, list[float]]] = deque(maxlen=SLOTS)
 
@@ -36,8 +38,7 @@ class Peaks:
             if not self._slots or self._slots[-1][0] != slot:
                 self._slots.append((slot, [math.nan] * count))
             largest = self._slots[-1][1]
-            for at in range(count):
-                part = slice(at * error.size // count, (at + 1) * error.size // count)
+            for at, part in enumerate(parts(self._planes, error.size, self._counts).values()):
                 valid = error[part][orbit.valid[part]]
                 rms = math.sqrt(float(valid @ valid) / valid.size) if valid.size else math.nan
                 largest[at] = float(np.fmax(largest[at], rms))

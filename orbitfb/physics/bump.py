@@ -137,7 +137,7 @@ def closed_bump(
             f"the angle at {source.name} is not known: on neither side is there a drift up to the "
             "next place of the table; ask for the position alone, or for a place in a drift"
         )
-    correctors, bpms = ring.places("COR"), ring.places("BPM")
+    correctors, bpms = ring.places("COR", plane), ring.places("BPM", plane)
     used, inside = _around(ring, source, correctors, bpms, movable)
     beyond = bpms[~inside]
     if len(beyond) < _BEYOND or len(used) < 4:

@@ -48,8 +48,12 @@ def frequency_response(ring: Ring, planes: Planes) -> Vector:
     Returns:
         Shape (n,) [m/Hz].
     """
-    orbit = rf_orbit(ring, "BPM", 1.0)
-    return np.concatenate([orbit if plane == "x" else 0.0 * orbit for plane in split(planes)])
+    return np.concatenate(
+        [
+            rf_orbit(ring, "BPM", 1.0) if plane == "x" else np.zeros(len(ring.places("BPM", plane)))
+            for plane in split(planes)
+        ]
+    )
 
 
 def frequency_model(ring: Ring, planes: Planes) -> FrequencyModel:
@@ -71,8 +75,9 @@ def frequency_model(ring: Ring, planes: Planes) -> FrequencyModel:
     check_dispersion(ring)
     parameters = ring.parameters
     stretch = parameters.alpha_c * parameters.circumference
-    bends = -ring.table.dispersion[ring.places("COR")] * ring.calibration("x") / stretch
-    energy = np.concatenate([bends if plane == "x" else 0.0 * bends for plane in split(planes)])
+    bends = -ring.table.dispersion[ring.places("COR", "x")] * ring.calibration("x") / stretch
+    rest = np.zeros(len(ring.places("COR", "y")))
+    energy = np.concatenate([bends if plane == "x" else rest for plane in split(planes)])
     per_hertz = -1.0 / (parameters.alpha_c * ring.rf_frequency)
     return FrequencyModel(frequency_response(ring, planes), energy, per_hertz)
 
@@ -91,7 +96,7 @@ def check_dispersion(ring: Ring) -> None:
     """
     dispersion, alpha = ring.table.dispersion, ring.parameters.alpha_c
     mean = float(np.mean(dispersion))
-    if not np.any(dispersion[ring.places("BPM")]):
+    if not np.any(dispersion[ring.places("BPM", "x")]):
         raise RingError(
             "the places table has no dispersion (eta_x_m) at the BPMs, so that the RF frequency "
             "cannot be told from the orbit; fill the column in, or set rf.enabled = false"

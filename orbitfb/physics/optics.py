@@ -16,9 +16,12 @@ Matrix = NDArray[np.float64]
 Places = Indices | Kind
 
 
-def indices(ring: Ring, places: Places) -> Indices:
-    """Turn a kind of places, or indices into the table, into indices, shape (k,)."""
-    return ring.places(places) if isinstance(places, str) else places
+def indices(ring: Ring, places: Places, plane: Plane) -> Indices:
+    """Turn a kind of places, or indices into the table, into indices, shape (k,).
+
+    Of BPMs and correctors those that are in the plane.
+    """
+    return ring.places(places, plane) if isinstance(places, str) else places
 
 
 def green(ring: Ring, observers: Places, sources: Places, plane: Plane) -> Matrix:
@@ -36,7 +39,7 @@ def green(ring: Ring, observers: Places, sources: Places, plane: Plane) -> Matri
     Returns:
         Shape (n, m) [m/rad].
     """
-    rows, columns = indices(ring, observers), indices(ring, sources)
+    rows, columns = indices(ring, observers, plane), indices(ring, sources, plane)
     row, half_turn = plane_row(plane), np.pi * ring.tune(plane)
     root_beta, phase = np.sqrt(ring.table.beta[row]), ring.table.phase[row]
     distance = np.abs(phase[rows, None] - phase[None, columns])
@@ -105,7 +108,7 @@ def beta_beat(ring: Ring, observers: Places, plane: Plane, gradient_errors: Vect
     Returns:
         Shape (n,), a ratio.
     """
-    rows, quadrupoles = indices(ring, observers), ring.places("QUAD")
+    rows, quadrupoles = indices(ring, observers, plane), ring.places("QUAD")
     row, turn = plane_row(plane), 2 * np.pi * ring.tune(plane)
     phase = ring.table.phase[row]
     distance = np.abs(phase[rows, None] - phase[None, quadrupoles])
@@ -116,7 +119,7 @@ def beta_beat(ring: Ring, observers: Places, plane: Plane, gradient_errors: Vect
 
 def energy_orbit(ring: Ring, observers: Places, deviation: float) -> Vector:
     """Horizontal orbit of a relative energy deviation: η δ, shape (n,) [m]."""
-    return ring.table.dispersion[indices(ring, observers)] * deviation
+    return ring.table.dispersion[indices(ring, observers, "x")] * deviation
 
 
 def rf_orbit(ring: Ring, observers: Places, frequency_change: float) -> Vector:

@@ -1,6 +1,6 @@
 """The ring: its table of places and its global parameters."""
 
-from collections.abc import Iterable
+import itertools
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -20,6 +20,8 @@ Plane = Literal["x", "y"]
 Planes = Literal["x", "y", "xy"]
 Kind = Literal["BPM", "COR", "QUAD", "SEXT"]
 Indices = NDArray[np.intp]
+
+_DEVICES: tuple[Kind, ...] = ("BPM", "COR")
 
 _DRIFT = 0.5
 """Largest phase advance of a space without focusing, a waist between two far ends [2π]."""
@@ -96,22 +98,29 @@ class Ring:
                 f"{phase[-1] - phase[0] + most:.4g}; correct the one that is mistyped"
             )
 
-    def places(self, kind: Kind) -> Indices:
-        """Indices of the places of one kind, in ring order, shape (k,)."""
+    def places(self, kind: Kind, plane: Plane | None = None) -> Indices:
+        """Indices of the places of one kind, in ring order, shape (k,).
+
+        Args:
+            kind: Of the places.
+            plane: BPMs and correctors that are in this plane; None: in either.
+        """
         found = [i for i, its_kind in enumerate(self.table.kind) if its_kind == kind]
+        if plane is not None and kind in ("BPM", "COR"):
+            found = [i for i in found if self.table.pv[plane_row(plane)][i]]
         return np.array(found, dtype=np.intp)
 
-    def names(self, kind: Kind) -> tuple[str, ...]:
-        """Names of the places of one kind, in ring order."""
-        return tuple(self.table.name[int(i)] for i in self.places(kind))
+    def names(self, kind: Kind, plane: Plane | None = None) -> tuple[str, ...]:
+        """Names of the places of one kind, in ring order; see `places`."""
+        return tuple(self.table.name[int(i)] for i in self.places(kind, plane))
 
     def strength(self, kind: Literal["QUAD", "SEXT"]) -> Vector:
         """Integrated strengths k1L [1/m] or b2L [1/m²] of one kind, shape (k,)."""
         return self.table.strength[self.places(kind)]
 
     def calibration(self, plane: Plane) -> Vector:
-        """Kick per ampere of every corrector, shape (180,) for the default ring [rad/A]."""
-        return self.table.calibration[plane_row(plane), self.places("COR")]
+        """Kick per ampere of every corrector of a plane, (180,) for the default ring [rad/A]."""
+        return self.table.calibration[plane_row(plane), self.places("COR", plane)]
 
     def tune(self, plane: Plane) -> float:
         """Betatron tune with its integer part."""
@@ -134,19 +143,43 @@ class Ring:
         }
 
     def channels(self, planes: Planes) -> Channels:
-        """Names behind the orbit and the setpoints, x first and then y."""
-        bpms, correctors = self.places("BPM"), self.places("COR")
-        rows = [plane_row(plane) for plane in split(planes)]
-        units = tuple(self.table.unit[int(i)] for i in bpms) if self.table.unit else ()
+        """Names behind the orbit and the setpoints, x first and then y.
+
+        Args:
+            planes: `x`, `y` or `xy`.
+
+        Raises:
+            RingError: No BPM or no corrector is in one of them.
+        """
+        each, table = split(planes), self.table
+        for kind, plane in itertools.product(_DEVICES, each):
+            if not len(self.places(kind, plane)):
+                raise RingError(
+                    f"no place of kind {kind} is in plane {plane}: fill in its pv_{plane}, or set "
+                    "ring.planes to the other plane"
+                )
+
+        def of(kind: Kind) -> list[tuple[int, int]]:
+            return [(plane_row(plane), int(i)) for plane in each for i in self.places(kind, plane)]
+
+        bpms, correctors = of("BPM"), of("COR")
+        units = tuple(table.unit[i] for _, i in bpms) if table.unit else ()
         return Channels(
             planes=planes,
-            bpms=self.names("BPM") * len(rows),
-            correctors=self.names("COR") * len(rows),
-            orbit_pvs=_pick(self.table.pv, rows, bpms),
-            setpoint_pvs=_pick(self.table.pv, rows, correctors),
-            readback_pvs=_pick(self.table.readback, rows, correctors),
-            bpm_units=units * len(rows) if any(units) else (),
+            bpms=tuple(table.name[i] for _, i in bpms),
+            correctors=tuple(table.name[i] for _, i in correctors),
+            orbit_pvs=tuple(table.pv[row][i] for row, i in bpms),
+            setpoint_pvs=tuple(table.pv[row][i] for row, i in correctors),
+            readback_pvs=tuple(table.readback[row][i] for row, i in correctors),
+            bpm_counts=self._counts("BPM", each),
+            corrector_counts=self._counts("COR", each),
+            bpm_units=units if any(units) else (),
         )
+
+    def _counts(self, kind: Kind, each: tuple[Plane, ...]) -> tuple[int, ...]:
+        """Count the devices of each plane; empty where there are as many in each."""
+        counts = tuple(len(self.places(kind, plane)) for plane in each)
+        return counts if len(set(counts)) > 1 else ()
 
 
 def split(planes: Planes) -> tuple[Plane, ...]:
@@ -157,12 +190,6 @@ def split(planes: Planes) -> tuple[Plane, ...]:
 def plane_row(plane: Plane) -> int:
     """Row of a plane in the (2, N) columns of the table."""
     return 0 if plane == "x" else 1
-
-
-def _pick(
-    columns: tuple[tuple[str, ...], tuple[str, ...]], rows: Iterable[int], places: Indices
-) -> tuple[str, ...]:
-    return tuple(columns[row][int(i)] for row in rows for i in places)
 
 
 @cache

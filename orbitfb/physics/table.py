@@ -32,7 +32,8 @@ _NUMBERS = {
     "QUAD": ("length_m", "strength"),
     "SEXT": ("length_m", "strength"),
 }
-_OPTIONAL = {"COR": _READBACKS}
+_OF_PLANE = tuple(zip(_PVS, _CALIBRATIONS, _READBACKS, strict=True))
+"""Columns of a plane; without a PV the device is not in it."""
 _TEXTS = {"BPM": _PVS, "COR": _PVS, "QUAD": (), "SEXT": ()}
 
 
@@ -48,8 +49,10 @@ class PlacesTable:
         phase: Phase advance from s = 0, rows x and y, shape (2, N) [rad].
         dispersion: Horizontal, shape (N,) [m].
         strength: k1L of quadrupoles [1/m], b2L of sextupoles [1/m²], shape (N,); else NaN.
-        calibration: Kick per ampere, rows x and y, shape (2, N) [rad/A]; NaN where no corrector.
-        pv: BPM readings and corrector setpoints, rows x and y; empty where none.
+        calibration: Kick per ampere, rows x and y, shape (2, N) [rad/A]; NaN where no corrector, or
+            none of that plane.
+        pv: BPM readings and corrector setpoints, rows x and y; empty where there is none in that
+            plane.
         readback: Corrector readbacks, rows x and y; empty where there is none.
         unit: Of the readings of a BPM at its PVs; empty where it is not said.
     """
@@ -91,7 +94,13 @@ class _Row:
         return value
 
     def optional(self, column: str) -> float:
-        return self.number(column) if column in _NUMBERS[self.cells["kind"]] else math.nan
+        its = column in _NUMBERS[self.cells["kind"]] and not self.lacks(column)
+        return self.number(column) if its else math.nan
+
+    def lacks(self, column: str) -> bool:
+        """Whether a column is of a plane that the device is not in: it has no PV there."""
+        pv = next((pv for pv, *others in _OF_PLANE if column in others), "")
+        return bool(pv) and not self.cells[pv]
 
 
 def parse_places(text: str, source: str, circumference: float) -> PlacesTable:
@@ -144,7 +153,8 @@ def _check_cells(row: _Row, circumference: float) -> None:
     if kind not in KINDS:
         raise row.wrong("kind", "is no kind of place", f"use one of {', '.join(KINDS)}")
     for column in (*_OPTICS, *_NUMBERS[kind]):
-        row.number(column)
+        if not row.lacks(column):
+            row.number(column)
     if not row.cells["name"]:
         raise row.wrong("name", "is empty", "name the place")
     for column in ("beta_x_m", "beta_y_m"):
@@ -153,24 +163,38 @@ def _check_cells(row: _Row, circumference: float) -> None:
     if not 0 <= row.number("s_m") <= circumference:
         raise row.wrong("s_m", f"is outside 0 … {circumference} m", "correct s or circumference")
     for column in _CALIBRATIONS if kind == "COR" else ():
-        if row.number(column) == 0:
+        if not row.lacks(column) and row.number(column) == 0:
             raise row.wrong(column, "is a corrector that cannot kick", "give its calibration")
     if kind == "BPM" and row.cells.get(UNIT) not in (None, "", *LENGTH_UNITS):
         raise row.wrong(UNIT, "is no unit of a BPM", f"use one of {', '.join(LENGTH_UNITS)}")
-    for column in _TEXTS[kind]:
-        if not row.cells[column]:
-            raise row.wrong(column, f"is no PV, but a {kind} needs one", "give the PV")
+    _check_planes(row)
+
+
+def _check_planes(row: _Row) -> None:
+    """See that a device is in a plane, and has nothing in one that it is not in."""
+    kind = row.cells["kind"]
+    if not (columns := _TEXTS[kind]):
+        return
+    if not any(row.cells[column] for column in columns):
+        raise row.wrong(
+            columns[0], f"and {columns[1]} are no PVs, but a {kind} needs one", "give one or both"
+        )
+    for pv, *others in _OF_PLANE:
+        for column in others if not row.cells[pv] else ():
+            if row.cells[column]:
+                raise row.wrong(
+                    column, f"is of a plane without a PV ({pv})", "give the PV, or empty both cells"
+                )
 
 
 def _check_order(rows: Sequence[_Row]) -> None:
-    for column, strict in (("s_m", True), ("mu_x_2pi", False), ("mu_y_2pi", False)):
+    for column in ("s_m", "mu_x_2pi", "mu_y_2pi"):
         for before, row in itertools.pairwise(rows):
-            step = row.number(column) - before.number(column)
-            if step < 0 or (strict and step == 0):
+            if row.number(column) < before.number(column):
                 raise row.wrong(
                     column,
-                    f"does not increase after {before.cells[column]!r} on line {before.line}",
-                    "order the rows along the ring, one place per position",
+                    f"is less than {before.cells[column]!r} on line {before.line}",
+                    "order the rows along the ring",
                 )
 
 

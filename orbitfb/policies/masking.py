@@ -232,22 +232,24 @@ def mask_of(channels: Channels, settings: MaskSettings) -> tuple[Mask, Mask]:
             known ones), or nothing is left.
     """
     return (
-        _unmasked(channels.bpms, channels.planes, settings.bpms, "masks.bpms"),
-        _unmasked(channels.correctors, channels.planes, settings.correctors, "masks.correctors"),
+        _unmasked(channels.bpms, channels.bpm_planes, settings.bpms, "masks.bpms"),
+        _unmasked(
+            channels.correctors, channels.corrector_planes, settings.correctors, "masks.correctors"
+        ),
     )
 
 
-def _unmasked(names: Sequence[str], planes: str, masked: Sequence[str], key: str) -> Mask:
-    per_plane = len(names) // len(planes)
+def _unmasked(names: Sequence[str], planes: Sequence[str], masked: Sequence[str], key: str) -> Mask:
     where: dict[str, list[int]] = {}
     for index, name in enumerate(names):
         where.setdefault(name, []).append(index)
-        where.setdefault(f"{name}:{planes[index // per_plane]}", []).append(index)
+        where.setdefault(f"{name}:{planes[index]}", []).append(index)
     unknown = [name for name in masked if name not in where]
     if unknown:
         problems = "; ".join(f"{name!r}{did_you_mean(name, where)}" for name in unknown)
         raise ConfigError(
-            f"{key} names {len(unknown)} that the ring does not have in planes {planes}: "
+            f"{key} names {len(unknown)} that the ring does not have in planes "
+            f"{''.join(dict.fromkeys(planes))}: "
             f"{problems}; use the names of the places table"
         )
     unmasked = np.ones(len(names), dtype=np.bool_)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb import __version__
-from orbitfb.core.signals import Channels, Mask, TickRecord
+from orbitfb.core.signals import COUNTS, Channels, Mask, TickRecord
 from orbitfb.history.columns import AUXILIARY, Columns, allocate, fill
 from orbitfb.history.segment import STATES, unit_of
 from orbitfb.observe.plain import dumps
@@ -66,6 +66,7 @@ def encode(
         "before": cause.before,
         "reason": cause.reason[:LONGEST_REASON],
         "planes": channels.planes,
+        **{word: counts for word in COUNTS if (counts := getattr(channels, word))},
         "ticks": len(frozen.ticks),
         "policies": list(dict.fromkeys(tick.record.policy_id for tick in frozen.ticks)),
     }

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.signals import Channels, LoopState, Mask
+from orbitfb.core.signals import COUNTS, Channels, LoopState, Mask
 from orbitfb.history.columns import AUXILIARY, STATES, Columns
 from orbitfb.postmortem.content import (
     ABOUT,
@@ -118,6 +118,18 @@ def read_postmortem(path: Path, largest: int = LARGEST) -> PostMortem:
         return _read(Datasets(file, path, largest), path)
 
 
+def _counts(
+    data: Datasets, about: Mapping[str, Any], word: str, planes: str, size: int
+) -> tuple[int, ...]:
+    """Read how many devices each plane has; empty: as many in each."""
+    counts = about.get(word, [])
+    if not isinstance(counts, list) or not all(isinstance(its, int) and its > 0 for its in counts):
+        raise data.wrong(ABOUT, f"has {word} {counts!r}, which are no counts")
+    if counts and (len(counts) != len(planes) or sum(counts) != size):
+        raise data.wrong(ABOUT, f"has {word} {counts!r} for {size} devices in planes {planes!r}")
+    return tuple(counts)
+
+
 def _read(data: Datasets, path: Path) -> PostMortem:
     about = data.mapping(ABOUT, LONGEST_TEXT)
     planes = text_of(about, "planes")
@@ -125,7 +137,11 @@ def _read(data: Datasets, path: Path) -> PostMortem:
         raise data.wrong(ABOUT, f"has planes {planes!r}, which are none of {', '.join(_PLANES)}")
     words = ("bpms", "correctors", "orbit_pvs", "setpoint_pvs", "readback_pvs")
     names = [data.texts(f"channels/{word}", MOST_NAMES, LONGEST_NAME) for word in words]
-    channels = Channels(planes, names[0], names[1], names[2], names[3], names[4])
+    each = [
+        _counts(data, about, word, planes, len(its))
+        for word, its in zip(COUNTS, names, strict=False)
+    ]
+    channels = Channels(planes, names[0], names[1], names[2], names[3], names[4], each[0], each[1])
     counts = (len(channels.bpms), len(channels.correctors))
     for word, its, wanted in zip(words[2:], names[2:], (*counts[:1], *counts[1:] * 2), strict=True):
         if len(its) != wanted:

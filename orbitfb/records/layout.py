@@ -152,9 +152,9 @@ def _of_places(layout: Layout, sources: Indices | Kind, plane: Plane) -> Matrix:
     ring = layout.known_ring
     columns = layout.bpms.in_plane(plane)
     places = _indices(ring, [layout.bpms.names[int(i)] for i in columns])
-    count = len(ring.places(sources) if isinstance(sources, str) else sources)
-    orbit = np.zeros((len(layout.bpms), count))
-    orbit[columns] = green(ring, places, sources, plane)
+    where = ring.places(sources) if isinstance(sources, str) else sources
+    orbit = np.zeros((len(layout.bpms), len(where)))
+    orbit[columns] = green(ring, places, where, plane)
     return orbit
 
 
@@ -165,9 +165,9 @@ def _at_places(layout: Layout, places: Indices | Kind, plane: Plane) -> Matrix:
     sources = _indices(ring, [layout.correctors.names[int(i)] for i in columns])
     table_row = 0 if plane == "x" else 1
     per_ampere = ring.table.calibration[table_row, sources]
-    count = len(ring.places(places) if isinstance(places, str) else places)
-    orbit = np.zeros((count, len(layout.correctors)))
-    orbit[:, columns] = green(ring, places, sources, plane) * per_ampere
+    where = ring.places(places) if isinstance(places, str) else places
+    orbit = np.zeros((len(where), len(layout.correctors)))
+    orbit[:, columns] = green(ring, where, sources, plane) * per_ampere
     return orbit
 
 

@@ -23,6 +23,9 @@ ALONE = 10.0
 """A BPM jumps only if it moves so many times as far as the median of its plane: a beam that is
 kicked moves everywhere (largest / median of a closed orbit is below 5)."""
 
+Planes = int | Sequence[slice]
+"""How many planes of one size lie one after the other in a vector, or where each of them is."""
+
 
 class Flaw(IntEnum):
     """What is wrong with a reading; the first that holds."""
@@ -85,7 +88,7 @@ def screen(
     valid: Mask,
     memory: BpmMemory,
     settings: InterlockSettings,
-    planes: int = 1,
+    planes: Planes = 1,
     latching: bool = True,
 ) -> tuple[Flaws, BpmMemory]:
     """Judge every reading of an orbit.
@@ -99,7 +102,8 @@ def screen(
         valid: What the machine calls valid, shape (n,).
         memory: What the last call returned.
         settings: Thresholds.
-        planes: How many planes lie one after the other in the vectors.
+        planes: How many planes of one size lie one after the other in the vectors, or where each
+            of them is.
         latching: Whether jumps count: the loop is CLOSED or HELD.
 
     Returns:
@@ -137,7 +141,7 @@ def screen(
     return flaws, BpmMemory(position, base, repeats, good, then, habit)
 
 
-def _jumped(error: Vector, memory: BpmMemory, limit: float, planes: int) -> Mask:
+def _jumped(error: Vector, memory: BpmMemory, limit: float, planes: Planes) -> Mask:
     """Find the BPMs that moved far, and much farther than the others of their plane since then.
 
     Channels come back from an outage in waves: one that comes late must not be told from the
@@ -146,19 +150,35 @@ def _jumped(error: Vector, memory: BpmMemory, limit: float, planes: int) -> Mask
     step = np.abs(error - memory.base)
     far = step > limit  # False where nothing is known
     moved: dict[int, Vector] = {}
+    parts = parts_of(planes, len(error))
     for index in np.flatnonzero(far).tolist():
         then = memory.then.get(index, memory.base)
         if id(then) not in moved:
-            moved[id(then)] = _moved(error - then, planes)
-        far[index] = step[index] > ALONE * moved[id(then)][index * planes // len(error)]
+            moved[id(then)] = _moved(error - then, parts)
+        far[index] = step[index] > ALONE * moved[id(then)][index]
     return far
 
 
-def _moved(step: Vector, planes: int) -> Vector:
-    """Give how far the median BPM of each plane moved, shape (planes,) [m]."""
-    rows = np.abs(step).reshape(planes, -1)
-    known = [row[np.isfinite(row)] for row in rows]
-    return np.array([float(np.median(row)) if row.size else 0.0 for row in known])
+def _moved(step: Vector, parts: Sequence[slice]) -> Vector:
+    """Give how far the median BPM of the plane of each moved, shape (n,) [m]."""
+    size, moved = np.abs(step), np.zeros(len(step))
+    for part in parts:
+        known = size[part][np.isfinite(size[part])]
+        moved[part] = float(np.median(known)) if known.size else 0.0
+    return moved
+
+
+def parts_of(planes: Planes, size: int) -> tuple[slice, ...]:
+    """Cut a vector into its planes.
+
+    Args:
+        planes: How many of one size, or where each of them is.
+        size: Length of the vector.
+    """
+    if not isinstance(planes, int):
+        return tuple(planes)
+    own = size // planes
+    return tuple(slice(first, first + own) for first in range(0, size, own))
 
 
 def longest_run(bad: Mask) -> int:
@@ -180,7 +200,7 @@ def bpm_quota(
     names: Sequence[str] = (),
     counting: Mask | None = None,
     flaws: Flaws | None = None,
-    planes: int = 1,
+    planes: Planes = 1,
     told: Mapping[int, str] | None = None,
 ) -> Verdict:
     """Let a few BPMs be invalid, not more, not too many next to each other, and never all.
@@ -192,7 +212,7 @@ def bpm_quota(
         counting: BPMs that are not masked by configuration, shape (n,): what the others read does
             not matter, so they do not use up the quota; None: all.
         flaws: Why each is invalid, for the reason; from `screen`.
-        planes: How many planes lie one after the other.
+        planes: See `screen`.
         told: What the machine says of single BPMs, by index.
     """
     bad = ~valid if counting is None else counting & ~valid
@@ -206,8 +226,8 @@ def bpm_quota(
         reason += "; frozen: longer than usual at one reading (interlocks.bpm_frozen_ticks)"
     if invalid > settings.max_invalid_bpms or invalid == wanted:
         return Verdict(Action.HOLD, "bpm_quota", f"{reason}; allowed: {settings.max_invalid_bpms}")
-    rows = zip(bad.reshape(planes, -1), counted.reshape(planes, -1), strict=True)
-    run = max(longest_run(row[own]) for row, own in rows if own.any())
+    parts = [part for part in parts_of(planes, len(bad)) if counted[part].any()]
+    run = max(longest_run(bad[part][counted[part]]) for part in parts)
     if run > settings.max_adjacent_bpms:
         return Verdict(
             Action.HOLD,

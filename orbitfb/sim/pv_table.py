@@ -50,18 +50,18 @@ def pv_families(ring: Ring, planes: Planes, settings: SimSettings) -> tuple[PvFa
         planes: `x`, `y` or `xy`.
         settings: Of the soft IOC.
     """
-    layout = lay_out(ring.channels(planes), settings)
-    bpms, correctors = len(ring.names("BPM")), len(ring.names("COR"))
+    channels = ring.channels(planes)
+    layout = lay_out(channels, settings)
     families: list[PvFamily] = []
     readings = list(layout.readings)
-    readbacks = list(_take(readings, correctors * len(planes)))
-    for plane in planes:
-        families.append(PvFamily(f"BPM reading, {plane}", _take(readings, bpms), False))
-    for number, plane in enumerate(planes):
-        own = layout.setpoints[number * correctors : (number + 1) * correctors]
-        families.append(PvFamily(f"corrector setpoint, {plane}", own, True))
-    for plane in planes:
-        own = _take(readbacks, correctors)
+    readbacks = list(_take(readings, sum(map(bool, channels.readback_pvs))))
+    for plane, part in channels.bpm_parts.items():
+        own = _take(readings, part.stop - part.start)
+        families.append(PvFamily(f"BPM reading, {plane}", own, False))
+    for plane, part in channels.corrector_parts.items():
+        families.append(PvFamily(f"corrector setpoint, {plane}", layout.setpoints[part], True))
+    for plane, part in channels.corrector_parts.items():
+        own = _take(readbacks, sum(map(bool, channels.readback_pvs[part])))
         families.append(PvFamily(f"corrector readback, {plane}", own, False))
     families.append(PvFamily(_SINGLE[RF_PV], layout.setpoints[-1:], True))
     families += [PvFamily(_SINGLE[spec.name], (spec,), False) for spec in readings]

@@ -167,9 +167,11 @@ class Adjuster:
             raise ConfigError(f"{path}: is of another ring or other planes; {advice}")
         self._gain.update(saved.gain)
         self._reference_name = saved.reference_name
-        self._correctors = all_but(channels.correctors, channels, saved.disabled_correctors)
+        self._correctors = all_but(
+            channels.correctors, channels.corrector_planes, saved.disabled_correctors
+        )
         reference = self._checked(saved.reference)
-        enabled = all_but(channels.bpms, channels, saved.disabled_bpms)
+        enabled = all_but(channels.bpms, channels.bpm_planes, saved.disabled_bpms)
         self._check_left(enabled, self._correctors)
         self._bumps.restore(saved.bumps, reference)
         self._average, self._dead_band = saved.average, saved.dead_band
@@ -280,11 +282,11 @@ class Adjuster:
         self, reference: Vector | None = None, enabled: Mask | None = None, **more: Any
     ) -> None:
         wanted = self._runner.adjustments
-        size = len(wanted.gain) // len(self._gain)
+        planes = self._base.channels.corrector_planes
         self._runner.adjust(
             replace(
                 wanted,
-                gain=np.repeat([*self._gain.values()], size),
+                gain=np.array([self._gain[plane] for plane in planes]),
                 reference=wanted.reference if reference is None else reference,
                 enabled=wanted.enabled if enabled is None else enabled,
                 **more,
@@ -327,8 +329,10 @@ class Adjuster:
             average=self._average,
             dead_band=self._dead_band,
             bumps=tuple(self._bumps.in_force.values()),
-            disabled_bpms=names_off(channels.bpms, channels, wanted.enabled),
-            disabled_correctors=names_off(channels.correctors, channels, self._correctors),
+            disabled_bpms=names_off(channels.bpms, channels.bpm_planes, wanted.enabled),
+            disabled_correctors=names_off(
+                channels.correctors, channels.corrector_planes, self._correctors
+            ),
             dither=self._dither_cost,
         )
         write_whole(self._base.directory / FILE, saved)

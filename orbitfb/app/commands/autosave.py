@@ -63,10 +63,14 @@ class Reference(Settings):
     position: tuple[float, ...] = Field(description="Reference orbit [m].")
 
 
-def labels(names: Sequence[str], planes: str) -> tuple[str, ...]:
-    """Give every element of a vector a name of its own, `NAME:plane`."""
-    size = len(names) // len(planes)
-    return tuple(f"{name}:{planes[index // size]}" for index, name in enumerate(names))
+def labels(names: Sequence[str], planes: Sequence[str]) -> tuple[str, ...]:
+    """Give every element of a vector a name of its own, `NAME:plane`.
+
+    Args:
+        names: Of its devices.
+        planes: Of each of them.
+    """
+    return tuple(f"{name}:{plane}" for name, plane in zip(names, planes, strict=True))
 
 
 def fits(saved: Saved, channels: Channels, largest_gain: float) -> bool:
@@ -77,8 +81,8 @@ def fits(saved: Saved, channels: Channels, largest_gain: float) -> bool:
         channels: Of the loop.
         largest_gain: That operators may set.
     """
-    bpms = labels(channels.bpms, channels.planes)
-    correctors = labels(channels.correctors, channels.planes)
+    bpms = labels(channels.bpms, channels.bpm_planes)
+    correctors = labels(channels.correctors, channels.corrector_planes)
     unknown = {*saved.disabled_bpms} - {*bpms} | {*saved.disabled_correctors} - {*correctors}
     planes, sizes = {*channels.planes}, (len(bpms), len(correctors))
     return (
@@ -92,14 +96,14 @@ def fits(saved: Saved, channels: Channels, largest_gain: float) -> bool:
     )
 
 
-def all_but(names: Sequence[str], channels: Channels, off: Sequence[str]) -> Mask:
+def all_but(names: Sequence[str], planes: Sequence[str], off: Sequence[str]) -> Mask:
     """Give the devices that are not among some, `NAME:plane` each, shape (k,)."""
-    return np.array([its not in off for its in labels(names, channels.planes)], dtype=np.bool_)
+    return np.array([its not in off for its in labels(names, planes)], dtype=np.bool_)
 
 
-def names_off(names: Sequence[str], channels: Channels, enabled: Mask) -> tuple[str, ...]:
+def names_off(names: Sequence[str], planes: Sequence[str], enabled: Mask) -> tuple[str, ...]:
     """Name the devices that are not enabled, `NAME:plane` each."""
-    own = labels(names, channels.planes)
+    own = labels(names, planes)
     return tuple(name for name, on in zip(own, enabled, strict=True) if not on)
 
 

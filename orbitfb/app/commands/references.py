@@ -35,7 +35,7 @@ def save_reference(path: Path, position: Vector, channels: Channels) -> None:
         position: Shape (n,) [m].
         channels: Of the loop.
     """
-    bpms = labels(channels.bpms, channels.planes)
+    bpms = labels(channels.bpms, channels.bpm_planes)
     write_whole(path, Reference(bpms=bpms, position=tuple(position.tolist())))
 
 
@@ -54,6 +54,6 @@ def load_reference(path: Path, channels: Channels) -> tuple[float, ...]:
         known = ", ".join(sorted(file.stem for file in path.parent.glob("*.json")))
         raise ControlError(f"no reference {path.stem!r} was saved; known: {known or 'none'}")
     loaded = read_whole(path, Reference, "save another one under this name")
-    if loaded.bpms != labels(channels.bpms, channels.planes):
+    if loaded.bpms != labels(channels.bpms, channels.bpm_planes):
         raise ControlError(f"{path} is of other BPMs than the loop's")
     return loaded.position

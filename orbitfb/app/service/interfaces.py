@@ -189,7 +189,7 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
         statistics,
     )
     stack.callback(measuring.close)
-    peaks = Peaks(config.ring.planes)
+    peaks = Peaks(channels.planes, channels.bpm_counts)
     parts.runner.subscribe(peaks)
     view = PageView(
         Sources(

@@ -225,7 +225,7 @@ def take_ring(settings: EpicsSettings, channels: Channels, stack: ExitStack) -> 
     Raises:
         OwnershipError: Another one writes to it.
     """
-    first = channels.setpoint_pvs[:: len(channels.setpoint_pvs) // len(channels.planes)]
+    first = [channels.setpoint_pvs[part.start] for part in channels.corrector_parts.values()]
     for server in servers_of(settings):
         for plane, pv in zip(channels.planes, first, strict=True):
             stack.enter_context(

@@ -148,8 +148,7 @@ class Screen:
 
 
 def _columns(device: Broken, names: tuple[str, ...], channels: Channels) -> list[int]:
-    own = len(names) // len(channels.planes)
-    planes = [plane for plane in channels.planes for _ in range(own)]
+    planes = channels.bpm_planes if names is channels.bpms else channels.corrector_planes
     return [
         column
         for column, (name, plane) in enumerate(zip(names, planes, strict=True))

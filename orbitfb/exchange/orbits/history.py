@@ -101,8 +101,10 @@ def write_history(
     arrays = _arrays(history, rows, bpms, correctors)
     arrays["model_R"] = nominal[np.ix_(bpms, correctors)]
     names = {
-        "bpm_names": np.array(plain_labels(channels.bpms, planes))[bpms],
-        "corr_names": np.array(plain_labels(channels.correctors, planes))[correctors],
+        "bpm_names": np.array(plain_labels(channels.bpms, channels.bpm_planes))[bpms],
+        "corr_names": np.array(plain_labels(channels.correctors, channels.corrector_planes))[
+            correctors
+        ],
     }
     write_whole(out, _hdf5(arrays, names, seconds))
     left = ~bpms & np.isfinite(history.orbit).any(axis=0)
@@ -115,7 +117,9 @@ def write_history(
         "period": seconds,
         "bpms": int(bpms.sum()),
         "correctors": int(correctors.sum()),
-        "bpms_left_out": ", ".join(np.array(plain_labels(channels.bpms, planes))[left]),
+        "bpms_left_out": ", ".join(
+            np.array(plain_labels(channels.bpms, channels.bpm_planes))[left]
+        ),
         "implausible": problem,
     }
 

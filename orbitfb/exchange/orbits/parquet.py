@@ -116,8 +116,8 @@ def _slow_names(segment: Path) -> tuple[str, ...]:
 
 
 def _schema(channels: Channels, slow: list[str]) -> pa.Schema:
-    bpms = plain_labels(channels.bpms, channels.planes)
-    correctors = plain_labels(channels.correctors, channels.planes)
+    bpms = plain_labels(channels.bpms, channels.bpm_planes)
+    correctors = plain_labels(channels.correctors, channels.corrector_planes)
     fields: list[pa.Field] = []
     for name, unit in {RUN: "", **UNITS, **{AUXILIARY + each: "SI" for each in slow}}.items():
         names = bpms if name in _BPMS else correctors if name in _CORRECTORS else ()

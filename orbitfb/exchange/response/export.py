@@ -87,8 +87,8 @@ def export_response(exported: Exported, channels: Channels, out: Path) -> dict[s
     Raises:
         ExchangeError: The name ends in something else, or it cannot be written.
     """
-    bpms = plain_labels(channels.bpms, channels.planes)
-    correctors = plain_labels(channels.correctors, channels.planes)
+    bpms = plain_labels(channels.bpms, channels.bpm_planes)
+    correctors = plain_labels(channels.correctors, channels.corrector_planes)
     suffix = out.suffix.lower()
     if suffix == ".csv":
         content = _csv(exported, bpms, correctors)

@@ -108,8 +108,8 @@ def _judged(
     judged = judge(
         assumed, nominal, channels, settings, np.ones(len(channels.bpms), dtype=np.bool_)
     )
-    columns = labels(channels.correctors, channels.planes)
-    rows = labels(channels.bpms, channels.planes)
+    columns = labels(channels.correctors, channels.corrector_planes)
+    rows = labels(channels.bpms, channels.bpm_planes)
     return replace(
         judged,
         correctors=doubtful(table.response, nominal, columns) | judged.correctors,

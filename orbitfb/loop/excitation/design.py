@@ -180,8 +180,7 @@ def columns_of(names: Sequence[str], planes: str, channels: Channels, where: str
     Raises:
         ConfigError: One is not there.
     """
-    own = len(channels.correctors) // len(channels.planes)
-    column_planes = [plane for plane in channels.planes for _ in range(own)]
+    column_planes = channels.corrector_planes
     found: list[int] = []
     for name in names:
         hits = [
@@ -194,7 +193,7 @@ def columns_of(names: Sequence[str], planes: str, channels: Channels, where: str
         if not hits:
             raise ConfigError(
                 f"{where}: the ring has no corrector called {name!r} in planes {planes}; it has "
-                f"{own}, {', '.join(channels.correctors[:3])} for some"
+                f"{len({*channels.correctors})}, {', '.join(channels.correctors[:3])} for some"
             )
         found += hits
     return found

@@ -92,19 +92,18 @@ class Averages:
         return errors, math.sqrt(change), math.sqrt(dither)
 
 
-def worst(values: Vector, names: tuple[str, ...], planes: str) -> tuple[Ranked, ...]:
+def worst(values: Vector, names: tuple[str, ...], planes: tuple[str, ...]) -> tuple[Ranked, ...]:
     """Name the largest values, largest first.
 
     Args:
         values: Shape (n,), x first, then y; negative and NaN: not known.
         names: The n names.
-        planes: `x`, `y` or `xy`.
+        planes: Of each of them.
     """
-    own = -(-len(names) // len(planes))
     known = np.where(values >= 0.0, values, -1.0)
     order = np.argsort(-known, kind="stable")[:SHOWN]
     return tuple(
-        Ranked(names[at], planes[at // own], float(values[at])) for at in order if known[at] >= 0.0
+        Ranked(names[at], planes[int(at)], float(values[at])) for at in order if known[at] >= 0.0
     )
 
 

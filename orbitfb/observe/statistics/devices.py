@@ -42,5 +42,5 @@ def nearest_limit(last: TickRecord | None, channels: Channels, limits: Vector) -
         float(setpoints[where]),
         float(limits[where]),
         0,
-        worst(parts, channels.correctors, channels.planes),
+        worst(parts, channels.correctors, channels.corrector_planes),
     )

@@ -78,10 +78,7 @@ class LoopStatistics:
         self.enabled: Callable[[], Mask] = lambda: all_bpms
         self.unsaved: Callable[[], bool] = lambda: False
         self._counting = all_bpms if counting is None else counting.copy()
-        if channels.planes == "xy":
-            self._planes = {"x": slice(0, count // 2), "y": slice(count // 2, count)}
-        else:
-            self._planes = {channels.planes: slice(0, count)}
+        self._planes = channels.bpm_parts
         self._lock = threading.Lock()
 
         self._started = clock.monotonic()
@@ -232,7 +229,7 @@ class LoopStatistics:
                 else int(np.count_nonzero(self._counting & self.enabled() & ~orbit.valid)),
                 bpms=len(self._channels.bpms),
                 time=stamp,
-                worst_bpms=worst(errors, self._channels.bpms, self._channels.planes),
+                worst_bpms=worst(errors, self._channels.bpms, self._channels.bpm_planes),
             ),
             correctors=correctors,
             ticks=TickFigures(ticks, missed, held_back, age, wall, period, jitter, phases),

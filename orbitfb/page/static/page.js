@@ -89,11 +89,15 @@ function chart(id, title) {
   return [canvas, readout];
 }
 
-// Vectors are x first, then y.
-function halves(list) {
+// Vectors are x first, then y; counts says how many each has, if not as many.
+function parts(list, counts) {
   if (layout.planes.length === 1) return [list];
-  return [list.slice(0, list.length / 2), list.slice(list.length / 2)];
+  const first = counts.length ? counts[0] : list.length / 2;
+  return [list.slice(0, first), list.slice(first)];
 }
+
+const byBpm = (list) => parts(list, layout.bpm_counts);
+const byCorrector = (list) => parts(list, layout.corrector_counts);
 
 function build() {
   at("charts").replaceChildren();
@@ -103,8 +107,8 @@ function build() {
   for (const plane of planes) at("figures").append(tile(`rms-${plane}`, `Orbit RMS ${plane}`));
   at("figures").append(tile("worst", "Largest error"), tile("bpms", "BPMs in use"),
     tile("nearest", "Corrector closest to limit"), tile("current", "Beam current"), tile("pace", "Loop"));
-  const bpms = [halves(layout.bpm_s), halves(layout.bpms), { unit: "µm" }];
-  const correctors = [halves(layout.corrector_s), halves(layout.correctors), { unit: "A", limit: layout.limit }];
+  const bpms = [byBpm(layout.bpm_s), byBpm(layout.bpms), { unit: "µm" }];
+  const correctors = [byCorrector(layout.corrector_s), byCorrector(layout.correctors), { unit: "A", limit: layout.limit }];
   const along = (id, title, [s, names, options]) => planes.map((hue, index) => new RingChart(
     ...chart(`${id}-${hue}`, `${title} ${hue} [${options.unit}]`),
     { ring: layout.circumference, s: s[index], names: names[index], hue, ...options }));
@@ -145,8 +149,8 @@ function along(its) {
   document.body.classList.toggle("no-orbit", old);
   const none = its.orbit_age === undefined ? "no orbit yet"
     : `no orbit since ${timeOfDay(its.time - its.orbit_age)}: these are the last values`;
-  const [errors, orbits, flags] = [halves(its.error_um), halves(its.orbit_um), halves(its.bpms)];
-  const [setpoints, moving] = [halves(its.setpoints_A), halves(its.movable ?? "")];
+  const [errors, orbits, flags] = [byBpm(its.error_um), byBpm(its.orbit_um), byBpm(its.bpms)];
+  const [setpoints, moving] = [byCorrector(its.setpoints_A), byCorrector(its.movable ?? "")];
   charts.planes.forEach(({ error, orbit, setpoints: set }, index) => {
     const plane = layout.planes[index];
     const still = [...moving[index]].map((free) => (free === "1" ? "0" : "2")).join("");

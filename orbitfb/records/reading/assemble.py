@@ -1,5 +1,6 @@
 """Put devices, model and rows together to a record."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -89,13 +90,12 @@ def from_archive(
         ("y",) if channels.planes == "y" else ("x",)
     )  # fmt: skip
 
-    def named(array: str, names: tuple[str, ...]) -> Named:
-        size = len(names) // len(each)
-        return Named(array, names, tuple(plane for plane in each for _ in range(size)))
+    def named(array: str, names: tuple[str, ...], parts: Mapping[str, slice]) -> Named:
+        return Named(array, names, tuple(plane for plane in each for _ in names[parts[plane]]))
 
     raw = Raw(path, {}, {})
-    bpms = named("bpm_names", channels.bpms)
-    correctors = named("corr_names", channels.correctors)
+    bpms = named("bpm_names", channels.bpms, channels.bpm_parts)
+    correctors = named("corr_names", channels.correctors, channels.corrector_parts)
     its_ring, unknown = known_ring(raw, (bpms, correctors), ring)
     found += unknown
     if response is None:

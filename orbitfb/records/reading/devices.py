@@ -282,7 +282,9 @@ def ring_block(ring: Ring, bpms: Named, correctors: Named, plane: Plane) -> Matr
     rows = np.array([place[name] for name in bpms.names], dtype=np.intp)
     columns = np.array([place[name] for name in correctors.names], dtype=np.intp)
     table_row = 0 if plane == "x" else 1
-    return green(ring, rows, columns, plane) * ring.table.calibration[table_row, columns]
+    # A corrector that is not in the plane kicks nothing there.
+    per_ampere = np.nan_to_num(ring.table.calibration[table_row, columns])
+    return green(ring, rows, columns, plane) * per_ampere
 
 
 def correlation(first: Matrix, second: Matrix) -> float:

@@ -20,7 +20,7 @@ from orbitfb.learn.settings import LearnSettings
 from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.observe.statistics.summary import summary
 from orbitfb.physics.parameters import RingParameters
-from orbitfb.physics.table import _NUMBERS, _OPTIONAL, _TEXTS, COLUMNS, KINDS
+from orbitfb.physics.table import _NUMBERS, _READBACKS, _TEXTS, COLUMNS, KINDS
 from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
@@ -188,7 +188,10 @@ def test_table_of_places(tables):
     columns = tables["Table of places"]["column"]
     assert tuple(columns) == COLUMNS
     for column, (needed, _) in columns.items():
-        its = {kind: _NUMBERS[kind] + _TEXTS[kind] + _OPTIONAL.get(kind, ()) for kind in KINDS}
+        its = {
+            kind: _NUMBERS[kind] + _TEXTS[kind] + (_READBACKS if kind == "COR" else ())
+            for kind in KINDS
+        }
         kinds = [kind for kind in KINDS if column in its[kind]]
         assert needed == (", ".join(kinds) or "all"), column
 

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -12,11 +13,13 @@ from history_records import (
     assert_same,
     buffered,
     eventful_run,
+    make_channels,
     make_record,
 )
 
 from orbitfb.core.errors import ArchiveError, OwnershipError
 from orbitfb.history.archive import ArchiveSettings, read_archive
+from orbitfb.history.verify import read_segment
 
 
 @pytest.fixture
@@ -50,6 +53,25 @@ def test_compression_changes_no_number(archive, tmp_path):
         assert file["setpoints"].attrs["units"] == "A"
         assert h5py.check_enum_dtype(file["state"].dtype)["CLOSED"] == file["state"][0]
     again.recorder.close()
+
+
+def test_planes_of_several_sizes_are_kept_also_by_the_tidying(tmp_path):
+    counts = {"bpm_counts": (3, 2), "corrector_counts": (1, 3)}
+    channels = replace(make_channels(), planes="xy", **counts)
+    archive = Archive(tmp_path / "archive", MANY, channels)
+    archive.write(eventful_run())
+    archive.recorder.close()
+    again = Archive(archive.directory, ArchiveSettings(), channels)
+    again.tidy()
+    again.recorder.close()
+    path = archive.segments()[0]
+    parts = read_segment(path, 2**30).channels.corrector_parts
+    assert parts == {"x": slice(0, 1), "y": slice(1, 4)}
+    for wrong in ([3, 3], [5], [0, 5], [[3, 2]], [3.0, 2.0]):
+        with h5py.File(path, "a") as file:
+            file.attrs["bpm_counts"] = np.array(wrong)
+        with pytest.raises(ArchiveError, match="bpm_counts"):
+            read_segment(path, 2**30)
 
 
 def test_many_segments_read_as_one(archive, monkeypatch):

@@ -19,7 +19,8 @@ from orbitfb.core.signals import (
 def channels(planes: str = "x", bpms: int = 4, correctors: int = 3) -> Channels:
     names = tuple(f"BPM{i}" for i in range(bpms))
     kicks = tuple(f"COR{i}" for i in range(correctors))
-    return Channels(planes, names, kicks, names, kicks, kicks)
+    counts = (correctors - correctors // 2, correctors // 2) if planes == "xy" else ()
+    return Channels(planes, names, kicks, names, kicks, kicks, corrector_counts=counts)
 
 
 def record(

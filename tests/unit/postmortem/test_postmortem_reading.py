@@ -61,6 +61,14 @@ HOSTILE = {
     ),
     "no JSON": (lambda f: replace(f, "about", np.bytes_(b"[" * 9000)), "'about' is no JSON object"),
     "no planes": (lambda f: replace(f, "about", np.bytes_(b"{}")), "'about' has planes ''"),
+    "planes of no size": (
+        lambda f: replace(f, "about", np.bytes_(b'{"planes": "xy", "bpm_counts": [1, 1]}')),
+        r"'about' has bpm_counts \[1, 1\] for 6 devices in planes 'xy'",
+    ),
+    "sizes that are no counts": (
+        lambda f: replace(f, "about", np.bytes_(b'{"planes": "x", "corrector_counts": "4"}')),
+        "'about' has corrector_counts '4', which are no counts",
+    ),
     "another version": (lambda f: f.attrs.__setitem__("schema_version", 9), "schema_version 1"),
     "a version that is a text": (
         lambda f: f.attrs.__setitem__("schema_version", "9" * 1000),
