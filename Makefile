@@ -7,8 +7,14 @@ WORKERS := $(shell echo $$(($$(nproc) + 1)))
 BESIDE := -n $(WORKERS) --maxprocesses 8 --dist loadscope --no-loadscope-reorder
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
+CHANNEL_ACCESS := tests/unit/epics tests/unit/sim tests/unit/panel \
+  $(wildcard tests/system/test_epics_machine*.py tests/system/test_ioc_*.py tests/system/test_panel*.py)
+COVERED := loop safety epics learn panel
+COMMA := ,
+SPACE := $(COMMA:,= )
+
 # make docs: the pages as a site in site/.
-.PHONY: run test test-beside test-alone nightly nightly-beside nightly-alone mutants test-docs docs newcomer house venv lint types layers audit format bench clean blind chaos soak
+.PHONY: run test test-beside test-alone nightly nightly-beside nightly-alone mutants newest coverage test-docs docs newcomer house venv lint types layers audit format bench clean blind chaos soak
 
 run: venv
 	$(BIN)/orbitfb run --ioc sim
@@ -27,9 +33,10 @@ test-alone: venv
 	$(PYTEST) -m "timing and not nightly" tests/system --times=build/times/alone.txt
 
 # Statistical and long tests, every page, faults at random, the bench, and what needs programs of
-# Debian, which are installed where that can be done; then safety rules, broken one at a time.
+# Debian, which are installed where that can be done; then safety rules, broken one at a time, and the
+# newest versions of all packages.
 nightly: venv
-	$(MAKE) --no-print-directory --keep-going --jobs=1 nightly-beside nightly-alone mutants
+	$(MAKE) --no-print-directory --keep-going --jobs=1 nightly-beside nightly-alone mutants newest
 
 nightly-beside: venv
 	@tests/debian/install
@@ -40,6 +47,20 @@ nightly-alone: venv
 
 mutants: venv
 	$(BIN)/python -m tests.mutants
+
+# The newest versions that pyproject.toml allows, in an environment of their own, and what speaks
+# Channel Access on them: some minutes, of which most is the installation.
+newest:
+	test -x build/newest/bin/python || $(PYTHON) -m venv build/newest
+	build/newest/bin/python -m pip install --quiet --upgrade --upgrade-strategy eager --editable '.[dev]'
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 build/newest/bin/python -m pytest $(CHANNEL_ACCESS)
+
+# Lines of what steers, learns and shows that its unit tests run; coverage has a folder of its own.
+coverage: venv
+	test -d build/coverage || $(BIN)/python -m pip install --quiet --target build/coverage coverage
+	PYTHONPATH=build/coverage COVERAGE_FILE=build/coverage.data $(subst -m pytest,,$(PYTEST)) -m coverage run \
+	  --source $(subst $(SPACE),$(COMMA),$(COVERED:%=orbitfb/%)) -m pytest -q $(COVERED:%=tests/unit/%)
+	PYTHONPATH=build/coverage COVERAGE_FILE=build/coverage.data $(BIN)/python -m coverage report --skip-covered
 
 venv: $(STAMP)
 
