@@ -14,7 +14,7 @@ from orbitfb.epics.libca import Context
 from orbitfb.epics.oscillator import EpicsOscillator
 from orbitfb.epics.requests import Getter
 from orbitfb.epics.settings import EpicsSettings
-from orbitfb.epics.units import corrector_contradiction, metres_of
+from orbitfb.epics.units import corrector_contradiction, metres_of, plain_unit
 
 LOOK_EVERY = 0.01
 
@@ -108,17 +108,89 @@ def _missing(
     return list(dict.fromkeys(missing))  # the RF setpoint is read and written
 
 
-def check_units(
-    context: Context,
+class UnitWatch:
+    """Knows the units that PVs stated at the start, and sees when one comes back with another.
+
+    A record that is loaded anew may state another unit: its numbers mean something else from then
+    on, by powers of ten. Whoever mended it has to say so by a new start.
+
+    Args:
+        context: Of the groups.
+        groups: BPMs, setpoints and readbacks, connected; what follows is not looked at.
+        settings: Has the unit of the BPMs.
+        said: Of each BPM, by the places table; empty: nothing.
+
+    Attributes:
+        metres: Length of the unit of each BPM, shape (n,) [m]; NaN for one that is away and has
+            none.
+        told: What the last look came to.
+
+    Raises:
+        MachineError: PVs state another unit than the configuration.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        groups: Sequence[ChannelGroup],
+        settings: EpicsSettings,
+        said: Sequence[str] = (),
+    ) -> None:
+        self._context, self._groups, self._settings = context, tuple(groups[:3]), settings
+        self._arrivals = self._count()
+        self._stated = self._ask()
+        self.metres = compare_units(self._groups, self._stated, settings, said)
+        self.told = ""
+
+    def look(self) -> str:
+        """Say which PVs state another unit than at the start; empty: none does.
+
+        PVs are asked once they have come, in the reader's thread.
+        """
+        if (arrivals := self._count()) == self._arrivals:
+            return self.told
+        now = self._ask()
+        told: list[str] = []
+        silent = False
+        for group, before, stated in zip(self._groups, self._stated, now, strict=True):
+            here = group.connected
+            known = np.array([bool(text) for text in stated]) & here
+            silent |= bool((here & ~known & np.array([bool(text) for text in before])).any())
+            changed = known & np.array(
+                [plain_unit(a) != plain_unit(b) for a, b in zip(before, stated, strict=True)]
+            )
+            changed &= np.array([bool(text) for text in before])
+            if changed.any():
+                first = int(changed.argmax())
+                told.append(
+                    f"{np.count_nonzero(changed)} PVs have come back with another unit (EGU), as "
+                    f"{group.names[first]}: {stated[first]}, at the start {before[first]}; mend "
+                    "the records, or start anew with that unit"
+                )
+        self.told = "; ".join(told)
+        if not silent:  # else they are asked again
+            self._arrivals = arrivals
+        return self.told
+
+    def _count(self) -> int:
+        return sum(group.arrivals for group in self._groups)
+
+    def _ask(self) -> list[list[str]]:
+        wait = self._settings.answer_timeout
+        return [Getter(self._context, group, wait).units() for group in self._groups]
+
+
+def compare_units(
     groups: Sequence[ChannelGroup],
+    stated: Sequence[Sequence[str]],
     settings: EpicsSettings,
     said: Sequence[str] = (),
 ) -> NDArray[np.float64]:
     """Refuse PVs that state another unit than the configuration.
 
     Args:
-        context: Of the groups.
         groups: BPMs, setpoints and readbacks, connected; what follows is not looked at.
+        stated: Units that they state (EGU).
         settings: Has the unit of the BPMs.
         said: Of each BPM, by the places table; empty: nothing.
 
@@ -128,14 +200,13 @@ def check_units(
     Raises:
         MachineError: Some do, or state none where it is needed; the first are named.
     """
-    bpms, setpoints, readbacks, *_ = groups
-    stated = {
-        group: Getter(context, group, settings.answer_timeout).units()
-        for group in (bpms, setpoints, readbacks)
-    }
-    metres, told = metres_of(bpms.names, stated[bpms], said, settings.bpm_unit, bpms.connected)
+    bpms = groups[0]
+    metres, told = metres_of(bpms.names, stated[0], said, settings.bpm_unit, bpms.connected)
     wrong = [told]
-    wrong += [corrector_contradiction(its.names, stated[its]) for its in (setpoints, readbacks)]
+    wrong += [
+        corrector_contradiction(group.names, units)
+        for group, units in zip(groups[1:3], stated[1:3], strict=True)
+    ]
     if told := "\n".join(filter(None, wrong)):
         raise MachineError(told)
     return metres

@@ -17,7 +17,7 @@ from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
 from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.channels import ChannelGroup, Monitor
-from orbitfb.epics.connecting import check_oscillator, check_units, steps_of, wait_for_channels
+from orbitfb.epics.connecting import UnitWatch, check_oscillator, steps_of, wait_for_channels
 from orbitfb.epics.inbox import Frame, Inbox
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
@@ -76,7 +76,6 @@ class EpicsMachine:
     ) -> None:
         self._channels = channels
         self._settings = settings
-        self._metres = np.full(len(channels.orbit_pvs), np.nan)
         self._clock: Clock = clock or SystemClock()
         self._closed = False
         self._limits_due = True
@@ -115,7 +114,7 @@ class EpicsMachine:
         try:
             wait_for_channels(self._groups, self._setpoints, settings, self._clock, waived)
             self.setpoints()
-            self._metres = check_units(self._context, self._groups, settings, channels.bpm_units)
+            self._units = UnitWatch(self._context, self._groups, settings, channels.bpm_units)
             if self.oscillator is not None:
                 check_oscillator(self.oscillator)
         except MachineError:
@@ -185,8 +184,10 @@ class EpicsMachine:
         if self._closed:
             raise NoOrbitError("the machine is closed")
         frame = self._inbox.take(timeout)
+        if told := self._units.look():
+            raise NoOrbitError(told)
         snapshot = frame.arrival.snapshot
-        orbit = Orbit(snapshot.values * self._metres, snapshot.valid, snapshot.time)
+        orbit = Orbit(snapshot.values * self._units.metres, snapshot.valid, snapshot.time)
         auxiliary = self._auxiliary.values(self._inbox.time)
         unknown = self._auxiliary.unknown(self._inbox.time)
         self._servers.look()
@@ -268,6 +269,8 @@ class EpicsMachine:
         values = np.array(setpoints, dtype=np.float64)
         which = np.ones(len(self._setpoints), dtype=np.bool_) if which is None else which
         self._check_values(values, which)
+        if self._units.told:
+            raise WriteError(f"{self._units.told}; nothing was sent")
         if (silence := self._inbox.silence) > self._settings.silent_after:
             raise WriteError(
                 f"no orbit for {silence:.1f} s: {self._describe()}; nothing was sent to a machine "

@@ -53,7 +53,8 @@ class PlacesTable:
             none of that plane.
         pv: BPM readings and corrector setpoints, rows x and y; empty where there is none in that
             plane.
-        readback: Corrector readbacks, rows x and y; empty where there is none.
+        readback: Corrector readbacks, rows x and y; empty where there is none, or it is the
+            setpoint's own PV.
         unit: Of the readings of a BPM at its PVs; empty where it is not said.
     """
 
@@ -96,6 +97,11 @@ class _Row:
     def optional(self, column: str) -> float:
         its = column in _NUMBERS[self.cells["kind"]] and not self.lacks(column)
         return self.number(column) if its else math.nan
+
+    def readback(self, plane: int) -> str:
+        """Give the PV of the readback; the setpoint's own tells no more than that there is none."""
+        told = self.cells[_READBACKS[plane]]
+        return "" if told == self.cells[_PVS[plane]] else told
 
     def lacks(self, column: str) -> bool:
         """Whether a column is of a plane that the device is not in: it has no PV there."""
@@ -203,6 +209,8 @@ def _check_unique(rows: Sequence[_Row], columns: tuple[str, ...]) -> None:
     for row in rows:
         for column in columns:
             value = row.cells[column]
+            if column in _READBACKS and not row.readback(_READBACKS.index(column)):
+                continue
             if value in seen:
                 line, where = seen[value]
                 raise row.wrong(
@@ -232,7 +240,10 @@ def _columns(rows: Sequence[_Row]) -> PlacesTable:
         strength=optional("strength")[0],
         calibration=optional(*_CALIBRATIONS),
         pv=(texts("pv_x"), texts("pv_y")),
-        readback=(texts("rb_x"), texts("rb_y")),
+        readback=(
+            tuple(row.readback(0) for row in rows),
+            tuple(row.readback(1) for row in rows),
+        ),
         unit=tuple(row.cells.get(UNIT) or "" for row in rows),
     )
 

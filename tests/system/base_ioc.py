@@ -3,11 +3,11 @@
     python base_ioc.py JOB.json
 
 JOB is `{orbit_pvs, setpoint_pvs, readback_pvs, auxiliary: {pv: value}, rate_hz, read_only,
-plant_seed, setpoint_record}`. All readings of a tick carry the stamp of one record (TSEL).
-Without a plant BPM i reads `(tick % 1000) * 1e-3 + i * 1e-6` mm, so that a torn orbit is seen in
-the values alone; with a `plant_seed` the BPMs see the default ring of that seed, which answers
-the setpoints. Faults are switched on by PVs: TEST:SKIP, TEST:NAN, TEST:INVALID hold the index of a
-BPM or -1.
+plant_seed, setpoint_record, bpm_unit}`. All readings of a tick carry the stamp of one record
+(TSEL). Without a plant BPM i reads `(tick % 1000) * 1e-3 + i * 1e-6` mm, so that a torn orbit is
+seen in the values alone; with a `plant_seed` the BPMs see the default ring of that seed, which
+answers the setpoints. Faults are switched on by PVs: TEST:SKIP, TEST:NAN, TEST:INVALID hold the
+index of a BPM or -1.
 Prints READY when it serves.
 """
 
@@ -46,7 +46,8 @@ def database(job: dict) -> str:
     drive = f'field(DRVH, "{DRIVE_LIMIT}") field(DRVL, "-{DRIVE_LIMIT}") field(ASG, "{group}")'
     records = [f'record(ai, "{STAMP}") {{ field(TSE, "0") }}']
     records += [f'record(ao, "{pv}") {{ field(VAL, "-1") field(PINI, "YES") }}' for pv in FAULTS]
-    records += [f'record(ai, "{pv}") {{ {reading} {alarm} }}' for pv in job["orbit_pvs"]]
+    unit = f'field(EGU, "{job["bpm_unit"]}")'
+    records += [f'record(ai, "{pv}") {{ {reading} {alarm} {unit} }}' for pv in job["orbit_pvs"]]
     records += [f'record(ai, "{pv}") {{ {reading} }}' for pv in job["readback_pvs"]]
     records += [
         f'record({job["setpoint_record"]}, "{pv}") {{ {drive} field(VAL, "0") field(PINI, "YES") }}'

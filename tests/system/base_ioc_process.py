@@ -51,6 +51,7 @@ class BaseIoc:
         read_only: bool = False,
         plant_seed: int | None = None,
         setpoint_record: str = "ao",
+        bpm_unit: str = "",
     ) -> None:
         self.port = port or free_port()
         self._job = {
@@ -62,6 +63,7 @@ class BaseIoc:
             "read_only": read_only,
             "plant_seed": plant_seed,
             "setpoint_record": setpoint_record,
+            "bpm_unit": bpm_unit,
         }
         self._process: subprocess.Popen[bytes] | None = None
         self._folder = tempfile.TemporaryDirectory()

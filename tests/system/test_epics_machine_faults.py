@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from base_ioc_process import BaseIoc, is_coherent, small_ring
+from free_ports import free_port
 
 from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
 from orbitfb.epics.machine import EpicsMachine
@@ -154,6 +155,42 @@ def test_back_soon_however_long_it_was_away(away: float, record_property):
         record_property("seconds_from_ready_to_orbit", took)
         sys.stdout.write(f"away {away} s: orbit {took:.2f} s after READY\n")
         assert took < 3.0
+
+
+def test_bpms_that_come_back_with_another_unit_hold_and_are_told():
+    port = free_port()
+
+    def served(unit: str) -> BaseIoc:
+        return BaseIoc(RING, RATE_HZ, port=port, bpm_unit=unit)
+
+    def read_again(machine: EpicsMachine, words: str) -> str:
+        """Read until the message is there; empty words: until an orbit comes."""
+        for _ in range(600):
+            try:
+                machine.read(0.2)
+            except NoOrbitError as error:
+                if words and words in str(error):
+                    return str(error)
+            else:
+                if not words:
+                    return ""
+        raise AssertionError(words)
+
+    with served("mm") as ioc, EpicsMachine(RING, EpicsSettings(server_port=port)) as machine:
+        machine.read(5.0)
+        ioc.kill()
+        read_again(machine, "disconnected")
+        with served("um"):
+            told = read_again(machine, "another unit")
+            assert f"{RING.orbit_pvs[0]}: um, at the start mm" in told
+            machine.setpoints()
+            with pytest.raises(WriteError, match=r"another unit .* nothing was sent"):
+                machine.write(np.zeros(SIZE))
+        read_again(machine, "disconnected")
+        with served("mm"):
+            read_again(machine, "")
+            machine.setpoints()
+            machine.write(np.zeros(SIZE))
 
 
 def test_half_of_the_machine_away_is_masked_and_comes_back():

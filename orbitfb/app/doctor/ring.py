@@ -13,7 +13,7 @@ from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError, MachineError
 from orbitfb.core.signals import Vector
 from orbitfb.epics.channels import ChannelGroup, Monitor
-from orbitfb.epics.connecting import check_units, steps_of
+from orbitfb.epics.connecting import UnitWatch, steps_of
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.records import stamps_of, usable, wall_time
@@ -171,7 +171,7 @@ def _units(
     """Compare the units that the records state with those of the configuration."""
     kinds = [groups[kind] for kind in ("BPMs", "setpoints", "readbacks")]
     try:
-        check_units(context, kinds, settings, said)
+        UnitWatch(context, kinds, settings, said)
     except MachineError as error:
         yield Finding(_PART, "units", Verdict.FAILED, str(error), "the values would be taken for "
                       "others by powers of ten")  # fmt: skip

@@ -70,6 +70,16 @@ def test_a_cell_of_a_plane_that_the_device_is_not_in_is_refused():
     assert "column cal_y_rad_per_A: " in told and "is of a plane without a PV (pv_y)" in told
 
 
+def test_a_setpoint_that_is_its_own_readback_has_none():
+    row = next(line for line in LINES if ",COR," in line)
+    cells, names = row.split(","), LINES[0].split(",")
+    at = {name: names.index(name) for name in ("pv_x", "rb_x")}
+    cells[at["rb_x"]] = cells[at["pv_x"]]
+    table = parse_places(TEXT.replace(row, ",".join(cells), 1), "ring.csv", 791.958)
+    index = table.name.index(cells[0])
+    assert table.readback[0][index] == "" and table.readback[1][index]
+
+
 def test_a_device_in_no_plane_is_refused(tmp_path):
     row = next(line for line in LINES if ",BPM," in line)
     cells = row.split(",")
