@@ -125,7 +125,9 @@ def test_the_matrix_is_the_rings_and_a_loop_runs_on_it(ring, tmp_path, config):
     assert "is not adopted" in told and "was not measured" in told
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)]
+)
 def test_an_aborted_matrix_measurement_leaves_no_trace(ring, tmp_path, config, number):
     with begun(ring, tmp_path, config) as process:
         process.stop(number)

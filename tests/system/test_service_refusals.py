@@ -221,7 +221,7 @@ def lean_here() -> dict[str, str]:
     return os.environ | lean(["run"])
 
 
-@pytest.mark.parametrize("lines", [0, 1])
+@pytest.mark.parametrize("lines", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_a_closed_terminal_does_not_stop_the_loop(tmp_path: Path, lines: int):
     """`orbitfb run | head -1`: whoever read has gone, before the first line or after it."""
     command = [*PROGRAM, *map(str, SIM[:3]), "--ioc", "sim", "--port", "0", "--duration", "2.5"]

@@ -64,7 +64,9 @@ def begin():
         trainer.close()
 
 
-@pytest.mark.parametrize("kind", ["svd", "modal", "network"])
+@pytest.mark.parametrize(
+    "kind", ["svd", "network", pytest.param("modal", marks=pytest.mark.nightly)]
+)
 def test_it_answers_as_the_learner_here_does(begin, kind):
     trainer, learner, incumbent = begin(kind)
     assert isinstance(learner, Learner)

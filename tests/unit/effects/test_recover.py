@@ -15,27 +15,27 @@ RING = small_ring()
 TICKS = 1000
 QUICK = (
     "bpm-lowpass",
-    "bpm-nonlinearity",
     "corrector-deadband",
     "corrector-gain",
-    "corrector-hysteresis",
     "noise-correlated",
-    "periodic-disturbance",
     "quadrupole-gradient",
-    "sextupole",
     "telegraph",
 )
-"""One of every form of law, in every run of the tests; the others at night."""
+"""One of every family, in every run of the tests; the others at night."""
 SLOW = (
     "bpm-current",
     "bpm-gain",
+    "bpm-nonlinearity",
     "bpm-roll",
     "bpm-walk",
     "corrector-crosstalk",
+    "corrector-hysteresis",
     "corrector-roll",
     "energy-ramp",
     "loop-delay",
     "missed-write",
+    "periodic-disturbance",
+    "sextupole",
     "skew-coupling",
 )
 KINDS = {name: kind for name, kind in all_effects().items() if name not in SCREENED}

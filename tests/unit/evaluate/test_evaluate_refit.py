@@ -64,6 +64,7 @@ def test_same_seed_same_result(still):
         assert np.array_equal(series, again.true_rms[law])
 
 
+@pytest.mark.nightly
 def test_begins_with_a_wrong_response_when_asked():
     settings = RefitEvaluationSettings(ticks=600, seed=6, start="drawn")
     figures = evaluate_refit(settings).figures

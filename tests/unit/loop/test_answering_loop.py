@@ -144,7 +144,7 @@ def test_what_is_asked_about_the_closing_is_answered_within_ten_seconds(ring):
     assert not asks(Bench(ring, seed=4))
 
 
-@pytest.mark.parametrize("missed", [1, 2])
+@pytest.mark.parametrize("missed", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_a_loop_that_misses_orbits_hears_the_answers_to_what_it_asks(ring, missed):
     bench = Bench(ring, seed=8)
     bench.machine.missed = missed

@@ -88,7 +88,7 @@ def test_the_covariance_tells_the_errors() -> None:
     assert np.mean(squares) / first.size == pytest.approx(1.0, abs=0.08)
 
 
-@pytest.mark.parametrize("gain", [1.0, 0.3])
+@pytest.mark.parametrize("gain", [1.0, pytest.param(0.3, marks=pytest.mark.nightly)])
 def test_stays_unbiased_at_the_noise_floor_where_the_naive_estimate_does_not(gain: float) -> None:
     """With a = −g R⁻¹ y the naive estimate tends to (1/2 + 1/g) R; the filter stays at R."""
     truth = square_response(4)

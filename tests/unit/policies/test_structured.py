@@ -83,6 +83,7 @@ def test_linear_modes_stay_linear() -> None:
     assert law.gains[3] != 0.5
 
 
+@pytest.mark.nightly
 def test_an_uninformed_start_becomes_better_than_svd_in_a_second_or_two() -> None:
     response = ring()
     start = ModalPolicy(response, ModalSettings(), gains=0.5, thresholds=1e-4)
