@@ -13,8 +13,8 @@ from orbitfb.diagnose.hypotheses.events import scan_events
 from orbitfb.diagnose.hypotheses.fields import scan_field
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
 from orbitfb.diagnose.hypotheses.healthy import scan_errors
-from orbitfb.diagnose.hypotheses.jumps import jumps_of, scan_jumps
 from orbitfb.diagnose.hypotheses.lines import scan_lines
+from orbitfb.diagnose.hypotheses.onsets import jumps_of, scan_jumps, scan_late
 from orbitfb.diagnose.hypotheses.pairs import scan_pairs
 from orbitfb.diagnose.hypotheses.random_laws import scan_random
 from orbitfb.diagnose.hypotheses.ranking import ranked
@@ -244,6 +244,7 @@ def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
         rank = ranked(kind, law, scorer)
         return [
             *scan_devices(kind, law, scorer, rank),
+            *scan_late(kind, law, scorer, rank),
             *scan_each_own(kind, law, scorer, rank),
         ]
     if isinstance(law, PairLaw):
