@@ -1,0 +1,71 @@
+"""Sums over rows against the sums over frequencies that they stand for."""
+
+import numpy as np
+import pytest
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.row_sums import OwnError, Rows
+from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.transform import Matrix, StepTransform
+
+BPMS, ROWS = 24, 1201
+
+
+@pytest.fixture(scope="module")
+def transform() -> StepTransform:
+    starts = np.zeros(ROWS, dtype=np.bool_)
+    starts[0] = True
+    return StepTransform.of(starts)
+
+
+@pytest.fixture(scope="module")
+def noise() -> StepNoise:
+    """Modes that hardly walk beside some that walk more than they are noisy."""
+    turned = np.linalg.qr(np.random.default_rng(1).standard_normal((BPMS, BPMS)))[0]
+    return StepNoise((turned * np.geomspace(1e-5, 3.0, BPMS)) @ turned.T, np.eye(BPMS))
+
+
+@pytest.fixture(scope="module")
+def courses() -> Matrix:
+    """One that goes on and one that jitters."""
+    rng = np.random.default_rng(2)
+    return np.stack([rng.standard_normal(ROWS).cumsum(), rng.standard_normal(ROWS)], axis=1)
+
+
+def exactly(pattern: Vector, course: Matrix, noise: StepNoise, transform: StepTransform) -> Matrix:
+    """Information between courses of a pattern, from every frequency and mode, shape (k, k)."""
+    spectrum = transform.spectrum(course)
+    weight = (1.0 / noise.variance(transform)) @ ((pattern @ noise.modes) ** 2)
+    return (spectrum * weight[:, None]).T @ spectrum
+
+
+def test_information_by_rows_is_that_by_frequencies(
+    noise: StepNoise, transform: StepTransform, courses: Matrix
+) -> None:
+    rng = np.random.default_rng(3)
+    rows = Rows.of(np.zeros((len(transform), BPMS)), noise, transform)
+    for _ in range(5):
+        pattern = rng.standard_normal(BPMS)
+        _, found = rows.quick(pattern, courses, None)
+        exact = np.diag(exactly(pattern, courses, noise, transform))
+        assert found == pytest.approx(exact, rel=0.15)
+
+
+@pytest.mark.parametrize("seed", [4, 5, 6])
+def test_what_begins_late_has_what_a_healthy_error_of_the_same_course_leaves_it(
+    noise: StepNoise, transform: StepTransform, courses: Matrix, seed: int
+) -> None:
+    """The error takes the course before the onset for its own, and part of the rest."""
+    pattern, onset = np.random.default_rng(seed).standard_normal(BPMS), 600
+    whole = courses[:, 1:]
+    late = np.where(np.arange(ROWS)[:, None] < onset, 0.0, whole - whole[onset])
+    both = exactly(pattern, np.hstack([whole, late]), noise, transform)
+    known = 0.1 * both[0, 0]
+    expected = both[1, 1] - both[0, 1] ** 2 / (known + both[0, 0])
+    spectrum = transform.quick_spectrum(whole)
+    error = OwnError(0, spectrum, transform.turn(spectrum), np.array([1.0 / known]), both[:1, 0])
+    rows = Rows.of(np.zeros((len(transform), BPMS)), noise, transform)
+    _, found = rows.quick(pattern, late, error)
+    assert found[0] == pytest.approx(expected, rel=0.15)
+    _, since, onsets = rows.since(pattern[:, None], transform.turn(spectrum), 10, error)
+    assert since[np.flatnonzero(onsets == onset)[0], 0] == pytest.approx(expected, rel=0.15)
