@@ -8,88 +8,22 @@ second moments of the transformed steps in bands of λ.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import eigh
 
 from orbitfb.core.errors import EstimationError
-from orbitfb.core.signals import Vector
+from orbitfb.estimation.moments import LEAST_VARIANCE, Moments, weighed_sums
 from orbitfb.estimation.noise import StepNoise
-from orbitfb.estimation.priors import LARGEST, LEAST_STEPS
-from orbitfb.estimation.transform import Matrix, StepTransform
-
-_RESTART = 1e-3
-"""Share of an even part that a weight begins with at least: one that is zero could not grow."""
-
-_STRIDE = 1.5
-"""Power of the ratio by which a weight rises or falls [1]: with 1 a weight that alone makes its
-orbit is right at once and those that share one are slow; below 2 both settle."""
+from orbitfb.estimation.priors import LEAST_STEPS
+from orbitfb.estimation.transform import Matrix
 
 _GLANCE = 2
 """Steps up the likelihood by which priors are compared: their order is that after sixteen."""
 
-_LEAST_VARIANCE = 1e-6
-"""Least variance of a BPM's noise, of the median BPM's: one that repeats its reading has none."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Moments:
-    """Second moments Σ_f z_f z_fᵀ of transformed steps, by band, shape (B, n, n) [m²].
-
-    Args:
-        total: By band.
-        count: Frequencies of every band, shape (B,).
-        eigenvalue: Mean λ of every band, shape (B,).
-    """
-
-    total: Matrix
-    count: Vector
-    eigenvalue: Vector
-
-    @classmethod
-    def of(cls, spectrum: Matrix, transform: StepTransform) -> "Moments":
-        """Sum them up."""
-        parts = [spectrum[transform.members(band)] for band in range(len(transform.count))]
-        count = transform.count.astype(float)
-        mean = np.bincount(transform.band, transform.eigenvalue) / count
-        return cls(np.stack([part.T @ part for part in parts]), count, mean)
-
-    def beside(self, more: Matrix) -> "Moments":
-        """The same with others added, shape (B, n, n) [m²]."""
-        return replace(self, total=self.total + more)
-
-    @classmethod
-    def halves(
-        cls, spectrum: Matrix, transform: StepTransform, more: Matrix
-    ) -> "tuple[Moments, Moments]":
-        """Those of every other frequency, and of the rest.
-
-        Args:
-            spectrum: Transformed steps, shape (T, n) [m].
-            transform: Of the record.
-            more: Others that are added to all, shared by count, shape (B, n, n) [m²].
-        """
-        even = np.arange(len(transform)) % 2 == 0
-        found: list[Moments] = []
-        for chosen in (even, ~even):
-            parts = [
-                rows[chosen[rows]]
-                for rows in (transform.members(band) for band in range(len(transform.count)))
-            ]
-            count = np.array([float(len(rows)) for rows in parts])
-            total = np.stack([spectrum[rows].T @ spectrum[rows] for rows in parts])
-            total += more * (count / transform.count)[:, None, None]
-            level = [float(np.sum(transform.eigenvalue[rows])) for rows in parts]
-            found.append(cls(total, count, np.array(level) / np.maximum(count, 1.0)))
-        return found[0], found[1]
-
-    def log_density(self, noise: StepNoise) -> float:
-        """Log density of the steps under a noise, but for a constant."""
-        square = np.einsum("nm,bnk,km->bm", noise.modes, self.total, noise.modes, optimize=True)
-        variance = noise.ratio + self.eigenvalue[:, None]
-        by_band = self.count[:, None] * np.log(variance) + square / variance
-        whitened = float(np.linalg.slogdet(noise.modes)[1])
-        return float(np.sum(self.count)) * whitened - 0.5 * float(np.sum(by_band))
+_RANK_SHARE = 1e-9
+"""Share of the mean variance of the walk that any orbit has in comparisons of floors [1]: far above
+rounding, far below what a record shows."""
 
 
 def first_noise(steps: Matrix, shape: Matrix) -> StepNoise:
@@ -141,10 +75,10 @@ def improve(
     """
     walk, white = noise.walk, np.diag(noise.white).copy()
     for _ in range(iterations):
-        pull, expected, noisy, usual = _sums(walk, white, moments)
+        pull, expected, noisy, usual = weighed_sums(walk, white, moments)
         walk = _nearer(walk, pull, expected, shape, counts)
         white = white * np.sqrt(noisy / usual)
-        white = np.maximum(white, _LEAST_VARIANCE * float(np.median(white)))
+        white = np.maximum(white, LEAST_VARIANCE * float(np.median(white)))
     return StepNoise(walk, np.diag(white))
 
 
@@ -169,6 +103,19 @@ def trusted(noise: StepNoise, halves: tuple[Moments, Moments], choices: Sequence
     return choices[int(np.argmax(worth))]
 
 
+def distance(walk: Matrix, prior: Matrix) -> float:
+    """Twice what an inverse-Wishart prior worth one step takes off a walk that is not its mean.
+
+    Args:
+        walk: Its covariance, shape (n, n) [m²].
+        prior: Mean of the prior, shape (n, n) [m²].
+    """
+    # Where the prior says of an orbit that it never walks, rounding is what is compared.
+    least = _RANK_SHARE * float(np.trace(prior)) / len(prior) * np.eye(len(prior))
+    ratio = np.maximum(eigh(walk + least, prior + least, eigvals_only=True), 1e-300)
+    return float(np.sum(np.log(ratio) + 1.0 / ratio - 1.0))
+
+
 def _nearer(walk: Matrix, pull: Matrix, expected: Matrix, shape: Matrix, counts: float) -> Matrix:
     """Solve Q E Q + c Q = Q₀ P Q₀ + c S: the maximum of what bounds the log likelihood from below.
 
@@ -185,130 +132,3 @@ def _nearer(walk: Matrix, pull: Matrix, expected: Matrix, shape: Matrix, counts:
     solved = np.sqrt(np.maximum(size, 0.0) + counts**2 / 4.0) - counts / 2.0
     along = np.linalg.solve(root.T, modes)
     return (along * solved) @ along.T
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Shapes:
-    """What the covariance of a walk may be made of: a sum with weights that are not negative.
-
-    Args:
-        broad: Covariances of any scale, each (n, n).
-        single: Patterns whose amplitudes walk each for itself, shape (n, P).
-    """
-
-    broad: tuple[Matrix, ...]
-    single: Matrix
-
-    def __len__(self) -> int:
-        return len(self.broad) + self.single.shape[1]
-
-    def total(self, weights: Vector) -> Matrix:
-        """Sum them up by their weights, shape (n, n)."""
-        scale = np.sqrt(weights[len(self.broad) :])
-        used = scale > 0.0
-        scaled = self.single[:, used] * scale[used]
-        found = scaled @ scaled.T  # in double precision: its inverse is asked for
-        for weight, one in zip(weights, self.broad, strict=False):
-            found += weight * one
-        return found
-
-    def seen(self, weighing: Matrix) -> Vector:
-        """Trace of every shape with a weighing matrix, shape (F,)."""
-        broad = np.array([float(np.sum(weighing * one)) for one in self.broad])
-        narrow = self.single.astype(np.float32)
-        along = weighing.astype(np.float32) @ narrow
-        single = np.einsum("np,np->p", narrow, along, dtype=float)
-        return np.concatenate([broad, single])
-
-
-def fit_shapes(
-    noise: StepNoise,
-    moments: Moments,
-    shapes: Shapes,
-    held: Matrix,
-    weights: Vector | None = None,
-    rounds: int = 30,
-) -> tuple[StepNoise, Vector]:
-    """Fit a walk that is a mixture of shapes, and one reading noise per BPM.
-
-    The weights w of Q = Σ w_k F_k and the variances of the noise rise and fall by the ratio of what
-    the data pull to what the covariance expects (T. W. Anderson, Ann. Stat. 1 (1973) 135); unlike
-    expectation maximisation this is quick also where a component is small beside the noise.
-
-    Args:
-        noise: To begin with.
-        moments: Of what no model explains.
-        shapes: Of the walk.
-        held: Covariance of the walk that is known besides, shape (n, n) [m²].
-        weights: To begin with, of an earlier fit; None or empty: of the data's own level.
-        rounds: At most; it ends when no weight of note moves by more than a hundredth.
-
-    Returns:
-        The noise, and the weights w, shape (F,).
-    """
-    white = np.diag(noise.white).copy()
-    unit = shapes.seen(np.eye(len(white)))
-    if weights is None or not len(weights):
-        weights = _start(white, moments, shapes, unit)
-    share = weights * unit
-    weights = np.maximum(weights, _RESTART * share.sum() / len(shapes) / np.maximum(unit, 1e-300))
-    for _ in range(rounds):
-        pull, expected, shaken, usual = _sums(shapes.total(weights) + held, white, moments)
-        usually = shapes.seen(expected)
-        ratio = np.where(usually > 0.0, shapes.seen(pull) / np.maximum(usually, 1e-300), 0.0)
-        most = LARGEST * float(np.sum(weights * unit)) / max(len(shapes), 1)
-        weights = weights * np.maximum(ratio, 1e-3) ** _STRIDE
-        single = slice(len(shapes.broad), None)
-        weights[single] = np.minimum(weights[single], most / np.maximum(unit[single], 1e-300))
-        white = np.maximum(white * shaken / usual, _LEAST_VARIANCE * float(np.median(white)))
-        share = weights * unit / float(np.sum(weights * unit))
-        if np.all(np.abs(ratio - 1.0)[share > 0.01] < 0.01):
-            break
-    return StepNoise(shapes.total(weights) + held, np.diag(white)), weights
-
-
-def _sums(walk: Matrix, white: Vector, moments: Moments) -> tuple[Matrix, Matrix, Vector, Vector]:
-    """Σ Ω S Ω and Σ n Ω over bands, and the diagonals of both weighted by λ, Ω = (Q + λV)⁻¹.
-
-    In the modes that part walk and noise Ω is diagonal, so that the bands are summed there.
-    """
-    noise = StepNoise(walk, np.diag(white))
-    modes = noise.modes
-    single = modes.astype(np.float32)
-    turned = single.T @ moments.total.astype(np.float32) @ single
-    pull, shaken = np.zeros_like(walk), np.zeros_like(walk)
-    expected, usual = np.zeros(len(walk)), np.zeros(len(walk))
-    for square, count, eigenvalue in zip(turned, moments.count, moments.eigenvalue, strict=True):
-        inverse = 1.0 / (noise.ratio + eigenvalue)
-        seen = inverse[:, None] * square * inverse
-        pull += seen
-        shaken += eigenvalue * seen
-        expected += count * inverse
-        usual += count * eigenvalue * inverse
-    return (
-        modes @ pull @ modes.T,
-        (modes * expected) @ modes.T,
-        np.einsum("nm,mk,nk->n", modes, shaken, modes, optimize=True),
-        (modes**2) @ usual,
-    )
-
-
-def _start(white: Vector, moments: Moments, shapes: Shapes, unit: Vector) -> Vector:
-    """Weights of shapes, each a share of the level at which all together are most likely.
-
-    All single patterns together begin with the share of one broad shape.
-    """
-    several = max(shapes.single.shape[1], 1)
-    share = np.concatenate(
-        [np.ones(len(shapes.broad)), np.full(len(unit) - len(shapes.broad), 1.0 / several)]
-    )
-    share = share / share.sum() * len(white) / np.maximum(unit, 1e-300)
-    mixed = StepNoise(shapes.total(share * float(np.mean(white))), np.diag(white))
-    square = np.einsum("nm,bnk,km->bm", mixed.modes, moments.total, mixed.modes, optimize=True)
-    levels = np.geomspace(1e-6, 1e3, 60)
-    count, eigenvalue = moments.count[:, None], moments.eigenvalue[:, None]
-    worth = [
-        float(np.sum(-0.5 * count * np.log(v) - 0.5 * square / v))
-        for v in (level * mixed.ratio + eigenvalue for level in levels)
-    ]
-    return share * float(np.mean(white)) * levels[int(np.argmax(worth))]

@@ -224,7 +224,7 @@ class Scorer:
             return 0.0
         if not self.smaller:
             self.smaller.extend(
-                NormalPriors.of(space.information, np.maximum(share**2 * usual, space.single))
+                NormalPriors.of(space.known.information, np.maximum(share**2 * usual, space.single))
                 for usual in [variances(space.blocks, space.shares, len(space.terms))]
                 for share in SHARES[::-1]
             )

@@ -112,8 +112,8 @@ class Explained:
         wide = np.maximum(saturated(space.blocks, len(space.terms), WIDE), space.single)
         count = float(self.healthy.size)
         return (
-            _degrees(space.information, wide) / count,
-            _degrees(space.information, space.variance) / count,
+            _degrees(space.known.information, wide) / count,
+            _degrees(space.known.information, space.variance) / count,
         )
 
 

@@ -1,7 +1,7 @@
 """Small errors that any ring has: variance components whose sizes the record tells."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,8 +9,8 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
-from orbitfb.estimation.evidence import NormalPriors, NormalTerms
-from orbitfb.estimation.priors import SHARES
+from orbitfb.estimation.evidence import NormalTerms
+from orbitfb.estimation.priors import LIMITS, SHARES
 from orbitfb.estimation.transform import Matrix, StepTransform
 
 
@@ -147,31 +147,31 @@ def saturated(blocks: Sequence[ErrorBlock], count: int, times: float) -> Vector:
     return variance
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Saturated:
-    """All columns free within wide limits: what a floor is estimated beside.
+def wider(
+    blocks: Sequence[ErrorBlock],
+    seen: Sequence[ErrorBlock],
+    shares: Sequence[float],
+    terms: NormalTerms,
+) -> tuple[ErrorBlock, ...]:
+    """Limits of healthy errors, where a healthy record shows larger ones.
 
     Args:
-        information: Of the columns under a floor, shape (k, k).
-        variance: Of every column before the record is seen, shape (k,).
-        priors: The two, factored.
-        scatter: Second moments by band of what remains unknown of the columns, (B, n, n) [m²].
+        blocks: Of another record of the same devices.
+        seen: Of the healthy record.
+        shares: Of its healthy scatters, by block.
+        terms: Pull and information of its columns.
     """
-
-    information: Matrix
-    variance: Vector
-    priors: NormalPriors
-    scatter: Matrix
-
-    @classmethod
-    def of(cls, terms: Terms, information: Matrix, variance: Vector) -> "Saturated":
-        """Factor, and tell what a residual lacks."""
-        its = NormalPriors.of(information, variance)
-        return cls(information, variance, its, terms.scatter(its.covariance(len(variance))))
-
-    def fits(self, information: Matrix, variance: Vector) -> bool:
-        """Whether it is that of an information and a variance."""
-        return self.information is information and np.array_equal(self.variance, variance)
+    found: list[ErrorBlock] = []
+    for number, block in enumerate(blocks):
+        best, share = -np.inf, 1.0
+        for tried in LIMITS:
+            its = [*shares[:number], tried, *shares[number + 1 :]]
+            variance = variances(seen, its, len(terms.pull))
+            worth = NormalTerms(terms.pull, terms.information, variance).evidence()
+            if worth > best:
+                best, share = worth, tried
+        found.append(replace(block, limit=share * block.limit))
+    return tuple(found)
 
 
 def _delayed(courses: Matrix, rows: int, transform: StepTransform) -> Matrix:

@@ -3,8 +3,8 @@
 import numpy as np
 
 from orbitfb.effects.kicks import source_patterns
-from orbitfb.estimation.floor import Shapes
 from orbitfb.estimation.priors import BODY, GIRDER, SITE, SLAB
+from orbitfb.estimation.shapes import Shapes
 from orbitfb.estimation.transform import Matrix
 from orbitfb.records.layout import Layout
 

@@ -4,24 +4,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import eigh
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.likelihood.courses import Courses
 from orbitfb.diagnose.likelihood.errors import (
     ErrorBlock,
-    Saturated,
     fitted_scales,
     healthy_errors,
     saturated,
     variances,
+    wider,
 )
 from orbitfb.diagnose.likelihood.ground import ground_shapes
+from orbitfb.diagnose.likelihood.known import Known
 from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.estimation.evidence import NormalPriors, NormalTerms
-from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve, trusted
+from orbitfb.estimation.floor import distance, first_noise, improve, trusted
+from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.priors import (
@@ -30,18 +31,14 @@ from orbitfb.estimation.priors import (
     EXACTLY,
     FREELY,
     LEAST_SHARE,
-    LIMITS,
     MATERIAL,
     MOST_STEPS,
     TRUST,
     WIDE,
 )
+from orbitfb.estimation.shapes import Shapes, fit_shapes
 from orbitfb.estimation.transform import Indices, Matrix, StepTransform
 from orbitfb.records.record import Record
-
-_RANK_SHARE = 1e-9
-"""Share of the mean variance of the walk that any orbit has in comparisons of floors [1]: far above
-rounding, far below what a record shows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,16 +55,13 @@ class Workspace:
         held: Covariance of the walk that accepted random causes own, shape (n, n) [m²].
         terms: Columns of the healthy errors.
         blocks: Which columns are whose.
-        information: Of the columns under a floor, shape (k, k).
-        informed: Which of them it knows, shape (k,).
-        weighed: That floor.
+        known: What a floor says of the columns.
         shares: Of each healthy scatter, by block; above 1 where a cause raised it.
         single: Prior variances of single columns that a cause raised, shape (k,).
         courses: Of the laws.
         ground: Shapes that the walk may have.
         weights: Of them in the walk, shape (F,); empty before the first fit.
         reference: Of a healthy time, whose walk is the prior of this one's; None: there is none.
-        free: The saturated model under that floor, if it was asked for.
         trust: Steps that the prior mean of the walk is worth; zero: the next floor tells.
         widened: Log of the factor by which undoing accepted causes widens the readings' density.
         asked: The healthy errors and their factored priors, once they were asked for.
@@ -82,16 +76,13 @@ class Workspace:
     held: Matrix
     terms: Terms
     blocks: tuple[ErrorBlock, ...]
-    information: Matrix
-    informed: Mask
-    weighed: StepNoise
+    known: Known
     shares: tuple[float, ...]
     single: Vector
     courses: Courses
     ground: Shapes
     weights: Vector
     reference: "Workspace | None" = None
-    free: tuple[Saturated, ...] = ()
     trust: float = 0.0
     widened: float = 0.0
     asked: list[tuple[NormalTerms, NormalPriors]] = field(default_factory=list, init=False)
@@ -128,7 +119,7 @@ class Workspace:
         signals = Signals(record, record.setpoints, orbit)
         terms, blocks = healthy_errors(kinds, signals, transform)
         if reference is not None:
-            blocks = reference.wider(blocks)
+            blocks = wider(blocks, reference.blocks, reference.shares, reference.errors)
         plain = transform.spectrum(residual)
         first, weights = fit_shapes(
             noise, Moments.of(plain, transform), ground, np.zeros_like(noise.walk), rounds=AGAIN
@@ -143,9 +134,7 @@ class Workspace:
             np.zeros_like(noise.walk),
             terms,
             blocks,
-            np.zeros((0, 0)),
-            np.zeros(0, dtype=bool),
-            first,
+            Known.nothing(first),
             (0.0,) * len(blocks),
             np.zeros(len(terms)),
             Courses(signals, transform),
@@ -155,21 +144,6 @@ class Workspace:
             trust=0.0 if reference is None else float(len(reference.transform)),
         )
         return space.with_floor(AT_FIRST).refined(kinds).with_floor()
-
-    def wider(self, blocks: Sequence[ErrorBlock]) -> tuple[ErrorBlock, ...]:
-        """Limits of healthy errors, where this healthy record shows larger ones, for another."""
-        terms = self.errors
-        found: list[ErrorBlock] = []
-        for number, block in enumerate(blocks):
-            best, share = -np.inf, 1.0
-            for tried in LIMITS:
-                shares = [*self.shares[:number], tried, *self.shares[number + 1 :]]
-                variance = variances(self.blocks, shares, len(self.terms))
-                worth = NormalTerms(terms.pull, terms.information, variance).evidence()
-                if worth > best:
-                    best, share = worth, tried
-            found.append(replace(block, limit=share * block.limit))
-        return tuple(found)
 
     def refined(self, kinds: Sequence[EffectKind]) -> "Workspace":
         """Take what the table of places says beyond the linear model for a part of the model.
@@ -214,12 +188,12 @@ class Workspace:
 
     def _asked(self) -> tuple[NormalTerms, NormalPriors]:
         if not self.asked:
-            its = NormalPriors.of(self.information, self.variance)
+            its = NormalPriors.of(self.known.information, self.variance)
             # The pull is that which makes the mean right to the last frequency agree with an
             # information by band.
             pull, mean, applied = self._fitted(its)
-            agreeing = pull - applied + self.information @ mean
-            self.asked.append((NormalTerms(agreeing, self.information, self.variance), its))
+            agreeing = pull - applied + self.known.information @ mean
+            self.asked.append((NormalTerms(agreeing, self.known.information, self.variance), its))
         return self.asked[0]
 
     def _fitted(self, its: NormalPriors) -> tuple[Vector, Vector, Vector]:
@@ -232,10 +206,10 @@ class Workspace:
         weigh = self.noise.variance(self.transform).astype(np.float32)
 
         def informed(sizes: Vector) -> Vector:
-            return self.terms.applied(sizes, seen, weigh, self.informed)
+            return self.terms.applied(sizes, seen, weigh, self.known.columns)
 
         weighed = (self.residual @ self.noise.modes).astype(np.float32) / weigh
-        pull = self.terms.pull(weighed, self.informed, seen)
+        pull = self.terms.pull(weighed, self.known.columns, seen)
         mean = its.exact_mean(pull, informed, EXACTLY, MOST_STEPS)
         return pull, mean, informed(mean)
 
@@ -246,7 +220,7 @@ class Workspace:
             rounds: In which the shapes of the walk are fitted, at most.
         """
         space = self.saturable()
-        free = space.free[0]
+        free = space.known.saturated
         _, mean, _ = space._fitted(free.priors)
         left = self.residual - self.terms.contribution(mean)
         moments = Moments.of(left, self.transform).beside(free.scatter)
@@ -275,9 +249,7 @@ class Workspace:
         """Know what a saturated model takes of the floor."""
         space = self.knowing_all()
         wide = np.maximum(saturated(space.blocks, len(space.terms), WIDE), space.single)
-        if not any(one.fits(space.information, wide) for one in space.free):
-            space = replace(space, free=(Saturated.of(space.terms, space.information, wide),))
-        return space
+        return replace(space, known=space.known.beside(space.terms, wide))
 
     @property
     def _own(self) -> Mask:
@@ -289,11 +261,8 @@ class Workspace:
 
     def _knowing(self, wanted: Mask) -> "Workspace":
         """Know the information of some columns under the floor now."""
-        known = self.weighed is self.noise and len(self.informed) == len(wanted)
-        if known and not np.any(wanted & ~self.informed):
-            return self
-        information = self.terms.information(self.noise, self.transform, wanted)
-        return replace(self, information=information, informed=wanted, weighed=self.noise)
+        known = self.known.of(self.noise, self.terms, self.transform, wanted)
+        return replace(self, known=known)
 
     def with_errors(self) -> "Workspace":
         """Fit the sizes of the healthy errors, within their limits."""
@@ -374,10 +343,5 @@ class Workspace:
         Spaces whose floors were estimated each for itself are compared by it: a floor that stands
         in for what a cause does is far from what ground makes.
         """
-        prior = self.shape + self.held
-        # Where the prior says of an orbit that it never walks, rounding is what is compared.
-        least = _RANK_SHARE * float(np.trace(prior)) / len(prior) * np.eye(len(prior))
-        ratio = eigh(self.noise.walk + least, prior + least, eigvals_only=True)
-        ratio = np.maximum(ratio, 1e-300)
-        apart = float(np.sum(np.log(ratio) + 1.0 / ratio - 1.0))
+        apart = distance(self.noise.walk, self.shape + self.held)
         return self.log_likelihood() - 0.5 * self.trust * apart

@@ -5,10 +5,12 @@ import pytest
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.estimation.evidence import NormalPriors, NormalTerms, normal_size
-from orbitfb.estimation.floor import Moments, Shapes, first_noise, fit_shapes, improve, trusted
+from orbitfb.estimation.floor import first_noise, improve, trusted
+from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.priors import LARGEST
+from orbitfb.estimation.shapes import Shapes, fit_shapes
 from orbitfb.estimation.transform import StepTransform
 
 STARTS = np.zeros(23, dtype=np.bool_)

@@ -1,0 +1,119 @@
+"""Shapes that the walk of an orbit may have, and how much of each is in it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.estimation.moments import LEAST_VARIANCE, Moments, weighed_sums
+from orbitfb.estimation.noise import StepNoise
+from orbitfb.estimation.priors import LARGEST
+from orbitfb.estimation.transform import Matrix
+
+_RESTART = 1e-3
+"""Share of an even part that a weight begins with at least: one that is zero could not grow."""
+
+_STRIDE = 1.5
+"""Power of the ratio by which a weight rises or falls [1]: with 1 a weight that alone makes its
+orbit is right at once and those that share one are slow; below 2 both settle."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """What the covariance of a walk may be made of: a sum with weights that are not negative.
+
+    Args:
+        broad: Covariances of any scale, each (n, n).
+        single: Patterns whose amplitudes walk each for itself, shape (n, P).
+    """
+
+    broad: tuple[Matrix, ...]
+    single: Matrix
+
+    def __len__(self) -> int:
+        return len(self.broad) + self.single.shape[1]
+
+    def total(self, weights: Vector) -> Matrix:
+        """Sum them up by their weights, shape (n, n)."""
+        scale = np.sqrt(weights[len(self.broad) :])
+        used = scale > 0.0
+        scaled = self.single[:, used] * scale[used]
+        found = scaled @ scaled.T  # in double precision: its inverse is asked for
+        for weight, one in zip(weights, self.broad, strict=False):
+            found += weight * one
+        return found
+
+    def seen(self, weighing: Matrix) -> Vector:
+        """Trace of every shape with a weighing matrix, shape (F,)."""
+        broad = np.array([float(np.sum(weighing * one)) for one in self.broad])
+        narrow = self.single.astype(np.float32)
+        along = weighing.astype(np.float32) @ narrow
+        single = np.einsum("np,np->p", narrow, along, dtype=float)
+        return np.concatenate([broad, single])
+
+
+def fit_shapes(
+    noise: StepNoise,
+    moments: Moments,
+    shapes: Shapes,
+    held: Matrix,
+    weights: Vector | None = None,
+    rounds: int = 30,
+) -> tuple[StepNoise, Vector]:
+    """Fit a walk that is a mixture of shapes, and one reading noise per BPM.
+
+    The weights w of Q = Σ w_k F_k and the variances of the noise rise and fall by the ratio of what
+    the data pull to what the covariance expects (T. W. Anderson, Ann. Stat. 1 (1973) 135); unlike
+    expectation maximisation this is quick also where a component is small beside the noise.
+
+    Args:
+        noise: To begin with.
+        moments: Of what no model explains.
+        shapes: Of the walk.
+        held: Covariance of the walk that is known besides, shape (n, n) [m²].
+        weights: To begin with, of an earlier fit; None or empty: of the data's own level.
+        rounds: At most; it ends when no weight of note moves by more than a hundredth.
+
+    Returns:
+        The noise, and the weights w, shape (F,).
+    """
+    white = np.diag(noise.white).copy()
+    unit = shapes.seen(np.eye(len(white)))
+    if weights is None or not len(weights):
+        weights = _start(white, moments, shapes, unit)
+    share = weights * unit
+    weights = np.maximum(weights, _RESTART * share.sum() / len(shapes) / np.maximum(unit, 1e-300))
+    for _ in range(rounds):
+        pull, expected, shaken, usual = weighed_sums(shapes.total(weights) + held, white, moments)
+        usually = shapes.seen(expected)
+        ratio = np.where(usually > 0.0, shapes.seen(pull) / np.maximum(usually, 1e-300), 0.0)
+        most = LARGEST * float(np.sum(weights * unit)) / max(len(shapes), 1)
+        weights = weights * np.maximum(ratio, 1e-3) ** _STRIDE
+        single = slice(len(shapes.broad), None)
+        weights[single] = np.minimum(weights[single], most / np.maximum(unit[single], 1e-300))
+        white = np.maximum(white * shaken / usual, LEAST_VARIANCE * float(np.median(white)))
+        share = weights * unit / float(np.sum(weights * unit))
+        if np.all(np.abs(ratio - 1.0)[share > 0.01] < 0.01):
+            break
+    return StepNoise(shapes.total(weights) + held, np.diag(white)), weights
+
+
+def _start(white: Vector, moments: Moments, shapes: Shapes, unit: Vector) -> Vector:
+    """Weights of shapes, each a share of the level at which all together are most likely.
+
+    All single patterns together begin with the share of one broad shape.
+    """
+    several = max(shapes.single.shape[1], 1)
+    share = np.concatenate(
+        [np.ones(len(shapes.broad)), np.full(len(unit) - len(shapes.broad), 1.0 / several)]
+    )
+    share = share / share.sum() * len(white) / np.maximum(unit, 1e-300)
+    mixed = StepNoise(shapes.total(share * float(np.mean(white))), np.diag(white))
+    square = np.einsum("nm,bnk,km->bm", mixed.modes, moments.total, mixed.modes, optimize=True)
+    levels = np.geomspace(1e-6, 1e3, 60)
+    count, eigenvalue = moments.count[:, None], moments.eigenvalue[:, None]
+    worth = [
+        float(np.sum(-0.5 * count * np.log(v) - 0.5 * square / v))
+        for v in (level * mixed.ratio + eigenvalue for level in levels)
+    ]
+    return share * float(np.mean(white)) * levels[int(np.argmax(worth))]
