@@ -8,7 +8,8 @@ import structlog
 
 from orbitfb.app.service.assemble import Service
 from orbitfb.app.setup.production_guard import check_live
-from orbitfb.app.setup.startup import StopSignals, check_duration, find_ring, start_state
+from orbitfb.app.setup.startup import check_duration, find_ring, start_state
+from orbitfb.app.setup.stop_signals import StopSignals
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import MachineError, OrbitFeedbackError
 from orbitfb.core.signals import LoopState

@@ -1,13 +1,11 @@
 """What is settled before the loop runs: where the ring is, who else uses it, what may not be."""
 
 import os
-import signal
 import socket
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
@@ -32,56 +30,6 @@ CONFIGURED = "config"
 _PLACES = (SIMULATED, ENVIRONMENT, CONFIGURED)
 PRODUCTION_PORT = 5064
 """The port of Channel Access that every machine uses unless it says otherwise."""
-
-
-class StopSignals:
-    """Let SIGINT, SIGTERM and SIGHUP stop the service.
-
-    Until `stop` is handed to a loop that heeds it, that is while the service starts, they end
-    the start at once: what is open is closed, the exit code says which signal it was. A library
-    may swallow that end or take it for a failure of its own, so it is remembered. A second
-    signal while the loop stops ends the process there and then.
-    """
-
-    def __init__(self) -> None:
-        self.stop = threading.Event()
-        self._running = False
-        self._ended_by = 0
-
-    def hand_over(self) -> None:
-        """Let the signals set `stop` from now on: a loop heeds it.
-
-        Raises:
-            SystemExit: One came during the start, and nobody noticed.
-        """
-        self._end()
-        self._running = True
-
-    def _end(self) -> None:
-        if self._ended_by and not self._running:
-            raise SystemExit(128 + self._ended_by)
-
-    def _handle(self, number: int, _frame: object) -> None:
-        if not self._running:
-            self._ended_by = number
-            self._end()
-        if self.stop.is_set():
-            os._exit(128 + number)
-        self.stop.set()
-
-    def __enter__(self) -> Self:
-        """Take the signals."""
-        # a closed window sends SIGHUP, unless whoever started the service wants it to stay (nohup)
-        stays = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-        numbers = (signal.SIGINT, signal.SIGTERM, *(() if stays else (signal.SIGHUP,)))
-        self._before = {number: signal.signal(number, self._handle) for number in numbers}
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Give them back."""
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-        self._end()
 
 
 def start_state(start: str | None, ioc: str) -> LoopState:

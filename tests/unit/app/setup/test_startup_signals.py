@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from orbitfb.app.setup.startup import StopSignals
+from orbitfb.app.setup.stop_signals import StopSignals
 from orbitfb.core.errors import MachineError
 
 
