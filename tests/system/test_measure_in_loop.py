@@ -50,9 +50,10 @@ def measure(session: Session, **arguments: object) -> Any:
 
 def begun(session: Session, before: np.ndarray, **arguments: object) -> None:
     """Start a measurement and wait until it has moved a corrector."""
-    told = measure(session, action="start", **arguments)
+    measure(session, action="start", **arguments)
     wait_for("motion", lambda: moved(session, before) or measure(session)["state"] != "MEASURING")
-    assert measure(session)["state"] == "MEASURING", told
+    told = measure(session)
+    assert told["state"] == "MEASURING", told["text"]
 
 
 def opened(session: Session) -> np.ndarray:
@@ -222,14 +223,14 @@ def test_a_service_that_stops_puts_back_first_and_one_that_is_killed_at_its_next
     where = f"127.0.0.1:{session.port}"
     with Service(service.data, where, *options, "--start", "open") as again:
         session.service = again
-        again.wait_state("OPEN")
+        opened(session)
         begun(session, before, at_once=0, fresh=True)
         again.kill()
     assert moved(session, before)
     with Service(service.data, where, *options, "--start", "open") as third:
         session.service = third
         wait_for("warning", lambda: third.events("setpoints_astray"))
-        third.wait_state("OPEN")
+        opened(session)
         with pytest.raises(ControlError, match="say restore=true to put them back, restore=false"):
             measure(session, action="start", at_once=0, fresh=True)
         begun(session, before, at_once=0, fresh=True, restore=True)
