@@ -39,8 +39,16 @@ _GUIDANCE = {
         "them. The log names them (bpm_mask_changed). Repair them before there are too many.",
         60,
     ),
+    "MeasureState-I": (
+        "The measurement of the response failed",
+        "The setpoints were put back where the machine answered; MeasureText says what went wrong "
+        "and which were not. The response in force is unchanged. Mend it, then measure again.",
+        10,
+    ),
 }
 """Alarm: title, what to do, delay [s]."""
+_PASSING = ("BpmsInvalid-I", "RfState-I", "MeasureState-I")
+"""Alarms that hold up no beam: they need no acknowledgement and are not announced."""
 
 
 def site_files(prefix: str, pvs: Sequence[PanelPv]) -> dict[str, str]:
@@ -76,7 +84,7 @@ def alarm_tree(prefix: str, pvs: Sequence[PanelPv]) -> str:
             continue
         title, details, delay = _GUIDANCE[pv.name]
         entry = Xml.SubElement(tree, "pv", name=prefix + pv.name)
-        latching = pv.name not in ("BpmsInvalid-I", "RfState-I")
+        latching = pv.name not in _PASSING
         for name, text in (
             ("description", title),
             ("enabled", "true"),
