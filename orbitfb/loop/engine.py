@@ -364,7 +364,8 @@ class Engine:
         bounds = self._guard.bounds(rules.limits.setpoint, len(mine))
         carrying = Carrying(self._machine, self.memory, rules, bounds, work)
         self.lending.serve(given, carrying)
-        self.memory = carrying.memory
+        told = "; ".join(filter(None, (carrying.memory.reason, f"{loan.name} is under way")))
+        self.memory = remember.note(carrying.memory, told, may_act=True)
 
     def end(self, reason: str) -> None:
         """Let nobody move setpoints any more; a borrower may put back first what it moved.

@@ -13,6 +13,8 @@ const MEANINGS = {
   FAULT: "the program failed; read the log",
 };
 
+const MEASURING = "writes for the measurement of the response alone";
+
 export const at = (id) => document.getElementById(id);
 
 export function say(id, text) {
@@ -34,7 +36,7 @@ export function showState(its, link, restarted, layout) {
   let shown = state, more = "";
   if (late) [shown, more] = ["NOT LIVE", its ? `was ${state} at ${timeOfDay(its.time)}, ${ago(link.age)}` : ""];
   else if (silent) [shown, more] = ["NO TICKS", `was ${state}; last tick ${ago(its.tick_age)}`];
-  else more = `for ${duration(its.in_state)} · ${MEANINGS[state]}`;
+  else more = `for ${duration(its.in_state)} · ${its.measurement.running ? MEASURING : MEANINGS[state]}`;
   say("state", shown);
   say("state-for", more);
   at("bar").dataset.state = late || silent ? "" : state;

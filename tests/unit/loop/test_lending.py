@@ -101,6 +101,8 @@ def test_a_borrower_reads_asks_and_writes_and_the_records_tell_it():
     moved = [record.applied[0] for record in bench.records if record.applied.any()]
     assert moved == pytest.approx([0.5, -0.5])
     assert {record.state for record in bench.records} == {LoopState.OPEN}
+    assert bench.records[0].reason == "measurement is under way"
+    assert bench.steps(1).reason == ""
     assert all(put.tolist() == [True, False, False, False] for put in bench.machine.put)
     assert not bench.runner.lending.busy
 
