@@ -20,6 +20,10 @@ CALIBRATION = 5e-5
 
 _KICKING: tuple[Kind, ...] = ("QUAD", "COR")
 
+_LONG = 3.0
+"""Distance of two quadrupoles from which something may stand between them that no table of places
+has [m]: insertion devices and bending magnets are one to seven metres long."""
+
 NO_RING = "needs a places table that knows the names of the record"
 
 
@@ -38,16 +42,20 @@ def needs_ring(record: Record, planes: Sequence[ChannelPlane] = ()) -> str:
 
 @lru_cache(maxsize=8)
 def source_names(layout: Layout) -> tuple[str, ...]:
-    """Names of all places that may kick: quadrupoles, then correctors, plane by plane.
+    """Names of all places that may kick, plane by plane.
 
-    In a ring that is not known these are the columns of the correctors: what kicks stands among
-    them.
+    These are quadrupoles, correctors, and the middles of straights, which are called by the
+    quadrupoles at their ends (`QL1B_C16 to QL1A_C17`): insertion devices and bending magnets are in
+    no table. In a ring that is not known these are the columns of the correctors: what kicks stands
+    among them.
     """
     ring = layout.ring
     if ring is None:
         correctors = layout.correctors
         return tuple(correctors.label(column) for column in range(len(correctors)))
-    names = (*ring.names("QUAD"), *ring.names("COR"))
+    quads = ring.names("QUAD")
+    between = [f"{quads[first]} to {quads[last]}" for first, last in straights(layout)]
+    names = (*quads, *ring.names("COR"), *between)
     return tuple(f"{name} ({plane})" for plane in layout.planes for name in names)
 
 
@@ -59,9 +67,58 @@ def source_patterns(layout: Layout) -> Matrix:
     """
     if layout.ring is None:
         return layout.response / CALIBRATION
-    return np.hstack(
-        [layout.orbit_per_kick(kind, plane) for plane in layout.planes for kind in _KICKING]
-    )
+    parts: list[Matrix] = []
+    for plane in layout.planes:
+        parts += [layout.orbit_per_kick(kind, plane) for kind in _KICKING]
+        parts.append(kicks_between(layout, straights(layout), 0.5, plane))
+    return np.hstack(parts)
+
+
+@lru_cache(maxsize=8)
+def straights(layout: Layout) -> tuple[tuple[int, int], ...]:
+    """Numbers of the quadrupoles at the ends of every straight that is long, in ring order."""
+    ring = layout.known_ring
+    place = ring.table.s[ring.places("QUAD")]
+    order = np.argsort(place)
+    after = np.roll(order, -1)
+    apart = (place[after] - place[order]) % float(ring.parameters.circumference)
+    pairs = zip(order[apart > _LONG], after[apart > _LONG], strict=True)
+    return tuple((int(first), int(last)) for first, last in pairs)
+
+
+def kicks_between(
+    layout: Layout, pairs: Sequence[tuple[int, int]], share: float, plane: ChannelPlane
+) -> Matrix:
+    """Orbit per kick at places between quadrupoles with nothing but drift from one to the other.
+
+    Beyond the two a kick θ is what kicks (1 − s) θ and s θ at them are, s the share of the way:
+    they make the same angle and the same displacement there. Between them the orbit bends where the
+    kick is.
+
+    Args:
+        layout: Devices and ring.
+        pairs: Numbers of the quadrupoles.
+        share: Of the way from the first to the second, s [1].
+        plane: Of the kick.
+
+    Returns:
+        Shape (n, len(pairs)) [m/rad]; zero for BPMs of the other plane.
+    """
+    if not pairs:
+        return np.zeros((len(layout.bpms), 0))
+    ring = layout.known_ring
+    around = float(ring.parameters.circumference)
+    per_kick = layout.orbit_per_kick("QUAD", plane)
+    first, last = (np.array(one, dtype=np.intp) for one in zip(*pairs, strict=True))
+    orbit = (1.0 - share) * per_kick[:, first] + share * per_kick[:, last]
+    place = ring.table.s[ring.places("QUAD")]
+    position = dict(zip(ring.table.name, ring.table.s.tolist(), strict=True))
+    length = (place[last] - place[first]) % around
+    for row in layout.bpms.in_plane(plane):
+        since = (position[layout.bpms.names[row]] - place[first]) % around
+        bent = np.maximum(since - share * length, 0.0) - (1.0 - share) * since
+        orbit[row] += np.where(since < length, bent, 0.0)
+    return orbit
 
 
 def two_planes(layout: Layout, kind: Kind) -> Matrix:

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from orbitfb.effects.build import layout_of
-from orbitfb.effects.kicks import interpolation
+from orbitfb.effects.kicks import interpolation, kicks_between, source_names, straights
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.effects.optics.tunes import tune_change
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
@@ -468,3 +468,29 @@ def test_without_a_ring_sources_are_looked_for_at_the_correctors(layout, name):
     assert cosine == pytest.approx(1.0)
     if name in KICKING:  # told as if a corrector kicked 50 µrad/A
         assert_allclose(5e-5 * patterns[:, 3], layout.response[:, 3])
+
+
+def test_a_kick_within_a_straight_is_that_of_the_corrector_that_stands_there(ring, layout):
+    """The table knows the optics at correctors: two of them stand in straights, with BPMs."""
+    place, table = ring.table.s[ring.places("QUAD")], ring.table
+    per_kick = layout.orbit_per_kick("COR", "x")
+    checked = 0
+    for first, last in straights(layout):
+        length = (place[last] - place[first]) % ring.parameters.circumference
+        for column, row in enumerate(ring.places("COR")):
+            since = (table.s[row] - place[first]) % ring.parameters.circumference
+            if 0.0 < since < length:
+                found = kicks_between(layout, [(first, last)], since / length, "x")[:, 0]
+                wanted = per_kick[:, column]
+                # Quadrupoles of the table are long, not thin: an end is half of one off.
+                assert np.linalg.norm(found - wanted) < 0.03 * np.linalg.norm(wanted)
+                checked += 1
+    assert checked == 90
+
+
+def test_sources_are_also_the_straights_between_two_quadrupoles(ring, layout):
+    names = source_names(layout)
+    assert len(names) == 300 + 180 + 90
+    assert "QL1B_C30 to QL1A_C01 (x)" in names
+    kind = effect("local-kick")
+    assert kind.patterns(layout).shape[1] == len(names)
