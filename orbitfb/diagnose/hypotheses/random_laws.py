@@ -99,14 +99,45 @@ def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighe
     if not law.smooth:
         return found
     variance = (float(size[place]) * weight[:, 0])[transform.band]
-    own = weights[:, place]
-    course = variance * (weighed.pulled @ law.patterns[:, place]) / (1.0 + variance * own)
-    swing = np.ptp(transform.summed(course[:, None]))
-    values = {**found.values, kind.parameters[0].name: float(swing)}
-    field = np.outer(course, law.patterns[:, place])
-    pull = weighed.pulled @ law.patterns[:, place]
-    best = float(np.sum(pull * course - 0.5 * own * course**2))
-    return replace(found, values=values, walk=None, field=field, cost=best - gain)
+    choice = float(np.log(len(best))) + VALUE_COST
+    whole = replace(found, walk=None)
+    return _coursed(whole, law.patterns[:, place], variance, weighed.pulled, noise, space, choice)
+
+
+def _coursed(
+    one: Candidate,
+    pattern: Vector,
+    variance: Vector,
+    pulled: Matrix,
+    noise: StepNoise,
+    space: Workspace,
+    choice: float,
+) -> Candidate:
+    """Give a candidate the most likely course of its place, and what the course costs.
+
+    Args:
+        one: The candidate.
+        pattern: Of its place, shape (n,) [m].
+        variance: Of its amplitude at every frequency, shape (T,).
+        pulled: Ω z without it, shape (T, n) [1/m].
+        noise: The floor that Ω is of.
+        space: The record.
+        choice: Cost of its place and values [nats].
+    """
+    transform = space.transform
+    own = (1.0 / noise.variance(transform)) @ ((pattern @ noise.modes) ** 2)
+    course = variance * (pulled @ pattern) / (1.0 + variance * own)
+    field = np.outer(course, pattern)
+    cost = 0.5 * float(np.sum(course**2 / variance + np.log1p(variance * own))) + choice
+    swing = float(np.ptp(transform.summed(course[:, None])))
+
+    def again(after: Workspace) -> Candidate:
+        left = after.residual + field - after.terms.contribution(after.errors.mean())
+        fresh = after.noise.pull(left, transform)
+        return _coursed(one, pattern, variance, fresh, after.noise, after, choice)
+
+    values = {**one.values, one.kind.parameters[0].name: swing}
+    return replace(one, values=values, field=field, cost=cost, again=again)
 
 
 def _unsure(patterns: Matrix, walk: Matrix, precision: Matrix) -> Vector:

@@ -82,19 +82,28 @@ def tournament(
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
-        best, space = _settled(candidates[0], space)
+        best, space = _settled(candidates[0], space.trusting())
         accepted.append(best)
 
 
-def _settled(best: Candidate, space: Workspace) -> tuple[Candidate, Workspace]:
-    """Accept a candidate, with the sizes that it has over the floor that it leaves."""
-    space = space.trusting()
-    after = best.accepted(space)
-    for _ in range(HEARD):
+def _settled(
+    best: Candidate, space: Workspace, times: int = HEARD, spread: bool = True
+) -> tuple[Candidate, Workspace]:
+    """Accept a candidate, with the sizes that it has over the floor that it leaves.
+
+    Args:
+        best: The candidate.
+        space: Without it.
+        times: That its sizes are told anew, at most.
+        spread: Whether its values may differ a little from device to device.
+    """
+    after = best.accepted(space, spread)
+    for _ in range(times):
         if best.again is None or best.field is None:
             break
-        last, best = best.field, replace(best.again(after), cost=best.cost)
-        after = best.accepted(replace(space, noise=after.noise))
+        last, more = best.field, best.again(after)
+        best = replace(more, cost=best.cost if more.cost is None else more.cost)
+        after = best.accepted(replace(space, noise=after.noise), spread)
         if np.linalg.norm(np.asarray(best.field) - last) < SETTLED * np.linalg.norm(last):
             break
     return best, after
@@ -206,22 +215,22 @@ def refitted(
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
     base = space.with_floor().log_posterior()
-    least_found = np.inf
     found: list[Candidate] = []
-    weighed: set[str] = set()
+    weighed: dict[str, float] = {}
     for one in candidates:
         if one.noisy:
             found.append(one)
             continue
         # Each BPM is the scale of what is undone: beside the floor of all that counts for little.
         leads = one.evidence > (enough if one.undone else least)
-        new = one.kind.id not in weighed and (one.undone or len(weighed) < LEADING)
+        good = [gain for gain in weighed.values() if gain > 0.0]
+        new = one.kind.id not in weighed and (one.undone or len(good) < LEADING)
         if one.cost is not None and new and leads:
-            weighed.add(one.kind.id)
-            gain = one.accepted(space, spread=False).log_posterior() - base - one.cost
-            least_found = min(least_found, gain)
-        else:  # weighed over the floor of all: no more than those that were before it
-            gain = min(one.evidence, least_found)
+            one, after = _settled(one, space, times=1, spread=False)
+            gain = after.log_posterior() - base - (one.cost or 0.0)
+            weighed[one.kind.id] = gain
+        else:  # weighed over the floor of all: no more than its effect, or those that led, have
+            gain = min(one.evidence, weighed.get(one.kind.id, min(good, default=np.inf)))
         found.append(replace(one, evidence=gain))
     return strongest(found)
 
