@@ -183,7 +183,9 @@ def _check_planes(row: _Row) -> None:
         return
     if not any(row.cells[column] for column in columns):
         raise row.wrong(
-            columns[0], f"and {columns[1]} are no PVs, but a {kind} needs one", "give one or both"
+            columns[0],
+            f"is no PV, nor is that of {columns[1]}, but a {kind} needs one",
+            "give one or both",
         )
     for pv, *others in _OF_PLANE:
         for column in others if not row.cells[pv] else ():

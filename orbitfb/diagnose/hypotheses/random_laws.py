@@ -128,7 +128,8 @@ def _coursed(
     own = (1.0 / noise.variance(transform)) @ ((pattern @ noise.modes) ** 2)
     course = variance * (pulled @ pattern) / (1.0 + variance * own)
     field = np.outer(course, pattern)
-    cost = 0.5 * float(np.sum(course**2 / variance + np.log1p(variance * own))) + choice
+    apart = np.divide(course**2, variance, out=np.zeros_like(course), where=variance > 0.0)
+    cost = 0.5 * float(np.sum(apart + np.log1p(variance * own))) + choice
     swing = float(np.ptp(transform.summed(course[:, None])))
 
     def again(after: Workspace) -> Candidate:

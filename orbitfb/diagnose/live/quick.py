@@ -8,6 +8,7 @@ import numpy as np
 from orbitfb.diagnose.likelihood.courses import Courses
 from orbitfb.diagnose.likelihood.errors import healthy_errors
 from orbitfb.diagnose.likelihood.ground import ground_shapes
+from orbitfb.diagnose.likelihood.known import Known
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import Signals
@@ -57,9 +58,7 @@ def quick_workspace(record: Record, kinds: Sequence[EffectKind]) -> Workspace:
         np.zeros_like(noise.walk),
         terms,
         blocks,
-        np.zeros((0, 0)),
-        np.zeros(0, dtype=bool),
-        noise,
+        Known.nothing(noise),
         (0.0,) * len(blocks),
         np.zeros(len(terms)),
         Courses(signals, transform),

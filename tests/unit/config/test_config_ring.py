@@ -42,6 +42,14 @@ def put(row: int, name: str, value: str) -> Change:
     return change
 
 
+def both(one: Change, other: Change) -> Change:
+    def change(rows: list[list[str]]) -> None:
+        one(rows)
+        other(rows)
+
+    return change
+
+
 def first(kind: str, count: int = 1) -> list[int]:
     rows = list(csv.reader(io.StringIO(PLACES)))
     return [i for i, row in enumerate(rows) if row[column("kind")] == kind][:count]
@@ -116,8 +124,9 @@ BAD_PLACES: dict[str, tuple[Change, str]] = {
         f"FILE, line {BPM_1 + 1}, column kind: 'BMP' is no kind of place; use one of BPM, COR",
     ),
     "BPM without a PV": (
-        put(BPM_1, "pv_x", ""),
-        f"FILE, line {BPM_1 + 1}, column pv_x: '' is no PV, but a BPM needs one; give the PV",
+        both(put(BPM_1, "pv_x", ""), put(BPM_1, "pv_y", "")),
+        f"FILE, line {BPM_1 + 1}, column pv_x: '' is no PV, nor is that of pv_y, but a BPM needs one; "
+        "give one or both",
     ),
     "corrector that cannot kick": (
         put(COR_1, "cal_x_rad_per_A", "0"),
