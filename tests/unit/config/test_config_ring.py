@@ -125,8 +125,8 @@ BAD_PLACES: dict[str, tuple[Change, str]] = {
     ),
     "BPM without a PV": (
         both(put(BPM_1, "pv_x", ""), put(BPM_1, "pv_y", "")),
-        f"FILE, line {BPM_1 + 1}, column pv_x: '' is no PV, nor is that of pv_y, but a BPM needs one; "
-        "give one or both",
+        f"FILE, line {BPM_1 + 1}, column pv_x: '' is no PV, nor is that of pv_y, but a BPM needs "
+        "one; give one or both",
     ),
     "corrector that cannot kick": (
         put(COR_1, "cal_x_rad_per_A", "0"),

@@ -87,7 +87,7 @@ def test_a_device_in_no_plane_is_refused(tmp_path):
     for column in ("pv_x", "pv_y"):
         cells[names.index(column)] = ""
     told = refusal(TEXT.replace(row, ",".join(cells), 1))
-    assert "column pv_x: '' and pv_y are no PVs, but a BPM needs one; give one or both" in told
+    assert "pv_x: '' is no PV, nor is that of pv_y, but a BPM needs one; give one or both" in told
 
 
 @pytest.mark.parametrize(
