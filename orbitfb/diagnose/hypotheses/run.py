@@ -216,7 +216,7 @@ def refitted(
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
     base = space.with_floor().log_posterior()
     found: list[Candidate] = []
-    weighed: dict[str, float] = {}
+    weighed: dict[tuple[str, bool], float] = {}
     for one in candidates:
         if one.noisy:
             found.append(one)
@@ -224,13 +224,14 @@ def refitted(
         # Each BPM is the scale of what is undone: beside the floor of all that counts for little.
         leads = one.evidence > (enough if one.undone else least)
         good = [gain for gain in weighed.values() if gain > 0.0]
-        new = one.kind.id not in weighed and (one.undone or len(good) < LEADING)
+        form = (one.kind.id, one.walk is None)  # a random course, or one that is told
+        new = form not in weighed and (one.undone or len(good) < LEADING)
         if one.cost is not None and new and leads:
             one, after = _settled(one, space, times=1, spread=False)
             gain = after.log_posterior() - base - (one.cost or 0.0)
-            weighed[one.kind.id] = gain
+            weighed[form] = gain
         else:  # weighed over the floor of all: no more than its effect, or those that led, have
-            gain = min(one.evidence, weighed.get(one.kind.id, min(good, default=np.inf)))
+            gain = min(one.evidence, weighed.get(form, min(good, default=np.inf)))
         found.append(replace(one, evidence=gain))
     return strongest(found)
 
