@@ -49,7 +49,7 @@ mutants: venv
 	$(BIN)/python -m tests.mutants
 
 # The newest versions that pyproject.toml allows, in an environment of their own, and what speaks
-# Channel Access on them: some minutes, of which most is the installation.
+# Channel Access on them; most of the time is the installation.
 newest:
 	test -x build/newest/bin/python || $(PYTHON) -m venv build/newest
 	build/newest/bin/python -m pip install --quiet --upgrade --upgrade-strategy eager --editable '.[dev]'

@@ -22,7 +22,7 @@ _KICKING: tuple[Kind, ...] = ("QUAD", "COR")
 
 _LONG = 3.0
 """Distance of two quadrupoles from which something may stand between them that no table of places
-has [m]: insertion devices and bending magnets are one to seven metres long."""
+has [m]: insertion devices and bending magnets are one to seven metres long. By hand."""
 
 NO_RING = "needs a places table that knows the names of the record"
 

@@ -19,7 +19,7 @@ from orbitfb.estimation.priors import LEAST_STEPS
 from orbitfb.estimation.transform import Matrix
 
 _GLANCE = 2
-"""Steps up the likelihood by which priors are compared: their order is that after sixteen."""
+"""Steps up the likelihood by which priors are compared. By hand: only their order counts."""
 
 _RANK_SHARE = 1e-9
 """Share of the mean variance of the walk that any orbit has in comparisons of floors [1]: far above

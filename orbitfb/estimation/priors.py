@@ -6,8 +6,8 @@ import numpy as np
 
 TRUST = (100.0, 300.0, 1000.0)
 """Steps that the prior shape of the walk may be worth: a record tells which, by what each half of
-its frequencies says of the other. That is flat about its best, so a factor of three is near enough;
-100 rule modes that a record of some hundred rows cannot show."""
+its frequencies says of the other. By hand: a factor of three apart; 100 rule modes that a record of
+some hundred rows cannot show."""
 
 LEAST_STEPS = 40
 """Steps below which walk and noise cannot be told apart: λ then has too few values."""
@@ -45,7 +45,7 @@ of 1 to 8 % and optics that beat by 1 to 10 %."""
 
 AT_FIRST = 30
 """Rounds of the first fit of the floor's shapes, which begins with what raw readings make of them:
-a shape that the ring does not have takes tens of them to fade."""
+a shape that the ring does not have takes tens of them to fade. By hand."""
 
 AGAIN = 12
 """Rounds by which the floor's shapes are fitted anew from where they stood: they were fitted
@@ -97,7 +97,7 @@ middle of a record shows half of its final evidence in the whole of it."""
 
 STANDING = 100.0
 """How many times larger than its motion in a record the orbit that stands in a magnet is [1]: some
-tenths of a millimetre beside some micrometres. A factor of ten costs two nats."""
+tenths of a millimetre beside some micrometres. By hand: a factor of ten costs ln 10 nats."""
 
 ROUNDS = 4
 """Causes that are accepted at most."""

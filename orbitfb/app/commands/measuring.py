@@ -32,8 +32,6 @@ ACTIONS = ("status", "start", "abort")
 ANSWER = 10.0
 """How long the answer to start waits until it is sure that nothing refuses it, and that to abort
 until the setpoints are back [s]."""
-CLOSING = 40.0
-"""How long a service that stops waits for the end of it [s]: `measure.restore_timeout` and more."""
 _OPTIONS = {
     "--restore": "restore=true",
     "--leave": "restore=false",
@@ -119,7 +117,7 @@ class Measuring(Teller):
         """Wait for the end; the loop has called its machine back."""
         self._stop.set()
         if self._thread is not None:
-            self._thread.join(CLOSING)
+            self._thread.join(self._sources.config.measure.restore_timeout + ANSWER)
 
     def begin(self, orbits: int, done: int, total: int) -> None:
         """Take how many orbits it needs, and how many correctors are done."""
@@ -171,7 +169,7 @@ class Measuring(Teller):
         choice = Choice(place_of(config, None), fresh, restore)
         nominal = response(sources.ring, config.ring.planes)
         with self._lock:
-            moving = sources.movable()
+            moving, bounds = sources.movable(), sources.bounds()
             lent = sources.runner.lend(NAME, moving)
             subject = Subject(
                 config.model_copy(update={"measure": measure}),
@@ -179,7 +177,7 @@ class Measuring(Teller):
                 nominal,
                 sources.counting,
                 moving,
-                sources.bounds(),
+                bounds,
                 sources.where,
                 sources.journal,
                 sources.clock,

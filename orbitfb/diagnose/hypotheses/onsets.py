@@ -69,9 +69,7 @@ def scan_jumps(
         scorer: Of what is left to explain.
     """
     space = scorer.space
-    weight = np.mean(1.0 / space.noise.variance(space.transform), axis=0)
-    own = ((patterns.T @ space.noise.modes) ** 2) @ weight
-    pull = scorer.rows.late @ patterns
+    pull, own = _of_jumps(patterns, scorer)
     gain = any_size(pull, np.broadcast_to(own, pull.shape))
     step, place = map(int, np.unravel_index(int(np.argmax(gain)), gain.shape))
     row = int(space.transform.step_rows()[step])
@@ -183,15 +181,19 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
 
 def _kicks(law: DeviceLaw, scorer: Scorer, spectra: Sequence[Single]) -> Matrix:
     """Log evidence of a first kick of any size of every device at every step, shape (T, D)."""
-    space = scorer.space
-    weight = np.mean(1.0 / space.noise.variance(space.transform), axis=0)
     total: Matrix | float = 0.0
     for pattern, spectrum in zip(law.patterns, spectra, strict=True):
-        size = _standing(spectrum)
-        own = ((pattern.T @ space.noise.modes) ** 2) @ weight * size**2
-        pull = (scorer.rows.late @ pattern) * size
-        total = total + normal_size(pull, np.broadcast_to(own, pull.shape), 1.0)
+        pull, own = _of_jumps(pattern, scorer)
+        variance = _standing(spectrum) ** 2
+        total = total + normal_size(pull, np.broadcast_to(own, pull.shape), variance)
     return np.asarray(total)
+
+
+def _of_jumps(patterns: Matrix, scorer: Scorer) -> tuple[Matrix, Vector]:
+    """Pull (T, D) and information (D,) of a jump along each of D patterns at every step."""
+    noise, transform = scorer.space.noise, scorer.space.transform
+    weight = np.mean(1.0 / noise.variance(transform), axis=0)
+    return scorer.rows.late @ patterns, ((patterns.T @ noise.modes) ** 2) @ weight
 
 
 def _standing(spectrum: Single) -> Vector:

@@ -15,7 +15,7 @@ Turned = NDArray[np.complex128]
 
 _ALIKE = 4.0
 """Ratio of the walk over noise within which modes share one whitening filter for onsets [1]: the
-weight of none is off by more than two, and that of a pattern by some per cent."""
+weight of none is off by more than two, and sums along a pattern by less than a sixth."""
 
 _STILL = 1e-5
 """Walk over noise below which all modes are alike: λ of the slowest frequency of a record [1]."""

@@ -4,10 +4,11 @@ from collections.abc import Callable
 
 from orbitfb.core.errors import WriteError
 from orbitfb.core.ports import Machine, Oscillator
-from orbitfb.core.signals import Applied, Channels, Mask, Reading, Vector
+from orbitfb.core.signals import Applied, Mask, Vector
+from orbitfb.loop.machines.around import AroundMachine
 
 
-class GuardedMachine:
+class GuardedMachine(AroundMachine):
     """Any machine; a write is refused while there is a reason to.
 
     Args:
@@ -16,24 +17,8 @@ class GuardedMachine:
     """
 
     def __init__(self, machine: Machine, refusal: Callable[[], str]) -> None:
-        self._machine, self._refusal = machine, refusal
-
-    @property
-    def channels(self) -> Channels:
-        """Names behind the elements of the vectors."""
-        return self._machine.channels
-
-    def read(self, timeout: float) -> Reading:
-        """Wait for the next coherent orbit; see `Machine`.
-
-        Args:
-            timeout: How long to wait [s].
-        """
-        return self._machine.read(timeout)
-
-    def setpoints(self) -> Vector:
-        """Ask the machine for the absolute setpoints in force, shape (m,) [A]."""
-        return self._machine.setpoints()
+        super().__init__(machine)
+        self._refusal = refusal
 
     def write(self, setpoints: Vector, which: Mask | None = None) -> Applied:
         """Send absolute setpoints; see `Machine`.
@@ -47,11 +32,7 @@ class GuardedMachine:
         """
         if reason := self._refusal():
             raise WriteError(f"{reason}; nothing was sent")
-        return self._machine.write(setpoints, which)
-
-    def close(self) -> None:
-        """Let go of the machine; setpoints stay where they are."""
-        self._machine.close()
+        return super().write(setpoints, which)
 
 
 class GuardedOscillator:

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.ports import Machine
-from orbitfb.core.signals import Applied, Channels, Mask, Reading, Vector
+from orbitfb.core.signals import Applied, Mask, Vector
+from orbitfb.loop.machines.around import AroundMachine
 from orbitfb.safety.verdict import name_some
 
 
-class SteppedMachine:
+class SteppedMachine(AroundMachine):
     """Any machine; what is written is rounded here, and what that leaves is kept for the next one.
 
     A record that rounds by itself takes changes below half a step for none, however many come: the
@@ -32,26 +33,10 @@ class SteppedMachine:
         limit: float,
         drive_limits: Callable[[], NDArray[np.float64]],
     ) -> None:
-        self._machine, self._step, self._limit = machine, step, limit
+        super().__init__(machine)
+        self._step, self._limit = step, limit
         self._drive_limits = drive_limits
         self._carried = np.zeros(len(step))
-
-    @property
-    def channels(self) -> Channels:
-        """Names behind the elements of the vectors."""
-        return self._machine.channels
-
-    def read(self, timeout: float) -> Reading:
-        """Wait for the next coherent orbit; see `Machine`.
-
-        Args:
-            timeout: How long to wait [s].
-        """
-        return self._machine.read(timeout)
-
-    def setpoints(self) -> Vector:
-        """Ask the machine for the absolute setpoints in force, shape (m,) [A]."""
-        return self._machine.setpoints()
 
     def write(self, setpoints: Vector, which: Mask | None = None) -> Applied:
         """Send the steps nearest to absolute setpoints; see `Machine`.
@@ -68,14 +53,10 @@ class SteppedMachine:
         wanted = setpoints + self._carried
         sent = np.clip(np.round(wanted / step), np.ceil(low / step), np.floor(high / step)) * step
         sent = np.where(put, sent, setpoints)
-        applied = self._machine.write(sent, which)
+        applied = super().write(sent, which)
         left = np.clip(wanted - sent, -0.499 * step, 0.499 * step)
         self._carried = np.where(put & np.isfinite(left), left, self._carried)
         return applied
-
-    def close(self) -> None:
-        """Let go of the machine; setpoints stay where they are."""
-        self._machine.close()
 
 
 def rounding_told(step: Vector, response: Vector, names: Sequence[str]) -> str:

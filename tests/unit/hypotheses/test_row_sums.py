@@ -52,20 +52,20 @@ def test_information_by_rows_is_that_by_frequencies(
 
 
 @pytest.mark.parametrize("seed", [4, 5, 6])
-def test_what_begins_late_has_what_a_healthy_error_of_the_same_course_leaves_it(
+def test_what_begins_soon_has_what_a_healthy_error_of_the_same_course_leaves_it(
     noise: StepNoise, transform: StepTransform, courses: Matrix, seed: int
 ) -> None:
-    """The error takes the course before the onset for its own, and part of the rest."""
-    pattern, onset = np.random.default_rng(seed).standard_normal(BPMS), 600
-    whole = courses[:, 1:]
+    """A hundredth is left: right to a factor, where sums of two kinds leave nothing."""
+    pattern, onset = np.random.default_rng(seed).standard_normal(BPMS), 60
+    whole = courses[:, :1]
     late = np.where(np.arange(ROWS)[:, None] < onset, 0.0, whole - whole[onset])
     both = exactly(pattern, np.hstack([whole, late]), noise, transform)
-    known = 0.1 * both[0, 0]
+    known = 1e-6 * both[0, 0]
     expected = both[1, 1] - both[0, 1] ** 2 / (known + both[0, 0])
     spectrum = transform.quick_spectrum(whole)
     error = OwnError(0, spectrum, transform.turn(spectrum), np.array([1.0 / known]), both[:1, 0])
     rows = Rows.of(np.zeros((len(transform), BPMS)), noise, transform)
     _, found = rows.quick(pattern, late, error)
-    assert found[0] == pytest.approx(expected, rel=0.15)
+    assert expected / 3.4 < found[0] < 3.4 * expected
     _, since, onsets = rows.since(pattern[:, None], transform.turn(spectrum), 10, error)
-    assert since[np.flatnonzero(onsets == onset)[0], 0] == pytest.approx(expected, rel=0.15)
+    assert expected / 3.4 < since[onsets == onset, 0][0] < 3.4 * expected

@@ -1,0 +1,68 @@
+"""What leads is weighed under a floor of its own: records in which the floor of all misleads."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.small_ring import small_ring
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.run import candidates_of, refitted
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.effects.build import layout_of
+from orbitfb.records.record import Record
+from tests.unit.hypotheses.small_records import NOISE, kinds_for, make_record
+
+RING = small_ring()
+LAYOUT = layout_of(RING, "x", 0.1)
+ROWS = 900
+
+
+def record_with(orbit: Vector, seed: int) -> Record:
+    """An open loop with setpoints that wander, moving magnets, noise, and an orbit besides."""
+    rng = np.random.default_rng(seed)
+    setpoints = (0.01 * rng.standard_normal((ROWS, LAYOUT.response.shape[1]))).cumsum(axis=0)
+    magnets = LAYOUT.orbit_per_kick("QUAD", "x")
+    moved = (2e-9 * rng.standard_normal((ROWS, magnets.shape[1]))).cumsum(axis=0)
+    readings = setpoints @ LAYOUT.response.T + moved @ magnets.T + orbit
+    readings += NOISE * rng.standard_normal(readings.shape)
+    return replace(
+        make_record(seed), layout=LAYOUT, readings=readings, setpoints=setpoints,
+        requested=np.vstack([np.diff(setpoints, axis=0), setpoints[:1] * np.nan]),
+        filled=np.zeros_like(readings, dtype=np.bool_),
+    )  # fmt: skip
+
+
+def scanned(record: Record) -> tuple[Workspace, list[Candidate]]:
+    kinds = kinds_for(record)
+    space = Workspace.of(record, kinds)
+    return space, candidates_of(space, kinds)
+
+
+def test_a_wave_and_a_walk_of_one_effect_are_weighed_each() -> None:
+    """Over the floor of all the walk of the energy may lead; the wave is what it is."""
+    wave = 8e-6 * np.sin(2.0 * np.pi * 0.031 * np.arange(ROWS) + 1.0)
+    space, found = scanned(record_with(np.outer(wave, LAYOUT.dispersion()), 20))
+    told = next(one for one in found if one.kind.id == "energy-drift" and one.walk is None)
+    walks = next(one for one in found if one.kind.id == "energy-drift" and one.walk is not None)
+    others = [one for one in found if one is not told and one is not walks]
+    first = replace(walks, evidence=told.evidence + 1.0)
+    best = refitted([first, told, *others], space)[0]
+    assert (best.kind.id, best.walk) == ("energy-drift", None)
+
+
+def test_the_course_of_a_gap_is_told_over_the_floor_that_it_leaves() -> None:
+    """Over the floor of all, which has learned the motion for its own, half of it is lost."""
+    corners = np.arange(0, ROWS + 60, 60)
+    kick = 3e-6 * np.random.default_rng(21).standard_normal(len(corners)).cumsum()
+    course = np.interp(np.arange(ROWS), corners, kick)
+    source = 12
+    pattern = LAYOUT.orbit_per_kick("QUAD", "x")[:, source]
+    space, found = scanned(record_with(np.outer(course, pattern), 21))
+    best = refitted(found, space)[0]
+    assert best.kind.id == "insertion-device"
+    assert best.names == (f"{RING.names('QUAD')[source]} (x)",)
+    left = np.asarray(best.field) - space.transform.spectrum(np.outer(course, pattern))
+    before = np.asarray(found[0].field) - space.transform.spectrum(np.outer(course, pattern))
+    assert np.linalg.norm(left) < 0.95 * np.linalg.norm(before)
+    assert best.evidence > 2.0 * found[0].evidence
