@@ -3,6 +3,7 @@
 Every seed draws a ring (default or 60 × 48), healthy errors (gains 1-4 %, gradients that beat by
 some per cent), noise of 1-3 µm at 100 µrad, and for every other seed one fault of 5 to 15 healthy
 spreads, a reversed, dead or exchanged device, or a quadrupole that is 5 % off. One JSON is printed.
+With `--rows FILE` every seed is kept there as it is done, and not done again.
 """
 
 import argparse
@@ -10,12 +11,13 @@ import json
 import math
 import time
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from orbitfb.loco.measured import Measured, bpm_labels, corrector_labels
+from orbitfb.loco.measured import Measured, Pair, bpm_labels, corrector_labels
 from orbitfb.loco.optics import RingOptics
 from orbitfb.loco.run import Result, diagnose
 from orbitfb.physics.optics import Matrix
@@ -43,7 +45,7 @@ class Case:
 
 @dataclass
 class Score:
-    """What is counted."""
+    """What is counted, of one seed or of many."""
 
     right: list[bool] = field(default_factory=list)
     healthy: list[bool] = field(default_factory=list)
@@ -59,7 +61,8 @@ def devices(ring: Ring, size: str) -> Measured:
     if size == "60x48":
         bpms = bpms[::3]
         correctors = correctors[np.linspace(0, len(correctors) - 1, 48).astype(int)]
-    nothing = {(p, p): np.full((len(bpms), len(correctors)), np.nan) for p in _PLANES}
+    absent = np.full((len(bpms), len(correctors)), np.nan)
+    nothing: dict[Pair, Matrix] = {(p, p): absent for p in _PLANES}
     return Measured(
         dict.fromkeys(_PLANES, bpms), dict.fromkeys(_PLANES, correctors), dict(nothing), nothing
     )
@@ -190,23 +193,59 @@ def summary(counts: Score) -> dict[str, object]:
     }
 
 
+def one(seed: int, size: str) -> Score:
+    """Draw a response, diagnose it, compare."""
+    counts, case = Score(), draw(seed, size)
+    begin = time.process_time()
+    found = diagnose(case.ring, case.measured)
+    counts.seconds[size] = [time.process_time() - begin]
+    score(case, found, counts, seed)
+    return counts
+
+
+def total(rows: Iterable[Score]) -> Score:
+    """Add up."""
+    counts = Score()
+    for its in rows:
+        counts.right += its.right
+        counts.healthy += its.healthy
+        counts.inside += its.inside
+        counts.total += its.total
+        counts.misses += its.misses
+        for size, seconds in its.seconds.items():
+            counts.seconds.setdefault(size, []).extend(seconds)
+    return counts
+
+
+def _kept(file: Path | None) -> dict[str, Score]:
+    if file is None or not file.exists():
+        return {}
+    rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    for row in rows:
+        row["inside"], row["total"] = Counter(row["inside"]), Counter(row["total"])
+    return {row.pop("key"): Score(**row) for row in rows}
+
+
 def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="1-20", help="First and last seed.")
     parser.add_argument("--ring", choices=("both", "default", "60x48"), default="both")
+    parser.add_argument("--rows", type=Path, help="File that keeps what is done.")
     parser.add_argument("--out", type=Path, help="File for the JSON.")
     given = parser.parse_args()
     first, _, last = given.seeds.partition("-")
-    counts = Score()
+    done, wanted = _kept(given.rows), []
     for seed in range(int(first), int(last or first) + 1):
         size = ("default", "60x48")[(seed // 2) % 2] if given.ring == "both" else given.ring
-        case = draw(seed, size)
-        begin = time.process_time()
-        found = diagnose(case.ring, case.measured)
-        counts.seconds.setdefault(size, []).append(time.process_time() - begin)
-        score(case, found, counts, seed)
-    text = json.dumps(summary(counts), indent=1)
+        key = f"{size} {seed}"
+        wanted.append(key)
+        if key not in done:
+            done[key] = one(seed, size)
+            if given.rows:
+                with given.rows.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"key": key, **vars(done[key])}) + "\n")
+    text = json.dumps(summary(total(done[key] for key in wanted)), indent=1)
     print(text)
     if given.out:
         given.out.write_text(text + "\n")

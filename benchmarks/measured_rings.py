@@ -1,71 +1,169 @@
-"""Fit LOCO files of real rings: `python -m benchmarks.measured_rings FOLDER`.
+"""Fit public measured responses of real rings: `python -m benchmarks.measured_rings FOLDER`.
 
 The folder holds `.mat` files of LOCO with their lattice, such as those of atcollab/MML
-(`LOCO_*.mat`, `locoset.mat`). Needs accelerator-toolbox for the optics of the lattices. One JSON is
-printed: per file residuals x / y, correlation of gains with the laboratory's own fit, devices
-named, seconds.
+(`LOCO_*.mat`, `locoset.mat`), and may hold a folder with the files of PETRA III of
+elafmusa/pyLOCO. Needs accelerator-toolbox for the optics of the lattices. One JSON is printed: per
+file residuals x / y, χ², gains beside the laboratory's own fit, devices named, and seconds.
 """
 
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.measured_lattice import read
+from benchmarks.measured_files import PETRA_LEFT_OUT, MeasuredRing, read
 from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.core.robust import TO_SIGMA
 from orbitfb.loco.growth import growths
-from orbitfb.loco.run import diagnose
+from orbitfb.loco.measured import Measured, bpm_labels, corrector_labels
+from orbitfb.loco.named import Named
+from orbitfb.loco.run import Result, diagnose
+from orbitfb.physics.places import Plane
+
+_SURE = 0.8
+"""Probability from which the answer names a device."""
 
 
-def fitted(path: Path) -> dict[str, Any]:
-    """Fit one file."""
-    its = read(path)
+def fitted(its: MeasuredRing, halves: bool) -> dict[str, Any]:
+    """Fit one response.
+
+    Args:
+        its: The response.
+        halves: Whether to fit every other corrector and the rest, too.
+    """
     begin = time.process_time()
     found = diagnose(its.ring, its.measured)
     seconds = time.process_time() - begin
-    answer: dict[str, Any] = {"cpu_seconds": round(seconds, 1), "steps": found.fit.steps}
+    answer: dict[str, Any] = {
+        "cpu_seconds": round(seconds, 1),
+        "steps": found.fit.steps,
+        "converged": found.fit.converged,
+        "chi2": round(chi2(its, found), 3),
+    }
     for plane in found.mended.planes:
-        kick, noise = its.kick[plane], found.fit.noise[plane]
-        left = (found.fit.residual[plane] * kick)[noise.kept]
-        answer[plane] = {name: round(value, 5) for name, value in found.ladder[plane].items()}
-        answer[plane] |= {
-            "um_rms": round(1e6 * float(np.sqrt(np.mean(left**2))), 3),
-            "noise_um": round(1e6 * np.sqrt(2) * float(np.median(its.noise[plane])), 3),
-            "outliers": int(noise.outliers.sum()),
-            "tune": round(found.optics.tune(plane, found.fit.part("gradient")), 5),
-        }
-        for group in ("gain", "calibration"):
-            own = found.estimates[f"{group}:{plane}"].value + (group == "gain")
-            theirs = its.laboratory[f"{group}:{plane}"]
-            factor = np.median(theirs / own)
-            apart = np.median(np.abs(theirs / factor - own))
-            answer[plane][f"{group}_correlation"] = round(float(np.corrcoef(own, theirs)[0, 1]), 4)
-            answer[plane][f"{group}_mad"] = round(TO_SIGMA * float(apart), 5)
+        answer[plane] = _plane(its, found, plane)
+    if halves:
+        for plane, apart in _halves(its).items():
+            answer[plane]["gain_sigma_by_halves"] = round(apart, 6)
+    if "gradient" in its.laboratory:
+        mine, theirs = found.fit.part("gradient"), its.laboratory["gradient"]
+        both = np.isfinite(theirs)
+        answer["gradient_correlation"] = round(
+            float(np.corrcoef(mine[both], theirs[both])[0, 1]), 3
+        )
     answer["growth"] = {
-        one.planes: one.per_tick for one in growths(its.ring, its.measured, found.nominal)
+        one.planes: round(one.per_tick or 0.0, 4)
+        for one in growths(its.ring, its.measured, found.nominal)
     }
     answer["named"] = [
-        f"{one.kind} {','.join(one.places)} {one.value:+.3f} ({one.z:.1f} σ)" for one in found.named
+        _told(its, one) for one in found.named if one.probability >= _SURE or one.alternatives
     ]
     return answer
+
+
+def chi2(its: MeasuredRing, found: Result) -> float:
+    """χ² per value that counts, by the noise of one reading as laboratories weigh it."""
+    squares, count = 0.0, 0
+    for plane in found.mended.planes:
+        kept = found.fit.noise[plane].kept
+        left = found.fit.residual[plane] * its.kick[plane] / its.noise[plane][:, None]
+        squares += float(np.sum(left[kept] ** 2))
+        count += int(kept.sum())
+    return squares / max(count, 1)
+
+
+def _plane(its: MeasuredRing, found: Result, plane: Plane) -> dict[str, Any]:
+    kick, noise = its.kick[plane], found.fit.noise[plane]
+    left = (found.fit.residual[plane] * kick)[noise.kept]
+    answer: dict[str, Any] = {name: round(v, 5) for name, v in found.ladder[plane].items()}
+    gain = found.estimates[f"gain:{plane}"]
+    answer |= {
+        "um_rms": round(1e6 * float(np.sqrt(np.mean(left**2))), 3),
+        "noise_um": round(1e6 * np.sqrt(2) * float(np.median(its.noise[plane])), 3),
+        "outliers": int(noise.outliers.sum()),
+        "tune": round(found.optics.tune(plane, found.fit.part("gradient")), 5),
+        "tune_table": round(its.ring.tune(plane), 5),
+        "gain_sigma": round(float(np.median(gain.sigma)), 6),
+        "gain_spread": round(gain.spread, 5),
+    }
+    for group in ("gain", "calibration"):
+        own = found.estimates[f"{group}:{plane}"].value + (group == "gain")
+        theirs = its.laboratory[f"{group}:{plane}"]
+        counts = noise.kept.any(axis=1 if group == "gain" else 0)
+        both = np.isfinite(theirs) & counts & (np.abs(theirs) > 0.0)
+        own, theirs = own[both], theirs[both]
+        apart = theirs / np.median(theirs / own) - own
+        answer[f"{group}_correlation"] = round(float(np.corrcoef(own, theirs)[0, 1]), 4)
+        answer[f"{group}_mad"] = round(TO_SIGMA * float(np.median(np.abs(apart))), 5)
+        answer[f"{group}_worst"] = round(float(np.max(np.abs(apart))), 5)
+    return answer
+
+
+def _halves(its: MeasuredRing) -> dict[Plane, float]:
+    """Fit odd and even correctors each alone; half their difference is σ of a gain."""
+    found = [diagnose(its.ring, _every_other(its.measured, first)) for first in (0, 1)]
+    apart: dict[Plane, float] = {}
+    for plane in its.measured.planes:
+        one, other = (1.0 + half.estimates[f"gain:{plane}"].value for half in found)
+        difference = one - other * np.median(one / other)
+        apart[plane] = TO_SIGMA * float(np.median(np.abs(difference))) / 2.0
+    return apart
+
+
+def _every_other(measured: Measured, first: int) -> Measured:
+    some = {p: slice(first, None, 2) for p in measured.planes}
+    return replace(
+        measured,
+        correctors={p: measured.correctors[p][some[p]] for p in measured.planes},
+        response={(p, p): measured.response[p, p][:, some[p]] for p in measured.planes},
+        sigma={(p, p): measured.sigma[p, p][:, some[p]] for p in measured.planes},
+    )
+
+
+def _told(its: MeasuredRing, one: Named) -> str:
+    """Tell a device with its number in the file, from 1."""
+    numbers: list[str] = []
+    for place in one.places:
+        plane = place.rpartition(":")[2]
+        for labels, what in ((bpm_labels, "BPM"), (corrector_labels, "corrector")):
+            known = labels(its.measured, its.ring, plane) if plane in ("x", "y") else ()
+            numbers += [f"{what} #{i + 1} {plane}" for i, n in enumerate(known) if n == place]
+    where = ", ".join(numbers) or ", ".join(one.places)
+    return f"{one.kind} {where}: {one.value:+.3g} {one.unit} ({one.z:.1f} σ)"
+
+
+def sets_of(folder: Path) -> dict[str, tuple[Path, tuple[int, ...]]]:
+    """Find the responses of a folder: path, and BPMs that are left out."""
+    found: dict[str, tuple[Path, tuple[int, ...]]] = {
+        path.stem: (path, ()) for path in sorted(folder.glob("*.mat"))
+    }
+    for path in sorted(folder.glob("*/measurement_matlab.npy")):
+        name = path.parent.name
+        found[f"{name}, {246 - len(PETRA_LEFT_OUT)} BPMs"] = (path.parent, PETRA_LEFT_OUT)
+        found[f"{name}, all BPMs"] = (path.parent, ())
+    return found
 
 
 def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--only", default="", help="Part of the names of the sets to fit.")
+    parser.add_argument("--halves", action="store_true", help="Fit halves of the correctors, too.")
     parser.add_argument("--out", type=Path, help="File for the JSON.")
     given = parser.parse_args()
     answers: dict[str, Any] = {}
-    for path in sorted(given.folder.glob("*.mat")):
+    for name, (path, left_out) in sets_of(given.folder).items():
+        if given.only not in name:
+            continue
         try:
-            answers[path.name] = fitted(path)
+            answers[name] = fitted(read(path, left_out), given.halves)
         except (OrbitFeedbackError, KeyError, AttributeError, ValueError, TypeError) as error:
-            answers[path.name] = {"not_fitted": f"{type(error).__name__}: {error}"[:300]}
+            answers[name] = {"not_fitted": f"{type(error).__name__}: {error}"[:300]}
     text = json.dumps(answers, indent=1, ensure_ascii=False)
     print(text)
     if given.out:

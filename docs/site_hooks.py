@@ -20,7 +20,7 @@ SECTIONS = {
     "reference": "Reference",
 }
 """Directory of a section -> its title, in the order of the menu."""
-TUTORIALS = ("first-run", "your-ring", "find-the-cause")
+TUTORIALS = ("first-run", "your-ring", "find-the-cause", "measured-response")
 """The order in which a newcomer reads them."""
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s#]+)(#[^)\s]*)?\)")
 ELSEWHERE = re.compile(r"<(?:script|link|img|iframe)\b[^>]*(?:src|href)=[\"']?(?:https?:)?//[^>]*>")

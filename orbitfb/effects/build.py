@@ -109,6 +109,7 @@ def plant_with(
     seed: int,
     effects: Sequence[EffectSettings],
     period: float,
+    first: Sequence[Effect] = (),
 ) -> Plant:
     """Make a ring with effects.
 
@@ -119,12 +120,13 @@ def plant_with(
         seed: Of every random number.
         effects: Their settings.
         period: From one orbit to the next [s].
+        first: Effects that are made already, before the others.
 
     Raises:
         ConfigError: An effect is to be where nothing is.
     """
     built = build(effects, layout_of(ring, planes, period), seed) if effects else ()
-    return Plant(ring, planes, settings, seed, built)
+    return Plant(ring, planes, settings, seed, (*first, *built))
 
 
 def measured_response(

@@ -7,7 +7,8 @@ import numpy as np
 from orbitfb.loco.classes import degenerate
 from orbitfb.loco.estimates import GAUGE, Estimate
 from orbitfb.loco.measured import bpm_labels, corrector_labels
-from orbitfb.loco.names import Named
+from orbitfb.loco.named import Named
+from orbitfb.loco.parameters import BELIEVED
 from orbitfb.loco.run import Result
 from orbitfb.loco.schema import (
     SCHEMA_VERSION,
@@ -53,7 +54,7 @@ def answer_of(
         source=source,
         state=state,
         headline=headline,
-        notes=tuple(notes),
+        notes=(*notes, *_overstated(result)),
         gauge=GAUGE,
         findings=tuple(_finding(its) for its in result.named),
         healthy_spread={name: its.spread for name, its in estimates.items()},
@@ -98,6 +99,22 @@ def verdict(result: Result) -> tuple[State, str]:
         f"No device stands out of the healthy spread; the response differs by {100 * largest:.2g} %"
         f" from the table.{wide}"
     )
+
+
+def _overstated(result: Result) -> tuple[str, ...]:
+    """Say where the stated noise is larger than what the data show."""
+    found: list[str] = []
+    for plane in result.mended.planes:
+        stated = result.mended.sigma[plane, plane]
+        ratio = np.where(
+            result.fit.noise[plane].kept, stated / result.fit.noise[plane].sigma, np.nan
+        )
+        if np.isfinite(ratio).any() and float(np.nanmedian(ratio)) > 1.0 / BELIEVED:
+            found.append(
+                f"plane {plane}: the stated noise is {np.nanmedian(ratio):.2g} times what the fit "
+                "leaves; it is not believed"
+            )
+    return tuple(found)
 
 
 def _known_excess(result: Result, plane: Plane) -> float:

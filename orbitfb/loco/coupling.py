@@ -74,9 +74,12 @@ def fit_coupling(measured: Measured, fit: Fit) -> Coupling | None:
     bare = {pair: _piece(measured, fit, groups, pair) for pair in pairs}
     noise: dict[Pair, Noise] = {}
     matrix, pull = np.eye(groups.size), np.zeros(groups.size)
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
+        # before anything is fitted a turned BPM is far off in all of its row: none is an outlier
         noise = {
-            pair: _noise(measured, pair, bare[pair].residual - _model(bare[pair], theta))
+            pair: _noise(
+                measured, pair, bare[pair].residual - _model(bare[pair], theta), number > 0
+            )
             for pair in pairs
         }
         pieces = [
@@ -158,7 +161,8 @@ def _model(piece: Piece, theta: Vector) -> Matrix:
     )
 
 
-def _noise(measured: Measured, pair: Pair, residual: Matrix) -> Noise:
+def _noise(measured: Measured, pair: Pair, residual: Matrix, cut: bool) -> Noise:
+    """Estimate the noise of a block; `cut`: whether elements far off count as outliers."""
     there = np.isfinite(measured.response[pair])
     s, t = spreads(residual, there)
     s = np.minimum(s, MOST_NOISE * np.nanmedian(s))
@@ -167,7 +171,7 @@ def _noise(measured: Measured, pair: Pair, residual: Matrix) -> Noise:
     if np.isfinite(known).any():
         t = np.where(np.isfinite(columns), np.maximum(t, columns), t)
         s = np.where(np.isfinite(known), np.maximum(s, known), s)
-    outliers = there & (np.abs(residual) > OUTLIER * np.outer(s, t))
+    outliers = there & cut & (np.abs(residual) > OUTLIER * np.outer(s, t))
     return Noise(np.nan_to_num(s, nan=1.0), np.nan_to_num(t, nan=1.0), there & ~outliers, outliers)
 
 
@@ -181,9 +185,8 @@ def _prior(groups: Groups, spread: dict[str, float], free: Mask) -> Vector:
 
 def _standing(groups: Groups, its: Posterior, spread: dict[str, float], free: Mask) -> Mask:
     found = np.zeros(groups.size, dtype=np.bool_)
-    value, variance = its.by_data()
     for name, index in groups.of.items():
-        z = np.abs(value[index]) / np.sqrt(spread[name] ** 2 + variance[index])
+        z = its.standing(index, spread[name], False)
         if name == "skew":  # one at a time: neighbours share what one of them does
             found[index] = free[index] & (z > STANDS_OUT)
             if len(z) and z.max() > STANDS_OUT:

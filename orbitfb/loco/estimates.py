@@ -8,7 +8,7 @@ from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.loco.coupling import Coupling
 from orbitfb.loco.fit import PlaneFit
-from orbitfb.loco.parameters import Fit
+from orbitfb.loco.parameters import Fit, centred
 from orbitfb.physics.optics import Matrix
 
 GAUGE = (
@@ -47,28 +47,25 @@ def estimates(fitting: PlaneFit, fit: Fit, coupling: Coupling | None) -> dict[st
         coupling: Of the cross blocks, if there are any.
     """
     by_column, by_row = fitting.halves(fit, True), fitting.halves(fit, False)
-    standing = fit.posterior.standing()
-    value, variance = fit.posterior.by_data()
     found: dict[str, Estimate] = {}
     for name, index in fit.groups.of.items():
         kind = name.split(":")[0]
         if kind in ("scale", "rf"):
             continue
         contrast, offset = _contrast(fit, name)
-        sigma = np.sqrt(np.einsum("ij,jk,ik->i", contrast, fit.posterior.covariance, contrast))
+        spread_out = contrast @ fit.posterior.covariance
+        sigma = np.sqrt(np.einsum("ij,ij->i", spread_out, contrast))
         halves = by_row if kind in ("calibration", "column-phase", "energy") else by_column
         apart = contrast @ (halves[0] - halves[1])
         widened = max(1.0, _typical(apart) / (2.0 * max(float(np.median(sigma)), 1e-300)))
-        z = np.abs(value[index]) / np.sqrt(fit.spread[name] ** 2 + variance[index])
-        z = np.where(fit.free[index], z, standing[index])
+        z = fit.posterior.standing(index, fit.spread[name], centred(name))
         found[name] = Estimate(
             contrast @ fit.theta + offset, sigma * widened, z, fit.free[index],
             fit.spread[name], widened,
         )  # fmt: skip
     if coupling is not None:
-        value, variance = coupling.posterior.by_data()
         for name, index in coupling.groups.of.items():
-            z = np.abs(value[index]) / np.sqrt(coupling.spread[name] ** 2 + variance[index])
+            z = coupling.posterior.standing(index, coupling.spread[name], False)
             found[name] = Estimate(
                 coupling.part(name), coupling.posterior.sigma[index], z, coupling.free[index],
                 coupling.spread[name], 1.0,

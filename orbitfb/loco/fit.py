@@ -19,6 +19,7 @@ from orbitfb.loco.measured import Measured
 from orbitfb.loco.noise import separable, spreads
 from orbitfb.loco.optics import PlaneOptics, RingOptics
 from orbitfb.loco.parameters import (
+    BELIEVED,
     FIRST_SPREAD,
     LEAST_SPREAD,
     MOST_GRADIENT,
@@ -27,6 +28,7 @@ from orbitfb.loco.parameters import (
     STANDS_OUT,
     Fit,
     Noise,
+    centred,
 )
 from orbitfb.loco.posterior import (
     WIDE,
@@ -176,12 +178,11 @@ class PlaneFit:
 
     def _standing(self, its: Posterior, spread: dict[str, float]) -> Mask:
         free = np.zeros(self.model.groups.size, dtype=np.bool_)
-        value, variance = its.by_data()
         for name, index in self.model.groups.of.items():
             if name.startswith(("scale", "rf")):
                 continue
-            z = np.abs(value[index]) / np.sqrt(spread[name] ** 2 + variance[index])
-            if name.startswith(("gain", "calibration", "row", "column")):
+            z = its.standing(index, spread[name], centred(name))
+            if centred(name):
                 free[index] = z > STANDS_OUT
             else:  # one at a time: neighbours share what one of them does
                 best = int(np.argmax(z)) if len(z) else 0
@@ -246,6 +247,8 @@ class PlaneFit:
                 s, t = np.where(np.isfinite(s), typical, s), np.where(np.isfinite(t), 1.0, t)
             known, columns = self._known[plane]
             if np.isfinite(known).any():
+                left = float(np.nanmedian(s / known))
+                known = known * (left if left < BELIEVED else 1.0)
                 t = np.where(np.isfinite(columns), np.maximum(t, columns), t)
                 s = np.where(np.isfinite(known), np.maximum(s, known), s)
             sigma = np.outer(s, t)

@@ -1,7 +1,7 @@
 """A measured response: a rectangular block for every plane of reading and kick."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,24 @@ class Measured:
     def planes(self) -> tuple[Plane, ...]:
         """Planes whose own block was measured."""
         return tuple(plane for plane in PLANES if (plane, plane) in self.response)
+
+    def without(self, place: int, planes: tuple[Plane, ...]) -> "Measured":
+        """Leave out a BPM or corrector: what it read or kicked was not measured.
+
+        Args:
+            place: In the table.
+            planes: In which it is left out.
+        """
+        response = {pair: matrix.copy() for pair, matrix in self.response.items()}
+        eta = None if self.dispersion is None else self.dispersion.copy()
+        for (read, driven), matrix in response.items():
+            if read in planes:
+                matrix[self.bpms[read] == place] = np.nan
+            if driven in planes:
+                matrix[:, self.correctors[driven] == place] = np.nan
+        if eta is not None and "x" in planes:
+            eta[self.bpms["x"] == place] = np.nan
+        return replace(self, response=response, dispersion=eta)
 
     @property
     def has_cross(self) -> bool:

@@ -1,17 +1,20 @@
 """Which devices stand out of the healthy spread, as what, and how sure that is."""
 
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
 
 from orbitfb.core.robust import TO_SIGMA
 from orbitfb.loco.coupling import Coupling
 from orbitfb.loco.estimates import Estimate
+from orbitfb.loco.families import as_families
 from orbitfb.loco.fit import PlaneFit
 from orbitfb.loco.measured import Measured, bpm_labels, corrector_labels
+from orbitfb.loco.named import Named
 from orbitfb.loco.noise import spreads
 from orbitfb.loco.parameters import LEAST_SPREAD, STANDS_OUT, Fit
 from orbitfb.loco.posterior import WIDE, posterior
+from orbitfb.measure.screen import DEAD
 from orbitfb.physics.places import Plane, Ring, plane_row
 
 _LIKELY = 3.0
@@ -23,34 +26,9 @@ _SHAPE = 4.0
 _POLARITY = 0.3
 """How near to −1 a gain is that of two cables exchanged [1]; else it is a negative gain."""
 
-
-@dataclass(frozen=True, slots=True)
-class Named:
-    """One device that stands out.
-
-    Args:
-        kind: `bpm-gain`, `bpm-polarity`, `bpm-swap`, `bpm-dead`, `bpm-roll`, `bpm-row`,
-            `corrector-gain`, `corrector-polarity`, `corrector-swap`, `corrector-dead`,
-            `corrector-roll`, `corrector-column`, `quadrupole-gradient` or `skew-coupling`.
-        places: Labels of the devices: one, or the two that are exchanged.
-        value: Its size in `unit`.
-        sigma: Standard deviation, the same unit; NaN where it has none.
-        unit: `1`, `rad`, `1/m`, or `m` of the orbit that is left over.
-        z: By how many standard deviations of the healthy spread it stands out; inf: certain.
-        probability: That it is this device with this kind, 0 to 0.999.
-        alternatives: Other places that explain it nearly as well, with their probabilities.
-        text: A sentence.
-    """
-
-    kind: str
-    places: tuple[str, ...]
-    value: float
-    sigma: float
-    unit: str
-    z: float
-    probability: float
-    text: str
-    alternatives: tuple[tuple[str, float], ...] = field(default=())
+_ONE_TURN = 0.1
+"""How far two readings of a BPM may see of each other unequally, of their sum, and it is a turn:
+their gains, of some per cent, are not the same [1]."""
 
 
 def name_devices(
@@ -75,8 +53,9 @@ def name_devices(
     for plane in measured.planes:
         rows = bpm_labels(measured, ring, plane)
         columns = corrector_labels(measured, ring, plane)
-        named += _gains(found[f"gain:{plane}"], rows)
-        named += _calibrations(found[f"calibration:{plane}"], columns)
+        gain, kick = found[f"gain:{plane}"], found[f"calibration:{plane}"]
+        named += as_families(_gains(gain, rows), gain.spread, "read")
+        named += as_families(_calibrations(kick, columns), kick.spread, "kick")
         named += _phases(ring, measured, plane, found)
         named += _shapes(fit, plane, rows, columns)
         if coupling is not None:
@@ -86,7 +65,7 @@ def name_devices(
     named += _gradients(fit, quadrupoles, found["gradient"])
     if coupling is not None:
         named += _skews(found["skew"], quadrupoles)
-    return sorted(_without_echoes(named), key=lambda its: -its.z)
+    return sorted(_as_turns(_without_echoes(named)), key=lambda its: -its.z)
 
 
 def sure(z: float, spread: float, sigma: float, places: int) -> float:
@@ -103,14 +82,12 @@ def _gains(its: Estimate, labels: tuple[str, ...]) -> list[Named]:
     found: list[Named] = []
     for row in np.flatnonzero(its.free):
         gain, sigma, z = 1.0 + its.value[row], float(its.sigma[row]), float(its.z[row])
-        reversed_ = abs(gain + 1.0) < _POLARITY
-        kind = "bpm-polarity" if reversed_ else "bpm-gain"
-        how = "reads with the opposite sign" if reversed_ else f"reads {gain:.3g} times"
-        text = (
-            f"BPM {labels[row]} {how} what it should"
-            f"{f' (gain {gain:.3g})' if reversed_ else ''}; the others scatter by "
-            f"{100 * its.spread:.2g} %."
-        )
+        kind, how = "bpm-gain", f"reads {gain:.3g} times what it should"
+        if abs(gain + 1.0) < _POLARITY:
+            kind, how = "bpm-polarity", f"reads with the opposite sign (gain {gain:.3g})"
+        elif abs(gain) < DEAD:
+            kind, how = "bpm-dead", f"is dead: it reads {gain:.2g} times what it should"
+        text = f"BPM {labels[row]} {how}; the others scatter by {100 * its.spread:.2g} %."
         p = sure(z, its.spread, sigma, len(labels))
         found.append(Named(kind, (labels[row],), gain - 1.0, sigma, "1", z, p, text))
     return found
@@ -122,13 +99,11 @@ def _calibrations(its: Estimate, labels: tuple[str, ...]) -> list[Named]:
     for column in np.flatnonzero(its.free):
         kick = float(its.value[column] / usual)
         sigma, z = float(its.sigma[column] / abs(usual)), float(its.z[column])
-        reversed_ = abs(kick + 1.0) < _POLARITY
-        kind = "corrector-polarity" if reversed_ else "corrector-gain"
-        how = (
-            f"kicks with the opposite sign ({kick:.3g})"
-            if reversed_
-            else f"kicks {kick:.3g} times what the others of its plane do"
-        )
+        kind, how = "corrector-gain", f"kicks {kick:.3g} times what the others of its plane do"
+        if abs(kick + 1.0) < _POLARITY:
+            kind, how = "corrector-polarity", f"kicks with the opposite sign ({kick:.3g})"
+        elif abs(kick) < DEAD:
+            kind, how = "corrector-dead", f"is dead: it kicks {kick:.2g} times what the others do"
         text = (
             f"Corrector {labels[column]} {how}, against the table; the others scatter by "
             f"{100 * its.spread:.2g} %."
@@ -256,6 +231,26 @@ def _skews(its: Estimate, labels: tuple[str, ...]) -> list[Named]:
         text = f"Quadrupole {labels[number]} couples the planes: skew gradient {value:+.3g} 1/m."
         p = sure(z, its.spread, sigma, len(labels))
         found.append(Named("skew-coupling", (labels[number],), value, sigma, "1/m", z, p, text))
+    return found
+
+
+def _as_turns(named: list[Named]) -> list[Named]:
+    """Tell both readings of one BPM that see as much of each other, with opposite signs, as one."""
+    found = list(named)
+    rolls = {its.places[0]: its for its in named if its.kind == "bpm-roll"}
+    for place, x in rolls.items():
+        name, _, plane = place.rpartition(":")
+        y = rolls.get(f"{name}:y")
+        if plane != "x" or y is None or abs(x.value + y.value) > _ONE_TURN * abs(x.value - y.value):
+            continue
+        weight = np.array([x.sigma, y.sigma]) ** -2.0
+        angle = float(np.average([x.value, -y.value], weights=weight))
+        text = f"BPM {name} is turned by {angle:+.3g} rad about the beam."
+        best = max(x, y, key=lambda its: its.z)
+        turn = replace(
+            best, places=(name,), value=angle, sigma=float(weight.sum() ** -0.5), text=text
+        )
+        found = [its for its in found if its not in (x, y)] + [turn]
     return found
 
 

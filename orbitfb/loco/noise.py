@@ -37,6 +37,34 @@ def spreads(residual: Matrix, kept: Mask) -> tuple[Vector, Vector]:
     return s, t
 
 
+def of_repeats(values: Vector) -> tuple[Matrix, Matrix]:
+    """Take the mean of repeated measurements, and its noise from their scatter.
+
+    The variance of an element from a few repeats is worth little: those of its row and of its
+    column are pooled, σ_ij = s_i t_j.
+
+    Args:
+        values: Shape (repeats, n, m); NaN where not measured.
+
+    Returns:
+        Mean and standard deviation of the mean, both (n, m); NaN where nothing is known.
+    """
+    count = np.isfinite(values).sum(axis=0)
+    total = np.where(np.isfinite(values), values, 0.0).sum(axis=0)
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    apart = np.where(np.isfinite(values), values - mean, 0.0)
+    squares, freedom = (apart**2).sum(axis=0), np.maximum(count - 1, 0)
+
+    def pooled(weight: Matrix, axis: int) -> Vector:
+        known = freedom.sum(axis=axis)
+        its = (squares / weight).sum(axis=axis) / np.maximum(known, 1)
+        return np.where((known > 0) & (its > 0), its, np.nan)
+
+    rows = pooled(np.ones_like(mean), 1)
+    columns = pooled(np.where(np.isfinite(rows), rows, 1.0)[:, None] * np.ones_like(mean), 0)
+    return mean, np.sqrt(np.outer(rows, columns) / np.maximum(count, 1))
+
+
 def separable(sigma: Matrix) -> tuple[Vector, Vector]:
     """Write known noise as s_i t_j, the nearest in the logarithm; NaN where nothing is known.
 

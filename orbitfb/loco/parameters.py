@@ -21,6 +21,10 @@ MOST_NOISE = 3.0
 """Most by which noise that is not known may differ from the median row or column [1]: on measured
 rings it differs by 2 to 7, and a row that the optics do not reach looks noisy, too."""
 
+BELIEVED = 0.5
+"""Share of the stated noise below which the fit leaves so little that the statement cannot be true
+[1]: a typical row has 50 columns and more, so its noise is known to 10 %."""
+
 MOST_GRADIENT = 0.02
 """Largest healthy spread of gradients [1]: beyond 2 % nobody can run a ring by its model."""
 
@@ -43,6 +47,11 @@ FIRST_SPREAD = {
     "gradient": 0.01,
 }
 """Spread with which the fit begins: gains of 4-8 % and gradients of 1 % on measured rings."""
+
+
+def centred(name: str) -> bool:
+    """Whether the common part of a group is gauge: gains against calibrations, rows and columns."""
+    return name.startswith(("gain", "calibration", "row", "column"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -49,10 +49,18 @@ class Posterior:
         variance = 1.0 / known
         return variance * self.mean / own, variance
 
-    def standing(self) -> Vector:
-        """How far every parameter stands out of its healthy spread, z, shape (k,)."""
-        value, variance = self.by_data()
-        return np.abs(value) / np.sqrt(self.prior + variance)
+    def standing(self, group: Indices, spread: float, centred: bool) -> Vector:
+        """How far parameters of a group stand out of its healthy spread, z, shape (g,).
+
+        Args:
+            group: The parameters.
+            spread: Healthy spread of the group.
+            centred: Whether they are seen from their median: a common part of them is gauge, and a
+                few that are far off pull it along.
+        """
+        value, variance = (its[group] for its in self.by_data())
+        middle = float(np.median(value)) if centred and len(value) else 0.0
+        return np.abs(value - middle) / np.sqrt(spread**2 + variance)
 
 
 def most_likely(matrix: Matrix, pull: Vector, prior: Vector) -> Vector:
@@ -87,16 +95,18 @@ def posterior(matrix: Matrix, pull: Vector, prior: Vector) -> Posterior:
     factor, failed = factorise(inner, lower=1)
     if failed:
         raise RingError("the fit of the response has no solution; is it finite, and of this ring?")
-    lower, _ = invert(factor, lower=1)
-    inverse = np.tril(lower) + np.tril(lower, -1).T
-    covariance = scale[:, None] * inverse * scale
+    lower, _ = invert(factor, lower=1)  # above the diagonal it is as clean as the factor
+    covariance = lower + lower.T
+    covariance[np.diag_indices_from(covariance)] *= 0.5
+    covariance *= scale[:, None]
+    covariance *= scale
     return Posterior(covariance @ pull, covariance, prior)
 
 
 def robust_spread(its: Posterior, group: Indices, least: float) -> float:
     """Estimate the healthy spread of a group that the data know well, a few devices aside.
 
-    The median of m² is that of its variance τ² + v.
+    The median of m², seen from the median of all, is that of its variance τ² + v.
 
     Args:
         its: The posterior.
@@ -104,7 +114,8 @@ def robust_spread(its: Posterior, group: Indices, least: float) -> float:
         least: Smallest spread.
     """
     value, variance = its.by_data()
-    square = float(np.median(value[group] ** 2)) / _MEDIAN_OF_SQUARE
+    apart = value[group] - np.median(value[group])
+    square = float(np.median(apart**2)) / _MEDIAN_OF_SQUARE
     return max(least, float(np.sqrt(max(0.0, square - float(np.median(variance[group]))))))
 
 

@@ -10,7 +10,8 @@ from orbitfb.loco.coupling import Coupling, fit_coupling
 from orbitfb.loco.estimates import Estimate, estimates
 from orbitfb.loco.fit import PlaneFit, row_and_column_gains
 from orbitfb.loco.measured import Measured, Pair, bpm_labels, corrector_labels
-from orbitfb.loco.names import Named, name_devices
+from orbitfb.loco.named import Named
+from orbitfb.loco.names import name_devices
 from orbitfb.loco.optics import RingOptics
 from orbitfb.loco.parameters import Fit
 from orbitfb.measure.screen import DEAD, dead_rows, exchanges, what_it_looks_like

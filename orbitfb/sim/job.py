@@ -9,6 +9,7 @@ from orbitfb.effects.build import plant_with
 from orbitfb.effects.settings import EffectSettings
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import Plant, PlantSettings
+from orbitfb.sim.measured import MeasuredRing
 from orbitfb.sim.settings import SimSettings
 
 PORT_TAKEN = 3
@@ -43,7 +44,7 @@ class SimJob(Settings):
         """Make the ring, and the settings with what only the ring knows filled in.
 
         Raises:
-            RingError: The table or the parameters are wrong.
+            RingError: The table, the parameters or the measured response are wrong.
             ConfigError: An effect is to be where nothing is.
         """
         ring = Ring.load(self.places, self.parameters)
@@ -51,5 +52,7 @@ class SimJob(Settings):
         if settings.rf_frequency is None:
             settings = settings.model_copy(update={"rf_frequency": ring.rf_frequency})
         period = self.period or 1.0 / settings.rate_hz
-        plant = plant_with(ring, self.planes, self.plant, self.seed, self.effects, period)
+        file = settings.response
+        first = () if file is None else (MeasuredRing(file, ring, self.planes),)
+        plant = plant_with(ring, self.planes, self.plant, self.seed, self.effects, period, first)
         return plant, settings

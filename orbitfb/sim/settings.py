@@ -1,5 +1,7 @@
 """What can be configured at the soft IOC."""
 
+from pathlib import Path
+
 from pydantic import Field, field_validator
 
 from orbitfb.core.settings import Settings
@@ -65,6 +67,12 @@ class SimSettings(Settings):
     )
     kick_limit: float = Field(
         default=5.0e-3, gt=0, description="Largest random kick, rms at the BPMs [m]."
+    )
+    response: Path | None = Field(
+        default=None,
+        description="Measured response matrix that the simulated ring answers with, as `orbitfb "
+        "measure-response` or `orbitfb import response` writes it; none: that of the optics. What "
+        "was not measured stays as the optics say.",
     )
     send_buffer: int = Field(
         default=32768,

@@ -92,6 +92,22 @@ def diagnose_record(
     kick: Annotated[
         str, typer.Option(help="Kick that made that change, as in 100urad.")
     ] = "100urad",
+    dispersion: Annotated[
+        Path | None,
+        typer.Option(
+            parser=path_of,
+            metavar="PATH",
+            help="Table of the measured horizontal dispersion, `bpm,dispersion [m]` [as in the "
+            "file of the response, if it is].",
+        ),
+    ] = None,
+    mask: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="BPM or corrector of a measured response that is left out, NAME or NAME:x; may be "
+            "repeated."
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Diagnose a record, or a measured response.
@@ -109,7 +125,10 @@ def diagnose_record(
     left_out = frozenset(effect(name).id for name in without or ())
     target = out or beside(record)
     check_directory(target)
-    of_response = ResponseOptions(unit, matrix, bpm_names, corrector_names, transpose, noise, kick)
+    of_response = ResponseOptions(
+        unit, matrix, bpm_names, corrector_names, transpose, noise, kick, dispersion,
+        tuple(mask or ()),
+    )  # fmt: skip
     if of_response.given or is_response(record):
         diagnose_response(record, of_response, chosen, places, ring, target, as_json)
         return

@@ -25,6 +25,8 @@ class ResponseOptions:
         transpose: Its rows are correctors.
         noise: Standard deviation of a measured change of an orbit, text with a unit.
         kick: That made it, text with a unit.
+        dispersion: Table of the measured dispersion.
+        mask: Devices that are left out.
     """
 
     unit: str | None = None
@@ -34,6 +36,8 @@ class ResponseOptions:
     transpose: bool = False
     noise: str | None = None
     kick: str = "100urad"
+    dispersion: Path | None = None
+    mask: tuple[str, ...] = ()
 
     @property
     def given(self) -> bool:
@@ -48,7 +52,7 @@ def is_response(path: Path) -> bool:
     never come in are responses; of `.npz` and HDF5 the names in it tell.
     """
     from orbitfb.core.errors import ExchangeError
-    from orbitfb.loco.raw import names_inside
+    from orbitfb.loco.input.raw import names_inside
 
     if path.is_dir() or not path.exists():
         return False
@@ -76,8 +80,8 @@ def diagnose_response(
     from orbitfb.core.units import parse_quantity
     from orbitfb.loco.answer import answer_of
     from orbitfb.loco.growth import growths
+    from orbitfb.loco.input.reading import Request, load
     from orbitfb.loco.output.writing import write
-    from orbitfb.loco.reading import Request, load
     from orbitfb.loco.run import diagnose
     from orbitfb.loco.schema import document
     from orbitfb.physics.places import Ring
@@ -94,7 +98,8 @@ def diagnose_response(
     noise = None if options.noise is None else quantity("--noise", options.noise, "m")
     request = Request(
         path, options.unit, planes, options.matrix, options.bpm_names, options.corrector_names,
-        options.transpose, noise, quantity("--kick", options.kick, "rad"),
+        options.transpose, noise, quantity("--kick", options.kick, "rad"), options.dispersion,
+        options.mask,
     )  # fmt: skip
     known = Ring.load(places, ring)
     with told_when_interrupted():

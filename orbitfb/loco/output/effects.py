@@ -46,7 +46,7 @@ def _settings(findings: Sequence[Finding], result: Result) -> Iterator[EffectSet
             table = _table(its.kind, names, plane, {})
         elif its.kind == "bpm-roll":
             # a reading of y sees −sin φ of x, one of x + sin φ of y
-            table = _table(its.kind, names, "xy", {"angle": size if plane == "x" else -size})
+            table = _table(its.kind, names, "xy", {"angle": -size if plane == "y" else size})
         elif its.kind == "corrector-roll":
             table = _table(its.kind, names, plane, {"angle": size if plane == "x" else -size})
         elif its.kind == "quadrupole-gradient":

@@ -51,7 +51,7 @@ def test_it_names_the_device_and_writes_what_can_be_used(measured: Path, tmp_pat
     assert (out / "bpms.csv").read_text().splitlines()[0].startswith("name,plane,s_m,gain")
     assert len((out / "corrections.csv").read_text().splitlines()) == 301
     # the fitted response is one that the product reads
-    from orbitfb.loco.reading import Request, load
+    from orbitfb.loco.input.reading import Request, load
 
     assert load(Request(out / "fitted.csv"), Ring.load()).measured.planes == ("x",)
 

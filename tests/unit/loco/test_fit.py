@@ -8,6 +8,8 @@ import pytest
 from orbitfb.core.errors import RingError
 from orbitfb.loco.answer import answer_of, verdict
 from orbitfb.loco.growth import growths
+from orbitfb.loco.optics import RingOptics
+from orbitfb.loco.output.effects import fragment
 from orbitfb.loco.run import diagnose
 from orbitfb.loco.schema import ResponseDiagnosis, document
 from tests.unit.loco.synthetic_responses import NOISE, synthetic
@@ -182,3 +184,90 @@ def test_the_other_plane_is_told() -> None:
     )
     with pytest.raises(RingError, match="of the other plane"):
         diagnose(truth.ring, same)
+
+
+def test_a_turned_bpm_is_one_finding_and_its_rows_are_no_outliers() -> None:
+    truth = synthetic(11)
+    own, rng, angle = truth.measured.response, np.random.default_rng(2), 0.1
+    turned = np.zeros(len(own["x", "x"]))
+    turned[20] = angle
+    cross = {
+        ("x", "y"): turned[:, None] * own["y", "y"],
+        ("y", "x"): -turned[:, None] * own["x", "x"],
+    }
+    noisy = {pair: its + NOISE * rng.standard_normal(its.shape) for pair, its in cross.items()}
+    unknown = {pair: np.full_like(its, np.nan) for pair, its in cross.items()}
+    measured = replace(
+        truth.measured, response={**own, **noisy}, sigma={**truth.measured.sigma, **unknown}
+    )
+    found = diagnose(truth.ring, measured)
+    name = truth.ring.table.name[measured.bpms["x"][20]]
+    assert [(its.kind, its.places) for its in found.named] == [("bpm-roll", (name,))]
+    assert found.named[0].value == pytest.approx(angle, abs=0.005)
+    assert found.coupling is not None
+    assert not any(its.outliers.any() for its in found.coupling.noise.values())
+    effects = fragment(answer_of(found, "m", (), ()).findings, found, "")
+    assert effects.count("[[effect]]") == 1
+    assert float(effects.split('"angle" = ')[1].split()[0]) == pytest.approx(angle, abs=0.005)
+
+
+def test_a_measured_dispersion_is_fitted_with_the_matrix() -> None:
+    truth = synthetic(12, gradients=0.003)
+    noise, rng = 1e-4, np.random.default_rng(3)
+    optics = RingOptics(truth.ring, truth.measured)
+    own = optics.at(truth.gradient)["x"].dispersion
+    read = truth.gain["x"] * own + noise * rng.standard_normal(len(own))
+    read[4] = np.nan
+    factor = 1.07  # the step of the RF is known as badly as this
+    measured = replace(truth.measured, dispersion=factor * read)
+    found = diagnose(truth.ring, measured)
+    assert found.named == ()
+    assert found.fit.converged
+    gain, fitted = 1 + found.fit.part("gain:x"), found.fit.optics["x"].dispersion
+    left = measured.dispersion - (1 + found.fit.part("rf")) * gain * fitted
+    assert np.nanstd(left) < 1.3 * noise * factor
+    before = measured.dispersion - factor * truth.ring.table.dispersion[measured.bpms["x"]]
+    assert np.nanstd(before) > 10 * noise
+
+
+def test_many_that_are_off_by_the_same_are_one_family() -> None:
+    family, single = (3, 9, 14, 22, 31, 40), 27
+    truth = synthetic(13, gains=0.01, faults={("gain", "x", k): 1.12 for k in family})
+    own = truth.measured.response["x", "x"]
+    own[single] *= 0.6
+    found = diagnose(truth.ring, truth.measured)
+    bpm = [f"{truth.ring.table.name[i]}:x" for i in truth.measured.bpms["x"]]
+    told = {its.places: its for its in found.named}
+    assert set(told) == {tuple(bpm[k] for k in family), (bpm[single],)}
+    its = told[tuple(bpm[k] for k in family)]
+    assert its.value == pytest.approx(0.12, abs=0.01)
+    assert "6 BPMs read 1.13 times what the others do" in its.text
+    effects = fragment(answer_of(found, "m", (), ()).findings, found, "")
+    assert effects.count("[[effect]]") == 2
+
+
+def test_three_that_are_off_are_three_findings() -> None:
+    truth = synthetic(14, gains=0.01, faults={("kick", "y", k): 1.12 for k in (3, 9, 14)})
+    found = diagnose(truth.ring, truth.measured)
+    assert [len(its.places) for its in found.named] == [1, 1, 1]
+
+
+def test_a_row_that_shows_something_else_is_a_dead_bpm() -> None:
+    truth = synthetic(15)
+    own = truth.measured.response["x", "x"]
+    own[6] = 0.12 * np.random.default_rng(4).permutation(own[40])
+    found = diagnose(truth.ring, truth.measured)
+    place = f"{truth.ring.table.name[truth.measured.bpms['x'][6]]}:x"
+    assert ("bpm-dead", (place,)) in {(its.kind, its.places) for its in found.named}
+
+
+def test_a_noise_that_is_stated_far_too_large_is_not_believed_and_told() -> None:
+    truth = synthetic(16, known=True)
+    stated = {pair: 10 * its for pair, its in truth.measured.sigma.items()}
+    found = diagnose(truth.ring, replace(truth.measured, sigma=stated))
+    for plane in "xy":
+        assert np.std(found.fit.residual[plane]) < 1.1 * NOISE
+        assert np.median(found.fit.noise[plane].sigma) == pytest.approx(NOISE, rel=0.2)
+    notes = answer_of(found, "m", (), ()).notes
+    assert [note.split(":")[0] for note in notes] == ["plane x", "plane y"]
+    assert answer_of(diagnose(truth.ring, truth.measured), "m", (), ()).notes == ()

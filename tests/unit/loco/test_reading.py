@@ -1,6 +1,7 @@
 """Formats of measured responses, and devices that a table lacks or a plane has not."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from scipy.io import savemat
 
 from orbitfb.core.errors import ExchangeError
-from orbitfb.loco.reading import Request, load
+from orbitfb.loco.input.reading import Request, load
 from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response
 
@@ -156,3 +157,84 @@ def test_a_matrix_of_other_size_without_names_is_refused(ring, tmp_path) -> None
     np.save(tmp_path / "m.npy", np.ones((7, 180)))
     with pytest.raises(ExchangeError, match="give --planes, --transpose, or names"):
         load(Request(tmp_path / "m.npy", planes="x", unit="m/A"), ring)
+
+
+def test_repeats_give_the_mean_and_its_noise(ring, nominal, tmp_path) -> None:
+    rng, noise = np.random.default_rng(3), 1e-5
+    its = nominal["x"] + noise * rng.standard_normal((4, 180, 180))
+    its[2, 7, 9] = np.nan
+    np.savez(
+        tmp_path / "m.npz", response=its, bpms=ring.names("BPM"), correctors=ring.names("COR"),
+        units="m/A",
+    )  # fmt: skip
+    measured = load(Request(tmp_path / "m.npz", planes="x"), ring).measured
+    mean = per_kick(ring, np.nanmean(its, axis=0), "x")
+    assert np.allclose(measured.response["x", "x"], mean)
+    wanted = per_kick(ring, np.full((180, 180), noise / 2), "x")
+    assert np.allclose(np.median(measured.sigma["x", "x"] / wanted), 1.0, rtol=0.02)
+    assert np.ptp(measured.sigma["x", "x"] / wanted) < 0.8
+
+
+def test_masked_devices_do_not_count_and_unknown_ones_are_told(ring, nominal, tmp_path) -> None:
+    np.save(tmp_path / "m.npy", nominal["x"])
+    bpm, corrector = ring.names("BPM")[3], ring.names("COR")[5]
+    request = Request(tmp_path / "m.npy", "m/A", "x", masked=(f"{bpm}:x", corrector))
+    loaded = load(request, ring)
+    holes = np.isnan(loaded.measured.response["x", "x"])
+    assert holes[3].all()
+    assert holes[:, 5].all()
+    assert holes.sum() == 180 + 180 - 1
+    assert f"left out as asked: {bpm}:x, {corrector}" in loaded.notes
+    with pytest.raises(ExchangeError, match=f"did you mean.*{bpm}"):
+        load(Request(tmp_path / "m.npy", "m/A", "x", masked=(bpm.lower(),)), ring)
+
+
+def test_the_column_of_the_rf_is_read_from_a_table(ring, nominal, tmp_path) -> None:
+    np.save(tmp_path / "m.npy", nominal["x"])
+    eta, names = ring.table.dispersion[ring.places("BPM")], ring.names("BPM")
+    lines = [f"{name},{1e3 * value}" for name, value in zip(names, eta, strict=True)]
+    (tmp_path / "eta.csv").write_text("\n".join(["bpm,dispersion [mm]", *lines[4:]]))
+    request = Request(tmp_path / "m.npy", "m/A", "x", dispersion=tmp_path / "eta.csv")
+    loaded = load(request, ring)
+    assert loaded.measured.dispersion == pytest.approx([*[np.nan] * 4, *eta[4:]], nan_ok=True)
+    assert "dispersion of 176 BPMs is fitted with it" in loaded.notes
+    (tmp_path / "other.csv").write_text("bpm,dispersion [mm]\nA,1\nB,2\n")
+    with pytest.raises(ExchangeError, match="none of its 2 names"):
+        load(Request(tmp_path / "m.npy", "m/A", "x", dispersion=tmp_path / "other.csv"), ring)
+
+
+def test_loco_s_step_of_the_rf_is_the_dispersion(ring, nominal, tmp_path) -> None:
+    orbits = np.zeros((360, 360))
+    for k, p in enumerate("xy"):
+        own = slice(180 * k, 180 * (k + 1))
+        orbits[own, own] = per_kick(ring, nominal[p], p) * 0.1e-3 * 1e3
+    kicks, eta = np.full((180, 1), 0.1), ring.table.dispersion[ring.places("BPM")]
+    step, frequency = 1000.0, 5e8
+    orbit = -eta / ring.parameters.alpha_c * step / frequency * 1e3
+    loco = {
+        "M": orbits, "BPMSTD": np.full((360, 1), 1e-3), "DeltaRF": step, "RF": frequency,
+        "Eta": np.concatenate([orbit, np.zeros(180)]),
+    }  # fmt: skip
+    savemat(tmp_path / "l.mat", {"LocoMeasData": loco,
+                                 "CMData": {"HCMKicks": kicks, "VCMKicks": kicks}})  # fmt: skip
+    assert load(Request(tmp_path / "l.mat"), ring).measured.dispersion == pytest.approx(eta)
+
+
+def test_without_names_each_plane_has_its_own_devices(tmp_path) -> None:
+    text = Ring.load()
+    table = text.table
+    calibration = table.calibration.copy()
+    cor = text.places("COR")
+    calibration[1, cor[::2]] = np.nan
+    pv = tuple(
+        tuple("" if row and i in cor[::2] else its for i, its in enumerate(pvs))
+        for row, pvs in enumerate(table.pv)
+    )
+    ring = Ring(replace(table, calibration=calibration, pv=pv), text.parameters)
+    rows, columns = [180, 180], [180, 90]
+    stacked = np.zeros((sum(rows), sum(columns)))
+    stacked[:180, :180], stacked[180:, 180:] = 1.0, 2.0
+    np.save(tmp_path / "m.npy", stacked)
+    measured = load(Request(tmp_path / "m.npy", "m/rad"), ring).measured
+    assert {p: len(its) for p, its in measured.correctors.items()} == {"x": 180, "y": 90}
+    assert measured.correctors["y"].tolist() == ring.places("COR", "y").tolist()

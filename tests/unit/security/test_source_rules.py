@@ -41,7 +41,7 @@ READERS = {
     "exchange/response/export.py",
     "history/segment.py",
     "history/verify.py",
-    "loco/raw.py",
+    "loco/input/raw.py",
     "loop/excitation/file.py",
     "postmortem/encoding.py",
     "postmortem/opening.py",

@@ -1,6 +1,7 @@
 """The matrices of a file as they stand in it, with the names and units that it gives them."""
 
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from orbitfb.exchange.formats.csv_file import COLUMNS, ROWS, VALUES, CsvSource
 from orbitfb.exchange.formats.datasets import LARGEST_FILE, Source, column_of, matrix_of
 from orbitfb.exchange.formats.source import check_file, names_from, open_source
 from orbitfb.loco.measured import PLANES, Pair
+from orbitfb.loco.noise import of_repeats
 from orbitfb.measure.packed import read_packed
 from orbitfb.physics.optics import Matrix
 
@@ -40,6 +42,9 @@ class Raw:
         sigma: Standard deviations, the same unit; None: not known.
         pair: Planes of rows and columns, where the file says.
         planes: Planes that are stacked in it, where the file says.
+        dispersion: Measured horizontal dispersion of the rows [m], or the change of their orbit by
+            a relative change of the RF frequency of 1 [m]; None: not in the file.
+        by_frequency: Whether it is the latter.
     """
 
     where: str
@@ -50,6 +55,8 @@ class Raw:
     sigma: Matrix | None = None
     pair: Pair | None = None
     planes: str | None = None
+    dispersion: Vector | None = None
+    by_frequency: bool = False
 
 
 def raw_blocks(
@@ -139,7 +146,8 @@ def _packed(file: Path) -> Raw:
 def _numpy(file: Path) -> Raw:
     try:
         if file.suffix.lower() == ".npy":  # mapped: a header cannot claim more than there is
-            return Raw(file.name, _matrix(np.load(file, "r", allow_pickle=False), file))
+            values, sigma = _matrices(np.load(file, "r", allow_pickle=False), file)
+            return Raw(file.name, values, sigma=sigma)
         _unpacked(file).close()
         content = np.load(file, allow_pickle=False)
         found = {name: content[name] for name in content.files}
@@ -166,11 +174,13 @@ def _of_parts(file: Path, parts: dict[str, Any]) -> Raw:
             f"{file}: none of {', '.join(_MATRICES)} is in it (there are: "
             f"{', '.join(list(parts)[:20])}); call the matrix one of these"
         )
-    sigma = parts.get("sigma")
+    values, scatter = _matrices(parts[name], file)
+    sigma = _table(parts["sigma"], file) if "sigma" in parts else scatter
+    eta = parts.get("dispersion")
     units = next((str(np.asarray(parts[key])) for key in _UNITS if key in parts), "")
     return Raw(
-        name, _matrix(parts[name], file), units, _texts(parts, _BPMS), _texts(parts, _CORRECTORS),
-        None if sigma is None else _matrix(sigma, file),
+        name, values, units, _texts(parts, _BPMS), _texts(parts, _CORRECTORS), sigma,
+        dispersion=None if eta is None else np.ravel(_numbers(eta, file)),
     )  # fmt: skip
 
 
@@ -181,14 +191,27 @@ def _texts(parts: dict[str, Any], keys: tuple[str, ...]) -> tuple[str, ...]:
     return ()
 
 
-def _matrix(values: Any, file: Path) -> Matrix:
+def _numbers(values: Any, file: Path) -> Vector:
     try:
-        found = np.asarray(values, dtype=np.float64)
+        return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ExchangeError(f"{file}: its matrix is no table of numbers ({error})") from error
+
+
+def _table(values: Any, file: Path) -> Matrix:
+    found = _numbers(values, file)
     if found.ndim != 2 or 0 in found.shape:
         raise ExchangeError(f"{file}: its matrix has shape {found.shape}; give rows and columns")
     return found
+
+
+def _matrices(values: Any, file: Path) -> tuple[Matrix, Matrix | None]:
+    """Read a matrix, or repeats of one (first axis): their mean, and its noise by their scatter."""
+    found = _numbers(values, file)
+    if found.ndim == 3 and 0 not in found.shape:
+        mean, sigma = of_repeats(found)
+        return mean, sigma if np.isfinite(sigma).any() else None
+    return _table(found, file), None
 
 
 def _named(
@@ -261,5 +284,15 @@ def _loco(source: Source) -> Raw:
     sigma = np.sqrt(2.0) * noise[:, None] / np.abs(kicks)
     return Raw(
         "LocoMeasData.M", orbits / kicks, "mm/rad", sigma=sigma * np.ones_like(orbits),
-        planes="xy",
+        planes="xy", dispersion=_of_rf_step(numbers, len(noise)), by_frequency=True,
     )  # fmt: skip
+
+
+def _of_rf_step(numbers: Callable[..., Vector], rows: int) -> Vector | None:
+    """Change of the orbit [mm] by a step of the RF frequency [Hz], per relative change [m]."""
+    try:
+        eta = numbers("LocoMeasData.Eta")
+        step, frequency = (float(numbers(f"LocoMeasData.{n}")[0]) for n in ("DeltaRF", "RF"))
+    except (ExchangeError, ValueError):
+        return None  # it was not measured
+    return 1e-3 * eta * frequency / step if step and len(eta) == rows else None

@@ -5,7 +5,7 @@ Layer (`Rmat`, with UnitsString) or of LOCO (`LocoMeasData`, kicks in `CMData`);
 `.mat` with names; `.npy`, `.npz` and JSON. Devices that the table lacks are left out, and said.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,8 +14,10 @@ import numpy as np
 from orbitfb.core.errors import ExchangeError
 from orbitfb.core.near_names import did_you_mean
 from orbitfb.exchange.units import PER_KICK, RESPONSE, factor
+from orbitfb.loco.input.dispersion import of_blocks, of_file
+from orbitfb.loco.input.labels import labels, masked
+from orbitfb.loco.input.raw import Raw, raw_blocks
 from orbitfb.loco.measured import PLANES, Measured, Pair, from_setpoints
-from orbitfb.loco.raw import Raw, raw_blocks
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices, Kind, Plane, Planes, Ring, plane_row, split
 
@@ -38,6 +40,8 @@ class Request:
         transpose: Its rows are correctors.
         noise: Standard deviation of a measured change of an orbit [m]; None: as the file says.
         kick: That made the change [rad].
+        dispersion: Table of the measured horizontal dispersion; None: that of the file, if any.
+        masked: Devices that are left out, NAME or NAME:x.
     """
 
     file: Path
@@ -49,6 +53,8 @@ class Request:
     transpose: bool = False
     noise: float | None = None
     kick: float = 100e-6
+    dispersion: Path | None = None
+    masked: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,13 +76,14 @@ def load(request: Request, ring: Ring) -> Loaded:
         ExchangeError: It cannot be read, or does not say what its rows, columns or unit are.
     """
     notes: list[str] = []
-    blocks = [
-        _placed(_turned(raw) if request.transpose else raw, request, ring, notes)
+    raws = [
+        _turned(raw) if request.transpose else raw
         for raw in raw_blocks(
             request.file, request.matrix, request.bpm_names, request.corrector_names
         )
         if raw.pair is None or request.planes is None or set(raw.pair) <= set(request.planes)
-    ]  # fmt: skip
+    ]
+    blocks = [_placed(raw, request, ring, notes) for raw in raws]
     bpms, correctors = _devices(blocks, 0), _devices(blocks, 1)
     response: dict[Pair, Matrix] = {}
     sigma: dict[Pair, Matrix] = {}
@@ -91,6 +98,21 @@ def load(request: Request, ring: Ring) -> Loaded:
             "plane it is of"
         )
     measured = from_setpoints(ring, bpms, correctors, response, sigma)
+    horizontal = bpms.get("x", np.empty(0, dtype=np.intp))
+    known = labels(ring, "BPM")
+    eta = (
+        of_blocks(
+            [(raw, its.rows) for raw, its in zip(raws, blocks, strict=True)], horizontal, ring
+        )
+        if request.dispersion is None
+        else of_file(request.dispersion, horizontal, known)
+    )
+    if eta is not None and "x" in measured.planes:
+        notes.append(f"dispersion of {int(np.isfinite(eta).sum())} BPMs is fitted with it")
+        measured = replace(measured, dispersion=eta)
+    if request.masked:
+        measured = masked(measured, request.masked, ring)
+        notes.append(f"left out as asked: {', '.join(request.masked)}")
     if request.noise is not None:
         error = request.noise / request.kick
         measured = replace(
@@ -146,18 +168,19 @@ def _where(
     what = ("BPMs", "correctors")[axis]
     count = raw.values.shape[axis]
     plane = (raw.pair[axis],) if raw.pair else tuple(split(_planes_of(planes)) if planes else ())
-    places = [int(i) for i in ring.places(kind)]
     if not names:
-        for chosen in (plane,) if plane else (("x",), ("x", "y")):
-            if count == len(places) * len(chosen) and (plane or len(chosen) == 2):
-                notes.append(
-                    f"{what}: no names; taken in the order of the places table, plane "
-                    f"{' then '.join(chosen)}"
-                )
-                return tuple((p, i) for p in _plain(chosen) for i in places)
+        its_own = {p: ring.places(kind, p).tolist() for p in PLANES}
+        chosen = _plain(plane or PLANES)
+        if count == sum(len(its_own[p]) for p in chosen):
+            notes.append(
+                f"{what}: no names; taken in the order of the places table, plane "
+                f"{' then '.join(chosen)}"
+            )
+            return tuple((p, i) for p in chosen for i in its_own[p])
+        there = " and ".join(f"{len(its_own[p])} {what} in {p}" for p in PLANES)
         raise ExchangeError(
             f"{request.file}: {raw.where} has {count} {('rows', 'columns')[axis]} without names; "
-            f"the table has {len(places)} {what} in a plane; give --planes, --transpose, or names "
+            f"the table has {there}; give --planes, --transpose, or names "
             f"({('--bpm-names', '--corrector-names')[axis]})"
         )
     if len(names) != count:
@@ -165,7 +188,7 @@ def _where(
             f"{request.file}: {len(names)} names for {count} {what} of {raw.where}; name each "
             "once (--transpose, if its rows are correctors)"
         )
-    known = _labels(ring, kind, places)
+    known = labels(ring, kind)
     found: list[tuple[Plane, int] | None] = []
     unknown: list[str] = []
     for name in names:
@@ -207,21 +230,6 @@ def _planes_of(planes: str) -> Planes:
 
 def _plain(planes: Sequence[str]) -> tuple[Plane, ...]:
     return tuple(plane for plane in PLANES if plane in planes)
-
-
-def _labels(
-    ring: Ring, kind: Kind, places: Iterable[int]
-) -> Mapping[str, tuple[Plane | None, int]]:
-    found: dict[str, tuple[Plane | None, int]] = {}
-    for place in places:
-        name = ring.table.name[place]
-        found[name] = (None, place)
-        for row, plane in enumerate(PLANES):
-            found[f"{name}:{plane}"] = (plane, place)
-            for pvs in (ring.table.readback, ring.table.pv):
-                if pvs[row][place]:
-                    found[pvs[row][place]] = (plane, place)
-    return found
 
 
 def _devices(blocks: Sequence[_Placed], axis: int) -> dict[Plane, Indices]:

@@ -1,0 +1,48 @@
+"""Names under which a measured response may know the devices of a table."""
+
+from collections.abc import Mapping, Sequence
+
+from orbitfb.core.errors import ExchangeError
+from orbitfb.core.near_names import did_you_mean
+from orbitfb.loco.measured import PLANES, Measured
+from orbitfb.physics.places import Kind, Plane, Ring
+
+Place = tuple[Plane | None, int]
+"""Plane and place of a name; the plane is None where the name may be of both."""
+
+_KINDS: tuple[Kind, Kind] = ("BPM", "COR")
+
+
+def labels(ring: Ring, kind: Kind) -> Mapping[str, Place]:
+    """Give the places of names, of NAME:x and NAME:y, and of PVs."""
+    found: dict[str, Place] = {}
+    for place in ring.places(kind).tolist():
+        name = ring.table.name[place]
+        found[name] = (None, place)
+        for row, plane in enumerate(PLANES):
+            found[f"{name}:{plane}"] = (plane, place)
+            for pvs in (ring.table.readback, ring.table.pv):
+                if pvs[row][place]:
+                    found[pvs[row][place]] = (plane, place)
+    return found
+
+
+def masked(measured: Measured, names: Sequence[str], ring: Ring) -> Measured:
+    """Leave out the devices that the caller names.
+
+    Args:
+        measured: The measurement.
+        names: NAME, in both planes, NAME:x, or a PV.
+        ring: The ring.
+
+    Raises:
+        ExchangeError: There is no such device.
+    """
+    known = [labels(ring, kind) for kind in _KINDS]
+    for name in names:
+        its = next((own[name] for own in known if name in own), None)
+        if its is None:
+            hint = did_you_mean(name, [*known[0], *known[1]], most=2)
+            raise ExchangeError(f"--mask {name}: no BPM or corrector is called so{hint}")
+        measured = measured.without(its[1], PLANES if its[0] is None else (its[0],))
+    return measured
