@@ -41,7 +41,7 @@ def test_the_ring_answers_as_measured_and_as_the_optics_say_elsewhere(measured):
 
 
 def test_a_response_of_other_planes_is_refused(measured):
-    with pytest.raises(RingError, match="other planes|does not hold"):
+    with pytest.raises(RingError, match="other planes"):
         SimJob(planes="y", sim=SimSettings(response=measured[1])).build()
 
 
