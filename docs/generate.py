@@ -63,9 +63,10 @@ doubles, one PV per BPM and plane.
 PANEL_HEAD = """
 ## The panel
 
-PVs of the loop itself, served while `orbitfb run` runs with `panel.enabled`; see
-[Operate by PVs](../how-to/operate-by-pvs.md). Their names begin with `panel.prefix`, by default
-`SR:FB{Orbit}`, and they are served on `panel.interface`, port `panel.port` (127.0.0.1, 15074).
+PVs of the loop itself, defined in `orbitfb/panel/pv_table.py`, served while `orbitfb run` runs with
+`panel.enabled`; see [Operate by PVs](../how-to/operate-by-pvs.md). Their names begin with
+`panel.prefix`, by default `SR:FB{Orbit}`, and they are served on `panel.interface`, port
+`panel.port` (127.0.0.1, 15074).
 
 - `-SP` is what is wanted, `-RB` what is in force, `-Cmd` does something once, `-I` is shown.
 - A write beyond the limits, or one that the loop refuses, is an error to the client; it puts the PV

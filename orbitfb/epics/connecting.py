@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from orbitfb.core.errors import ConnectError, MachineError, few
 from orbitfb.core.names import RF_FREQUENCY, RF_READBACK
 from orbitfb.core.ports import Clock
+from orbitfb.core.signals import Channels, Mask
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.libca import Context
 from orbitfb.epics.oscillator import EpicsOscillator
@@ -67,6 +68,24 @@ def wait_for_channels(
             f"{few(wrong)}\n"
             "Name the PV of the current [A] in the places table: a record of type ao."
         )
+
+
+def waived(channels: Channels, counting: Mask | None, movable: Mask | None) -> frozenset[str]:
+    """List the PVs of masked devices: they need not be there at the start, nor be writable.
+
+    Args:
+        channels: Names of the PVs.
+        counting: BPMs that are not masked, shape (n,); None: all.
+        movable: Correctors that are not masked, shape (m,); None: all.
+    """
+    names: set[str] = set()
+    if counting is not None:
+        names |= {channels.orbit_pvs[index] for index in np.flatnonzero(~counting)}
+    if movable is not None:
+        masked = np.flatnonzero(~movable)
+        names |= {channels.readback_pvs[index] for index in masked}
+        names |= {channels.setpoint_pvs[index] for index in masked}
+    return frozenset(names)
 
 
 def steps_of(setpoints: ChannelGroup, settings: EpicsSettings) -> NDArray[np.float64]:

@@ -1,7 +1,6 @@
 """The storage ring behind Channel Access."""
 
 import atexit
-import threading
 from collections.abc import Mapping
 from types import TracebackType
 from typing import Self
@@ -10,26 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.clock import SystemClock
-from orbitfb.core.errors import AwayError, MachineError, NoOrbitError, WriteError
+from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
 from orbitfb.core.link import ChannelCounts
 from orbitfb.core.ports import Clock
 from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
 from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.channels import ChannelGroup, Monitor
-from orbitfb.epics.connecting import UnitWatch, check_oscillator, steps_of, wait_for_channels
-from orbitfb.epics.inbox import Frame, Inbox
+from orbitfb.epics.connecting import (
+    UnitWatch,
+    check_oscillator,
+    steps_of,
+    wait_for_channels,
+    waived,
+)
+from orbitfb.epics.inbox import Inbox
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.oscillator import EpicsOscillator
-from orbitfb.epics.put_errors import PutErrors
-from orbitfb.epics.put_watch import PutWatch
+from orbitfb.epics.readbacks import Readbacks
 from orbitfb.epics.reconnecting import Keeper
-from orbitfb.epics.requests import Getter, Putter
 from orbitfb.epics.servers import Doubles, ServerWatch
+from orbitfb.epics.setpoints.group import Setpoints
 from orbitfb.epics.settings import EpicsSettings
-from orbitfb.safety.bounds import ROUNDING
-from orbitfb.safety.verdict import name_some
 
 KINDS = ("bpm", "setpoint", "readback", "auxiliary", "rf")
 """Kinds of channels, in the order in which they are opened."""
@@ -78,28 +80,15 @@ class EpicsMachine:
         self._settings = settings
         self._clock: Clock = clock or SystemClock()
         self._closed = False
-        self._limits_due = True
-        self._limits_lock = threading.Lock()
-        size = len(channels.setpoint_pvs)
-        self._drive_limits = np.full((size, 2), np.nan)
-        self._last = np.full(size, np.nan)
-        self._comings = np.zeros(size, dtype=np.int64)
-        self._unread: Mask = np.ones(size, dtype=np.bool_)
         self._orbit_assembler = Assembler(
             len(channels.orbit_pvs), settings.stamp_window, settings.stuck_bpms
         )
         if counting is not None:
             self._orbit_assembler.count(counting)
-        waived = _waived(channels, counting, movable)
-        self._put_watch = PutWatch(size)
-        self._read_back: Mask = np.array(
-            [bool(name) for name in channels.readback_pvs], dtype=np.bool_
-        )
-        have = int(np.count_nonzero(self._read_back))
-        self._readback_assembler = Assembler(have, settings.stamp_window)
+        self._readbacks = Readbacks(channels, settings.stamp_window)
         self._inbox = Inbox(
             self._orbit_assembler,
-            self._readback_assembler,
+            self._readbacks.assembler,
             self._clock,
             settings,
             self._describe,
@@ -112,7 +101,8 @@ class EpicsMachine:
             self._open()
         self._keeper.start()
         try:
-            wait_for_channels(self._groups, self._setpoints, settings, self._clock, waived)
+            spared = waived(channels, counting, movable)
+            wait_for_channels(self._groups, self._setpoints.group, settings, self._clock, spared)
             self.setpoints()
             self._units = UnitWatch(self._context, self._groups, settings, channels.bpm_units)
             if self.oscillator is not None:
@@ -132,12 +122,12 @@ class EpicsMachine:
 
         Read when the setpoints connect, after they were away, and when one is not what was sent.
         """
-        return self._drive_limits.copy()
+        return self._setpoints.drive_limits
 
     @property
     def steps(self) -> Vector:
         """Step of each setpoint, shape (m,) [A]; 0: it holds any value."""
-        return steps_of(self._setpoints, self._settings)
+        return steps_of(self._setpoints.group, self._settings)
 
     @property
     def disconnected(self) -> tuple[str, ...]:
@@ -191,40 +181,22 @@ class EpicsMachine:
         auxiliary = self._auxiliary.values(self._inbox.time)
         unknown = self._auxiliary.unknown(self._inbox.time)
         self._servers.look()
-        away = ~(self._setpoints.connected & self._setpoints.writable)
         received = frame.arrival.received
-        gone = away if away.any() else None
-        readback, behind = self._readbacks(frame)
+        readback, behind = self._readbacks.complete(frame, self._setpoints.posted)
         return Reading(
             orbit,
             readback,
             auxiliary,
             received,
-            gone,
+            self._setpoints.away,
             behind,
             snapshot.left_out,
-            self._put_errors.take(),
+            self._setpoints.errors.take(),
             unknown,
             self._servers.changes,
             self._servers.told,
-            self._put_watch.take(),
+            self._setpoints.watch.take(),
         )
-
-    def _readbacks(self, frame: Frame) -> tuple[Vector, Mask | None]:
-        """Put the setpoint, as the machine posts it, where a corrector has no readback.
-
-        It tells that the put arrived, and nothing of what the supply does: it counts as older than
-        the orbit.
-        """
-        have, behind = self._read_back, frame.behind
-        if have.all():
-            return frame.readback, behind
-        readback = np.where(self._setpoints.connected, self._put_watch.records["value"], np.nan)
-        readback[have] = frame.readback
-        older = ~have
-        if behind is not None:
-            older[have] = behind
-        return readback, older
 
     def setpoints(self) -> Vector:
         """Ask the machine for the absolute setpoints in force, shape (m,) [A].
@@ -237,21 +209,7 @@ class EpicsMachine:
             AwayError: The same, where those that do not are disconnected and others are not.
         """
         self._refuse_if_closed(MachineError)
-        self._refresh_limits()
-        comings, connected = self._comings.copy(), self._setpoints.connected.copy()
-        values = self._getter.values()
-        known = np.isfinite(values)
-        if (np.abs(values - self._last)[known] > ROUNDING).any():
-            self._limits_due = True
-            self._refresh_limits()
-        self._last[known] = values[known]
-        self._unread[known & (comings == self._comings)] = False
-        if known.all():
-            return values
-        told = self._getter.describe(~known)
-        if (connected & ~known).any() or not known.any():
-            raise MachineError(told)
-        raise AwayError(told, self._last.copy(), ~known)
+        return self._setpoints.ask()
 
     def write(self, setpoints: Vector, which: Mask | None = None) -> Applied:
         """Send absolute setpoints: all that are asked for, or none.
@@ -267,8 +225,8 @@ class EpicsMachine:
         """
         self._refuse_if_closed(WriteError)
         values = np.array(setpoints, dtype=np.float64)
-        which = np.ones(len(self._setpoints), dtype=np.bool_) if which is None else which
-        self._check_values(values, which)
+        which = np.ones(len(self._setpoints.group), dtype=np.bool_) if which is None else which
+        self._setpoints.check(values, which)
         if self._units.told:
             raise WriteError(f"{self._units.told}; nothing was sent")
         if (silence := self._inbox.silence) > self._settings.silent_after:
@@ -276,14 +234,7 @@ class EpicsMachine:
                 f"no orbit for {silence:.1f} s: {self._describe()}; nothing was sent to a machine "
                 "that may hang"
             )
-        if (unread := which & self._setpoints.connected & self._unread).any():
-            raise WriteError(
-                f"{np.count_nonzero(unread)} of {len(values)} setpoints were away and have not "
-                f"been read since: {name_some(unread, self._setpoints.names)}; nothing was sent"
-            )
-        self._put_watch.sends(values, which)  # beforehand: the answer may be quicker than we
-        self._putter.put(values, which)
-        self._last = np.where(which, values, self._last)
+        self._setpoints.put(values, which)
         return Applied(values, self._inbox.time.now(), self._clock.monotonic())
 
     def close(self) -> None:
@@ -293,7 +244,7 @@ class EpicsMachine:
         self._closed = True
         atexit.unregister(self.close)
         self._keeper.stop()
-        self._setpoints.forget()
+        self._setpoints.group.forget()
         self._context.destroy()
         self._inbox.close()
 
@@ -312,15 +263,9 @@ class EpicsMachine:
 
     def _build(self, rf_pv: str) -> None:
         context, channels, inbox = self._context, self._channels, self._inbox
-        bpms, readbacks = self._orbit_assembler, self._readback_assembler
+        bpms = self._orbit_assembler
         self._auxiliary = AuxiliaryChannels(context, self._settings.auxiliary)
-        watch = self._put_watch
-        self._setpoints = ChannelGroup(
-            context,
-            channels.setpoint_pvs,
-            Monitor(watch.records, heard=watch.heard),
-            self._setpoint_changed,
-        )
+        self._setpoints = Setpoints(context, channels, self._settings)
         self._groups = (
             ChannelGroup(
                 context,
@@ -328,13 +273,8 @@ class EpicsMachine:
                 Monitor(bpms.records, bpms.arrived, inbox.orbit_complete),
                 bpms.set_connected,
             ),
-            self._setpoints,
-            ChannelGroup(
-                context,
-                tuple(filter(None, channels.readback_pvs)),
-                Monitor(readbacks.records, readbacks.arrived, inbox.readbacks_complete),
-                readbacks.set_connected,
-            ),
+            self._setpoints.group,
+            self._readbacks.group(context, inbox.readbacks_complete),
             self._auxiliary.group,
         )
         self.oscillator: EpicsOscillator | None = None
@@ -343,9 +283,6 @@ class EpicsMachine:
             self._groups = (*self._groups, self.oscillator.group)
         self._servers, self._doubles = ServerWatch(self._groups), Doubles()
         context.listeners.append(self._doubles.hear)
-        self._getter = Getter(context, self._setpoints, self._settings.answer_timeout)
-        self._putter = Putter(context, self._setpoints)
-        self._put_errors = PutErrors(context, self._setpoints)
         self._keeper = Keeper(
             context, self._groups, self._settings.reconnect_period, self._after_look
         )
@@ -358,40 +295,12 @@ class EpicsMachine:
             self.close()
             raise
 
-    def _setpoint_changed(self, index: int, up: bool) -> None:
-        self._comings[index] += 1
-        self._unread[index] = True
-        self._limits_due |= up
-        if up:
-            self._put_watch.came(index)
-
     def _after_look(self) -> None:
         self._orbit_assembler.look()
-        self._readback_assembler.look()
-        self._refresh_limits()
+        self._readbacks.assembler.look()
+        self._setpoints.refresh_limits()
         if self.oscillator is not None:
             self.oscillator.refresh()
-
-    def _refresh_limits(self) -> None:
-        with self._limits_lock:  # nobody goes on with old ones while another thread asks
-            if not self._limits_due or not self._setpoints.connected.any():
-                return
-            self._limits_due = False
-            here = self._setpoints.connected.copy()
-            limits = self._getter.limits()
-            self._drive_limits = np.where(here[:, None], limits, self._drive_limits)
-
-    def _check_values(self, values: Vector, which: Mask) -> None:
-        expected = len(self._setpoints)
-        if values.shape != (expected,):
-            raise WriteError(f"{values.shape} setpoints instead of ({expected},); nothing was sent")
-        wrong = which & ~np.isfinite(values)
-        if wrong.any():
-            names = name_some(wrong, self._setpoints.names)
-            raise WriteError(
-                f"{np.count_nonzero(wrong)} of {expected} setpoints are not finite: {names}; "
-                "nothing was sent"
-            )
 
     def _refuse_if_closed(self, error: type[MachineError]) -> None:
         if self._closed:
@@ -412,15 +321,3 @@ class EpicsMachine:
         else:
             text = self._orbit_assembler.describe(self._channels.orbit_pvs)
         return f"{text}; {self._keeper.trouble}" if self._keeper.trouble else text
-
-
-def _waived(channels: Channels, counting: Mask | None, movable: Mask | None) -> frozenset[str]:
-    """PVs of masked devices: they need not be there at the start, nor be writable."""
-    names: set[str] = set()
-    if counting is not None:
-        names |= {channels.orbit_pvs[index] for index in np.flatnonzero(~counting)}
-    if movable is not None:
-        masked = np.flatnonzero(~movable)
-        names |= {channels.readback_pvs[index] for index in masked}
-        names |= {channels.setpoint_pvs[index] for index in masked}
-    return frozenset(names)

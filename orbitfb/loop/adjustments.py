@@ -10,7 +10,8 @@ from typing import Self
 
 import numpy as np
 
-from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.errors import ControlError
+from orbitfb.core.signals import Channels, Mask, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,22 @@ class Adjustments:
             correctors: m.
         """
         return cls(np.ones(correctors), reference, np.ones(len(reference), dtype=np.bool_))
+
+    def check(self, channels: Channels) -> None:
+        """See whether they fit a machine.
+
+        Args:
+            channels: Of the machine.
+
+        Raises:
+            ControlError: One of them does not.
+        """
+        n, m, bands = (len(channels.bpms),), (len(channels.correctors),), self.dead_band
+        shapes = self.gain.shape, self.reference.shape, self.enabled.shape
+        finite = np.isfinite(self.gain).all() and np.isfinite(self.reference).all()
+        finite &= len(bands) in (0, len(channels.planes)) and all(band >= 0 for band in bands)
+        if shapes != (m, n, n) or not finite or (self.gain < 0).any() or self.average < 1:
+            raise ControlError("adjustments of another machine, or not finite; nothing was changed")
 
 
 def approach(now: Vector, aim: Vector, step: float) -> Vector:

@@ -14,7 +14,7 @@ from orbitfb.core.errors import ConfigError, ControlError
 from orbitfb.core.ports import Clock, Machine, Subscriber
 from orbitfb.core.signals import LoopState, Mask, TickRecord, Vector
 from orbitfb.loop.adjustments import Adjustments
-from orbitfb.loop.commands import CommandQueue, Order
+from orbitfb.loop.commands import ClosingOrders, CommandQueue
 from orbitfb.loop.correction.hand import Hand
 from orbitfb.loop.correction.settings import USUAL, CorrectionSettings
 from orbitfb.loop.engine import Engine
@@ -32,9 +32,6 @@ from orbitfb.safety.believed import Believed
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.safety.verdict import Verdict
-
-ORBIT_TO_CLOSE_ON = 2.0
-"""How long an order to close waits for an orbit before it is refused for want of one [s]."""
 
 
 class Runner:
@@ -114,8 +111,7 @@ class Runner:
         self._nothing = np.zeros(m)
         self._nothing.flags.writeable = False
         self._commands = CommandQueue()
-        self._closing: list[Order] = []
-        self._closing_until = -np.inf
+        self._closing = ClosingOrders(clock.monotonic)
         self._stop = threading.Event()
         self._ticks = 0
         self.believed = Believed()
@@ -189,13 +185,7 @@ class Runner:
         Raises:
             ControlError: One of them does not fit the machine.
         """
-        m, n = self._nothing.shape, self._engine.reference.shape
-        shapes = wanted.gain.shape, wanted.reference.shape, wanted.enabled.shape
-        finite = np.isfinite(wanted.gain).all() and np.isfinite(wanted.reference).all()
-        bands = wanted.dead_band
-        finite &= len(bands) in (0, len(self._rules.channels.planes)) and all(b >= 0 for b in bands)
-        if shapes != (m, n, n) or not finite or (wanted.gain < 0).any() or wanted.average < 1:
-            raise ControlError("adjustments of another machine, or not finite; nothing was changed")
+        wanted.check(self._rules.channels)
         self._engine.wanted = wanted
 
     def command(self, name: str) -> Future[LoopState]:
@@ -255,7 +245,7 @@ class Runner:
                 self.failure = error
                 engine.move(Event.FAULT, f"{type(error).__name__}: {error}")
         if self.state is LoopState.FAULT:
-            self._refuse_closing(self.reason)
+            self._closing.refuse(self.reason)
             self._end(f"the loop has failed: {self.reason}")
         record = self._record(work)
         self.believed = self.believed.follow(self._ticks, engine.memory.answering)
@@ -280,9 +270,8 @@ class Runner:
                 return False
             work.missed = engine.without_orbit(intake)
             engine.lend(work, intake.absence, None)
-            tripped = self.state is LoopState.TRIPPED
-            if tripped or self._clock.monotonic() >= self._closing_until:
-                self._refuse_closing(intake.absence)
+            if self.state is LoopState.TRIPPED or self._closing.overdue:
+                self._closing.refuse(intake.absence)
             return False
         reading = work.reading = engine.believed(intake.reading)
         checked, work.missed = engine.check(
@@ -312,32 +301,24 @@ class Runner:
             try:
                 after = self._after(event)
                 if after is LoopState.CLOSED and after is not self.state:
-                    self._closing.append((event, future))
-                    self._closing_until = self._clock.monotonic() + ORBIT_TO_CLOSE_ON
+                    self._closing.wait((event, future))
                     continue
                 self._engine.move(event, "")
             except ControlError as error:
                 future.set_exception(error)
             else:
                 future.set_result(self.state)
-                self._refuse_closing(f"the command {event} came right after it")
+                self._closing.refuse(f"the command {event} came right after it")
 
     def _close(self, verdict: Verdict) -> None:
         if not self._closing:
             return
         lent = self._engine.lending.under_way
         if lent or not verdict.may_act:
-            self._refuse_closing(lent or verdict.reason)
+            self._closing.refuse(lent or verdict.reason)
             return
         self._engine.move(Event.CLOSE, "")
-        orders, self._closing = self._closing, []
-        for _, future in orders:
-            future.set_result(self.state)
-
-    def _refuse_closing(self, reason: str) -> None:
-        orders, self._closing = self._closing, []
-        for event, future in orders:
-            future.set_exception(ControlError(f"{event} refused: {reason}"))
+        self._closing.done(self.state)
 
     def _record(self, work: Work) -> TickRecord:
         memory = self._engine.memory

@@ -1,9 +1,12 @@
 """What a tick has come to so far, and how long each phase of it took."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from orbitfb.core.ports import Clock
-from orbitfb.core.signals import Phases, Reading, Vector
+from orbitfb.core.signals import Applied, Phases, Reading, Vector
+from orbitfb.loop.memory import LoopMemory
 
 
 @dataclass(slots=True)
@@ -50,6 +53,28 @@ class Work:
         self._marks[phase] = self._marks.get(phase, 0.0) + now - self._mark
         self._mark = now
         return now
+
+    def remember_sent(
+        self, setpoints: Vector, before: Vector, applied: Applied, memory: LoopMemory, lag: int
+    ) -> LoopMemory:
+        """Enter what was sent, here and for the readbacks to come.
+
+        Args:
+            setpoints: In force now, shape (m,) [A].
+            before: In force before anything was sent in this tick, shape (m,) [A].
+            applied: What the machine says of the last write.
+            memory: So far.
+            lag: Earlier setpoints that a readback may still show; those of the same tick are none.
+        """
+        again = not np.isnan(self.written)
+        change = setpoints - before
+        self.applied = np.where(np.isfinite(change), change, 0.0)
+        self.written = applied.time
+        if self.reading is not None:
+            self.latency = applied.monotonic - self.reading.received
+        earlier = memory.recent[1:] if again else memory.recent[:lag]
+        sent = replace(memory.sent, change=self.applied, waited=0)
+        return replace(memory, recent=(setpoints, *earlier), sent=sent)
 
     def phases(self) -> Phases:
         """Give the duration of every phase, 0 for those that were not reached."""

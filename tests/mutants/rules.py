@@ -338,7 +338,7 @@ MUTANTS = (
     ),
     Mutant(
         "what was not sent from here was put by somebody else",
-        "orbitfb.epics.put_watch",
+        "orbitfb.epics.setpoints.put_watch",
         "        others[which[~ours & np.isfinite(values)]] = True\n",
         "        others[which[ours & np.isfinite(values)]] = False\n",
         ("epics/test_put_watch.py",),

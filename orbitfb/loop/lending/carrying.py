@@ -1,7 +1,5 @@
 """What the loop does for a borrower in a tick: send within every limit, remember what was sent."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from orbitfb.core.errors import MachineError, WriteError
@@ -36,7 +34,6 @@ class Carrying:
         self, machine: Machine, memory: LoopMemory, rules: Rules, bounds: Bounds, work: Work
     ) -> None:
         self._machine, self._rules, self._bounds, self._work = machine, rules, bounds, work
-        self._sent = False
         self.memory = memory
 
     def setpoints(self) -> Vector:
@@ -72,20 +69,11 @@ class Carrying:
             raise
         finally:
             self._work.done("act")
-        self._remember(np.where(which, applied.setpoints, before), applied)
+        sent, lag = np.where(which, applied.setpoints, before), rules.interlocks.readback_lag
+        work = self._work
+        self.memory = work.remember_sent(sent, work.setpoints, applied, self.memory, lag)
+        work.requested = work.applied
         return applied
-
-    def _remember(self, sent: Vector, applied: Applied) -> None:
-        work, recent = self._work, self.memory.recent
-        change = sent - work.setpoints
-        work.requested = work.applied = np.where(np.isfinite(change), change, 0.0)
-        work.written = applied.time
-        if work.reading is not None:
-            work.latency = applied.monotonic - work.reading.received
-        earlier = recent[1:] if self._sent else recent[: self._rules.interlocks.readback_lag]
-        self._sent = True
-        mark = replace(self.memory.sent, change=work.applied, waited=0)
-        self.memory = replace(self.memory, recent=(sent, *earlier), sent=mark)
 
 
 def trouble_of(

@@ -19,6 +19,10 @@ from orbitfb.core.signals import Applied, Channels, Mask, Reading, Vector
 from orbitfb.loop.lending.lent import Ask, Leave, LentMachine, Loan, Read, Request, Write
 from orbitfb.loop.lending.turn import Turn
 
+SPEECHLESS = 10.0
+"""Without a call for so long [s] a borrower is given up by a loop that ends: it computes for a
+second at most, and a disk that takes longer to write a file does not work."""
+
 Given = Reading | NoOrbitError
 """What a tick has for the borrower: an orbit, or why there is none."""
 _T = TypeVar("_T")
@@ -107,13 +111,23 @@ class Lending:
                     request.answer.set_result(None)
                     return
 
-    def give_up(self) -> None:
-        """Serve no longer: the borrower does not come to an end."""
-        loan = self.loan
-        if loan is None:
-            return
-        self._end()
-        loan.refuse()
+    def end(self, reason: str, serve: Callable[[], None], now: Callable[[], float]) -> None:
+        """Call the machine back and serve until the borrower has put back what it moved.
+
+        Args:
+            reason: Why the loop ends.
+            serve: Serves it once, with an orbit of its own.
+            now: Monotonic clock [s].
+        """
+        begin, calls = now(), -1
+        while (loan := self.loan) is not None:
+            loan.call_back(reason)
+            serve()
+            if loan.calls != calls:
+                begin, calls = now(), loan.calls
+            elif now() - begin > SPEECHLESS and self.loan is loan:  # it does not come to an end
+                self._end()
+                loan.refuse()
 
     def _end(self) -> None:
         if self.loan is not None:

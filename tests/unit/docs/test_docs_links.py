@@ -9,6 +9,8 @@ ROOT = Path(__file__).parents[3]
 PAGES = [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md"]
 PAGES += [ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md"]
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+SOURCE = re.compile(r"`((?:[\w-]+/)+[\w-]+\.py)`(?:, `([a-z_]+)`(?: and `([a-z_]+)`)?)?")
+"""A file of the code, and what is pointed to in it."""
 
 
 def without_code(text):
@@ -36,6 +38,17 @@ def test_relative_links_resolve(page):
         assert ROOT in there.parents, f"{target} leads out of the repository"
         if anchor and there.suffix == ".md":
             assert anchor in anchors(there), f"{target}: no such heading"
+
+
+def test_files_of_the_code_and_what_is_named_in_them_are_there():
+    named = [found.groups() for page in PAGES for found in SOURCE.finditer(page.read_text("utf-8"))]
+    assert len(named) > 50
+    for path, *names in named:
+        there = [root / path for root in (ROOT, ROOT / "orbitfb") if (root / path).is_file()]
+        assert there, f"{path} is named and is not there"
+        for name in filter(None, names):
+            defined = re.search(rf"^ *(def|class) {name}\b", there[0].read_text(), re.MULTILINE)
+            assert defined, f"{path} has no {name}"
 
 
 def test_every_page_is_reached_from_the_index():

@@ -16,7 +16,7 @@ from orbitfb.epics.libca import (
     ConnectionArguments,
     ExceptionArguments,
 )
-from orbitfb.epics.put_errors import OPERATION_PUT
+from orbitfb.epics.setpoints.put_errors import OPERATION_PUT
 from orbitfb.epics.settings import EpicsSettings
 
 DOWN = OPERATION_UP + 1

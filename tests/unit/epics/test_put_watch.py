@@ -5,7 +5,7 @@ import pytest
 from fake_libca import Bench
 
 from orbitfb.epics.libca import ECA_NORMAL, EventArguments
-from orbitfb.epics.put_watch import EVENTS, SENDS, PutWatch
+from orbitfb.epics.setpoints.put_watch import EVENTS, SENDS, PutWatch
 
 ALL = np.ones(3, dtype=bool)
 

@@ -301,7 +301,7 @@ def test_errors_of_the_machine_reach_the_borrower_whole():
 def test_a_loop_that_ends_does_not_wait_for_ever_for_one_that_says_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ):
-    monkeypatch.setattr("orbitfb.loop.engine.SPEECHLESS", 1.0)
+    monkeypatch.setattr("orbitfb.loop.lending.desk.SPEECHLESS", 1.0)
     bench = Bench()
     gate = threading.Event()
     borrower = bench.borrow(lambda lent: gate.wait(10.0))

@@ -8,7 +8,7 @@ from scripted import PERIOD, RESPONSE, M, N, ScriptedMachine, new_clock
 
 from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import LoopState
-from orbitfb.epics.put_watch import PutWatch
+from orbitfb.epics.setpoints.put_watch import PutWatch
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot

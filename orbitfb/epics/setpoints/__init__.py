@@ -1,0 +1,1 @@
+"""The setpoints of the machine: asked for, sent, and heard of."""
