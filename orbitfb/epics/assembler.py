@@ -13,7 +13,8 @@ stamp is theirs again. More than a few at once are no strays but a torn orbit, a
 those that do not count for the loop, as they are masked or disabled, are not waited for.
 """
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
@@ -34,9 +35,12 @@ from orbitfb.epics.stray_stamps import StrayStamps, common_stamp, difference, ou
 NEVER = 0
 """Stamp of a record that nothing has been written to: less than any that comes."""
 
-
 PATIENCE = 2
 """Looks at channels coming back before the rest is given up."""
+
+FOLLOWED = 2
+"""Vectors in a row right after which one that is left out must have come to be waited for again: as
+many as it was outside of to be left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +72,16 @@ class Assembler:
         size: Count of channels n.
         window: How far the stamps of one vector may lie apart [s].
         most_left: Channels that count and may be left out; 0: all must send.
+        now: Monotonic clock [s].
     """
 
-    def __init__(self, size: int, window: float = 0.0, most_left: int = 0) -> None:
+    def __init__(
+        self,
+        size: int,
+        window: float = 0.0,
+        most_left: int = 0,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.records = blank_records(size)
         self.connected: Mask = np.zeros(size, dtype=np.bool_)
         self.checks = 0
@@ -82,6 +93,10 @@ class Assembler:
         self._left: Mask = np.zeros(size, dtype=np.bool_)
         self._left_at = self._used.copy()
         self._agreed = self._left.copy()
+        self._follows = self._left.copy()
+        self._followed: NDArray[np.int64] = np.zeros(size, dtype=np.int64)
+        self._now = now
+        self._completed = self._between = np.inf
         self._strays = StrayStamps(size, self._window)
         self._counting: Mask = np.ones(size, dtype=np.bool_)
         self._present: Mask = np.zeros(size, dtype=np.bool_)
@@ -252,6 +267,9 @@ class Assembler:
             connected = self._expected
             newest = int(stamps[connected].max())
             late = connected & ~self._fresh(stamps, newest)
+        if newest == self._published and self._left.any():
+            self._follow(stamps, late)
+            return False
         if late.any() or newest <= self._published:
             # Each of them must send at least once more, whatever else comes in between.
             excused = late & self._strays.suspects
@@ -260,11 +278,29 @@ class Assembler:
             return False
         self._published = newest
         self._strays.clear()
-        self._left &= ~self._agrees(stamps)
+        self._followed = np.where(self._follows, self._followed + 1, 0)
+        self._follows = np.zeros_like(self._left)
+        self._left &= ~(self._agrees(stamps) | (self._followed >= FOLLOWED))
         self._present = self.connected & ~self._left & self._agrees(stamps)
         self._used[self._present] = stamps[self._present]
         self._awaited = int(np.count_nonzero(self._present))
+        if self._left.any():
+            now = self._now()
+            self._between, self._completed = now - self._completed, now
+            self._awaited = 1
         return True
+
+    def _follow(self, stamps: NDArray[np.int64], late: Mask) -> None:
+        """See which of those left out get the stamp of the vector soon after it was complete.
+
+        They are sent after the others: they were late when their computer was busy or they had just
+        connected, and are left out of vectors that do not wait for them. One that is a period late
+        gets that stamp, too, but just before the next vector.
+        """
+        if self._now() - self._completed < self._between / 2:
+            self._follows |= self._left & self._agrees(stamps)
+        more = bool((self._left & ~self._follows).any())
+        self._awaited = 1 if more else max(int(np.count_nonzero(late)), 1)
 
     @property
     def _expected(self) -> Mask:

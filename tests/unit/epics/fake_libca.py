@@ -137,7 +137,7 @@ class Bench:
         self.clock = ManualClock(2.0e9)
         self.machine = module.EpicsMachine(channels, EpicsSettings(), self.clock)
         self.library = self.machine._context.library
-        self.setpoints = self.machine._setpoints
+        self.setpoints = self.machine._setpoints.group
 
     @staticmethod
     def _connect(groups, *_rest) -> None:

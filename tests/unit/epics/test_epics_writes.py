@@ -57,7 +57,7 @@ def test_one_that_goes_while_it_is_read_is_not_known(bench):
 def test_a_put_that_the_server_refuses_is_heard_once(bench):
     bench.refuse(2)
     bench.machine.write(np.array([0.1, 0.2, 0.3]))
-    heard = bench.machine._put_errors.take
+    heard = bench.machine._setpoints.errors.take
     assert heard() == {2: "refuses puts: Channel write request failed"}
     assert heard() == {}
 
@@ -65,7 +65,7 @@ def test_a_put_that_the_server_refuses_is_heard_once(bench):
 def test_a_setpoint_without_write_access_is_told_with_every_orbit_and_not_put(bench):
     bench.rights(0, 1)
     for _ in range(2):
-        assert bench.machine._put_errors.take() == {0: "may not be written"}
+        assert bench.machine._setpoints.errors.take() == {0: "may not be written"}
     with pytest.raises(WriteError, match="1 of 3 setpoints are read-only: COR0"):
         bench.machine.write(np.zeros(3))
     bench.machine.write(np.zeros(3), np.array([False, True, True]))
@@ -85,11 +85,11 @@ def test_drive_limits_are_read_again_when_a_setpoint_is_not_what_was_sent(bench)
 def test_records_of_whole_numbers_are_taken_with_their_step(bench):
     bench.library.types["COR1"] = 5
     machine = bench.machine
-    wait_for_channels(machine._groups, machine._setpoints, EpicsSettings(), bench.clock)
+    wait_for_channels(machine._groups, machine._setpoints.group, EpicsSettings(), bench.clock)
     assert machine.steps.tolist() == [0.0, 1.0, 0.0]
     coarse = EpicsSettings(setpoint_step=0.25)
-    assert steps_of(machine._setpoints, coarse).tolist() == [0.25, 1.0, 0.25]
-    assert steps_of(machine._setpoints, EpicsSettings(setpoint_step=1.5)).tolist() == [
+    assert steps_of(machine._setpoints.group, coarse).tolist() == [0.25, 1.0, 0.25]
+    assert steps_of(machine._setpoints.group, EpicsSettings(setpoint_step=1.5)).tolist() == [
         1.5,
         2.0,
         1.5,
@@ -103,7 +103,7 @@ def test_setpoints_that_cannot_hold_a_current_are_refused_at_the_start(bench, ki
     with pytest.raises(
         MachineError, match=f"1 of 3 setpoints cannot hold a current:\n  COR1 is {word}\n"
     ):
-        wait_for_channels(machine._groups, machine._setpoints, EpicsSettings(), bench.clock)
+        wait_for_channels(machine._groups, machine._setpoints.group, EpicsSettings(), bench.clock)
 
 
 def test_masked_devices_are_not_waited_for_at_the_start(bench):
@@ -111,13 +111,15 @@ def test_masked_devices_are_not_waited_for_at_the_start(bench):
     bench.rights(0, 1)
     settings = EpicsSettings()
     with pytest.raises(MachineError, match="1 of 3 setpoints may not be written"):
-        wait_for_channels(machine._groups, machine._setpoints, settings, clock)
+        wait_for_channels(machine._groups, machine._setpoints.group, settings, clock)
     machine._groups[0].connected[1] = False
-    wait_for_channels(machine._groups, machine._setpoints, settings, clock, ("COR0", "BPM1"))
-    machine._setpoints.connected[0] = False  # where it is must be known all the same
+    wait_for_channels(machine._groups, machine._setpoints.group, settings, clock, ("COR0", "BPM1"))
+    machine._setpoints.group.connected[0] = False  # where it is must be known all the same
     brief = EpicsSettings(connect_timeout=1e-9)
     with pytest.raises(ConnectError, match=r"1 of 11 PVs(.|\n)*\(the places table\)"):
-        wait_for_channels(machine._groups, machine._setpoints, brief, Late(), ("COR0", "BPM1"))
+        wait_for_channels(
+            machine._groups, machine._setpoints.group, brief, Late(), ("COR0", "BPM1")
+        )
 
 
 def test_the_start_says_where_the_names_are_from_that_do_not_answer(bench):
@@ -126,4 +128,4 @@ def test_the_start_says_where_the_names_are_from_that_do_not_answer(bench):
     slow = {"current": AuxiliarySettings(pv=machine._groups[0].names[0])}
     brief = EpicsSettings(connect_timeout=1e-9, auxiliary=slow)
     with pytest.raises(ConnectError, match=r"\(the places table and epics.auxiliary\)"):
-        wait_for_channels(machine._groups, machine._setpoints, brief, Late())
+        wait_for_channels(machine._groups, machine._setpoints.group, brief, Late())

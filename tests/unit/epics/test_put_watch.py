@@ -101,7 +101,7 @@ def test_what_nobody_takes_is_bounded(heard):
 
 def test_the_machine_hears_its_setpoints(monkeypatch):
     bench = Bench(monkeypatch)
-    group, watch = bench.setpoints, bench.machine._put_watch
+    group, watch = bench.setpoints, bench.machine._setpoints.watch
 
     def event(index, value):
         record = np.zeros(1, dtype=watch.records.dtype)
