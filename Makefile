@@ -14,7 +14,7 @@ COMMA := ,
 SPACE := $(COMMA:,= )
 
 # make docs: the pages as a site in site/.
-.PHONY: run test test-beside test-alone nightly nightly-beside nightly-alone mutants newest coverage test-docs docs newcomer house venv lint types layers audit format bench clean blind chaos soak
+.PHONY: run test test-beside test-alone nightly nightly-beside nightly-alone nightly-plain mutants newest coverage test-docs docs newcomer house venv lint types layers audit format bench clean blind chaos soak
 
 run: venv
 	$(BIN)/orbitfb run --ioc sim
@@ -36,7 +36,7 @@ test-alone: venv
 # Debian, which are installed where that can be done; then safety rules, broken one at a time, and the
 # newest versions of all packages.
 nightly: venv
-	$(MAKE) --no-print-directory --keep-going --jobs=1 nightly-beside nightly-alone mutants newest
+	$(MAKE) --no-print-directory --keep-going --jobs=1 nightly-beside nightly-alone nightly-plain mutants newest
 
 nightly-beside: venv
 	@tests/debian/install
@@ -44,6 +44,10 @@ nightly-beside: venv
 
 nightly-alone: venv
 	$(PYTEST) -m "nightly and timing" tests/system --times=build/times/nightly-alone.txt
+
+# Other tests fork the program from a process that has imported it; here each start is a new one.
+nightly-plain: venv
+	PLAIN_STARTS=1 $(PYTEST) -m "not nightly and not timing" $(BESIDE) --times=build/times/nightly-plain.txt tests/system
 
 mutants: venv
 	$(BIN)/python -m tests.mutants

@@ -13,6 +13,7 @@ import time
 from collections.abc import Generator
 from pathlib import Path
 
+import forked
 import pytest
 from _pytest.terminal import TerminalReporter
 
@@ -22,7 +23,7 @@ _TIMES = "times"
 
 def cpu() -> float:
     """CPU seconds of this process and of its children that have ended and were awaited."""
-    return sum(os.times()[:4])
+    return sum(os.times()[:4]) + forked.used()
 
 
 class Times:

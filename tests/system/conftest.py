@@ -5,7 +5,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from forked import fork_server
 from service_process import Ioc
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _starts_are_forks(_own_runtime_directory: None) -> Iterator[None]:
+    """Start the program quickly."""
+    with fork_server():
+        yield
 
 
 @pytest.fixture

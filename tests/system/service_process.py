@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import urllib.request
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,6 +17,7 @@ from typing import Any, Self
 import numpy as np
 import psutil
 import pytest
+from forked import start
 from free_ports import free_port
 from ioc_clients import run_client
 
@@ -73,14 +75,17 @@ def as_process(*arguments: object, **environment: str | None) -> Done:
     """Run a command to its end in a process of its own."""
     given = os.environ | lean(arguments) | environment
     variables = {k: v for k, v in given.items() if v is not None}
-    return subprocess.run(
-        [*PROGRAM, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=1.5 * START,
-        check=False,
-        env=variables,
-    )
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        process = start([str(each) for each in arguments], out, err, variables)
+        try:
+            code = process.wait(1.5 * START)
+        except BaseException:
+            process.kill()
+            process.wait()
+            raise
+        out.seek(0)
+        err.seek(0)
+        return subprocess.CompletedProcess(arguments, code, out.read(), err.read())
 
 
 def here(*arguments: object, **environment: str | None) -> Done:
@@ -165,13 +170,8 @@ class Process:
     ) -> None:
         self._out, self._err = directory / f"{name}.out", directory / f"{name}.err"
         with self._out.open("w") as out, self._err.open("w") as err:
-            self.popen = subprocess.Popen(
-                [*PROGRAM, *map(str, arguments)],
-                stdout=out,
-                stderr=err,
-                start_new_session=True,
-                env={**os.environ, **lean(arguments), **(variables or {})},
-            )
+            environment = {**os.environ, **lean(arguments), **(variables or {})}
+            self.popen = start([str(each) for each in arguments], out, err, environment)
 
     @property
     def out(self) -> str:
