@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO
 
 PLAIN = "PLAIN_STARTS"
-"""Environment variable that lets every start be one of `python -m orbitfb`, as make nightly does."""
+"""Environment variable that lets every start be one of `python -m orbitfb`: make nightly does."""
 SERVER = Path(__file__).with_name("fork_server.py")
 _server: list[socket.socket] = []
 _used = [0.0]

@@ -10,7 +10,8 @@ from scripted import ConstantPolicy, InversePolicy, M, N, ScriptedMachine, new_c
 
 from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import LoopState
-from orbitfb.loop.runner import ORBIT_TO_CLOSE_ON, Runner
+from orbitfb.loop.commands import ORBIT_TO_CLOSE_ON
+from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.safety.interlocks import InterlockSettings

@@ -18,8 +18,9 @@ from scripted import (
 
 from orbitfb.core.errors import ConfigError, ConnectError, ControlError
 from orbitfb.core.signals import LoopState
+from orbitfb.loop.commands import ORBIT_TO_CLOSE_ON
 from orbitfb.loop.excitation.dither import Dither, DitherSettings
-from orbitfb.loop.runner import ORBIT_TO_CLOSE_ON, Runner
+from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.safety.interlocks import InterlockSettings
