@@ -71,7 +71,7 @@ def test_one_that_takes_too_long_is_ended(tmp_path: Path, engine: str) -> None:
 
 
 def test_one_that_waits_for_ever_is_ended_too(tmp_path: Path, engine: str, monkeypatch) -> None:
-    monkeypatch.setattr(workers, "PATIENCE", 20.0)
+    monkeypatch.setattr(workers, "PATIENCE", 3.0)
     (sleeps,) = diagnose_all([task(tmp_path, engine, "sleeps")], 1, longest=1.0)
     assert (sleeps.diagnosis, sleeps.problem[:9]) == (None, "no answer")
 

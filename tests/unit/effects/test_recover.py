@@ -15,7 +15,6 @@ RING = small_ring()
 TICKS = 1000
 QUICK = (
     "bpm-lowpass",
-    "corrector-deadband",
     "corrector-gain",
     "noise-correlated",
     "quadrupole-gradient",
@@ -29,6 +28,7 @@ SLOW = (
     "bpm-roll",
     "bpm-walk",
     "corrector-crosstalk",
+    "corrector-deadband",
     "corrector-hysteresis",
     "corrector-roll",
     "energy-ramp",

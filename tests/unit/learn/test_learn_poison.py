@@ -8,6 +8,7 @@ from test_learn_worker import Bench
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.refit import Decision
+from orbitfb.physics.places import Ring
 
 FROM, TO, END = 120, 220, 300
 COLUMNS = ("orbit", "next_orbit", "readback", "applied")
@@ -136,7 +137,7 @@ class Bumped(Bench):
 
 
 def test_a_refit_over_a_bump_of_an_operator_is_refused_or_unharmed():
-    bench = Bumped(every=10)
+    bench = Bumped(every=10, ring=Ring.load())
     bench.run()
     report = bench.learn()
     assert report.figures["rows_left_out"] >= (TO - FROM) / 10  # some were looked at twice

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.small_ring import small_ring
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.refit import AlarmCause, Decision, Stage
 from orbitfb.evaluate.simulate import ClosedLoop
@@ -15,7 +16,7 @@ from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import Plant
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
-RING = Ring.load()
+RING = small_ring()
 
 
 def law(response):
@@ -29,8 +30,8 @@ def build(model, incumbent):
 class Bench:
     """A ring, a loop that obeys the slot, and the thread's work without the thread."""
 
-    def __init__(self, factor=1.0, ticks=2000, records=None, **settings):
-        plant = Plant(RING, seed=2)
+    def __init__(self, factor=1.0, ticks=2000, records=None, ring=RING, **settings):
+        plant = Plant(ring, seed=2)
         truth = plant.response
         self.slot = PolicySlot(law(factor * truth))
         self.loop = ClosedLoop(plant, self.slot.current, ticks)
@@ -77,7 +78,7 @@ def test_periodic_refit_promotes_a_better_law_and_keeps_it():
 
 
 def test_refits_come_at_the_chosen_interval():
-    bench = Bench(every=100, chi2_trigger=50.0)
+    bench = Bench(every=100, chi2_trigger=50.0, ring=Ring.load())
     bench.advance(420)
     assert [r.trigger for r in bench.reports] == ["periodic"] * 4
 

@@ -114,7 +114,7 @@ def test_a_healthy_ring_that_is_kicked_goes_on(ring):
     bench = Bench(ring, seed=6)
     for kick in (30e-6, 100e-6):
         bench.machine.machine.plant.kick(kick)
-        bench.steps(250)
+        bench.steps(150)
         assert bench.runner.state is LoopState.CLOSED
         assert np.sqrt(np.mean(bench.records[-1].reading.orbit.position ** 2)) < 2e-6
 
@@ -132,6 +132,7 @@ def true_rms(bench, ticks):
     return 1e6 * np.sqrt(np.mean(squares))
 
 
+@pytest.mark.nightly
 def test_a_quiet_ring_is_asked_so_rarely_that_its_orbit_is_as_good(ring):
     asking, believing = Bench(ring, seed=7), Bench(ring, seed=7, answer_reach=None)
     asking.steps(100, until=lambda: not asks(asking))  # the questions about the closing
@@ -171,7 +172,7 @@ def test_a_ring_of_the_other_sign_is_told_in_a_few_questions(ring):
 def test_a_ring_that_is_kicked_again_and_again_is_corrected_meanwhile(ring):
     bench, random = Bench(ring, seed=9), np.random.default_rng(9)
     squares = []
-    for _ in range(300):
+    for _ in range(150):
         if random.random() < 0.2:
             bench.machine.machine.plant.kick(10e-6)
         bench.steps(1)

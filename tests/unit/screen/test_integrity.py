@@ -25,7 +25,9 @@ CLEAN = (
 )
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize(
+    "seed", [*range(5), *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(5, 20))]
+)
 def test_a_clean_record_gives_no_finding(seed):
     made = simulate_record(ring(), ticks=600, seed=seed, **CLEAN[seed % len(CLEAN)])
     assert screen(made) == []

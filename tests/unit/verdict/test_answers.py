@@ -62,7 +62,7 @@ def cubic(orbit: Matrix) -> Matrix:
     return 4e-6 * np.tanh(orbit / 4e-6)
 
 
-@pytest.mark.parametrize("seed", [21, 22])
+@pytest.mark.parametrize("seed", [21, pytest.param(22, marks=pytest.mark.nightly)])
 def test_a_healthy_record_has_no_gap(seed: int) -> None:
     found = answer(make_record(seed))
     assert (found.state, found.causes) == ("no_gap", ())

@@ -71,9 +71,9 @@ def archives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path
     """Operation, the same with a dither, and more of the first kind."""
     base = tmp_path_factory.mktemp("operation")
     return (
-        operate(base / "quiet", 900, 1, 1.7e9),
-        operate(base / "dithered", 500, 2, 1.8e9, dither=2e-6),
-        operate(base / "other", 500, 3, 1.9e9),
+        operate(base / "quiet", 760, 1, 1.7e9),
+        operate(base / "dithered", 250, 2, 1.8e9, dither=2e-6),
+        operate(base / "other", 150, 3, 1.9e9),
     )
 
 
