@@ -4,11 +4,12 @@
 
 A start computes for one to two seconds, nearly all of them imports, and the tests start the
 program more than a hundred times. What a child does is what `python -m orbitfb` does after its
-imports, in a session, an environment and files of its own. `make nightly` starts it anew instead.
+imports, in a session, an environment and files of its own, or what the script of a client does,
+which most often imports pyepics. `make nightly` starts all of them anew instead.
 
-The descriptor is that of a socket. A request is one message: arguments and environment as JSON,
-with the descriptors of standard output, standard error and of a pipe. The pipe gets the number of
-the process, then a line about its end: what `waitpid` says, and the CPU seconds that it took.
+The descriptor is that of a socket. A request is one message: arguments, environment and script as
+JSON, with the descriptors of standard output, standard error and of a pipe. The pipe gets the
+number of the process, then a line about its end: what `waitpid` says, and the CPU seconds it took.
 """
 
 import array
@@ -19,6 +20,8 @@ import select
 import signal
 import socket
 import sys
+
+import epics  # noqa: F401
 
 import orbitfb.app.doctor.examine
 import orbitfb.app.measure.command
@@ -55,8 +58,8 @@ def reap(pipes: dict[int, int]) -> None:
         os.close(pipe)
 
 
-def serve(control: socket.socket) -> None:
-    """Fork at each request; returns in the children alone."""
+def serve(control: socket.socket) -> str:
+    """Fork at each request; returns in the children alone, with the script if there is one."""
     wake, alarm = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(alarm, warn_on_full_buffer=False)
@@ -86,7 +89,7 @@ def serve(control: socket.socket) -> None:
             os.close(left)
         control.close()
         begin(asked, out, err)
-        return
+        return str(asked["script"])
 
 
 def begin(asked: dict[str, object], out: int, err: int) -> None:
@@ -104,6 +107,8 @@ def begin(asked: dict[str, object], out: int, err: int) -> None:
 
 
 if __name__ == "__main__":
-    serve(socket.socket(fileno=int(sys.argv[1])))
-    __package__ = "orbitfb"  # as `python -m orbitfb` has it: usage names the program by it
-    orbitfb.cli.app.main()
+    if script := serve(socket.socket(fileno=int(sys.argv[1]))):
+        exec(compile(script, "<client>", "exec"), {"__name__": "__main__"})
+    else:
+        __package__ = "orbitfb"  # as `python -m orbitfb` has it: usage names the program by it
+        orbitfb.cli.app.main()

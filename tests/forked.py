@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO
@@ -47,22 +48,52 @@ def fork_server() -> Iterator[None]:
 
 
 def start(
-    arguments: Sequence[str], out: IO[str], err: IO[str], environment: Mapping[str, str]
+    arguments: Sequence[str],
+    out: IO[str],
+    err: IO[str],
+    environment: Mapping[str, str],
+    script: str = "",
 ) -> "subprocess.Popen[bytes] | Forked":
-    """Start the program in a session of its own.
+    """Start the program, or a script, in a session of its own.
 
     Args:
         arguments: What follows `orbitfb`.
         out: Gets its standard output.
         err: Gets its standard error.
         environment: All of its variables.
+        script: What is done instead of the program; empty: the program.
     """
     if _server:
-        return Forked(_server[0], arguments, out, err, environment)
-    command = [sys.executable, "-W", "error::ResourceWarning", "-m", "orbitfb", *arguments]
+        return Forked(_server[0], arguments, out, err, environment, script)
+    what = ["-c", script] if script else ["-m", "orbitfb"]
+    command = [sys.executable, "-W", "error::ResourceWarning", *what, *arguments]
     return subprocess.Popen(
         command, stdout=out, stderr=err, start_new_session=True, env=environment
     )
+
+
+def finish(
+    arguments: Sequence[str], environment: Mapping[str, str], timeout: float, script: str = ""
+) -> "subprocess.CompletedProcess[str]":
+    """Start, and wait for the end; gives code and output as `subprocess.run` does.
+
+    Args:
+        arguments: What follows `orbitfb`.
+        environment: All variables.
+        timeout: How long it may take [s].
+        script: What is done instead of the program; empty: the program.
+    """
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        process = start(arguments, out, err, environment, script)
+        try:
+            code = process.wait(timeout)
+        except BaseException:
+            process.kill()
+            process.wait()
+            raise
+        out.seek(0)
+        err.seek(0)
+        return subprocess.CompletedProcess(list(arguments), code, out.read(), err.read())
 
 
 class Forked:
@@ -80,10 +111,15 @@ class Forked:
         out: IO[str],
         err: IO[str],
         environment: Mapping[str, str],
+        script: str,
     ) -> None:
         self.returncode: int | None = None
         read, write = os.pipe()
-        asked = {"arguments": list(arguments), "environment": dict(environment)}
+        asked = {
+            "arguments": list(arguments),
+            "environment": dict(environment),
+            "script": script,
+        }
         try:
             descriptors = array.array("i", [out.fileno(), err.fileno(), write])
             rights = (socket.SOL_SOCKET, socket.SCM_RIGHTS, descriptors)

@@ -5,12 +5,12 @@ import json
 import os
 import socket
 import struct
-import subprocess
-import sys
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+from forked import finish
 
 from orbitfb.physics.places import Ring
 from orbitfb.sim.child import SimChild
@@ -34,14 +34,8 @@ def serving(**sim: Any) -> Iterator[SimChild]:
 
 def run_client(port: int, script: str) -> Any:
     """Run a script as a client and give the JSON that it prints last."""
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script)],
-        env=os.environ | client_environment(port),
-        capture_output=True,
-        text=True,
-        timeout=180,
-        check=False,
-    )
+    environment = os.environ | client_environment(port)
+    done = finish([], environment, 180.0, textwrap.dedent(script))
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 

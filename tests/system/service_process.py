@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 import urllib.request
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 import psutil
 import pytest
-from forked import start
+from forked import finish, start
 from free_ports import free_port
 from ioc_clients import run_client
 
@@ -75,17 +74,7 @@ def as_process(*arguments: object, **environment: str | None) -> Done:
     """Run a command to its end in a process of its own."""
     given = os.environ | lean(arguments) | environment
     variables = {k: v for k, v in given.items() if v is not None}
-    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
-        process = start([str(each) for each in arguments], out, err, variables)
-        try:
-            code = process.wait(1.5 * START)
-        except BaseException:
-            process.kill()
-            process.wait()
-            raise
-        out.seek(0)
-        err.seek(0)
-        return subprocess.CompletedProcess(arguments, code, out.read(), err.read())
+    return finish([str(each) for each in arguments], variables, 1.5 * START)
 
 
 def here(*arguments: object, **environment: str | None) -> Done:
