@@ -28,12 +28,13 @@ _SURE = 0.8
 """Probability from which the answer names a device."""
 
 
-def fitted(its: MeasuredRing, halves: bool) -> dict[str, Any]:
+def fitted(its: MeasuredRing, checks: bool) -> dict[str, Any]:
     """Fit one response.
 
     Args:
         its: The response.
-        halves: Whether to fit every other corrector and the rest, too.
+        checks: Whether to fit every other corrector and the rest, too, and the fit itself with
+            noise anew.
     """
     begin = time.process_time()
     found = diagnose(its.ring, its.measured)
@@ -46,9 +47,10 @@ def fitted(its: MeasuredRing, halves: bool) -> dict[str, Any]:
     }
     for plane in found.mended.planes:
         answer[plane] = _plane(its, found, plane)
-    if halves:
+    if checks:
         for plane, apart in _halves(its).items():
-            answer[plane]["gain_sigma_by_halves"] = round(apart, 6)
+            answer[plane]["gain_scatter_of_halves"] = round(apart, 6)
+        answer["named_of_resimulated_only"] = _resimulated(its, found)
     if "gradient" in its.laboratory:
         mine, theirs = found.fit.part("gradient"), its.laboratory["gradient"]
         both = np.isfinite(theirs)
@@ -104,14 +106,35 @@ def _plane(its: MeasuredRing, found: Result, plane: Plane) -> dict[str, Any]:
 
 
 def _halves(its: MeasuredRing) -> dict[Plane, float]:
-    """Fit odd and even correctors each alone; half their difference is σ of a gain."""
+    """Fit odd and even correctors each alone: scatter of the gains of one such fit [1]."""
     found = [diagnose(its.ring, _every_other(its.measured, first)) for first in (0, 1)]
     apart: dict[Plane, float] = {}
     for plane in its.measured.planes:
         one, other = (1.0 + half.estimates[f"gain:{plane}"].value for half in found)
         difference = one - other * np.median(one / other)
-        apart[plane] = TO_SIGMA * float(np.median(np.abs(difference))) / 2.0
+        apart[plane] = TO_SIGMA * float(np.median(np.abs(difference))) / np.sqrt(2.0)
     return apart
+
+
+def _resimulated(its: MeasuredRing, found: Result) -> list[str]:
+    """Diagnose the fitted response with noise anew; what is named there and not before is false."""
+    rng = np.random.default_rng(1)
+    response = {
+        (p, p): np.where(
+            found.fit.noise[p].kept,
+            found.fit.model[p] + found.fit.noise[p].sigma * rng.standard_normal(model.shape),
+            np.nan,
+        )
+        for p, model in found.fit.model.items()
+    }
+    sigma = {(p, p): noise.sigma for p, noise in found.fit.noise.items()}
+    again = diagnose(its.ring, replace(its.measured, response=response, sigma=sigma))
+    before = {place for one in found.named for place in one.places}
+    return [
+        _told(its, one)
+        for one in again.named
+        if one.probability >= _SURE and not set(one.places) <= before
+    ]
 
 
 def _every_other(measured: Measured, first: int) -> Measured:
@@ -153,7 +176,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", default="", help="Part of the names of the sets to fit.")
-    parser.add_argument("--halves", action="store_true", help="Fit halves of the correctors, too.")
+    parser.add_argument(
+        "--checks", action="store_true", help="Fit halves, and the fit with noise anew, too."
+    )
     parser.add_argument("--out", type=Path, help="File for the JSON.")
     given = parser.parse_args()
     answers: dict[str, Any] = {}
@@ -161,7 +186,7 @@ def main() -> None:
         if given.only not in name:
             continue
         try:
-            answers[name] = fitted(read(path, left_out), given.halves)
+            answers[name] = fitted(read(path, left_out), given.checks)
         except (OrbitFeedbackError, KeyError, AttributeError, ValueError, TypeError) as error:
             answers[name] = {"not_fitted": f"{type(error).__name__}: {error}"[:300]}
     text = json.dumps(answers, indent=1, ensure_ascii=False)

@@ -80,6 +80,32 @@ def places_of(names: Sequence[str], labels: dict[str, int], what: str, file: obj
     return np.array(places, dtype=np.intp)
 
 
+def places_or_none(
+    names: Sequence[str], labels: dict[str, int], what: str, file: object
+) -> tuple[Indices, tuple[str, ...]]:
+    """Find the places of devices of which the ring may lack a few.
+
+    Args:
+        names: As the file has them.
+        labels: From `bpm_labels` or `corrector_labels`.
+        what: `BPMs` or `correctors`, for messages.
+        file: For messages.
+
+    Returns:
+        A place for every name, shape (k,), −1 where the ring has none; and those names.
+
+    Raises:
+        ExchangeError: The ring lacks more than half, a name is ambiguous, or two mean the same.
+    """
+    unknown = tuple(name for name in names if name not in labels)
+    if 2 * len(unknown) > len(names):
+        places_of(names, labels, what, file)  # says which they are
+    found = np.full(len(names), -1, dtype=np.intp)
+    there = [number for number, name in enumerate(names) if name in labels]
+    found[there] = places_of([names[number] for number in there], labels, what, file)
+    return found, unknown
+
+
 def _labels(
     names: Sequence[str], planes: Sequence[str], pvs: Sequence[Sequence[str]]
 ) -> dict[str, int]:

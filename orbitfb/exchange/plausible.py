@@ -11,13 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.core.signals import Channels, Vector
-from orbitfb.measure.screen import SIGN, evened, exchanges, order_told, row_sizes
+from orbitfb.measure.screen import MOST_SIZE, SIGN, evened, exchanges, order_told, row_sizes
 
 ALIKE = 0.5
 """Least cosine between a matrix and that of the optics for them to be of one ring [1]."""
-
-_SIZE = 3.0
-"""How many times larger or smaller than by the optics a response may be [1]."""
 
 _OTHER_SIZE = 1.5
 """Times the median device that a row or column may be larger or smaller [1]: healthy devices of
@@ -110,11 +107,11 @@ def _block_problem(
             f"it has the opposite sign of the optics (cosine {found.cosine:.2f}); a matrix here is "
             "orbit per setpoint, not the correction: turn its sign where it was made"
         )
-    if not 1 / _SIZE < found.size < _SIZE:
+    if not 1 / MOST_SIZE < found.size < MOST_SIZE:
         fitting = [
             other
             for other, size in units.items()
-            if 1 / _SIZE < found.size * size / units[unit] < _SIZE
+            if 1 / MOST_SIZE < found.size * size / units[unit] < MOST_SIZE
         ]
         advice = f"it would fit in {' or '.join(fitting)}" if fitting else "no unit would fit"
         return (
@@ -191,7 +188,7 @@ def history_problem(orbit: Vector, setpoints: Vector, response: Vector, calibrat
     expected = steps[whole] @ response.T
     found = likeness(moved[whole], expected)
     for scale in _SCALES:
-        if abs(found.cosine) > 0.3 and 1 / _SIZE < abs(found.size) / scale < _SIZE:
+        if abs(found.cosine) > 0.3 and 1 / MOST_SIZE < abs(found.size) / scale < MOST_SIZE:
             return (
                 f"the orbit answers the setpoints {_NAMES[scale]} than the optics say (cosine "
                 f"{found.cosine:.2f}); correct --orbit-unit or --setpoint-unit"

@@ -255,12 +255,14 @@ def _as_turns(named: list[Named]) -> list[Named]:
 
 
 def _without_echoes(named: list[Named]) -> list[Named]:
-    """Leave out what is named twice: a row by its phase and by its shape."""
+    """Leave out what is named twice: a row by its phase and by its shape, or that is dead."""
     seen: set[tuple[str, tuple[str, ...]]] = set()
+    dead = {place for its in named if its.kind.endswith("dead") for place in its.places}
     kept: list[Named] = []
     for its in sorted(named, key=lambda one: one.unit == "m/rad"):
         key = (its.kind, its.places)
-        if key not in seen:
+        echo = its.kind in ("bpm-row", "corrector-column") and its.places[0] in dead
+        if key not in seen and not echo:
             kept.append(its)
             seen.add(key)
     return kept

@@ -19,8 +19,8 @@ from orbitfb.physics.places import Indices
 WIDE = 25.0
 """Prior variance of a parameter that is let free: deviations of five times the nominal [1]."""
 
-_MEDIAN_OF_SQUARE = 0.4549
-"""Median of the square of a standard normal number."""
+_BEYOND = 9.0
+"""Median deviations, 6 standard deviations, from which a device does not count in a spread [1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,17 +106,27 @@ def posterior(matrix: Matrix, pull: Vector, prior: Vector) -> Posterior:
 def robust_spread(its: Posterior, group: Indices, least: float) -> float:
     """Estimate the healthy spread of a group that the data know well, a few devices aside.
 
-    The median of m², seen from the median of all, is that of its variance τ² + v.
+    Seen from their median, the variance of m is τ² + v. It is estimated by the biweight
+    midvariance (F. Mosteller, J. W. Tukey, Data Analysis and Regression, 1977): devices beyond
+    `_BEYOND` median deviations do not count, nearer ones the less the farther they are. Of some
+    fifty devices it is twice as precise as the median deviation alone, and tails that real gains
+    have are in it.
 
     Args:
         its: The posterior.
         group: The parameters.
         least: Smallest spread.
     """
-    value, variance = its.by_data()
-    apart = value[group] - np.median(value[group])
-    square = float(np.median(apart**2)) / _MEDIAN_OF_SQUARE
-    return max(least, float(np.sqrt(max(0.0, square - float(np.median(variance[group]))))))
+    value, variance = (each[group] for each in its.by_data())
+    apart = value - np.median(value)
+    deviation = float(np.median(np.abs(apart)))
+    if not deviation > 0.0:
+        return least
+    u = np.minimum((apart / (_BEYOND * deviation)) ** 2, 1.0)
+    inside = u < 1.0
+    weight = float(np.sum((1 - u[inside]) * (1 - 5 * u[inside])))
+    square = len(apart) * float(np.sum(apart**2 * (1 - u) ** 4)) / weight**2
+    return max(least, float(np.sqrt(max(0.0, square - float(np.median(variance))))))
 
 
 def evidence_spread(its: Posterior, group: Indices, least: float) -> float:

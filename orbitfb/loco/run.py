@@ -14,7 +14,14 @@ from orbitfb.loco.named import Named
 from orbitfb.loco.names import name_devices
 from orbitfb.loco.optics import RingOptics
 from orbitfb.loco.parameters import Fit
-from orbitfb.measure.screen import DEAD, dead_rows, exchanges, what_it_looks_like
+from orbitfb.measure.screen import (
+    DEAD,
+    dead_rows,
+    exchanges,
+    row_sizes,
+    size_told,
+    what_it_looks_like,
+)
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Plane, Ring
 
@@ -104,10 +111,17 @@ def check(measured: Measured, nominal: dict[Plane, Matrix]) -> None:
     """
     for plane in measured.planes:
         data = measured.response[plane, plane]
-        if not np.isfinite(data).any():
-            raise RingError(f"plane {plane}: no number was measured")
+        there = np.isfinite(data)
+        rows, columns = int(there.any(axis=1).sum()), int(there.any(axis=0).sum())
+        if min(rows, columns) < 2:
+            raise RingError(
+                f"plane {plane}: {rows} BPMs by {columns} correctors were measured; with fewer "
+                "than two of each a gain cannot be told from a calibration: measure more"
+            )
         other = nominal.get("y" if plane == "x" else "x")
-        told = what_it_looks_like(data, nominal[plane], other)
+        model = nominal[plane]
+        size = float(np.nanmedian(row_sizes(data, model))) or 1.0
+        told = what_it_looks_like(data / size, model, other) or size_told(data, model)
         if told:
             raise RingError(f"plane {plane}: the response is not taken: {told}")
 

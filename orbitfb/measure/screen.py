@@ -18,6 +18,10 @@ SIGN = 0.85
 """Least size of a negative cosine that is a matter of the sign alone [1]: names that are shifted by
 one have −0.6, measured responses of the right order 0.9 and more."""
 
+MOST_SIZE = 3.0
+"""How many times larger or smaller than by the optics a response may be [1]; the calibrations of
+whole rings are off by 2 at most, wrong units by 1000."""
+
 _LEAST_GAIN = 0.5
 """An exchange must leave less than this share of the misfit of both rows [1]."""
 
@@ -124,6 +128,18 @@ def order_of(data: Matrix, model: Matrix) -> Order:
                 signed = shift if shift <= n // 2 else shift - n
                 best = Order(signed, backwards, value)
     return best
+
+
+def size_told(data: Matrix, model: Matrix) -> str:
+    """Say by how much a matrix is too large or too small as a whole; "" when it is not."""
+    sizes = row_sizes(data, model)
+    size = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 1.0
+    if 1 / MOST_SIZE < size < MOST_SIZE:
+        return ""
+    return (
+        f"it is {size:.3g} times as large as the optics say: state the unit that it was measured "
+        "in (--unit), and see the calibrations of the correctors in the table"
+    )
 
 
 def what_it_looks_like(data: Matrix, model: Matrix, other: Matrix | None) -> str:

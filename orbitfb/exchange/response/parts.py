@@ -10,10 +10,10 @@ from orbitfb.core.signals import Channels
 from orbitfb.exchange.formats.csv_file import COLUMNS, ROWS, VALUES, CsvSource
 from orbitfb.exchange.formats.datasets import Found, Source, matrix_of
 from orbitfb.exchange.formats.source import names_from
-from orbitfb.exchange.naming import bpm_labels, corrector_labels, places_of
+from orbitfb.exchange.naming import bpm_labels, corrector_labels, places_or_none
 from orbitfb.measure.column import Table
 from orbitfb.physics.optics import Matrix
-from orbitfb.physics.places import Indices
+from orbitfb.physics.places import Indices, Planes
 
 ORDERS = ("names", "table")
 
@@ -47,13 +47,20 @@ class ResponseRequest:
     anyway: bool = False
 
 
-def found_in(source: Source, where: str | None) -> Found:
+def found_in(source: Source, where: str | None, planes: Planes) -> Found:
     """Read the matrix as it stands.
+
+    Args:
+        source: The file.
+        where: Path of the matrix within it; None: the only place of its format.
+        planes: `x`, `y` or `xy`, for files that hold them apart.
 
     Raises:
         ExchangeError: Nobody says where it is, or it is not there.
     """
     if where is None and not isinstance(source, CsvSource):
+        if any(name.startswith("Rmat.") for name in source.listing()):
+            return _middle_layer(source, planes)
         raise ExchangeError(
             f"{source.path}: --matrix must say which of these is the matrix: "
             f"{', '.join(source.listing()[:30])}"
@@ -61,10 +68,50 @@ def found_in(source: Source, where: str | None) -> Found:
     return source.get(where or VALUES)
 
 
+def _middle_layer(source: Source, planes: Planes) -> Found:
+    """Read `Rmat` of the Matlab Middle Layer, the blocks of the planes one beside the other.
+
+    A file of one block is of the plane that the caller says.
+    """
+
+    def block(row: int, column: int) -> Found | None:
+        try:
+            found = source.get(f"Rmat({row},{column}).Data")
+        except ExchangeError:
+            return None
+        return found if found.numbers.size else None
+
+    first, last = block(1, 1), block(2, 2)
+    if first is None:
+        return source.get("Rmat.Data")
+    if planes == "x" or (last is None and planes == "y"):
+        return first
+    if last is None:
+        raise ExchangeError(
+            f"{source.path}: Rmat has one block, and planes x and y are asked for; give the plane "
+            "that it is of with --planes"
+        )
+    if planes == "y":
+        return last
+    own = [matrix_of(its, source.path) for its in (first, last)]
+    whole = np.zeros((len(own[0]) + len(own[1]), own[0].shape[1] + own[1].shape[1]))
+    rows = (slice(0, len(own[0])), slice(len(own[0]), None))
+    columns = (slice(0, own[0].shape[1]), slice(own[0].shape[1], None))
+    for i in (0, 1):
+        for j in (0, 1):
+            its = block(i + 1, j + 1)
+            if its is not None:
+                whole[rows[i], columns[j]] = matrix_of(its, source.path)
+    return Found("Rmat", whole, (), first.units)
+
+
 def places_in(
     source: Source, request: ResponseRequest, matrix: Matrix, channels: Channels
-) -> tuple[Indices, Indices]:
+) -> tuple[Indices, Indices, tuple[str, ...]]:
     """Find the places of rows and columns in the ring, of the matrix as it is in the end.
+
+    Returns:
+        Places of rows and of columns, −1 where the ring lacks the device, and the names of those.
 
     Raises:
         ExchangeError: Nobody says which devices they are, or they are not of the ring.
@@ -80,8 +127,9 @@ def places_in(
                 f"{source.path}: the matrix has shape {matrix.shape}, the ring has {n} BPMs and "
                 f"{m} correctors in planes {channels.planes}; {advice}"
             )
-        return np.arange(n), np.arange(m)
+        return np.arange(n), np.arange(m), ()
     found: list[Indices] = []
+    lacking: list[str] = []
     for where, part, option, what, known in (
         (request.bpm_names, ROWS, "--bpm-names", "BPMs", bpm_labels(channels)),
         (request.corrector_names, COLUMNS, "--corrector-names", "correctors",
@@ -107,8 +155,10 @@ def places_in(
                 + ("leave --transpose out" if turned and request.transpose else
                    "give --transpose" if turned else "name each of them once")
             )  # fmt: skip
-        found.append(places_of(names, known, what, source.path))
-    return found[0], found[1]
+        places, unknown = places_or_none(names, known, what, source.path)
+        found.append(places)
+        lacking += unknown
+    return found[0], found[1], tuple(lacking)
 
 
 def table_of(
@@ -135,9 +185,10 @@ def table_of(
                 f"{source.path}: {part.where} has shape {numbers.shape}, the matrix "
                 f"{(len(rows), len(columns))}; give one number for each"
             )
-        getattr(table, name)[np.ix_(rows, columns)] = np.where(
+        inside = np.ix_(rows >= 0, columns >= 0)
+        getattr(table, name)[np.ix_(rows[rows >= 0], columns[columns >= 0])] = np.where(
             np.isfinite(numbers), numbers, np.nan
-        )
+        )[inside]
     measured = np.isfinite(table.response).any(axis=0)
     table.time[measured] = source.path.stat().st_mtime
     return table

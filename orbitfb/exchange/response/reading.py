@@ -8,6 +8,7 @@ import numpy as np
 
 from orbitfb import __version__
 from orbitfb.core.errors import ExchangeError
+from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.signals import Channels, Vector
 from orbitfb.exchange.formats.datasets import matrix_of
 from orbitfb.exchange.formats.source import open_source
@@ -56,8 +57,8 @@ def import_response(
         )
     source = open_source(request.file)
     channels = ring.channels(planes)
-    found = found_in(source, request.matrix)
-    rows, columns = places_in(source, request, matrix_of(found, source.path), channels)
+    found = found_in(source, request.matrix, planes)
+    rows, columns, lacking = places_in(source, request, matrix_of(found, source.path), channels)
     unit, size = factor(
         request.unit, found.units, RESPONSE, f"{source.path}: {found.where}", "--unit"
     )
@@ -86,7 +87,15 @@ def import_response(
     }
     base = np.full(len(channels.correctors), np.nan)
     write_response(request.out, table, base, channels, judgement, about)
-    return _answer(request, table, nominal, channels, judgement, unit, problem)
+    answer = _answer(request, table, nominal, channels, judgement, unit, problem)
+    known = (*labels(channels.bpms, channels.bpm_planes),
+             *labels(channels.correctors, channels.corrector_planes))  # fmt: skip
+    return answer | {
+        "left_out": {
+            name: f"is not in the places table{did_you_mean(name, known, most=1)}"
+            for name in lacking
+        }
+    }
 
 
 def _calibration(ring: Ring, planes: Planes) -> Vector:

@@ -143,6 +143,12 @@ def _placed(raw: Raw, request: Request, ring: Ring, notes: list[str]) -> _Placed
     columns = _where(raw, 1, planes, ring, "COR", request, notes)
     values = raw.values * size
     sigma = np.full_like(values, np.nan) if raw.sigma is None else raw.sigma * size
+    if sigma.shape != values.shape or np.any(sigma < 0.0):
+        raise ExchangeError(
+            f"{request.file}: sigma has shape {sigma.shape} and {int(np.sum(sigma < 0.0))} "
+            f"negative values; give a standard deviation for each of the {values.shape} of "
+            f"{raw.where}, NaN where it is not known"
+        )
     if unit in PER_KICK:
         per_ampere = np.array(
             [
@@ -206,6 +212,13 @@ def _where(
                 "NAME:y, or give --planes x or y"
             )
     if len(unknown) > _MOST_UNKNOWN * count:
+        others = labels(ring, "COR" if kind == "BPM" else "BPM")
+        if sum(name in others for name in unknown) > _MOST_UNKNOWN * count:
+            raise ExchangeError(
+                f"{request.file}: the {('rows', 'columns')[axis]} of {raw.where} are "
+                f"{('correctors', 'BPMs')[axis]}, such as {unknown[0]!r}; "
+                f"{'leave --transpose out' if request.transpose else 'give --transpose'}"
+            )
         hint = did_you_mean(unknown[0], known, most=1)
         raise ExchangeError(
             f"{request.file}: {len(unknown)} of {count} {what} are not in the places table, such "

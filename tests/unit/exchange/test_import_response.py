@@ -15,6 +15,7 @@ from orbitfb.cli.app import app
 from orbitfb.core.errors import ExchangeError
 from orbitfb.measure.response_file import nominal_response, read_response
 from orbitfb.physics.places import Ring
+from orbitfb.physics.response import response
 from orbitfb.policies.masking import MaskSettings
 
 DATA = Path(__file__).parents[3] / "orbitfb/data"
@@ -210,16 +211,22 @@ def test_a_matrix_without_a_number_is_refused(tmp_path, matrix):
     assert not Path("response.safetensors").exists()
 
 
-def test_unknown_and_repeated_names_are_listed(tmp_path, matrix):
+def test_unknown_and_repeated_names_are_listed(tmp_path, matrix, capsys):
     with h5py.File(tmp_path / "rm.h5", "w") as file:
         file["R"] = matrix
-        file["strange"] = ["PH1A_C31", *BPMS[1:]]
+        file["strange"] = ["PH1A_C31", *(f"B{i}" for i in range(100)), *BPMS[101:]]
+        file["mistyped"] = ["PH1A_C31", *BPMS[1:]]
         file["twice"] = [BPMS[1], *BPMS[1:]]
         file["c"] = CORRECTORS
     options = ("--matrix", "R", "--corrector-names", "c", "--unit", "m/A", "--bpm-names")
     said = refused("rm.h5", *options, "strange")
-    assert "'PH1A_C31' (did you mean PH1A_C" in said
+    assert "101 of 180 BPMs" in said and "'PH1A_C31' (did you mean PH1A_C" in said
     assert "one device" in refused("rm.h5", *options, "twice")
+    words = ["import", "response", "rm.h5", *options, "mistyped"]
+    assert app(words, standalone_mode=False) == 1  # the BPM that was meant is missing
+    told = capsys.readouterr().out
+    assert "PH1A_C31  is not in the places table (did you mean PH1A_C" in told
+    assert f"{BPMS[0]}  was not valid in" in told
 
 
 def test_both_planes_need_to_be_told_apart(tmp_path):
@@ -266,3 +273,41 @@ def test_exchanged_and_reversed_devices_are_told(tmp_path, matrix):
     assert set(answer["bad_correctors"]) == {names[4], names[9]}
     assert names[9] in answer["bad_correctors"][names[4]]
     assert "opposite sign" in answer["bad_bpms"][Ring.load().names("BPM")[7]]
+
+
+def test_a_device_that_the_table_lacks_is_left_out_and_told(tmp_path, matrix, capsys):
+    with open("rm.csv", "w") as file:
+        print("R [m/A]", *CORRECTORS, "NEWC", sep=",", file=file)
+        for name, row in zip([*BPMS, "NEWB"], np.vstack([matrix, matrix[:1]]), strict=True):
+            print(name, *row, 1.0, sep=",", file=file)
+    measured, adopted = taken("rm.csv")
+    np.testing.assert_allclose(adopted, matrix)
+    assert measured.table.response.shape == (180, 180)
+    told = capsys.readouterr().out
+    assert "NEWB" in told and "NEWC" in told and "is not in the places table" in told
+
+
+def test_the_middle_layer_says_where_its_matrix_is(tmp_path, matrix):
+    one = {"Data": 1e3 * matrix, "UnitsString": "mm/Ampere"}
+    scipy.io.savemat("one.mat", {"Rmat": one})
+    assert "--order table" in refused("one.mat")  # its devices have no names
+    assert "Rmat has one block" in refused("one.mat", "--order", "table", "--planes", "xy")
+    _, adopted = taken("one.mat", "--order", "table")
+    np.testing.assert_allclose(adopted, matrix)
+
+    vertical = response(RING, "y")
+    blocks = np.empty((2, 2), dtype=[("Data", object), ("UnitsString", object)])
+    for i, j in np.ndindex(2, 2):
+        data = (matrix, vertical)[i] if i == j else np.empty((0, 0))
+        blocks[i, j] = (1e3 * data, "mm/Ampere")
+    scipy.io.savemat("both.mat", {"Rmat": blocks})
+    _, adopted = taken("both.mat", "--order", "table")
+    np.testing.assert_allclose(adopted, matrix)
+    app(
+        ["import", "response", "both.mat", "--order", "table", "--planes", "xy"],
+        standalone_mode=False,
+    )
+    both = read_response(Path("response.safetensors"), RING.channels("xy")).table.response
+    np.testing.assert_allclose(both[:180, :180], matrix)
+    np.testing.assert_allclose(both[180:, 180:], vertical)
+    assert not both[:180, 180:].any()

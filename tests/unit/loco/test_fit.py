@@ -163,6 +163,8 @@ def test_a_single_wild_element_is_an_outlier_and_is_shown() -> None:
         (lambda m: -m, "opposite sign of the optics"),
         (lambda m: m.T, "transposed"),
         (lambda m: m[::-1], "opposite order"),
+        (lambda m: 1e3 * m, r"e\+03 times as large.*--unit"),
+        (lambda m: 1e-3 * m, r"0\.00\d+ times as large"),
         (lambda m: np.random.default_rng(1).permutation(m), "another ring"),
     ],
 )
@@ -258,7 +260,8 @@ def test_a_row_that_shows_something_else_is_a_dead_bpm() -> None:
     own[6] = 0.12 * np.random.default_rng(4).permutation(own[40])
     found = diagnose(truth.ring, truth.measured)
     place = f"{truth.ring.table.name[truth.measured.bpms['x'][6]]}:x"
-    assert ("bpm-dead", (place,)) in {(its.kind, its.places) for its in found.named}
+    told = [its.kind for its in found.named if its.places == (place,)]
+    assert told == ["bpm-dead"]
 
 
 def test_a_noise_that_is_stated_far_too_large_is_not_believed_and_told() -> None:
@@ -271,3 +274,19 @@ def test_a_noise_that_is_stated_far_too_large_is_not_believed_and_told() -> None
     notes = answer_of(found, "m", (), ()).notes
     assert [note.split(":")[0] for note in notes] == ["plane x", "plane y"]
     assert answer_of(diagnose(truth.ring, truth.measured), "m", (), ()).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda m: np.where(np.arange(m.shape[1]) == 3, m, np.nan), "45 BPMs by 1 correctors"),
+        (lambda m: 1e200 * m, r"e\+200 times as large"),
+        (lambda m: np.full_like(m, np.nan), "0 BPMs by 0 correctors"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused_before(change, told: str) -> None:
+    truth = synthetic(10)
+    response = dict(truth.measured.response)
+    response["x", "x"] = change(response["x", "x"])
+    with pytest.raises(RingError, match=told):
+        diagnose(truth.ring, replace(truth.measured, response=response))

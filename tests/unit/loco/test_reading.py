@@ -238,3 +238,25 @@ def test_without_names_each_plane_has_its_own_devices(tmp_path) -> None:
     measured = load(Request(tmp_path / "m.npy", "m/rad"), ring).measured
     assert {p: len(its) for p, its in measured.correctors.items()} == {"x": 180, "y": 90}
     assert measured.correctors["y"].tolist() == ring.places("COR", "y").tolist()
+
+
+def test_a_matrix_whose_rows_are_correctors_is_told(ring, nominal, tmp_path) -> None:
+    file = csv(tmp_path / "m.csv", ring.names("COR"), ring.names("BPM"), nominal["x"].T)
+    with pytest.raises(ExchangeError, match=r"rows of values are correctors.*give --transpose"):
+        load(Request(file, planes="x"), ring)
+    assert load(Request(file, planes="x", transpose=True), ring).measured.planes == ("x",)
+    right = csv(tmp_path / "r.csv", ring.names("BPM"), ring.names("COR"), nominal["x"])
+    with pytest.raises(ExchangeError, match="leave --transpose out"):
+        load(Request(right, planes="x", transpose=True), ring)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "told"), [(np.ones((3, 3)), "shape .3, 3."), (-np.ones((180, 180)), "32400 negative")]
+)
+def test_a_sigma_that_is_none_is_refused(ring, nominal, tmp_path, sigma, told: str) -> None:
+    np.savez(
+        tmp_path / "m.npz", response=nominal["x"], bpms=ring.names("BPM"),
+        correctors=ring.names("COR"), units="m/A", sigma=sigma,
+    )  # fmt: skip
+    with pytest.raises(ExchangeError, match=told):
+        load(Request(tmp_path / "m.npz", planes="x"), ring)
