@@ -28,7 +28,10 @@ import orbitfb.app.measure.command
 import orbitfb.app.service.run
 import orbitfb.cli.app
 import orbitfb.observe.http
-import orbitfb.sim.job
+from orbitfb.sim.environment import server_environment
+
+os.environ.update(server_environment(plain=False))
+import orbitfb.sim.server  # caproto reads the environment when it is imported
 
 LONGEST = 1 << 20
 """Longest request [bytes]: the environment is in it."""

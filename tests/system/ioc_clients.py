@@ -3,14 +3,18 @@
 import contextlib
 import json
 import os
+import signal
 import socket
 import struct
+import subprocess
+import tempfile
 import textwrap
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from forked import finish
+from forked import Forked, finish, start
 
 from orbitfb.physics.places import Ring
 from orbitfb.sim.child import SimChild
@@ -30,6 +34,46 @@ def serving(**sim: Any) -> Iterator[SimChild]:
     """A soft IOC of the default ring on a free port."""
     with SimChild(SimJob.model_validate({"seed": 7, "sim": {"port": 0} | sim})) as child:
         yield child
+
+
+@dataclass(frozen=True)
+class QuickRing:
+    """A soft IOC that was forked.
+
+    Args:
+        process: Serves it.
+        port: Its port.
+    """
+
+    process: "subprocess.Popen[bytes] | Forked"
+    port: int
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self.process.poll() is None
+
+
+@contextlib.contextmanager
+def quick_ring(**sim: Any) -> Iterator[QuickRing]:
+    """The same without the second in which a new process imports what it needs."""
+    job = SimJob.model_validate({"seed": 7, "sim": {"port": 0} | sim})
+    script = f"""
+from orbitfb.sim.job import SimJob
+from orbitfb.sim.process import run_job
+job = SimJob.model_validate_json({job.model_dump_json()!r})
+run_job(job, lambda port, pvs: print(port, flush=True))
+"""
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        process = start([], out, err, os.environ, script)
+        try:
+            while not (told := os.pread(out.fileno(), 99, 0)).endswith(b"\n"):
+                assert process.poll() is None, os.pread(err.fileno(), 9999, 0).decode()
+                time.sleep(0.01)
+            yield QuickRing(process, int(told))
+        finally:
+            process.send_signal(signal.SIGTERM)
+            process.wait(60.0)
 
 
 def run_client(port: int, script: str) -> Any:

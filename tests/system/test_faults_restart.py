@@ -44,6 +44,7 @@ def test_the_limits_of_a_server_that_comes_back_with_narrower_ones_hold(tmp_path
                 again.kill()
 
 
+@pytest.mark.nightly
 def test_a_corrector_whose_setpoint_is_away_is_left_out_and_read_when_it_is_back(tmp_path: Path):
     """It has an IOC of its own, which is restarted with all its setpoints at 0."""
     index = 90

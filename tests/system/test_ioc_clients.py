@@ -12,7 +12,7 @@ BPM, SETPOINT, READBACK = (
 )
 
 
-@pytest.fixture(scope="module", params=["fast", "plain"])
+@pytest.fixture(scope="module", params=["fast", pytest.param("plain", marks=pytest.mark.nightly)])
 def port(request):
     with serving(rate_hz=10, plain=request.param == "plain") as child:
         yield child.port

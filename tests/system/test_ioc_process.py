@@ -64,7 +64,9 @@ def test_a_wrong_ring_or_interface_is_told():
 
 
 @pytest.mark.timing
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)]
+)
 @pytest.mark.parametrize("plain", [False, True])
 def test_signals_end_it_cleanly_with_clients_on(number, plain):
     with (

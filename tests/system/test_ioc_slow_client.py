@@ -6,7 +6,7 @@ import threading
 import time
 
 import pytest
-from ioc_clients import CHANNELS, CONTROL_DOUBLE, KICK, READINGS, TICK, RawClient, same, serving
+from ioc_clients import CHANNELS, CONTROL_DOUBLE, KICK, READINGS, TICK, RawClient, quick_ring, same
 from service_process import wait_for
 
 pytestmark = [pytest.mark.system, pytest.mark.timing]
@@ -59,7 +59,7 @@ def _at_full_rate(client, rate, count):
 
 def test_clients_that_never_read_do_not_slow_the_ring():
     with (
-        serving(rate_hz=50.0) as child,
+        quick_ring(rate_hz=50.0) as child,
         subscribed(child.port) as good,
         contextlib.ExitStack() as stack,
     ):
@@ -71,10 +71,11 @@ def test_clients_that_never_read_do_not_slow_the_ring():
         good.put(dict.fromkeys(CHANNELS.setpoint_pvs, 1.0))
 
 
+@pytest.mark.nightly
 def test_nor_do_they_where_caproto_itself_serves():
     """Types that the fast front leaves to caproto go through a queue of caproto's."""
     with (
-        serving(rate_hz=RATE) as child,
+        quick_ring(rate_hz=RATE) as child,
         RawClient(child.port) as good,
         subscribed(child.port, receive_buffer=4096) as stuck,
     ):
@@ -88,9 +89,10 @@ def test_nor_do_they_where_caproto_itself_serves():
         assert later == sorted(later) and later[-1] >= first + 19
 
 
+@pytest.mark.nightly
 def test_a_slow_client_sees_whole_orbits_that_are_not_old():
     with (
-        serving(rate_hz=RATE, send_buffer=8192) as child,
+        quick_ring(rate_hz=RATE, send_buffer=8192) as child,
         subscribed(child.port, receive_buffer=8192) as slow,
     ):
         slow.events(len(READINGS))
@@ -109,7 +111,7 @@ def test_a_slow_client_sees_whole_orbits_that_are_not_old():
 
 
 def test_a_client_that_wakes_up_gets_the_newest_orbit_soon():
-    with serving(rate_hz=RATE) as child, subscribed(child.port, receive_buffer=8192) as client:
+    with quick_ring(rate_hz=RATE) as child, subscribed(child.port, receive_buffer=8192) as client:
         go_past(child.port, 400)
         ticks = [client.frame()[-1].value]
         while ticks[-1] < 400:
@@ -117,8 +119,9 @@ def test_a_client_that_wakes_up_gets_the_newest_orbit_soon():
         assert len(ticks) < 50  # not all that it has slept through
 
 
+@pytest.mark.nightly
 def test_two_writers_and_a_reader_at_once():
-    with serving(rate_hz=20) as child, subscribed(child.port) as good:
+    with quick_ring(rate_hz=20) as child, subscribed(child.port) as good:
         stop = threading.Event()
 
         def write():

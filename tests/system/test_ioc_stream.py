@@ -15,8 +15,8 @@ from ioc_clients import (
     RMS,
     TICK,
     RawClient,
+    quick_ring,
     same,
-    serving,
 )
 
 pytestmark = pytest.mark.system
@@ -28,7 +28,7 @@ MAJOR, WRITE_ALARM, PUT_FAILED = 2, 2, 160
 @pytest.fixture
 def stepped():
     """A ring that ticks when all setpoints have been written, and else every 50 s."""
-    with serving(lockstep=True, rate_hz=0.02) as child, RawClient(child.port) as client:
+    with quick_ring(lockstep=True, rate_hz=0.02) as child, RawClient(child.port) as client:
         client.create(*READINGS, *SETPOINTS, KICK)
         yield client
 
@@ -36,7 +36,7 @@ def stepped():
 @pytest.fixture(scope="module")
 def standing():
     """A ring for all tests that look at single setpoints only: it hardly ever ticks."""
-    with serving(lockstep=True, rate_hz=0.02) as child:
+    with quick_ring(lockstep=True, rate_hz=0.02) as child:
         yield child
 
 
@@ -50,7 +50,7 @@ def single(standing):
 
 @pytest.mark.timing
 def test_a_tick_is_one_frame_in_table_order_under_one_stamp():
-    with serving(rate_hz=50) as child, RawClient(child.port) as client:
+    with quick_ring(rate_hz=50) as child, RawClient(child.port) as client:
         client.create(*READINGS)
         client.subscribe(*reversed(READINGS))
         while [event.name for event in client.frame()] != list(READINGS):
@@ -207,7 +207,7 @@ def test_late_subscribers_and_other_types_see_the_present(stepped):
 
 
 def test_nothing_comes_after_a_cancellation_or_a_cleared_channel():
-    with serving(rate_hz=100) as child, RawClient(child.port) as client:
+    with quick_ring(rate_hz=100) as child, RawClient(child.port) as client:
         client.create(*READINGS)
         client.subscribe(*READINGS)
         client.events(len(READINGS))
@@ -228,7 +228,7 @@ def test_nothing_comes_after_a_cancellation_or_a_cleared_channel():
 
 
 def test_events_off_silences_and_events_on_brings_the_newest():
-    with serving(rate_hz=50) as child, RawClient(child.port) as client:
+    with quick_ring(rate_hz=50) as child, RawClient(child.port) as client:
         client.create(*READINGS, *SETPOINTS)
         client.subscribe(*READINGS, SETPOINTS[0])
         client.events(len(READINGS) + 1)
@@ -246,7 +246,7 @@ def test_events_off_silences_and_events_on_brings_the_newest():
 
 
 def test_clients_that_leave_in_the_middle_disturb_nobody():
-    with serving(rate_hz=100) as child, RawClient(child.port) as watcher:
+    with quick_ring(rate_hz=100) as child, RawClient(child.port) as watcher:
         watcher.create(*READINGS)
         watcher.subscribe(*READINGS)
         watcher.events(len(READINGS))
@@ -263,7 +263,7 @@ def test_clients_that_leave_in_the_middle_disturb_nobody():
 
 
 def test_nonsense_ends_only_the_connection_that_sent_it():
-    with serving(rate_hz=50) as child, RawClient(child.port) as watcher:
+    with quick_ring(rate_hz=50) as child, RawClient(child.port) as watcher:
         watcher.create(TICK)
         for nonsense in (b"\xff" * 64, b"\0\4\xff\xff" + b"\0" * 12 + b"\x7f" * 8, b"\0" * 8):
             with RawClient(child.port) as fool:

@@ -100,6 +100,7 @@ def test_archive_of_another_ring(data: Path):
     assert "is of another ring: its planes differ (x instead of y); name an archive of" in said
 
 
+@pytest.mark.nightly
 def test_policy_of_another_ring(data: Path, tmp_path: Path):
     with Ioc(tmp_path, 0, ("--planes", "y")) as ioc:
         options = ("--planes", "y", "--data", data)

@@ -180,6 +180,7 @@ def test_a_frozen_ioc_is_noticed_too(tmp_path: Path):
     assert not ((written > wall(held)) & (written < resumed)).any()
 
 
+@pytest.mark.nightly
 def test_the_store_survives_a_kill_while_it_is_written(tmp_path: Path):
     """A controller killed during its start leaves no child, and the next one does not stumble."""
     data = tmp_path / "data"

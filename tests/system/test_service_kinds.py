@@ -59,6 +59,7 @@ def test_a_kind_runs_is_refitted_and_shown(kind: str, stored: str, tmp_path: Pat
     assert (rows.tick[1:] - rows.tick[:-1] == 1).all()  # no tick lost by the swap
 
 
+@pytest.mark.nightly
 def test_masked_elements_do_not_count_and_do_not_move(tmp_path: Path):
     from orbitfb.physics.places import Ring
 
@@ -83,6 +84,7 @@ def test_masked_elements_do_not_count_and_do_not_move(tmp_path: Path):
     assert rms(rows.applied)[:100].max() > 0
 
 
+@pytest.mark.nightly
 def test_a_trainer_that_is_killed_is_told_and_replaced(tmp_path: Path):
     with service(tmp_path, "svd") as running:
         running.wait_status("ticks", lambda status: status["ticks"] > 50, 30.0)

@@ -88,6 +88,7 @@ def test_a_second_loop_found_through_the_environment(service: Service, tmp_path:
     assert f"is held by another orbitfb (process {service.popen.pid})" in said
 
 
+@pytest.mark.nightly
 def test_a_second_loop_on_one_plane_of_two(tmp_path: Path):
     """Whoever has both planes has each of them."""
     with (
@@ -183,6 +184,7 @@ def test_run_time_directory_cannot_be_used(tmp_path: Path):
         )
 
 
+@pytest.mark.nightly
 def test_it_runs_without_home_and_run_time_directory(tmp_path: Path):
     done = orbitfb(
         *(*SIM, "--data", tmp_path / "data"),

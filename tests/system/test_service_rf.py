@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ioc_clients import run_client, serving
+from ioc_clients import quick_ring, run_client
 from service_process import Service, refused, wait_for
 
 from orbitfb.control.client import ask
@@ -94,7 +94,7 @@ def test_by_command_it_follows_again_or_is_left_alone(service: Service):
 
 
 def test_a_frequency_that_is_away_is_told_before_anything_moves(tmp_path: Path):
-    with serving() as ioc:
+    with quick_ring() as ioc:
         places = ("--ioc", f"127.0.0.1:{ioc.port}", "--data", tmp_path / "data")
         said = refused(
             *RUN[:1],

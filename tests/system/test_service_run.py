@@ -174,7 +174,8 @@ def test_the_log_says_what_happened(run: Service):
     assert not [line for line in lines if line["level"] in ("error", "critical")]
 
 
-@pytest.mark.parametrize("planes", [pytest.param("y", marks=pytest.mark.nightly), "xy"])
+@pytest.mark.nightly
+@pytest.mark.parametrize("planes", ["y", "xy"])
 def test_other_planes(planes: str, tmp_path: Path):
     arguments = (
         *("run", "--ioc", "sim", "--port", 0, "--metrics-port", 0, "--duration", DURATION),

@@ -65,7 +65,8 @@ def begin():
 
 
 @pytest.mark.parametrize(
-    "kind", ["svd", "network", pytest.param("modal", marks=pytest.mark.nightly)]
+    "kind",
+    ["svd", *(pytest.param(kind, marks=pytest.mark.nightly) for kind in ("network", "modal"))],
 )
 def test_it_answers_as_the_learner_here_does(begin, kind):
     trainer, learner, incumbent = begin(kind)

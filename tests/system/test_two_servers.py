@@ -52,6 +52,7 @@ def test_a_server_that_takes_over_the_pvs_holds_the_loop_until_it_is_closed(tmp_
                 run.wait_below(5.0)
 
 
+@pytest.mark.nightly
 def test_pvs_that_two_servers_have_are_told_at_start_and_by_the_doctor(tmp_path: Path):
     here, there = places(tmp_path)
     with Ioc(here) as first, Ioc(there) as second:
