@@ -11,7 +11,7 @@ UNITS: Mapping[str, tuple[float, str]] = {
         (
             *("before_floor", "after_floor", "before_worst", "after_worst", "spread"),
             *("predicted_rms_candidate", "predicted_rms_incumbent", "reading_noise", "ground"),
-            *("shadow_rms_candidate", "shadow_rms_incumbent", "rms_before"),
+            *("shadow_rms_candidate", "shadow_rms_incumbent", "rms_before", "unreachable_rms"),
         ),
         _MICROMETRES,
     ),

@@ -11,7 +11,8 @@ from orbitfb.core.ports import Clock, Policy
 from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
-from orbitfb.learn.judge import Evidence, Verdict, judge
+from orbitfb.learn.judge import Evidence, Verdict, gain_of, judge
+from orbitfb.learn.reach import mean_error, unreachable_rms
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.learn.since import Since, counts
 from orbitfb.learn.watch import swap_cost
@@ -63,6 +64,7 @@ class Learner:
         self._detector = ChangeDetector(settings.changes, rate)
         self._alarm: Alarm | None = None
         self._degraded = False
+        self._error: Vector | None = None
 
     @property
     def model(self) -> LinearModel:
@@ -88,6 +90,8 @@ class Learner:
         if self._since.policy_id != incumbent.policy_id:
             self._since = Since(incumbent.policy_id)
             self.watch_afresh()
+        error = mean_error(transitions)
+        self._error = self._error if error is None else error
         rows = select_rows(transitions, self.settings.tolerance)
         # Whether a bump or another reference spoils the last row, only the next one tells.
         rows = rows.take(0, int(np.searchsorted(rows.tick, transitions.tick[-1:].sum())))
@@ -206,8 +210,9 @@ class Learner:
             evidence = Evidence(since.take_nats(), since.page)
             nats, cost = evidence.nats, swap_cost(self.settings)
             verdict = judge(
-                candidate, incumbent, model, evidence, self.settings.judge, self._generator, cost
-            )
+                candidate, incumbent, model, evidence, self.settings.judge, self._generator, cost,
+                self._unreachable(candidate),
+            )  # fmt: skip
             if nats < -_REFUTED * self.settings.judge.evidence:
                 self.forget(incumbent)
                 verdict = replace(
@@ -243,6 +248,14 @@ class Learner:
                 {},
             )
         return None
+
+    def _unreachable(self, candidate: Policy) -> float:
+        """Of the last orbit errors, what no corrector that moves reaches, rms [m]."""
+        if self._error is None:
+            return 0.0
+        response = self.model.response
+        moving = np.abs(gain_of(candidate, len(response))).max(axis=1) > 0.0
+        return unreachable_rms(self._error, response, moving)
 
     def _response_of(self, policy: Policy) -> Vector:
         response = getattr(policy, "response", None)

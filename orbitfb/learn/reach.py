@@ -1,0 +1,48 @@
+"""What of an orbit error no corrector reaches: it stays, whatever law is in force."""
+
+import numpy as np
+
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.transitions import Transitions
+
+ROWS = 100
+"""Last rows of the closed loop over which the orbit error is averaged: of that many the noise of a
+reading is a tenth of what it is [1]."""
+
+_SMALLEST = 1e-3
+"""Share of the largest singular value below which a pattern counts as not reached [1]: correctors
+would be at their limits before it is gone."""
+
+
+def mean_error(transitions: Transitions) -> Vector | None:
+    """Average the orbit error of the last rows of the closed loop, shape (n,) [m].
+
+    Args:
+        transitions: Whose last rows count.
+
+    Returns:
+        NaN at BPMs that were not valid throughout; None: no row was closed.
+    """
+    rows = np.flatnonzero(transitions.closed)[-ROWS:]
+    if not len(rows):
+        return None
+    error = transitions.orbit[rows] - transitions.reference[rows]
+    valid = transitions.valid[rows].all(axis=0)
+    return np.where(valid, np.where(valid, error, 0.0).mean(axis=0), np.nan)
+
+
+def unreachable_rms(error: Vector, response: Vector, moving: Mask) -> float:
+    """Tell what of an orbit error the correctors cannot reach, rms over the valid BPMs [m].
+
+    Args:
+        error: Shape (n,) [m]; NaN at BPMs that do not count.
+        response: Shape (n, m) [m/A].
+        moving: Correctors that may move, shape (m,).
+    """
+    valid = np.isfinite(error)
+    if not valid.any() or not moving.any():
+        return float(np.sqrt(np.mean(error[valid] ** 2))) if valid.any() else 0.0
+    left, sigma, _ = np.linalg.svd(response[np.ix_(valid, moving)], full_matrices=False)
+    reached = left[:, sigma > _SMALLEST * sigma.max(initial=0.0)]
+    beyond = error[valid] - reached @ (reached.T @ error[valid])
+    return float(np.sqrt(np.mean(beyond**2)))
