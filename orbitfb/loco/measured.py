@@ -60,6 +60,42 @@ class Measured:
             eta[self.bpms["x"] == place] = np.nan
         return replace(self, response=response, dispersion=eta)
 
+    def at_devices_of(self, other: "Measured") -> dict[Plane, Matrix]:
+        """Give the own blocks in the order of another measurement's devices, NaN where it has more.
+
+        Args:
+            other: Whose devices count.
+        """
+        found: dict[Plane, Matrix] = {}
+        for plane in other.planes:
+            matrix = np.full((len(other.bpms[plane]), len(other.correctors[plane])), np.nan)
+            if (plane, plane) in self.response:
+                mine, rows, _ = np.intersect1d(
+                    self.bpms[plane], other.bpms[plane], return_indices=True
+                )
+                its, columns, _ = np.intersect1d(
+                    self.correctors[plane], other.correctors[plane], return_indices=True
+                )
+                to = np.ix_(
+                    np.searchsorted(other.bpms[plane], mine),
+                    np.searchsorted(other.correctors[plane], its),
+                )
+                matrix[to] = self.response[plane, plane][np.ix_(rows, columns)]
+            found[plane] = matrix
+        return found
+
+    def known_in(self, model: Mapping[Plane, Matrix]) -> "Measured":
+        """Leave out what a model does not have: its elements were not measured.
+
+        Args:
+            model: Of every plane, shape (n, m) [m/rad]; NaN where it has none.
+        """
+        response = dict(self.response)
+        for plane, matrix in model.items():
+            own = response[plane, plane]
+            response[plane, plane] = np.where(np.isfinite(matrix), own, np.nan)
+        return replace(self, response=response)
+
     @property
     def has_cross(self) -> bool:
         """Whether a block of the other plane was measured."""

@@ -69,9 +69,13 @@ class RingOptics:
     Args:
         ring: The ring.
         measured: Whose BPMs and correctors count.
+        model: Response of every plane by another program, shape (n, m) [m/rad], in place of that of
+            the table, which still says what gradients change; NaN: as the table says; None: all.
     """
 
-    def __init__(self, ring: Ring, measured: Measured) -> None:
+    def __init__(
+        self, ring: Ring, measured: Measured, model: Mapping[Plane, Matrix] | None = None
+    ) -> None:
         self.quadrupoles = ring.places("QUAD")
         strength = ring.strength("QUAD")
         usual = float(np.median(np.abs(strength))) if len(strength) else 1.0
@@ -84,8 +88,12 @@ class RingOptics:
             sources = np.concatenate([own, other])
             bpms, quadrupoles = measured.bpms[plane], self.quadrupoles
             eta = ring.table.dispersion if plane == "x" else np.zeros_like(ring.table.dispersion)
+            response = green(ring, bpms, sources, plane)
+            if model is not None and plane in model:
+                its = model[plane]
+                response[:, : len(own)] = np.where(np.isfinite(its), its, response[:, : len(own)])
             self._design[plane] = _Design(
-                green(ring, bpms, sources, plane),
+                response,
                 green(ring, bpms, quadrupoles, plane),
                 green(ring, quadrupoles, sources, plane),
                 green(ring, quadrupoles, quadrupoles, plane),

@@ -59,7 +59,10 @@ class Result:
 
 
 def diagnose(
-    ring: Ring, measured: Measured, progress: Callable[[str, float], None] | None = None
+    ring: Ring,
+    measured: Measured,
+    progress: Callable[[str, float], None] | None = None,
+    model: Mapping[Plane, Matrix] | None = None,
 ) -> Result:
     """Diagnose a measured response.
 
@@ -67,6 +70,7 @@ def diagnose(
         ring: The ring.
         measured: The measurement.
         progress: Called with what is done and the share of the work.
+        model: Response of every plane by another program, shape (n, m) [m/rad]; None: the table's.
 
     Raises:
         RingError: It is not of this ring, or the fit has no solution; what it looks like is said.
@@ -74,7 +78,7 @@ def diagnose(
     tell = progress or (lambda what, share: None)
     if not measured.planes:
         raise RingError("no plane was measured in which BPMs read what correctors of it kick")
-    optics = RingOptics(ring, measured)
+    optics = RingOptics(ring, measured, model)
     design = optics.at(np.zeros(len(optics.quadrupoles)))
     nominal: dict[Plane, Matrix] = {plane: its.own for plane, its in design.items()}
     check(measured, nominal)

@@ -17,7 +17,7 @@ from orbitfb.physics.response import response
 from orbitfb.policies.masking import MaskSettings, mask_of
 
 _KIND = "response"
-_ADVICE = "measure it with `orbitfb measure-response`, or leave ring.response out"
+_ADVICE = "measure it with `orbitfb measure-response`, or leave its key out"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

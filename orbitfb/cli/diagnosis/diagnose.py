@@ -108,6 +108,15 @@ def diagnose_record(
             "repeated."
         ),
     ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            parser=path_of,
+            metavar="PATH",
+            help="Response by another program that a measured one is compared with, of any of its "
+            "formats [that of the optics of the table].",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Diagnose a record, or a measured response.
@@ -127,7 +136,7 @@ def diagnose_record(
     check_directory(target)
     of_response = ResponseOptions(
         unit, matrix, bpm_names, corrector_names, transpose, noise, kick, dispersion,
-        tuple(mask or ()),
+        tuple(mask or ()), model,
     )  # fmt: skip
     if of_response.given or is_response(record):
         diagnose_response(record, of_response, chosen, places, ring, target, as_json)

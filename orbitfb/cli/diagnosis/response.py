@@ -27,6 +27,7 @@ class ResponseOptions:
         kick: That made it, text with a unit.
         dispersion: Table of the measured dispersion.
         mask: Devices that are left out.
+        model: File of the response by another program.
     """
 
     unit: str | None = None
@@ -38,6 +39,7 @@ class ResponseOptions:
     kick: str = "100urad"
     dispersion: Path | None = None
     mask: tuple[str, ...] = ()
+    model: Path | None = None
 
     @property
     def given(self) -> bool:
@@ -104,10 +106,16 @@ def diagnose_response(
     known = Ring.load(places, ring)
     with told_when_interrupted():
         loaded = load(request, known)
+        measured, notes, model = loaded.measured, loaded.notes, None
+        if options.model is not None:
+            its = load(Request(options.model, options.unit, planes), known)
+            model = its.measured.at_devices_of(measured)
+            measured = measured.known_in(model)
+            notes = (*notes, f"the model is that of {options.model.name}", *its.notes)
         with progress_bar(as_json) as progress:
-            result = diagnose(known, loaded.measured, progress)
-        growth = growths(known, loaded.measured, result.nominal)
-        answer = answer_of(result, path.name, loaded.notes, growth)
+            result = diagnose(known, measured, progress, model)
+        growth = growths(known, measured, result.nominal)
+        answer = answer_of(result, path.name, notes, growth)
         written = write(answer, result, out)
     if as_json:
         print(document(answer), end="")

@@ -14,16 +14,22 @@ _KINDS: tuple[Kind, Kind] = ("BPM", "COR")
 
 
 def labels(ring: Ring, kind: Kind) -> Mapping[str, Place]:
-    """Give the places of names, of NAME:x and NAME:y, and of PVs."""
+    """Give the places of names, of NAME:x and NAME:y, and of PVs.
+
+    A device of one plane has that plane under its plain name, too.
+    """
     found: dict[str, Place] = {}
+    own = {plane: set(ring.places(kind, plane).tolist()) for plane in PLANES}
     for place in ring.places(kind).tolist():
         name = ring.table.name[place]
-        found[name] = (None, place)
-        for row, plane in enumerate(PLANES):
+        there = [plane for plane in PLANES if place in own[plane]]
+        found[name] = (there[0] if len(there) == 1 else None, place)
+        for plane in there:
             found[f"{name}:{plane}"] = (plane, place)
             for pvs in (ring.table.readback, ring.table.pv):
-                if pvs[row][place]:
-                    found[pvs[row][place]] = (plane, place)
+                pv = pvs[PLANES.index(plane)][place]
+                if pv:
+                    found[pv] = (plane, place)
     return found
 
 

@@ -197,10 +197,14 @@ def _where(
     known = labels(ring, kind)
     found: list[tuple[Plane, int] | None] = []
     unknown: list[str] = []
+    elsewhere: list[str] = []
     for name in names:
         its = known.get(name)
         if its is None:
             unknown.append(name)
+            found.append(None)
+        elif its[0] is not None and len(plane) == 1 and its[0] != plane[0]:
+            elsewhere.append(name)
             found.append(None)
         elif its[0] is not None:
             found.append((its[0], its[1]))
@@ -224,9 +228,10 @@ def _where(
             f"{request.file}: {len(unknown)} of {count} {what} are not in the places table, such "
             f"as {unknown[0]!r}{hint}; name its table with --places and --ring"
         )
-    if unknown:
-        told = ", ".join(unknown[:_MOST_TOLD]) + (" …" if len(unknown) > _MOST_TOLD else "")
-        notes.append(f"{len(unknown)} {what} that the table lacks are left out: {told}")
+    for left_out, why in ((unknown, "the table lacks"), (elsewhere, "are of the other plane")):
+        if left_out:
+            told = ", ".join(left_out[:_MOST_TOLD]) + " …" * (len(left_out) > _MOST_TOLD)
+            notes.append(f"{len(left_out)} {what} that {why} are left out: {told}")
     seen = [its for its in found if its is not None]
     if len(set(seen)) != len(seen):
         twice = next(its for its in seen if seen.count(its) > 1)

@@ -11,7 +11,7 @@ from orbitfb.cli.app import app
 from orbitfb.cli.diagnosis.response import is_response
 from orbitfb.effects.files import read_effects
 from orbitfb.physics.places import Ring
-from orbitfb.physics.response import response
+from orbitfb.physics.response import response, seeded_gradient_errors
 
 
 @pytest.fixture(scope="module")
@@ -92,3 +92,31 @@ def test_a_noise_without_a_unit_of_length_is_refused(measured: Path, tmp_path: P
     )
     assert told.exit_code != 0
     assert "--noise" in str(told.exception)
+
+
+def test_a_pair_of_measured_and_model_is_compared(tmp_path: Path) -> None:
+    """The model has other optics than the table, another order and one corrector less."""
+    ring = Ring.load()
+    errors = seeded_gradient_errors(ring, 0.03, 5)
+    own = response(ring, "x", errors)[::4, ::4]
+    rows, columns = ring.names("BPM")[::4], ring.names("COR")[::4]
+    rng = np.random.default_rng(3)
+    data = own + 2e-6 * rng.standard_normal(own.shape)
+    data[6] *= 0.6
+    np.savez(tmp_path / "data.npz", response=data, bpms=rows, correctors=columns, units="m/A")
+    np.savez(
+        tmp_path / "model.npz", response=own[::-1, 1:], bpms=rows[::-1], correctors=columns[1:],
+        units="m/A",
+    )  # fmt: skip
+    out = tmp_path / "d"
+    told = CliRunner().invoke(
+        app, ["diagnose", str(tmp_path / "data.npz"), "--planes", "x", "--model",
+              str(tmp_path / "model.npz"), "--out", str(out)],
+    )  # fmt: skip
+    assert told.exit_code == 0, told.output
+    answer = json.loads((out / "diagnosis.json").read_text())
+    assert [its["places"] for its in answer["findings"]] == [[f"{rows[6]}:x"]]
+    assert "the model is that of model.npz" in answer["notes"]
+    assert max(abs(its["relative"]) for its in answer["quadrupoles"]) < 1e-3
+    assert answer["correctors"][0]["calibration"] is None  # the model does not know it
+    assert answer["blocks"][0]["raw"] < 0.1  # the weak BPM alone

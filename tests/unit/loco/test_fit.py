@@ -8,11 +8,13 @@ import pytest
 from orbitfb.core.errors import RingError
 from orbitfb.loco.answer import answer_of, verdict
 from orbitfb.loco.growth import growths
+from orbitfb.loco.measured import Measured
 from orbitfb.loco.optics import RingOptics
 from orbitfb.loco.output.effects import fragment
 from orbitfb.loco.run import diagnose
 from orbitfb.loco.schema import ResponseDiagnosis, document
-from tests.unit.loco.synthetic_responses import NOISE, synthetic
+from orbitfb.physics.places import Ring
+from tests.unit.loco.synthetic_responses import NOISE, devices, synthetic
 
 
 @pytest.fixture(scope="module")
@@ -290,3 +292,33 @@ def test_what_cannot_be_fitted_is_refused_before(change, told: str) -> None:
     response["x", "x"] = change(response["x", "x"])
     with pytest.raises(RingError, match=told):
         diagnose(truth.ring, replace(truth.measured, response=response))
+
+
+def test_a_table_off_by_0_03_in_tune_and_2_percent_in_quadrupoles_is_reached() -> None:
+    ring, rng = Ring.load(), np.random.default_rng(33)
+    empty = devices(ring, 3)
+    optics = RingOptics(ring, empty)
+    relative = np.zeros(len(optics.quadrupoles))
+    wrong = rng.choice(len(relative), 10, replace=False)
+    relative[wrong] = 0.02 * rng.choice((-1, 1), 10)
+    families = (optics.strength > 0).astype(float), (optics.strength <= 0).astype(float)
+
+    def off(errors: np.ndarray) -> np.ndarray:
+        return np.array([optics.tune(p, errors) - ring.tune(p) for p in "xy"])
+
+    for _ in range(10):
+        slope = np.array([(off(relative + 1e-4 * its) - off(relative)) / 1e-4 for its in families])
+        step = np.linalg.solve(slope.T, 0.03 - off(relative))
+        relative = relative + step[0] * families[0] + step[1] * families[1]
+    assert off(relative) == pytest.approx([0.03, 0.03], abs=1e-6)
+    its = optics.at(relative)
+    response = {
+        (p, p): its[p].own + NOISE * rng.standard_normal(its[p].own.shape) for p in ("x", "y")
+    }
+    unknown = {pair: np.full_like(matrix, np.nan) for pair, matrix in response.items()}
+    found = diagnose(ring, Measured(empty.bpms, empty.correctors, response, unknown))
+    assert found.fit.converged
+    assert off(found.fit.part("gradient")) == pytest.approx([0.03, 0.03], abs=2e-4)
+    for plane in "xy":
+        assert np.std(found.fit.residual[plane]) < 1.1 * NOISE
+    assert {its.places[0] for its in found.named} <= {ring.names("QUAD")[i] for i in wrong}

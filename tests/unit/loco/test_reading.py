@@ -220,7 +220,9 @@ def test_loco_s_step_of_the_rf_is_the_dispersion(ring, nominal, tmp_path) -> Non
     assert load(Request(tmp_path / "l.mat"), ring).measured.dispersion == pytest.approx(eta)
 
 
-def test_without_names_each_plane_has_its_own_devices(tmp_path) -> None:
+@pytest.fixture(scope="module")
+def sparse() -> Ring:
+    """The default ring in which every other corrector has no PV and no calibration in y."""
     text = Ring.load()
     table = text.table
     calibration = table.calibration.copy()
@@ -230,7 +232,11 @@ def test_without_names_each_plane_has_its_own_devices(tmp_path) -> None:
         tuple("" if row and i in cor[::2] else its for i, its in enumerate(pvs))
         for row, pvs in enumerate(table.pv)
     )
-    ring = Ring(replace(table, calibration=calibration, pv=pv), text.parameters)
+    return Ring(replace(table, calibration=calibration, pv=pv), text.parameters)
+
+
+def test_without_names_each_plane_has_its_own_devices(sparse, tmp_path) -> None:
+    ring = sparse
     rows, columns = [180, 180], [180, 90]
     stacked = np.zeros((sum(rows), sum(columns)))
     stacked[:180, :180], stacked[180:, 180:] = 1.0, 2.0
@@ -260,3 +266,18 @@ def test_a_sigma_that_is_none_is_refused(ring, nominal, tmp_path, sigma, told: s
     )  # fmt: skip
     with pytest.raises(ExchangeError, match=told):
         load(Request(tmp_path / "m.npz", planes="x"), ring)
+
+
+def test_a_corrector_that_a_plane_lacks_is_left_out_and_told(sparse, nominal, tmp_path) -> None:
+    names = sparse.names("COR")
+    file = csv(tmp_path / "m.csv", sparse.names("BPM"), names, nominal["y"])
+    loaded = load(Request(file, planes="y"), sparse)
+    assert loaded.measured.correctors["y"].tolist() == sparse.places("COR", "y").tolist()
+    assert np.isfinite(loaded.measured.response["y", "y"]).all()
+    assert loaded.notes == (
+        f"90 correctors that are of the other plane are left out: {', '.join(names[0:12:2])} …",
+    )
+    # a name says its plane where there is but one
+    x = load(Request(csv(tmp_path / "x.csv", sparse.names("BPM"), names, nominal["x"]), planes="x"),
+             sparse)  # fmt: skip
+    assert len(x.measured.correctors["x"]) == 180
