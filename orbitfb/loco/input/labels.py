@@ -19,10 +19,10 @@ def labels(ring: Ring, kind: Kind) -> Mapping[str, Place]:
     A device of one plane has that plane under its plain name, too.
     """
     found: dict[str, Place] = {}
-    own = {plane: set(ring.places(kind, plane).tolist()) for plane in PLANES}
+    own: dict[Plane, set[int]] = {plane: set(ring.places(kind, plane).tolist()) for plane in PLANES}
     for place in ring.places(kind).tolist():
         name = ring.table.name[place]
-        there = [plane for plane in PLANES if place in own[plane]]
+        there: list[Plane] = [plane for plane in PLANES if place in own[plane]]
         found[name] = (there[0] if len(there) == 1 else None, place)
         for plane in there:
             found[f"{name}:{plane}"] = (plane, place)
