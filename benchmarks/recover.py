@@ -56,6 +56,8 @@ SIZES: dict[str, Values] = {
     "bpm-current": {"slope": 3e-4},
     "bpm-drift": {"rate": 0.05e-6},
     "bpm-gain": {"gain": 0.1},
+    "bpm-row": {"share": 0.3},
+    "corrector-column": {"share": 0.3},
     "bpm-latency": {"ticks": 2.0},
     "bpm-lowpass": {"tau": 0.1},
     "bpm-nonlinearity": {"quadratic": 3e3, "cubic": -1e8},

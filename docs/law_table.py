@@ -8,7 +8,16 @@ import numpy as np
 from benchmarks.simulate import simulate_record
 from orbitfb.diagnose.verdict.proved import SCREENED
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.laws import DeviceLaw, EventLaw, FieldLaw, Law, PairLaw, RandomLaw, Signals
+from orbitfb.effects.laws import (
+    DeviceLaw,
+    ElementsLaw,
+    EventLaw,
+    FieldLaw,
+    Law,
+    PairLaw,
+    RandomLaw,
+    Signals,
+)
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.places import Ring
 
@@ -83,6 +92,8 @@ def _words(kind: EffectKind, law: Law, signals: Signals) -> Iterator[str]:
             yield "one orbit course of given values"
         case RandomLaw():
             yield _random(law)
+        case ElementsLaw():
+            yield "the setpoints, with a free element for each"
         case EventLaw():
             yield "a known change at every row" if law.often else "a known change at unknown rows"
 

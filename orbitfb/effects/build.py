@@ -96,7 +96,11 @@ def build(settings: Sequence[EffectSettings], layout: Layout, seed: int) -> tupl
     for its in settings:
         count[its.id] += 1
         rng = generator(seed, f"effect {its.id} {count[its.id]}")
-        effect = its.kind.simulate(layout, resolve(its, layout), its.filled, rng)
+        places = resolve(its, layout)
+        if its.elements:
+            effect = its.kind.with_elements(layout, places, its.elements)
+        else:
+            effect = its.kind.simulate(layout, places, its.filled, rng)
         begin = round(its.since / layout.period)
         made.append(Since(effect, begin, its.kind.grows) if begin > 0 else effect)
     return tuple(made)

@@ -70,3 +70,7 @@ def _table(its: EffectSettings) -> Iterator[str]:
             yield f"# {describe(known[name])}: {known[name].description}".replace("\n", " ")
         pairs = ", ".join(f"{json.dumps(name)} = {value!r}" for name, value in its.values.items())
         yield f"values = {{ {pairs} }}"
+    if its.elements:
+        yield "# m/A"
+        yield f"[{KEY}.elements]"
+        yield from (f"{json.dumps(name)} = {error!r}" for name, error in its.elements.items())

@@ -94,6 +94,8 @@ class EffectKind(ABC):
         sudden: Whether it commonly begins in the middle of a record: onsets are then tried.
         grows: Whether it grows from nothing at `record.time` = 0. For an onset at t it must be
             given a record whose time is `np.maximum(time − t, 0)`; mixing would make a step of it.
+        elemental: Whether it acts on single elements of the response, which may be given one by
+            one: see `with_elements`.
         delays: Rows by which a free answer of such devices may be delayed while the noise of the
             record is estimated.
     """
@@ -113,6 +115,7 @@ class EffectKind(ABC):
     collective: ClassVar[bool] = True
     sudden: ClassVar[bool] = True
     grows: ClassVar[bool] = False
+    elemental: ClassVar[bool] = False
     delays: ClassVar[int] = 0
 
     @property
@@ -134,6 +137,22 @@ class EffectKind(ABC):
             values: All parameters, SI.
             rng: Its random numbers.
         """
+
+    def with_elements(
+        self, layout: Layout, places: Indices, elements: Mapping[str, float]
+    ) -> Effect:
+        """Make the effect with given errors of single elements of the response.
+
+        Args:
+            layout: Devices, model and period of the plant.
+            places: Which devices.
+            elements: Error of each element [m/A], by the name of the other device; `NAME (x)`
+                where a ring has both planes.
+
+        Raises:
+            ConfigError: A name is none of the ring's.
+        """
+        raise NotImplementedError(f"{self.id} does not act on single elements")
 
     def healthy_scatter(self, layout: Layout) -> Vector | None:
         """Standard deviation of `linear` up to which a healthy ring has it, of every device.

@@ -6,7 +6,8 @@ The diagnosis knows effects only by these forms. A law is one of
 * `PairLaw`: the same with courses that two devices exchange;
 * `FieldLaw`: one orbit course of the whole ring;
 * `RandomLaw`: a pattern whose amplitude is random, with a known spectrum;
-* `EventLaw`: a known change that strikes single rows, nobody knows which.
+* `EventLaw`: a known change that strikes single rows, nobody knows which;
+* `ElementsLaw`: a row or a column of the response in which every element is wrong for itself.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 from orbitfb.records.record import Record
@@ -154,7 +155,26 @@ class EventLaw:
     single: bool
 
 
-Law = DeviceLaw | PairLaw | FieldLaw | RandomLaw | EventLaw
+@dataclass(frozen=True, slots=True, eq=False)
+class ElementsLaw:
+    """Elements of the response of single devices that are wrong, each by an amount of its own.
+
+    Args:
+        names: Of the devices, D of them.
+        others: Names of the columns that a device has an element with, E of them.
+        there: Which elements the model has, shape (D, E).
+        scale: Rms of the model's elements of a device, shape (D,) [m/A].
+        rows: Whether the devices are BPMs with a row each; else correctors with a column each.
+    """
+
+    names: tuple[str, ...]
+    others: tuple[str, ...]
+    there: Mask
+    scale: Vector
+    rows: bool
+
+
+Law = DeviceLaw | PairLaw | FieldLaw | RandomLaw | EventLaw | ElementsLaw
 
 
 def blocks(courses: NDArray[np.float64]) -> tuple[Matrix, ...]:

@@ -37,6 +37,11 @@ class EffectSettings(Settings):
         description="Its parameters by name: a number (SI), or a text with a unit, `50ms`, `2%`; "
         "those left out are typical.",
     )
+    elements: dict[str, float] = Field(
+        default={},
+        description="Errors of single elements of the response [m/A] by the name of the other "
+        "device, of an effect that has them; none: drawn at random, of the size in `values`.",
+    )
     since: float = Field(
         default=0.0,
         ge=0,
@@ -81,6 +86,13 @@ class EffectSettings(Settings):
             return {} if "id" not in info.data else given
         kind = effect(info.data["id"])
         return {name: _value(kind, name, value) for name, value in given.items()}
+
+    @field_validator("elements")
+    @classmethod
+    def _has_elements(cls, given: dict[str, float], info: ValidationInfo) -> dict[str, float]:
+        if given and "id" in info.data and not effect(info.data["id"]).elemental:
+            raise ValueError(f"{info.data['id']} does not act on single elements of the response")
+        return given
 
     @field_validator("since", mode="before")
     @classmethod

@@ -32,6 +32,7 @@ class Candidate:
         raised: Standard deviation of healthy errors that it raises: block number and share.
         columns: Columns of the healthy errors whose own variance it sets, with that variance.
         noisy: Whether it says something of the noise alone.
+        coloured: Whether it says that the noise remembers, which no floor does.
         courseless: Whether its course is whatever the record shows at its place.
         sources: Courses of its devices, if any: their values stay free when it is accepted.
         cost: What its log likelihood, with the best size, is more than its evidence [nats]; None:
@@ -58,6 +59,7 @@ class Candidate:
     raised: Mapping[int, float] = dataclasses.field(default_factory=dict)
     columns: Mapping[int, float] = dataclasses.field(default_factory=dict)
     noisy: bool = False
+    coloured: bool = False
     courseless: bool = False
     sources: tuple[Course, ...] = ()
     cost: float | None = None
@@ -99,6 +101,7 @@ class Candidate:
         columns = [
             column
             for one in (self.sources if spread else ())
+            if not one.elements  # these were free of each other, and stay so with `again`
             for column in one.columns(self.kind, space.signals)
         ]
         if columns:

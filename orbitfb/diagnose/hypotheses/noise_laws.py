@@ -154,4 +154,5 @@ def scan_colour(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
     gain, places, kept = best
     values = {kind.parameters[0].name: float(kept)}
     names = tuple(law.names[place] for place in places)
-    return [Candidate(kind, places, names, values, gain - VALUE_COST - np.log(6.0), noisy=True)]
+    gain -= VALUE_COST + float(np.log(6.0))
+    return [Candidate(kind, places, names, values, gain, noisy=True, coloured=True)]

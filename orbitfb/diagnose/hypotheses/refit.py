@@ -5,8 +5,8 @@ columns join the healthy errors: the scatter of δ is a variance component of it
 is tried later is weighed with all δ marginalised (a joint refit).
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class Course:
         size: By which the courses are multiplied, of every device, shape (k,).
         onset: Row at which it begins.
         kick: Whether what it has reached by then comes at once.
+        elements: Errors of single elements of the response, by the name of what they are with
+            [m/A]; empty of a law that has none.
     """
 
     law: DeviceLaw
@@ -38,6 +40,7 @@ class Course:
     size: Vector
     onset: int = 0
     kick: bool = False
+    elements: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, signals: Signals, values: Values) -> tuple[Matrix, ...]:
         """Courses of the devices for given values, nothing before the onset, (N, k) or (N, 1)."""

@@ -9,6 +9,7 @@ import numpy as np
 from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
 from orbitfb.diagnose.hypotheses.device_laws import scan_devices
 from orbitfb.diagnose.hypotheses.each_own import scan_each_own
+from orbitfb.diagnose.hypotheses.elements import scan_elements
 from orbitfb.diagnose.hypotheses.events import scan_events
 from orbitfb.diagnose.hypotheses.fields import scan_field
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
@@ -22,7 +23,7 @@ from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.undone import scan_undone
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.effects.laws import DeviceLaw, EventLaw, FieldLaw, Law, PairLaw
+from orbitfb.effects.laws import DeviceLaw, ElementsLaw, EventLaw, FieldLaw, Law, PairLaw
 from orbitfb.estimation.priors import (
     CLOSE,
     FINALISTS,
@@ -74,7 +75,8 @@ def tournament(
         candidates = candidates_of(space, left, tell, enough)
         candidates = [one for one in candidates if not _echo(one, accepted)]
         candidates = _last_resort(refitted(candidates, space, enough), bool(accepted))
-        free = scan_free(Scorer.of(space))[:FINALISTS]
+        deaf = _coloured(accepted)
+        free = [one for one in scan_free(Scorer.of(space)) if one.name not in deaf][:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())
@@ -110,15 +112,26 @@ def _settled(
 
 
 def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:
-    """Whether it says of BPMs that are causes already that their noise, or what they read, is odd.
+    """Whether it says again what is said of its BPMs.
 
     A BPM that averages, scales or delays does so to its noise as well, and what its law leaves
-    wanders with the orbit.
+    wanders with the orbit: its noise, or what it reads, is not odd besides. And of a BPM whose
+    noise is told to remember no law of its readings is: a feedback that acts on them makes the beam
+    follow that noise, which looks like a law, and no floor has such a noise.
     """
-    if one.kind.target != "bpm" or not (one.noisy or one.courseless):
+    if one.kind.target != "bpm":
+        return False
+    if one.places and set(one.names) <= _coloured(accepted):
+        return True
+    if not (one.noisy or one.courseless):
         return False
     known = [set(its.places) for its in accepted if its.kind.target == "bpm" and not its.noisy]
     return any(not places or (one.places and set(one.places) <= places) for places in known)
+
+
+def _coloured(accepted: Sequence[Candidate]) -> set[str]:
+    """Names of single BPMs whose noise is told to remember."""
+    return {name for one in accepted if one.coloured for name in one.names}
 
 
 def _last_resort(candidates: list[Candidate], accepted: bool) -> list[Candidate]:
@@ -209,8 +222,7 @@ def refitted(
     Returns:
         The candidates, the best first.
     """
-    least = max(0.5 * enough, CLOSE * candidates[0].evidence) if candidates else np.inf
-    if not candidates or candidates[0].evidence < least or candidates[0].noisy:
+    if not candidates or candidates[0].evidence < 0.5 * enough or candidates[0].noisy:
         return candidates  # what is said of the noise alone is not weighed so
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
@@ -222,8 +234,10 @@ def refitted(
             found.append(one)
             continue
         # Each BPM is the scale of what is undone: beside the floor of all that counts for little.
-        leads = one.evidence > (enough if one.undone else least)
+        at_it = _beside(one, candidates[0]) and one.evidence > 0.5 * enough
         good = [gain for gain in weighed.values() if gain > 0.0]
+        least = max(0.5 * enough, CLOSE * max(good, default=0.0))
+        leads = at_it or one.evidence > (enough if one.undone else least)
         form = (one.kind.id, one.walk is None)  # a random course, or one that is told
         new = form not in weighed and (one.undone or len(good) < LEADING)
         if one.cost is not None and new and leads:
@@ -234,6 +248,15 @@ def refitted(
             gain = min(one.evidence, weighed.get(form, min(good, default=np.inf)))
         found.append(replace(one, evidence=gain))
     return strongest(found)
+
+
+def _beside(one: Candidate, best: Candidate) -> bool:
+    """Whether the best says of a device of it only that its course is odd.
+
+    Whatever that device does is a random course to a floor that was estimated without it.
+    """
+    same = one.kind.target == best.kind.target
+    return best.courseless and same and not set(one.places).isdisjoint(best.places)
 
 
 def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
@@ -261,6 +284,8 @@ def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
         return scan_pairs(kind, law, scorer)
     if isinstance(law, FieldLaw):
         return scan_field(kind, law, scorer)
+    if isinstance(law, ElementsLaw):
+        return scan_elements(kind, law, scorer)
     if isinstance(law, EventLaw):
         return scan_events(kind, law, scorer)
     return scan_random(kind, law, scorer)

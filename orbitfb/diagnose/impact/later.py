@@ -140,8 +140,8 @@ def _field(
 
 def _same(one: Course, first: Sequence[object], laws: Sequence[object]) -> DeviceLaw:
     """The law of the same number on another record."""
-    number = next(i for i, law in enumerate(first) if law is one.law)
-    law = laws[number]
+    number = next((i for i, law in enumerate(first) if law is one.law), None)
+    law = one.law if number is None else laws[number]  # one of a device alone acts on any signals
     return law if isinstance(law, DeviceLaw) else one.law
 
 

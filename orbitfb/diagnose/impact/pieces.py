@@ -1,7 +1,7 @@
 """What is named, device by device: the values that `effect.toml` gives to a simulated ring."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,11 +24,14 @@ class Piece:
         names: Of the devices; empty: the ring, or all of them.
         values: Of the parameters, SI.
         onset: Row at which it begins; 0: with the record.
+        elements: Errors of single elements of the response, by the name of what they are with
+            [m/A].
     """
 
     names: tuple[str, ...]
     values: Mapping[str, float]
     onset: int
+    elements: Mapping[str, float] = field(default_factory=dict)
 
 
 def pieces_of(
@@ -73,7 +76,7 @@ def _pieces(
     elif part.parts:
         for one in part.parts:
             yield Piece(one.names, dict(one.values), one.onset)
-    elif len(part.sources) > 1 or differences:
+    elif len(part.sources) > 1 or differences or any(one.elements for one in part.sources):
         for number, one in enumerate(part.sources):
             yield from _of_course(part, one, differences.get(number, {}))
     else:
@@ -91,4 +94,7 @@ def _of_course(part: Candidate, one: Course, differences: Differences) -> Iterat
             * (1.0 + float(differences[key][number]) if key in differences else 1.0)
             for key, value in one.values.items()
         }
-        yield Piece((one.law.names[place],), values, one.onset)
+        size = part.kind.linear
+        grown = values[size] / one.values[size] if size and one.elements else 1.0
+        elements = {name: grown * error for name, error in one.elements.items()}
+        yield Piece((one.law.names[place],), values, one.onset, elements)

@@ -126,6 +126,10 @@ def _settings(cause: Cause, one: PlaceValues) -> EffectSettings:
             if value is not None
         },
     }
+    if one.elements:
+        table["elements"] = {
+            name: error for name, error in one.elements.items() if error is not None
+        }
     if one.onset_s is not None and one.onset_s > 0:
         table["from"] = one.onset_s
     if kind.target != "ring" and one.places:

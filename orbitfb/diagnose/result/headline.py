@@ -98,13 +98,23 @@ def describe(cause: Cause) -> str:
     ]
     if told:
         differ = " (the largest of them)" if len(cause.by_place) > 1 else ""
-        differ = " rms over all of them" if cause.scatter else differ
+        differ = f" rms over all of them{_largest(cause)}" if cause.scatter else differ
         text += f": {', '.join(told)}{differ}"
     if cause.onset_s is not None:
         text += f", from {cause.onset_s:.4g} s on"
     if cause.probability is not None:
         text += f", probability {chance(cause.probability)}"
     return text
+
+
+def _largest(cause: Cause) -> str:
+    """Say which device is furthest off, where all are."""
+    name, told = next(iter(cause.parameters.items()))
+    known = [(one.values.get(name) or 0.0, one) for one in cause.by_place]
+    if not known:
+        return ""
+    value, one = max(known, key=lambda pair: abs(pair[0]))
+    return f", the largest {quantity(value, told.unit)} on {', '.join(one.places)}"
 
 
 def places(cause: Cause, most: int = 4) -> str:

@@ -28,6 +28,11 @@ class PlaceValues(Part):
     planes: Literal["x", "y", "xy"] = Field(default="xy", description="planes of these devices")
     values: dict[str, Number] = Field(description="of the parameters, in their units")
     onset_s: Number = Field(default=None, description="when it begins [s]; null: always there")
+    elements: dict[str, Number] = Field(
+        default_factory=dict,
+        description="errors of single elements of the response, by the name of the other device "
+        "[m/A]; empty of an effect that is not told so",
+    )
 
 
 class Cause(Part):

@@ -58,6 +58,7 @@ def cause_of(
     devices, planes = _places(named, record.layout)
     onset = min(piece.onset for piece in pieces)
     alike = len({(tuple(p.values.items()), p.onset) for p in pieces}) == 1 and len(one.parts) == 1
+    alike = alike and not any(piece.elements for piece in pieces)
     return Cause(
         effect=one.kind.id,
         stage=one.kind.stage,
@@ -124,7 +125,7 @@ def _piece(piece: Piece, record: Record) -> PlaceValues:
     devices, planes = _places(piece.names, record.layout)
     return PlaceValues(
         places=devices, planes=planes, values=dict(piece.values),
-        onset_s=_onset(piece.onset, record),
+        onset_s=_onset(piece.onset, record), elements=dict(piece.elements),
     )  # fmt: skip
 
 

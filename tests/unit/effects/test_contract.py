@@ -9,6 +9,7 @@ import pytest
 
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.device_kinds import ActuatorKind, PairKind, SensorKind
+from orbitfb.effects.element_kinds import ElementsKind
 from orbitfb.effects.kinds import Stage, Target
 from orbitfb.effects.orbit_kinds import RingKind, SourceKind
 from orbitfb.effects.random_kinds import LatentKind, NoiseKind
@@ -229,7 +230,7 @@ def test_without_size_its_hook_does_nothing(kind, layout, record):
     elif isinstance(kind, PairKind):
         np.testing.assert_array_equal(kind.matrix(values), np.eye(2))
     else:
-        assert isinstance(kind, LatentKind)
+        assert isinstance(kind, LatentKind | ElementsKind)
 
 
 @each_kind
@@ -251,6 +252,9 @@ def test_with_a_size_its_hook_does_something(kind, layout, record):
             answers.append(np.array(kind.variance(values, 0.2e-6)))
         elif isinstance(kind, PairKind):
             answers.append(kind.matrix(values) - np.eye(2))
+        elif isinstance(kind, ElementsKind):
+            effect = kind.simulate(layout, np.arange(3), values, np.random.default_rng(0))
+            answers.append(effect.respond(np.zeros(len(layout.bpms)), currents[-1], 0))
         else:
             answers.append(kind.shapes(record, currents, orbit))
     assert all(np.isfinite(answer).all() for answer in answers)

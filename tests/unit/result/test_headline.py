@@ -3,7 +3,7 @@
 import pytest
 
 from orbitfb.diagnose.result.headline import headline
-from orbitfb.diagnose.result.parts import Gap
+from orbitfb.diagnose.result.parts import Gap, PlaceValues
 from orbitfb.diagnose.result.quantities import chance, interval, percent, quantity
 from tests.unit.result import examples
 
@@ -51,6 +51,13 @@ def test_errors_of_all_devices_are_refitted_not_repaired_one_by_one():
     everywhere = examples.lag_cause().model_copy(update={"scatter": True, "label": ""})
     said = headline("named", causes=(everywhere,))
     assert "rms over all of them" in said
+    name = next(iter(everywhere.parameters))
+    own = tuple(
+        PlaceValues(places=(place,), values={name: value})
+        for place, value in (("C01", 0.01), ("C02", -0.5), ("C03", 0.02))
+    )
+    told = everywhere.model_copy(update={"by_place": own})
+    assert ", the largest -500 ms on C02" in headline("named", causes=(told,))
     assert "measure the response again, or refit" in said
 
 
