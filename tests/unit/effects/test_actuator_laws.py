@@ -81,7 +81,14 @@ def pull_of(true_error, rows, noise):
 
 
 @pytest.mark.parametrize("offset", [0.0, pytest.param(0.7, marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("step", [0.4e-3, 1.1e-3, 3.07e-3])
+@pytest.mark.parametrize(
+    "step",
+    [
+        pytest.param(0.4e-3, marks=pytest.mark.nightly),
+        1.1e-3,
+        pytest.param(3.07e-3, marks=pytest.mark.nightly),
+    ],
+)
 @pytest.mark.parametrize("where", ["all", "one"])
 def test_the_needle_of_a_quantisation_is_found(layout, step, offset, where):
     kind, rng = effect("corrector-quantisation"), np.random.default_rng(10)

@@ -242,7 +242,7 @@ def test_a_swap_exchanges_two_columns(both_planes):
     ],
 )
 def test_noise_gains_the_covariance_that_is_told(layout, name, values, columns):
-    kind, rms, rows = effect(name), 0.2e-6, 20_000
+    kind, rms, rows = effect(name), 0.2e-6, 4_000
     place = kind.places_of(layout).index("C07 (x)") if columns is None else columns[0]
     shape = kind.patterns(layout)[:, place]
     places = np.flatnonzero(shape)
@@ -256,7 +256,7 @@ def test_noise_gains_the_covariance_that_is_told(layout, name, values, columns):
     covariance = later.T @ earlier / len(later) / rms**2
     white = np.eye(len(places)) if kind.lag == 0 else 0.0
     told = white + kind.variance(values, rms) / rms**2 * np.outer(shape, shape)[places][:, places]
-    # 4 sigma of 20,000 samples, sigma at most √2 of the largest variance / √20,000
+    # 4 sigma of these samples, sigma at most √2 of the largest variance / √rows
     assert_allclose(covariance, told, atol=4 * 1.5 * max(np.max(np.abs(told)), 1.0) / np.sqrt(rows))
     if name == "noise-coloured":
         assert np.var(found[:, places]) == pytest.approx(rms**2, rel=0.1)

@@ -20,7 +20,14 @@ from orbitfb.evaluate.paper.metrics import figures, lqg_floor, summarise
 from orbitfb.evaluate.paper.scenarios import make_scenario
 
 
-@pytest.mark.parametrize("make", [adaptive_linear, model_based_rl, memoryless])
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(adaptive_linear, marks=pytest.mark.nightly),
+        model_based_rl,
+        pytest.param(memoryless, marks=pytest.mark.nightly),
+    ],
+)
 def test_captures_in_two_steps_from_a_response_that_is_not_invertible(make) -> None:
     scenario = make_scenario("E2", steps=10_000, after=0)
     short = simulate(_cut(scenario, 200), range(2), make)

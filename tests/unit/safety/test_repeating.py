@@ -27,7 +27,15 @@ def readings(ticks, digit, seed=3, offset=50e-6):
     return np.round(orbits / digit) * digit if digit else orbits
 
 
-@pytest.mark.parametrize("digit", [0.0, 0.1e-6, 0.2e-6, 0.4e-6])
+@pytest.mark.parametrize(
+    "digit",
+    [
+        0.0,
+        pytest.param(0.1e-6, marks=pytest.mark.nightly),
+        pytest.param(0.2e-6, marks=pytest.mark.nightly),
+        0.4e-6,
+    ],
+)
 def test_coarse_readings_are_soon_not_frozen(digit):
     flaws, _ = run(readings(3000, digit))
     assert (flaws[200:] == Flaw.FROZEN).mean() < 1e-4

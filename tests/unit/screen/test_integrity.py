@@ -185,7 +185,7 @@ def test_a_wrong_sign_is_seen_among_magnets_that_move_in_proportion(change, prov
     assert only(in_proportion(Acting(change)), "channels").effect == proven
 
 
-@pytest.mark.parametrize("dither", [0.0, 1e-4])
+@pytest.mark.parametrize("dither", [pytest.param(0.0, marks=pytest.mark.nightly), 1e-4])
 @pytest.mark.parametrize(
     "effect",
     [

@@ -7,7 +7,7 @@ RESPONSE = np.random.default_rng(7).standard_normal((12, 8)) * 1e-5
 
 
 @pytest.mark.parametrize("kind", DitherKind)
-@pytest.mark.parametrize("gain", [0.0, 0.5])
+@pytest.mark.parametrize("gain", [pytest.param(0.0, marks=pytest.mark.nightly), 0.5])
 def test_the_stated_orbit_cost_holds_under_feedback(kind, gain):
     dither = Dither(DitherSettings(orbit_cost=1e-7, kind=kind), RESPONSE, gain)
     inverse = np.linalg.pinv(RESPONSE)
