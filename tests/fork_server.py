@@ -77,6 +77,7 @@ def serve(control: socket.socket) -> str:
         if control not in ready:
             continue
         if (request := receive(control)) is None:
+            control.close()
             sys.exit()
         asked, (out, err, pipe) = request
         if (pid := os.fork()) != 0:
