@@ -47,6 +47,12 @@ def fork_server() -> Iterator[None]:
             _used[0] = 0.0  # from here on they are among the children that were awaited
 
 
+def _read_at_start(environment: Mapping[str, str]) -> bool:
+    """Whether an interpreter reads variables at its start that are other ones here."""
+    names = {name for name in {*environment, *os.environ} if name.startswith("PYTHON")}
+    return any(environment.get(name) != os.environ.get(name) for name in names)
+
+
 def start(
     arguments: Sequence[str],
     out: IO[str],
@@ -63,7 +69,7 @@ def start(
         environment: All of its variables.
         script: What is done instead of the program; empty: the program.
     """
-    if _server:
+    if _server and not _read_at_start(environment):
         return Forked(_server[0], arguments, out, err, environment, script)
     what = ["-c", script] if script else ["-m", "orbitfb"]
     command = [sys.executable, "-W", "error::ResourceWarning", *what, *arguments]

@@ -8,8 +8,8 @@ from scipy.linalg import cho_solve
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.row_sums import OwnError, Rows
-from orbitfb.diagnose.hypotheses.seen import Beside, Seen
 from orbitfb.diagnose.likelihood.errors import variances
+from orbitfb.diagnose.likelihood.seen import Beside, Seen
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, OwnValues
