@@ -4,14 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
+from orbitfb.effects.element_kinds import ChangedElements
 from orbitfb.measure.response_file import read_response
-from orbitfb.physics.effect import Effect
-from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.response import response
 
 
-class MeasuredRing(Effect):
+class MeasuredRing(ChangedElements):
     """The response is a measured one; gains of BPMs and correctors that it has are in it.
 
     Args:
@@ -26,8 +25,4 @@ class MeasuredRing(Effect):
     def __init__(self, path: Path, ring: Ring, planes: Planes) -> None:
         table = read_response(path, ring.channels(planes)).table
         change = table.response - response(ring, planes)
-        self._change: Matrix = np.where(np.isfinite(change), change, 0.0)
-
-    def respond(self, orbit: Matrix, currents: Matrix, tick: int) -> Matrix:
-        """Add what the measured response makes of the currents beyond that of the optics."""
-        return orbit + self._change @ currents
+        super().__init__(np.where(np.isfinite(change), change, 0.0))

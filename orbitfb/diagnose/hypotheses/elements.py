@@ -259,7 +259,8 @@ def _candidate(
         more = [free.told(one.place, after) for one in told]
         return _candidate(kind, courses, more, choice)
 
-    largest = max(sources, key=lambda one: max(one.values.values()))
+    size = kind.parameters[0].name
+    largest = max(sources, key=lambda one: one.values[size])
     return Candidate(
         kind,
         tuple(one.place for one in told),

@@ -3,13 +3,16 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from benchmarks.small_ring import small_ring
 from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses import run
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.run import candidates_of, refitted
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.build import layout_of
+from orbitfb.effects.registry import effect
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import NOISE, kinds_for, make_record
 
@@ -66,3 +69,21 @@ def test_the_course_of_a_gap_is_told_over_the_floor_that_it_leaves() -> None:
     before = np.asarray(found[0].field) - space.transform.spectrum(np.outer(course, pattern))
     assert np.linalg.norm(left) < 0.95 * np.linalg.norm(before)
     assert best.evidence > 2.0 * found[0].evidence
+
+
+@pytest.mark.parametrize("coloured", [True, False])
+def test_of_a_bpm_whose_noise_remembers_no_law_of_its_readings_is_told(
+    coloured: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A feedback makes the beam follow such noise, which looks like a law of what is read."""
+    record = make_record(40)
+    noise = Candidate(
+        effect("noise-coloured"), (3,), ("B3 (x)",), {"correlation": 0.8}, 400.0,
+        noisy=True, coloured=coloured,
+    )  # fmt: skip
+    late = Candidate(effect("bpm-latency"), (3,), ("B3 (x)",), {"ticks": 1.0}, 100.0)
+    rounds = iter(([noise, late], [late], []))
+    monkeypatch.setattr(run, "candidates_of", lambda *given: next(rounds))
+    monkeypatch.setattr(run, "refitted", lambda candidates, *given: candidates)
+    accepted, _ = run.tournament(Workspace.of(record, [effect("bpm-gain")]), [])
+    assert accepted == ([noise] if coloured else [noise, late])
