@@ -1,15 +1,18 @@
 """A machine that somebody may forbid to be written to, at any moment."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from orbitfb.core.errors import WriteError
 from orbitfb.core.ports import Machine, Oscillator
-from orbitfb.core.signals import Applied, Mask, Vector
+from orbitfb.core.signals import Applied, Mask, Reading, Vector
 from orbitfb.loop.machines.around import AroundMachine
 
 
 class GuardedMachine(AroundMachine):
     """Any machine; a write is refused while there is a reason to.
+
+    Meanwhile others may put its setpoints: that is no second controller, as this one puts none.
 
     Args:
         machine: The machine.
@@ -19,6 +22,17 @@ class GuardedMachine(AroundMachine):
     def __init__(self, machine: Machine, refusal: Callable[[], str]) -> None:
         super().__init__(machine)
         self._refusal = refusal
+
+    def read(self, timeout: float) -> Reading:
+        """Wait for the next coherent orbit; see `Machine`.
+
+        Args:
+            timeout: How long to wait [s].
+        """
+        reading = super().read(timeout)
+        if reading.by_others is None or not self._refusal():
+            return reading
+        return replace(reading, by_others=None)
 
     def write(self, setpoints: Vector, which: Mask | None = None) -> Applied:
         """Send absolute setpoints; see `Machine`.

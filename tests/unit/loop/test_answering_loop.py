@@ -141,8 +141,10 @@ def test_a_quiet_ring_is_asked_so_rarely_that_its_orbit_is_as_good(ring):
     assert asking.runner._engine.memory.answering.since > answered  # it was asked meanwhile
 
 
-def test_what_is_asked_about_the_closing_is_answered_within_ten_seconds(ring):
-    assert not asks(Bench(ring, seed=4))
+def test_what_is_asked_about_the_closing_is_answered_within_twenty_seconds(ring):
+    bench = Bench(ring, seed=4)  # 24 seeds took 2.5 to 11.5 s
+    bench.steps(100, until=lambda: not asks(bench))
+    assert not asks(bench)
 
 
 @pytest.mark.parametrize("missed", [1, pytest.param(2, marks=pytest.mark.nightly)])

@@ -9,6 +9,7 @@ from scripted import PERIOD, RESPONSE, M, N, ScriptedMachine, new_clock
 from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import LoopState
 from orbitfb.epics.setpoints.put_watch import PutWatch
+from orbitfb.loop.machines.guarded import GuardedMachine
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
@@ -60,10 +61,10 @@ class Client(ScriptedMachine):
         return applied
 
 
-def loop_on(ring, seed, start=CLOSED):
+def loop_on(ring, seed, start=CLOSED, refusal=lambda: ""):
     machine = Client(ring, seed)
     return Runner(
-        machine,
+        GuardedMachine(machine, refusal),
         PolicySlot(SvdPolicy(RESPONSE, SvdSettings(gain=0.3))),
         LoopSettings(rate_hz=1 / PERIOD, ramp=0.0, proving=2),
         LimitSettings(setpoint=5.0, change_per_tick=5.0),
@@ -116,6 +117,19 @@ def test_one_that_comes_later_does_not_close(seed=3):
     states(loops, 25)
     second.command("close")
     assert states(loops, 5) == [OPEN, CLOSED]
+
+
+def test_one_whose_lease_is_gone_holds_and_does_not_call_the_owner_a_second_controller():
+    ring, refusals = Ring(), [""]
+    stopped = loop_on(ring, 3, refusal=lambda: refusals[0])
+    assert states([stopped], 20) == [CLOSED]
+    owner = loop_on(ring, 4)
+    refusals[0] = "the lease of the machine is not confirmed for 5 s"  # its process stood still
+    states([owner], 20)
+    assert owner.state is CLOSED
+    assert states([stopped, owner], 50) == [HELD, CLOSED]
+    refusals[0] = ""  # both hold it, which the lease excludes
+    assert states([owner, stopped], 50).count(TRIPPED) == 1
 
 
 def test_a_loop_that_only_looks_may_look_on():
