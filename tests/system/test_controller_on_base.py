@@ -9,7 +9,7 @@ from base_ioc_process import BaseIoc
 
 from orbitfb.physics.places import Ring
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.nightly]  # fifteen seconds of a loop
 
 
 def test_the_loop_closes_on_an_ioc_of_epics_base(tmp_path):

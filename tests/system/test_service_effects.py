@@ -25,7 +25,7 @@ def test_effects_act_and_the_excitation_is_done_once_and_logged(tmp_path):
     effect = "corrector-gain:gain=10%,cells=3-5,from=500ms"
     quiet = {"ORBITFB_INTERLOCKS__ANSWER_REACH": "off"}  # nothing but the plan moves setpoints
     done = orbitfb(
-        *RUN, "--duration", 10, "--data", data, "--effect", effect, "--excite", plan, **quiet
+        *RUN, "--duration", 5, "--data", data, "--effect", effect, "--excite", plan, **quiet
     )
     assert done.returncode == 0, done.stderr
     made = transitions(data)

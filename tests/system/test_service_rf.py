@@ -102,7 +102,7 @@ def test_a_frequency_that_is_away_is_told_before_anything_moves(tmp_path: Path):
             *places,
             ORBITFB_RF__ENABLED="true",
             ORBITFB_RF__SETPOINT_PV="RF{Osc:9}Freq:SP",
-            ORBITFB_EPICS__CONNECT_TIMEOUT="10.0",
+            ORBITFB_EPICS__CONNECT_TIMEOUT="5.0",
         )
         assert "RF{Osc:9}Freq:SP" in said and "rf.setpoint_pv" in said
         said = refused(
