@@ -31,10 +31,11 @@ class LogFile(RotatingFileHandler):
     """
 
     def __init__(self, path: Path, largest: int, kept: int) -> None:
-        super().__init__(path, maxBytes=largest, backupCount=kept, encoding="utf-8")
+        super().__init__(path, maxBytes=largest, backupCount=kept, encoding="utf-8", delay=True)
         self._waiting: deque[bytes] = deque()
         self._lost = 0
         self._refused = ""
+        self.stream = self._opened()
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a line, after those that wait."""
@@ -54,7 +55,7 @@ class LogFile(RotatingFileHandler):
         self._drain()
         super().close()
 
-    def _open(self) -> TextIOWrapper:
+    def _opened(self) -> TextIOWrapper:
         """Open it for this user alone; a link of that name is not followed."""
         return cast(TextIOWrapper, open_to_append(Path(self.baseFilename)))
 
@@ -97,5 +98,5 @@ class LogFile(RotatingFileHandler):
                     return stream.fileno()
             stream.close()
         make_directory(path.parent)
-        stream = self.stream = self._open()
+        stream = self.stream = self._opened()
         return stream.fileno()

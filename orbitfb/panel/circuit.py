@@ -2,13 +2,17 @@
 
 import asyncio
 import socket
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from caproto import MAX_TOTAL_SUBSCRIPTION_BACKLOG, CaprotoError, CaprotoNetworkError
+from caproto import (
+    MAX_TOTAL_SUBSCRIPTION_BACKLOG,
+    CaprotoError,
+    WriteNotifyRequest,
+    WriteRequest,
+)
 from caproto.asyncio.server import VirtualCircuit
-from caproto.server.common import DisconnectedCircuit
 
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.connections import Connections
@@ -16,6 +20,7 @@ from orbitfb.panel.intake import Intake
 from orbitfb.sim.access.circuit import DroppingQueue
 from orbitfb.sim.access.context import ClaimedContext
 from orbitfb.sim.access.listening import Sockets
+from orbitfb.sim.access.under_way import WritesUnderWay
 
 MOST_CLIENTS = 128
 """Connections at a time; one more puts out the oldest of the host that has most."""
@@ -33,6 +38,25 @@ _WIDEST = 40
 """What an element may take: a string of Channel Access [bytes]."""
 
 
+class PanelCommands(asyncio.Queue[Any]):
+    """A client's commands; a write waits until few enough of its writes are under way.
+
+    Args:
+        writes: That are under way.
+    """
+
+    def __init__(self, writes: WritesUnderWay) -> None:
+        super().__init__(_COMMANDS)
+        self._writes = writes
+
+    async def get(self) -> Any:
+        """Give the next one."""
+        command = await super().get()
+        if isinstance(command, WriteRequest | WriteNotifyRequest):
+            await self._writes.below(WRITES_UNDER_WAY)
+        return command
+
+
 class PanelCircuit(VirtualCircuit):
     """A client that is known by the address of its connection, whatever name it claims.
 
@@ -43,10 +67,10 @@ class PanelCircuit(VirtualCircuit):
     def __init__(self, circuit: Any, client: Any, context: "PanelContext") -> None:
         super().__init__(circuit, client, context)
         self.subscription_queue = DroppingQueue(MAX_TOTAL_SUBSCRIPTION_BACKLOG)
-        self.command_queue = asyncio.Queue(_COMMANDS)
-        self._panel = context
+        self.write_event = writes = WritesUnderWay()
+        self.command_queue = PanelCommands(writes)
+        self._panel, self._stream = context, client
         self._intake = Intake(context.longest, SystemClock())
-        self._room = asyncio.Semaphore(WRITES_UNDER_WAY)
         _watch(client.writer.get_extra_info("socket"))
         leaving = context.clients.add(self, self.client_hostname)
         if leaving is not None:
@@ -64,24 +88,20 @@ class PanelCircuit(VirtualCircuit):
 
     def hang_up(self) -> None:
         """End the connection there and then; what was to be sent is forgotten."""
-        self.client.writer.transport.abort()
+        self._stream.hang_up()
 
     async def recv(self) -> None:
         """Take what the client sent, or hang up."""
-        try:
-            data = await self.client.recv(_CHUNK)
-        except (OSError, CaprotoNetworkError):
-            data = b""
+        data = await self.client.recv(_CHUNK)
         if problem := self._intake.take(data) or self._too_many():
             self._panel.dropped(self.client_hostname, self.client_username or "", problem)
             self.hang_up()
             data = b""
+        if not data:
+            await super().recv()  # reads the end again, and acts on it
         commands, _ = self.circuit.recv(data)
         for command in commands:
             await self.command_queue.put(command)
-        if not data:
-            await self._on_disconnect()
-            raise DisconnectedCircuit
 
     async def command_queue_loop(self) -> None:
         """Carry out what is asked for; a client that breaks the protocol is hung up on."""
@@ -91,27 +111,14 @@ class PanelCircuit(VirtualCircuit):
         finally:
             self.hang_up()
 
-    async def _on_disconnect(self) -> None:
-        self._timer.cancel()
-        self._panel.clients.remove(self)
-        await super()._on_disconnect()
-
-    async def _start_write_task(
-        self, handle_write: Callable[[], Coroutine[Any, Any, None]]
-    ) -> None:
-        await self._room.acquire()
-        await super()._start_write_task(lambda: self._make_room(handle_write()))
-
-    async def _make_room(self, write: Coroutine[Any, Any, None]) -> None:
-        try:
-            await write
-        finally:
-            self._room.release()
-
     def _too_many(self) -> str:
         held = len(self.circuit.channels) + sum(map(len, self.subscriptions.values()))
         most = self._panel.most_held
         return f"more than {most} channels and subscriptions" if held > most else ""
+
+    def gone(self) -> None:
+        """Watch it no longer."""
+        self._timer.cancel()
 
     def _give_up(self) -> None:
         if not self.circuit.channels:
@@ -156,3 +163,9 @@ class PanelContext(ClaimedContext):
         self.longest = max(_SHORTEST_BOUND, _WIDEST * longest)
         self.most_held = 20 * len(pvdb)
         self.dropped = dropped
+
+    async def circuit_disconnected(self, circuit: Any) -> None:
+        """Count a client out."""
+        circuit.gone()
+        self.clients.remove(circuit)
+        await super().circuit_disconnected(circuit)

@@ -108,7 +108,7 @@ def refused(*arguments: object, process: bool = False, **environment: str | None
     """
     done = (as_process if process else here)(*arguments, **environment)
     assert done.returncode == 2, (done.returncode, done.stdout, done.stderr)
-    assert done.stdout == ""
+    assert done.stdout == "", done.stdout
     assert "Traceback" not in done.stderr
     assert done.stderr.startswith("orbitfb: ") and done.stderr.endswith("\n")
     return done.stderr.removeprefix("orbitfb: ").rstrip("\n")

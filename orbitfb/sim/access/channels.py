@@ -151,28 +151,42 @@ class BoardChannel(ScalarChannel):
         self._board = board
         self._watcher = watcher
         self._kinds: set[Any] = set()
+        self._quiet = False
 
-    def pull(self) -> None:
-        """Take value, stamp and alarm from the board."""
+    async def pull(self, events: int | None = None) -> None:
+        """Take value, stamp and alarm from the board.
+
+        Args:
+            events: Kinds of subscriptions (`SubscriptionType`) that are told of it; None: none.
+        """
         entry = self._board.get(self.index)
-        self._data["value"] = entry.value
-        self._data["timestamp"] = TimeStamp(*entry.stamp)
-        self._alarm_data["status"] = AlarmStatus(entry.status)
-        self._alarm_data["severity"] = AlarmSeverity(entry.severity)
-        self._content.clear()
+        self._quiet = events is None
+        try:
+            await ScalarChannel.write(
+                self,
+                entry.value,
+                flags=events or 0,
+                verify_value=False,
+                timestamp=TimeStamp(*entry.stamp),
+                status=AlarmStatus(entry.status),
+                severity=AlarmSeverity(entry.severity),
+            )
+        finally:
+            self._quiet = False
 
-    @property
-    def _alarm_data(self) -> dict[str, Any]:
-        return self._own_alarm._data
+    async def publish(self, flags: Any) -> None:
+        """Tell subscriptions; of what was only looked up there is nothing to tell."""
+        if not (self._quiet and self._kinds):
+            await super().publish(flags)
 
     async def read(self, data_type: Any) -> Any:
         """Give what is on the board as any type."""
-        self.pull()
+        await self.pull()
         return await super().read(data_type)
 
     async def subscribe(self, queue: Any, sub_spec: Any, sub: Any) -> None:
         """Let caproto serve a subscription that the feeds do not."""
-        self.pull()
+        await self.pull()
         self._kinds.add(sub_spec)
         self._watcher.watch(self, True)
         await super().subscribe(queue, sub_spec, sub)
@@ -198,7 +212,7 @@ class BoardSetpoint(BoardChannel):
 
     async def write(self, value: Any, **options: Any) -> None:
         """Take the value, or refuse it and raise the alarm; the board has either."""
-        self.pull()
+        await self.pull()
         accepted = False
         try:
             await super().write(value, **options)

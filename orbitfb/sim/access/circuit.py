@@ -1,13 +1,13 @@
 """One client of the fast front: puts and reads from the byte stream, monitors from the feed."""
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Any, Protocol
 
 import caproto as ca
 import numpy as np
 from caproto.asyncio.server import VirtualCircuit
-from caproto.server.common import DisconnectedCircuit
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
@@ -19,6 +19,7 @@ from orbitfb.sim.access.frames import DOUBLE, TIME_DOUBLE, Monitor
 from orbitfb.sim.access.listening import Sockets
 from orbitfb.sim.access.puts import PUT, PUT_COMMAND, WRITES, leading_puts, message_end
 from orbitfb.sim.access.reads import READ, READ_COMMAND, answers, leading_reads
+from orbitfb.sim.access.under_way import WritesUnderWay
 
 _CHUNK = 65536
 _VALUE_MASKS = ca.SubscriptionType.DBE_VALUE | ca.SubscriptionType.DBE_LOG
@@ -56,12 +57,38 @@ class DroppingQueue(asyncio.Queue[Any]):
             self.get_nowait()
 
 
+class Commands(asyncio.Queue[Any]):
+    """A client's commands on their way to caproto, which asks for one when the last one is done.
+
+    Args:
+        keep: Says whether a command is carried out without caproto.
+        done: Told of one that caproto has carried out; its writes may be under way still.
+    """
+
+    def __init__(self, keep: Callable[[Any], Awaitable[bool]], done: Callable[[Any], None]) -> None:
+        super().__init__(ca.MAX_COMMAND_BACKLOG)
+        self._keep, self._done, self._last = keep, done, None
+
+    async def get(self) -> Any:
+        """Give the next one that is for caproto."""
+        if self._last is not None:
+            self._done(self._last)
+            self._last = None
+        command = await super().get()
+        while await self._keep(command):
+            command = await super().get()
+        self._last = command
+        return command
+
+
 class FastCircuit(VirtualCircuit):
     """A client whose setpoint puts and monitors do not pass through caproto's objects."""
 
     def __init__(self, circuit: Any, client: Any, context: "FastContext") -> None:
         super().__init__(circuit, client, context)
         self.subscription_queue = DroppingQueue(ca.MAX_TOTAL_SUBSCRIPTION_BACKLOG)
+        self.command_queue = Commands(self._keep, self._is_done)
+        self.write_event = self._writes = WritesUnderWay()
         self._front = context.front
         self._board = context.front.board
         self.feed = Feed(self._board, client.writer.transport, self.events_on.is_set)
@@ -69,15 +96,12 @@ class FastCircuit(VirtualCircuit):
         self._rest = b""
         self._setpoint_of = np.full(1024, -1, dtype=np.intp)
         self._queued: set[int] = set()
-        self._running = 0
 
     async def recv(self) -> None:
         """Take what the client sent: setpoints at once, all else caproto's way."""
-        data = await self._receive()
+        data = await self.client.recv(_CHUNK)
         if not data:
-            await self._queue(self.circuit.recv(b""))
-            await self._on_disconnect()
-            raise DisconnectedCircuit
+            await super().recv()  # reads the end again, and acts on it
         data = self._rest + data
         start = slow_from = 0
         while (end := message_end(data, start)) is not None:
@@ -95,16 +119,10 @@ class FastCircuit(VirtualCircuit):
         self._rest = data[start:]
         self._front.puts_taken()
 
-    async def _receive(self) -> bytes:
-        try:
-            return await self.client.recv(_CHUNK)
-        except (OSError, ca.CaprotoNetworkError):
-            return b""
-
     @property
     def _behind(self) -> bool:
         """Whether writes of this client are still under way in caproto."""
-        return bool(self._queued) or self._running > 0
+        return bool(self._queued) or self._writes.count > 0
 
     def _take_puts(self, data: bytes, start: int) -> int:
         """Apply the run of acceptable puts that begins at `start`; give its length in bytes."""
@@ -140,69 +158,61 @@ class FastCircuit(VirtualCircuit):
 
     async def _hand_over(self, data: bytes) -> None:
         """Let caproto parse and process whole messages."""
-        if data:
-            await self._queue(self.circuit.recv(data))
-
-    async def _queue(self, received: Any) -> None:
-        commands, _ = received
+        if not data:
+            return
+        commands, _ = self.circuit.recv(data)
         for command in commands:
             if isinstance(command, ca.WriteRequest | ca.WriteNotifyRequest):
                 self._queued.add(id(command))
             await self.command_queue.put(command)
 
-    async def _command_queue_iteration(self, command: Any) -> Any:
-        try:
-            return await super()._command_queue_iteration(command)
-        finally:
-            self._queued.discard(id(command))
-
-    async def _start_write_task(self, handle_write: Any) -> None:
-        self._running += 1
-        await super()._start_write_task(lambda: self._count_down(handle_write()))
-
-    async def _count_down(self, write: Coroutine[Any, Any, None]) -> None:
-        try:
-            await write
-        finally:
-            self._running -= 1
-
-    async def _process_command(self, command: Any) -> Any:
-        if isinstance(command, ca.EventAddRequest):
-            monitor = self._as_monitor(command)
-            if monitor is not None:
-                self.feed.add(monitor)
-                return []
-        elif isinstance(command, ca.EventCancelRequest):
-            self.feed.remove(command.subscriptionid)
-        elif isinstance(command, ca.ClearChannelRequest):
-            await self._clear(command)
-        response = await super()._process_command(command)
-        if isinstance(command, ca.CreateChanRequest):
-            self._note_setpoint(command, response)
-        elif isinstance(command, ca.EventsOnRequest):
+    def _is_done(self, command: Any) -> None:
+        """Go on after a command that caproto has carried out."""
+        self._queued.discard(id(command))
+        if isinstance(command, ca.EventsOnRequest):
             self.feed.send_readings()
             self.feed.send_setpoints()
-        return response
 
-    def _as_monitor(self, command: Any) -> Monitor | None:
-        """Give the subscription if the feed can serve it: a plain scalar of the usual types."""
-        channel, entry = self._get_db_entry_from_command(command)
+    async def _keep(self, command: Any) -> bool:
+        """Carry out what is the feed's own; say whether caproto is not to see it."""
+        if isinstance(command, ca.EventAddRequest):
+            return self._monitors(command)
+        if isinstance(command, ca.EventCancelRequest):
+            self.feed.remove(command.subscriptionid)
+        elif isinstance(command, ca.ClearChannelRequest):
+            await self._clear(command.sid)
+        return False
+
+    def _monitors(self, command: Any) -> bool:
+        """Add a subscription if the feed can serve it: a plain scalar of the usual types."""
+        channel = self.circuit.channels_sid.get(command.sid)
+        entry = None if channel is None else self.context[channel.name]
         if (
-            not isinstance(entry, BoardChannel)
+            channel is None
+            or not isinstance(entry, BoardChannel)
             or command.data_type not in (DOUBLE, TIME_DOUBLE)
             or command.data_count > 1
             or not command.mask & _VALUE_MASKS
             or any(channel.channel_filter)
         ):
-            return None
-        return Monitor(entry.index, command.subscriptionid, command.sid, int(command.data_type))
+            return False
+        try:
+            self.circuit.process_command(command)
+        except ca.CaprotoError:
+            return False  # caproto answers what breaks the protocol
+        what = (entry.index, command.subscriptionid, command.sid, int(command.data_type))
+        self.feed.add(Monitor(*what))
+        return True
 
-    def _note_setpoint(self, command: Any, response: Any) -> None:
-        for answer in response:
+    async def send(self, *commands: Any) -> None:
+        """Send; of a channel that comes into being, remember which setpoint it is."""
+        for answer in commands:
             if isinstance(answer, ca.CreateChanResponse):
-                entry = self.context[command.name]
-                if isinstance(entry, BoardSetpoint) and self._is_plain(command.name, entry):
+                name = self.circuit.channels[answer.cid].name
+                entry = self.context[name]
+                if isinstance(entry, BoardSetpoint) and self._is_plain(name, entry):
                     self._know(answer.sid, entry.index - self._board.readings)
+        await super().send(*commands)
 
     def _is_plain(self, name: str, entry: BoardSetpoint) -> bool:
         """Whether a channel was asked for without a filter."""
@@ -217,16 +227,22 @@ class FastCircuit(VirtualCircuit):
             self._setpoint_of = more
         self._setpoint_of[channel] = setpoint
 
-    async def _clear(self, command: Any) -> None:
-        """Drop what the channel had; caproto compares the wrong things and drops nothing."""
-        self.feed.remove_channel(command.sid)
-        self._know(command.sid, -1)
-        _, entry = self._get_db_entry_from_command(command)
-        await self._cull_subscriptions(entry, lambda sub: sub.channel.sid == command.sid)
-
-    async def _on_disconnect(self) -> None:
-        self._front.feeds.discard(self.feed)
-        await super()._on_disconnect()
+    async def _clear(self, channel: int) -> None:
+        """Drop what a channel had; caproto compares the wrong things and drops nothing."""
+        self.feed.remove_channel(channel)
+        self._know(channel, -1)
+        everybody = self.context.subscriptions
+        for spec, subscribed in self.subscriptions.items():
+            gone = [one for one in subscribed if one.channel.sid == channel]
+            for one in gone:
+                subscribed.remove(one)
+                everybody[spec].remove(one)
+                with suppress(ValueError):
+                    self.subscriptions_to_resend.get(spec, []).remove(one)
+                self.context.last_dead_band.pop(one, None)
+                self.context.last_sync_edge_update.pop(one, None)
+            if gone and not everybody[spec]:
+                await spec.db_entry.unsubscribe(self.context.subscription_queue, spec)
 
 
 class FastContext(ClaimedContext):
@@ -237,3 +253,8 @@ class FastContext(ClaimedContext):
     def __init__(self, pvdb: dict[str, Any], sockets: Sockets, front: BoardFront) -> None:
         super().__init__(pvdb, sockets)
         self.front = front
+
+    async def circuit_disconnected(self, circuit: Any) -> None:
+        """Send nothing to a client that is gone."""
+        self.front.feeds.discard(circuit.feed)
+        await super().circuit_disconnected(circuit)

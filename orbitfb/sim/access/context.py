@@ -1,17 +1,20 @@
 """caproto's server on sockets that were claimed before, without beacons."""
 
 import asyncio
-import functools
-from typing import Any, NoReturn
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from typing import Any
 
 from caproto.asyncio.server import Context
-from caproto.asyncio.utils import _DatagramProtocol, _UdpTransportWrapper
 
 from orbitfb.sim.access.listening import Sockets
+from orbitfb.sim.access.transport import Datagrams, Stream
 
 
 class ClaimedContext(Context):
     """A server that speaks on its own two sockets and nowhere else.
+
+    On loopback there is no repeater that beacons would reach, elsewhere nobody asked for them.
 
     Args:
         pvdb: The PVs by name.
@@ -20,27 +23,61 @@ class ClaimedContext(Context):
 
     def __init__(self, pvdb: dict[str, Any], sockets: Sockets) -> None:
         super().__init__(pvdb, [sockets.interface])
-        self.ca_server_port = sockets.port
-        self._sockets = sockets
+        self.port = sockets.port
+        self._claimed = sockets
 
-    async def _bind_tcp_sockets_with_consistent_port_number(self, make_socket: Any) -> Any:
-        return self._sockets.port, {self._sockets.interface: self._sockets.tcp}
+    async def run(
+        self,
+        *,
+        log_pv_names: bool = False,
+        startup_hook: Callable[[Any], Awaitable[None]] | None = None,
+    ) -> None:
+        """Serve until cancelled.
 
-    async def _create_broadcaster_transport(self, interface: str) -> None:
-        if interface in self.udp_socks:
-            return  # made anew only where the system spoils a socket after an error; Linux does not
-        transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-            functools.partial(
-                _DatagramProtocol,
-                parent=self,
-                identifier=interface,
-                queue=self.broadcaster_datagram_queue,
-            ),
-            sock=self._sockets.udp,
+        Args:
+            log_pv_names: Has no effect: there are hundreds.
+            startup_hook: Runs once clients can connect.
+        """
+        interface = self._claimed.interface
+        self.broadcaster.server_addresses.append((interface, self.port))
+        _, searches = await asyncio.get_running_loop().create_datagram_endpoint(
+            lambda: Datagrams(interface, self.broadcaster_datagram_queue), sock=self._claimed.udp
         )
-        self.udp_socks[interface] = _UdpTransportWrapper(transport)
+        self.udp_socks[interface] = searches
+        hooks = [*([startup_hook] if startup_hook else []), *self.startup_methods.values()]
+        tasks = [
+            asyncio.ensure_future(part)
+            for part in (
+                self.server_accept_loop(self._claimed.tcp),
+                self.broadcaster_receive_loop(),
+                self.broadcaster_queue_loop(),
+                self.subscription_queue_loop(),
+                *(hook(self.async_layer) for hook in hooks),
+            )
+        ]
+        try:
+            with suppress(asyncio.CancelledError):
+                await asyncio.gather(*tasks)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await self.server_tasks.cancel_all()
+            for circuit in self.circuits:
+                await circuit.tasks.cancel_all()
+            for method in self.shutdown_methods.values():
+                await method(self.async_layer)
+            searches.close()
+            self._claimed.tcp.close()
 
-    async def broadcast_beacon_loop(self) -> NoReturn:
-        """Send no beacons: on loopback there is no repeater, elsewhere nobody asked for them."""
-        while True:
-            await asyncio.get_running_loop().create_future()
+    async def server_accept_loop(self, sock: Any) -> None:
+        """Listen for clients.
+
+        Args:
+            sock: Bound, listening.
+        """
+
+        def connected(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            client = Stream(reader, writer)
+            self.server_tasks.create(self.tcp_handler(client, client.getpeername()))
+
+        await asyncio.start_server(connected, sock=sock)

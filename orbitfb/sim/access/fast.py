@@ -132,5 +132,4 @@ class FastFront:
     async def _publish_stale(self) -> None:
         while self._stale:
             channel = self._stale.pop()
-            channel.pull()
-            await channel.publish(_ALL_EVENTS)
+            await channel.pull(_ALL_EVENTS)
