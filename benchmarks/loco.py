@@ -130,14 +130,14 @@ def _fault(
 
 def score(case: Case, found: Result, counts: Score, seed: int) -> None:
     """Compare with the truth."""
-    named = [its for its in found.named if its.probability >= 0.8 or its.alternatives]
+    named = [its for its in found.named if its.stands_out]
     if case.kind == "none":
         counts.healthy.append(not named)
         if named:
             told = [(its.kind, its.places, its.z) for its in named]
             counts.misses.append(f"{seed}: healthy, but {told}")
     else:
-        first = found.named[0] if found.named else None
+        first = named[0] if named else None
         places = set() if first is None else {*first.places, *(n for n, _ in first.alternatives)}
         right = first is not None and first.kind == case.kind and set(case.places) <= places
         counts.right.append(right)

@@ -195,4 +195,6 @@ def _element(cell: Any) -> Any:
         )  # fmt: skip
     if k and length:
         return at.Quadrupole(name, length, k, NumIntSteps=10)
+    if length and second.size > 2 and second[2]:
+        return at.Sextupole(name, length, float(second[2]))
     return at.Drift(name, length) if length else at.Marker(name)

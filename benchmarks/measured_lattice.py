@@ -15,10 +15,10 @@ from orbitfb.physics.table import PlacesTable
 _APART = 1e-6
 """Two devices at one place are told apart by this [m]; no optics change over it."""
 
-_KIND = {"B": "BPM", "C": "COR", "Q": "QUAD"}
+_KIND = {"B": "BPM", "C": "COR", "Q": "QUAD", "S": "SEXT"}
 
 Key = tuple[str, int]
-"""What a place is, B, C or Q, and the number of its element."""
+"""What a place is, B, C, Q or S, and the number of its element."""
 
 
 def ring_of(
@@ -28,7 +28,7 @@ def ring_of(
     energy: float,
     frequency: float,
 ) -> tuple[Ring, dict[Key, int]]:
-    """Make the places table: BPMs, correctors and quadrupoles, all seen from their middles.
+    """Make the places table: BPMs, correctors and magnets, all seen from their middles.
 
     Args:
         elements: Of the lattice, in the order of the beam.
@@ -49,8 +49,10 @@ def ring_of(
     strengths: dict[int, float] = {}
     for number, element in enumerate(elements):
         kind = own.get(number)
-        if isinstance(element, at.Quadrupole) and element.K:
+        if isinstance(element, at.Quadrupole):  # one without gradient is a skew quadrupole
             kind, strengths[number] = "Q", element.K * element.Length
+        elif kind is None and isinstance(element, at.Sextupole):
+            kind, strengths[number] = "S", element.H * element.Length
         if kind is None:
             parts.append(element)
             continue
@@ -90,7 +92,7 @@ def _table(seen: Sequence[tuple[Key, Any]], strengths: dict[int, float]) -> Plac
         beta=np.array([its.beta for _, its in seen]).T.copy(),
         phase=np.array([its.mu for _, its in seen]).T.copy(),
         dispersion=np.array([float(its.dispersion[0]) for _, its in seen]),
-        strength=np.array([strengths[n] if kind == "Q" else np.nan for (kind, n), _ in seen]),
+        strength=np.array([strengths[n] if kind in "QS" else np.nan for (kind, n), _ in seen]),
         calibration=np.array([calibration, calibration]),
         pv=(empty, empty),
         readback=(empty, empty),

@@ -24,9 +24,6 @@ from orbitfb.loco.named import Named
 from orbitfb.loco.run import Result, diagnose
 from orbitfb.physics.places import Plane
 
-_SURE = 0.8
-"""Probability from which the answer names a device."""
-
 
 def fitted(its: MeasuredRing, checks: bool) -> dict[str, Any]:
     """Fit one response.
@@ -61,9 +58,8 @@ def fitted(its: MeasuredRing, checks: bool) -> dict[str, Any]:
         one.planes: round(one.per_tick or 0.0, 4)
         for one in growths(its.ring, its.measured, found.nominal)
     }
-    answer["named"] = [
-        _told(its, one) for one in found.named if one.probability >= _SURE or one.alternatives
-    ]
+    answer["named"] = [_told(its, one) for one in found.named if one.stands_out]
+    answer["nearly"] = [_told(its, one) for one in found.named if not one.stands_out]
     return answer
 
 
@@ -131,9 +127,7 @@ def _resimulated(its: MeasuredRing, found: Result) -> list[str]:
     again = diagnose(its.ring, replace(its.measured, response=response, sigma=sigma))
     before = {place for one in found.named for place in one.places}
     return [
-        _told(its, one)
-        for one in again.named
-        if one.probability >= _SURE and not set(one.places) <= before
+        _told(its, one) for one in again.named if one.stands_out and not set(one.places) <= before
     ]
 
 

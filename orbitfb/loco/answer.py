@@ -4,10 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orbitfb.loco.classes import degenerate
-from orbitfb.loco.estimates import GAUGE, Estimate
-from orbitfb.loco.measured import bpm_labels, corrector_labels
+from orbitfb.loco.estimates import GAUGE
 from orbitfb.loco.named import Named
+from orbitfb.loco.output.devices import kicks, outliers, quadrupoles, readings, skews
 from orbitfb.loco.parameters import BELIEVED
 from orbitfb.loco.run import Result
 from orbitfb.loco.schema import (
@@ -16,18 +15,11 @@ from orbitfb.loco.schema import (
     Block,
     Finding,
     Growth,
-    Kick,
     Optics,
-    Outlier,
-    Quadrupole,
-    Reading,
     ResponseDiagnosis,
     State,
 )
 from orbitfb.physics.places import Plane
-
-_SURE = 0.8
-"""Probability from which a device is named."""
 
 _LEFT = 3.0
 """Times the known noise from which what a fit leaves is more than noise [1]."""
@@ -64,16 +56,17 @@ def answer_of(
         growth=tuple(growth),
         steps=result.fit.steps,
         converged=result.fit.converged,
-        bpms=_readings(result),
-        correctors=_kicks(result),
-        quadrupoles=_quadrupoles(result),
-        outliers=_outliers(result),
+        bpms=readings(result),
+        correctors=kicks(result),
+        quadrupoles=quadrupoles(result),
+        skews=skews(result),
+        outliers=outliers(result),
     )
 
 
 def verdict(result: Result) -> tuple[State, str]:
     """Judge: what is named, and whether the table is wrong everywhere."""
-    named = [its for its in result.named if its.probability >= _SURE or its.alternatives]
+    named = [its for its in result.named if its.stands_out]
     largest = max(its["raw"] for its in result.ladder.values())
     left = max(its["without_outliers"] for its in result.ladder.values())
     # what stands out of the rest as it is after the named devices are taken at their word
@@ -127,6 +120,7 @@ def _known_excess(result: Result, plane: Plane) -> float:
 
 def _finding(its: Named) -> Finding:
     return Finding(
+        named=its.stands_out,
         kind=its.kind,
         places=its.places,
         value=its.value,
@@ -192,97 +186,3 @@ def _optics(result: Result, plane: Plane) -> Optics:
         dispersion_change_rms_m=float(np.sqrt(np.mean(change**2))) if plane == "x" else None,
         scale=float(np.median(result.estimates[f"calibration:{plane}"].value)),
     )
-
-
-def _readings(result: Result) -> tuple[Reading, ...]:
-    found: list[Reading] = []
-    for plane in result.mended.planes:
-        gain, phase = result.estimates[f"gain:{plane}"], result.estimates[f"row-phase:{plane}"]
-        roll = result.estimates.get(f"roll:{plane}")
-        noise, residual = result.fit.noise[plane], result.fit.residual[plane]
-        for number, (label, place) in enumerate(
-            zip(bpm_labels(result.mended, result.ring, plane), result.mended.bpms[plane],
-                strict=True)
-        ):  # fmt: skip
-            kept = noise.kept[number]
-            there = bool(kept.any())
-            found.append(
-                Reading(
-                    name=label, plane=plane, s_m=float(result.ring.table.s[place]),
-                    gain=1.0 + gain.value[number] if there else None,
-                    gain_sigma=gain.sigma[number] if there else None,
-                    z=gain.z[number] if there else None,
-                    roll=_of(roll, number), roll_sigma=_sigma_of(roll, number),
-                    phase_rad=phase.value[number] if there else None,
-                    residual_m_per_rad=float(np.sqrt(np.mean(residual[number][kept] ** 2)))
-                    if there else None,
-                )
-            )  # fmt: skip
-    return tuple(found)
-
-
-def _kicks(result: Result) -> tuple[Kick, ...]:
-    found: list[Kick] = []
-    for plane in result.mended.planes:
-        its = result.estimates[f"calibration:{plane}"]
-        phase = result.estimates[f"column-phase:{plane}"]
-        energy, tilt = (
-            result.estimates.get(f"energy:{plane}"),
-            result.estimates.get(f"tilt:{plane}"),
-        )
-        kept = result.fit.noise[plane].kept
-        for number, (label, place) in enumerate(
-            zip(corrector_labels(result.mended, result.ring, plane),
-                result.mended.correctors[plane], strict=True)
-        ):  # fmt: skip
-            there = bool(kept[:, number].any())
-            found.append(
-                Kick(
-                    name=label, plane=plane, s_m=float(result.ring.table.s[place]),
-                    calibration=its.value[number] if there else None,
-                    calibration_sigma=its.sigma[number] if there else None,
-                    z=its.z[number] if there else None,
-                    tilt=_of(tilt, number), tilt_sigma=_sigma_of(tilt, number),
-                    phase_rad=phase.value[number] if there else None,
-                    energy_per_rad=_of(energy, number),
-                )
-            )  # fmt: skip
-    return tuple(found)
-
-
-def _of(its: Estimate | None, number: int) -> float | None:
-    return None if its is None else float(its.value[number])
-
-
-def _sigma_of(its: Estimate | None, number: int) -> float | None:
-    return None if its is None else float(its.sigma[number])
-
-
-def _quadrupoles(result: Result) -> tuple[Quadrupole, ...]:
-    its, skew = result.estimates["gradient"], result.estimates.get("skew")
-    names, s = result.ring.names("QUAD"), result.ring.table.s[result.ring.places("QUAD")]
-    classes = degenerate(result.fit, names)
-    return tuple(
-        Quadrupole(
-            name=name, s_m=float(s[number]), relative=its.value[number], sigma=its.sigma[number],
-            z=its.z[number], skew_per_m=_of(skew, number),
-            degenerate_with=classes[number][0], integral_sigma=classes[number][1],
-        )
-        for number, name in enumerate(names)
-    )  # fmt: skip
-
-
-def _outliers(result: Result) -> tuple[Outlier, ...]:
-    found: list[Outlier] = []
-    for plane in result.mended.planes:
-        noise, residual = result.fit.noise[plane], result.fit.residual[plane]
-        rows = bpm_labels(result.mended, result.ring, plane)
-        columns = corrector_labels(result.mended, result.ring, plane)
-        for i, j in np.argwhere(noise.outliers):
-            found.append(
-                Outlier(
-                    bpm=rows[i], corrector=columns[j], residual_m_per_rad=float(residual[i, j]),
-                    sigmas=float(abs(residual[i, j]) / noise.sigma[i, j]),
-                )
-            )  # fmt: skip
-    return tuple(found)

@@ -3,8 +3,8 @@
     M_ij = ρ_i (orbit of the other plane at BPM i) + (1 + g_i) [G'_ij τ_j + Σ_q G'_iq s_q G'_qj k_j]
 
 ρ is what a reading sees of the other plane, τ the kick of a corrector into the plane that is read,
-s the skew gradients; gains g, kicks k and optics G' are those of the fit in the planes. To first
-order in coupling, which is some per cent.
+s the skew gradients of quadrupoles and sextupoles; gains g, kicks k and optics G' are those of the
+fit in the planes. To first order in coupling, which is some per cent.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +15,7 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.loco.measured import CROSS, Measured, Pair
 from orbitfb.loco.noise import separable, spreads
 from orbitfb.loco.normal import Piece, normal_equations
+from orbitfb.loco.optics import RingOptics
 from orbitfb.loco.parameters import MOST_NOISE, OUTLIER, STANDS_OUT, Fit, Groups, Noise
 from orbitfb.loco.posterior import WIDE, Posterior, evidence_spread, posterior, robust_spread
 from orbitfb.physics.optics import Matrix
@@ -54,10 +55,11 @@ class Coupling:
         return self.posterior.mean[self.groups.of[name]]
 
 
-def fit_coupling(measured: Measured, fit: Fit) -> Coupling | None:
+def fit_coupling(optics: RingOptics, measured: Measured, fit: Fit) -> Coupling | None:
     """Fit the cross blocks; None where none was measured, or a plane was not fitted.
 
     Args:
+        optics: The ring at the devices of the measurement.
         measured: The measurement.
         fit: Of its planes.
     """
@@ -68,10 +70,10 @@ def fit_coupling(measured: Measured, fit: Fit) -> Coupling | None:
     )
     if not pairs or len(measured.planes) < 2:
         return None
-    groups = _groups(measured, len(fit.groups.of["gradient"]))
+    groups = _groups(measured, len(optics.skews))
     spread = {name: _FIRST[name.split(":")[0]] for name in groups.of}
     theta, free = np.zeros(groups.size), np.zeros(groups.size, dtype=np.bool_)
-    bare = {pair: _piece(measured, fit, groups, pair) for pair in pairs}
+    bare = {pair: _piece(optics, measured, fit, groups, pair) for pair in pairs}
     noise: dict[Pair, Noise] = {}
     matrix, pull = np.eye(groups.size), np.zeros(groups.size)
     for number in range(_ROUNDS):
@@ -108,23 +110,25 @@ def fit_coupling(measured: Measured, fit: Fit) -> Coupling | None:
     return Coupling(groups, its, free, spread, noise, residual, models)
 
 
-def _groups(measured: Measured, quadrupoles: int) -> Groups:
+def _groups(measured: Measured, skews: int) -> Groups:
     of, begin = {}, 0
     for name, count in (
         ("roll:x", len(measured.bpms["x"])),
         ("roll:y", len(measured.bpms["y"])),
         ("tilt:x", len(measured.correctors["x"])),
         ("tilt:y", len(measured.correctors["y"])),
-        ("skew", quadrupoles),
+        ("skew", skews),
     ):
         of[name] = np.arange(begin, begin + count)
         begin += count
     return Groups(begin, of)
 
 
-def _piece(measured: Measured, fit: Fit, groups: Groups, pair: Pair) -> Piece:
+def _piece(optics: RingOptics, measured: Measured, fit: Fit, groups: Groups, pair: Pair) -> Piece:
     read, driven = pair
-    here, there = fit.optics[read], fit.optics[driven]
+    gradients, here = fit.part("gradient"), fit.optics[read]
+    left, _ = optics.at_skews(read, gradients, here)
+    _, right = optics.at_skews(driven, gradients, fit.optics[driven])
     gain = 1.0 + fit.part(f"gain:{read}")
     kick = 1.0 + fit.part(f"scale:{driven}") + fit.part(f"calibration:{driven}")
     data = measured.response[pair]
@@ -135,8 +139,8 @@ def _piece(measured: Measured, fit: Fit, groups: Groups, pair: Pair) -> Piece:
         np.ones(len(kick)),
         [(_seen(measured, fit, read, driven), groups.of[f"roll:{read}"])],
         [(gain[:, None] * here.other, groups.of[f"tilt:{driven}"])],
-        gain[:, None] * here.left,
-        there.right * kick,
+        gain[:, None] * left,
+        right * kick,
         groups.of["skew"],
     )
 

@@ -2,6 +2,11 @@
 
 from dataclasses import dataclass, field
 
+from orbitfb.loco.parameters import STANDS_OUT
+
+_SURE = 0.8
+"""Probability from which a device is named."""
+
 
 @dataclass(frozen=True, slots=True)
 class Named:
@@ -30,3 +35,8 @@ class Named:
     probability: float
     text: str
     alternatives: tuple[tuple[str, float], ...] = field(default=())
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether it is named; else it is beside the answer, as what to look at next."""
+        return self.z >= STANDS_OUT and (self.probability >= _SURE or bool(self.alternatives))

@@ -77,6 +77,8 @@ class RingOptics:
         self, ring: Ring, measured: Measured, model: Mapping[Plane, Matrix] | None = None
     ) -> None:
         self.quadrupoles = ring.places("QUAD")
+        self.skews = np.concatenate([self.quadrupoles, ring.places("SEXT")])
+        self._devices = {p: (measured.bpms[p], measured.correctors[p]) for p in measured.planes}
         strength = ring.strength("QUAD")
         usual = float(np.median(np.abs(strength))) if len(strength) else 1.0
         self.strength = np.where(strength == 0.0, usual or 1.0, strength)
@@ -144,6 +146,27 @@ class RingOptics:
         eta_q = there @ its.q
         eta_b = its.b + (design * kick) @ eta_q
         return PlaneOptics(own, other, left, right, eta_b, eta_q, design @ there.T, rows, columns)
+
+    def at_skews(self, plane: Plane, relative: Vector, its: PlaneOptics) -> tuple[Matrix, Matrix]:
+        """Orbit at the BPMs by kicks where planes couple, and orbit there by the correctors.
+
+        Planes couple in rolled quadrupoles, and in sextupoles: the beam is off their middle, or
+        they have skew windings.
+
+        Args:
+            plane: `x` or `y`.
+            relative: ΔK/K of every quadrupole, shape (q,) [1].
+            its: The optics with these errors.
+
+        Returns:
+            Shapes (n, k) and (k, m) [m/rad], of quadrupoles and then sextupoles.
+        """
+        bpms, correctors = self._devices[plane]
+        kick = SIGN[plane] * self.strength * relative
+        there = green(self.ring, self.quadrupoles, self.skews, plane)
+        left = green(self.ring, bpms, self.skews, plane) + (its.left * kick) @ there
+        right = green(self.ring, self.skews, correctors, plane) + (there.T * kick) @ its.right
+        return left, right
 
     def tune(self, plane: Plane, relative: Vector) -> float:
         """Betatron tune with gradient errors, by the trace of the one-turn matrix.

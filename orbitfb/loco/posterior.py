@@ -104,13 +104,7 @@ def posterior(matrix: Matrix, pull: Vector, prior: Vector) -> Posterior:
 
 
 def robust_spread(its: Posterior, group: Indices, least: float) -> float:
-    """Estimate the healthy spread of a group that the data know well, a few devices aside.
-
-    Seen from their median, the variance of m is τ² + v. It is estimated by the biweight
-    midvariance (F. Mosteller, J. W. Tukey, Data Analysis and Regression, 1977): devices beyond
-    `_BEYOND` median deviations do not count, nearer ones the less the farther they are. Of some
-    fifty devices it is twice as precise as the median deviation alone, and tails that real gains
-    have are in it.
+    """Estimate the healthy spread of a group that the data know well, from its median.
 
     Args:
         its: The posterior.
@@ -118,7 +112,23 @@ def robust_spread(its: Posterior, group: Indices, least: float) -> float:
         least: Smallest spread.
     """
     value, variance = (each[group] for each in its.by_data())
-    apart = value - np.median(value)
+    return spread_of(value - np.median(value), variance, least)
+
+
+def spread_of(apart: Vector, variance: Vector, least: float) -> float:
+    """Estimate the healthy spread of devices, a few of them aside.
+
+    Seen from their middle, the variance of m is τ² + v. It is estimated by the biweight
+    midvariance (F. Mosteller, J. W. Tukey, Data Analysis and Regression, 1977): devices beyond
+    `_BEYOND` median deviations do not count, nearer ones the less the farther they are. Of some
+    fifty devices it is twice as precise as the median deviation alone, and tails that real gains
+    have are in it.
+
+    Args:
+        apart: m less the middle, shape (g,).
+        variance: v, shape (g,).
+        least: Smallest spread.
+    """
     deviation = float(np.median(np.abs(apart)))
     if not deviation > 0.0:
         return least

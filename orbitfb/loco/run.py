@@ -14,6 +14,7 @@ from orbitfb.loco.named import Named
 from orbitfb.loco.names import name_devices
 from orbitfb.loco.optics import RingOptics
 from orbitfb.loco.parameters import Fit
+from orbitfb.loco.together import in_order
 from orbitfb.measure.screen import (
     DEAD,
     dead_rows,
@@ -41,7 +42,7 @@ class Result:
         fit: In the planes.
         coupling: Of the cross blocks; None: not measured.
         estimates: Values by group.
-        named: Devices that stand out, the surest first.
+        named: Devices that stand out, the surest first, then those that nearly do.
         nominal: Response of the table, by plane [m/rad].
         ladder: Residuals of every step, by plane.
     """
@@ -95,11 +96,11 @@ def diagnose(
     if fitting is None or fit is None:
         raise RingError("nothing was fitted")
     tell("coupling", 0.9)
-    coupling = fit_coupling(mended, fit)
+    coupling = fit_coupling(optics, mended, fit)
     values = estimates(fitting, fit, coupling)
     found = name_devices(ring, mended, fitting, fit, coupling, values)
-    sorted_ = tuple(sorted([*named, *found], key=lambda its: -its.z))
-    standing = {label for its in sorted_ for label in its.places}
+    sorted_ = tuple(in_order([*named, *found]))
+    standing = {label for its in sorted_ if its.stands_out for label in its.places}
     ladder: dict[Plane, dict[str, float]] = {
         plane: _ladder(ring, mended, fit, nominal[plane], plane, standing)
         for plane in mended.planes

@@ -35,8 +35,9 @@ class Alternative(Part):
 
 
 class Finding(Part):
-    """One device that stands out: its kind, size and probability."""
+    """A device that stands out (`named`) or nearly does: its kind, size and probability."""
 
+    named: bool
     kind: str
     places: tuple[str, ...]
     value: Number
@@ -86,9 +87,18 @@ class Quadrupole(Part):
     relative: Number
     sigma: Number
     z: Number
-    skew_per_m: Number
     degenerate_with: tuple[str, ...]
     integral_sigma: Number
+
+
+class Skew(Part):
+    """A quadrupole or sextupole that couples the planes, where cross blocks were measured."""
+
+    name: str
+    s_m: Number
+    skew_per_m: Number
+    sigma: Number
+    z: Number
 
 
 class Block(Part):
@@ -157,6 +167,7 @@ class ResponseDiagnosis(Part):
     bpms: tuple[Reading, ...]
     correctors: tuple[Kick, ...]
     quadrupoles: tuple[Quadrupole, ...]
+    skews: tuple[Skew, ...]
     outliers: tuple[Outlier, ...]
 
 

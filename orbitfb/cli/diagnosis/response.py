@@ -129,7 +129,8 @@ def _show(answer: "ResponseDiagnosis", written: tuple[Path, ...]) -> None:
 
     say(f"{answer.state}: {answer.headline}")
     for its in answer.findings[:_MOST_SHOWN]:
-        say(f"  {its.kind}: {its.text} ({its.z:.3g} σ, P {its.probability:.3g})")
+        nearly = "" if its.named else "nearly, "
+        say(f"  {nearly}{its.kind}: {its.text} ({its.z:.3g} σ, P {its.probability:.3g})")
     if len(answer.findings) > _MOST_SHOWN:
         say(f"  and {len(answer.findings) - _MOST_SHOWN} more, in diagnosis.json")
     for block in answer.blocks:

@@ -39,6 +39,8 @@ def fragment(findings: Sequence[Finding], result: Result, headline: str) -> str:
 def _settings(findings: Sequence[Finding], result: Result) -> Iterator[EffectSettings]:
     strength = dict(zip(result.ring.names("QUAD"), result.optics.strength.tolist(), strict=True))
     for its in findings:
+        if not its.named:
+            continue
         names = [place.rpartition(":")[0] or place for place in its.places]
         plane = its.places[0].rpartition(":")[2] if ":" in its.places[0] else "xy"
         size = its.value or 0.0

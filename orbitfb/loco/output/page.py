@@ -95,11 +95,11 @@ def _findings(answer: ResponseDiagnosis) -> str:
         (
             text(its.kind), text(", ".join(its.places)), text(its.text),
             f"{figure_of(its.value)} ± {figure_of(its.sigma, 2)} {text(its.unit)}",
-            figure_of(its.z), figure_of(its.probability),
+            figure_of(its.z), figure_of(its.probability), "yes" if its.named else "nearly",
         )
         for its in answer.findings[:_MOST_ROWS]
     )  # fmt: skip
-    heads = ("kind", "where", "what", "size", "σ of the healthy spread", "P")
+    heads = ("kind", "where", "what", "size", "σ of the healthy spread", "P", "stands out")
     return table(heads, rows) + _more(answer.findings)
 
 

@@ -28,6 +28,7 @@ def write(answer: ResponseDiagnosis, result: Result, directory: Path) -> tuple[P
         "bpms.csv": csv_of(answer.bpms),
         "correctors.csv": csv_of(answer.correctors),
         "quadrupoles.csv": csv_of(answer.quadrupoles),
+        "skews.csv": csv_of(answer.skews),
         "outliers.csv": csv_of(answer.outliers),
         "corrections.csv": corrections_csv(answer),
         "fitted.csv": fitted_csv(result),

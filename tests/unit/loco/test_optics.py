@@ -118,7 +118,7 @@ def test_rolls_tilts_and_their_signs_come_back() -> None:
     sigma = {**own.sigma, ("x", "y"): np.full(cross.shape, np.nan)}
     measured = Measured(own.bpms, own.correctors, response, sigma)
     fit = PlaneFit(optics, measured).run()
-    found = fit_coupling(measured, fit)
+    found = fit_coupling(optics, measured, fit)
     assert found is not None
     assert np.allclose(found.part("roll:x"), roll, atol=0.003)
     assert np.allclose(found.part("tilt:y"), tilt, atol=0.003)
