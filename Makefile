@@ -69,9 +69,12 @@ coverage: venv
 venv: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
-	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
-	touch $(STAMP)
+	@echo "setting up .venv, one to some minutes: each package is named as it is fetched"
+	@begun=$$(date +%s); set -e; \
+	  test -x $(BIN)/python || $(PYTHON) -m venv .venv; \
+	  $(BIN)/python -m pip install --disable-pip-version-check --progress-bar off \
+	    --constraint constraints.txt --editable '.[dev]'; \
+	  touch $(STAMP); echo ".venv is set up: $$(($$(date +%s) - begun)) s"
 
 lint: venv
 	$(BIN)/ruff check .

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from orbitfb.cli.duration import tells_its_time
 from orbitfb.cli.options import AsJson, ConfigFile, DataDirectory, Planes, configure, show
 
 exporting = typer.Typer(
@@ -14,6 +15,7 @@ exporting = typer.Typer(
 
 
 @exporting.command("response")
+@tells_its_time("writing the response")
 def export_response_command(
     origin: Annotated[
         str | None,
@@ -48,6 +50,7 @@ def export_response_command(
 
 
 @exporting.command("archive")
+@tells_its_time("writing the archive")
 def export_archive_command(
     archive: Annotated[
         Path | None,

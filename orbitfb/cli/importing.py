@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from orbitfb.cli.duration import tells_its_time
 from orbitfb.cli.options import (
     AsJson,
     ConfigFile,
@@ -42,6 +43,7 @@ Anyway = Annotated[
 
 
 @importing.command("response")
+@tells_its_time("reading the response")
 def import_response_command(
     file: Annotated[Path, typer.Argument(help="HDF5, CSV or MATLAB file (.mat, any version).")],
     out: Annotated[
@@ -94,6 +96,7 @@ def import_response_command(
 
 
 @importing.command("history")
+@tells_its_time("reading the history")
 def import_history_command(
     files: Annotated[
         list[Path],
@@ -173,6 +176,7 @@ def import_history_command(
 
 
 @importing.command("lattice")
+@tells_its_time("reading the lattice")
 def import_lattice_command(
     file: Annotated[Path, typer.Argument(help="Lattice that pyAT reads: .m, .mat or .json.")],
     calibration: Annotated[

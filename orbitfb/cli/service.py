@@ -72,6 +72,8 @@ def run(
     ] = False,
 ) -> None:
     """Close the loop: read the orbit, correct it, learn from it."""
+    if sys.stderr.isatty():  # what is started is told on standard output when it is there
+        print("starting …", file=sys.stderr, flush=True)
     from orbitfb.app.service.run import run_service
     from orbitfb.app.setup.startup import SIMULATED
     from orbitfb.core.errors import ConfigError

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from orbitfb.cli.duration import tells_its_time
 from orbitfb.cli.options import (
     AsJson,
     ConfigFile,
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from orbitfb.app.train.request import Progress
 
 
+@tells_its_time("the training")
 def train(
     method: Annotated[
         str,

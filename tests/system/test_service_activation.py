@@ -33,9 +33,11 @@ def stored(said: str) -> str:
 
 def test_a_first_training_is_not_silent(service: Service):
     told = [event["progress"] for event in service.events("starting")]
-    assert told[0].startswith("training the first policy (supervised): 1 of 40 iterations, loss ")
-    assert told[-1].startswith("training the first policy (supervised): 40 of 40 iterations")
-    assert len(told) == 11
+    assert told[0] == "training the first policy (supervised): 40 iterations"
+    assert told[1].startswith("training the first policy (supervised): 1 of 40 iterations, loss ")
+    assert told[-2].startswith("training the first policy (supervised): 40 of 40 iterations")
+    assert re.fullmatch(r"training the first policy \(supervised\) took \d+ s", told[-1])
+    assert len(told) == 13
     assert told[0] in service.out
 
 

@@ -1,5 +1,6 @@
 """The service from start to exit code: it starts, runs until something ends it, and stops."""
 
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -49,6 +50,7 @@ def run_service(
         OrbitFeedbackError: It could not start, or its simulated ring died and none came back;
             nothing is left running.
     """
+    begun = time.monotonic()
     state = LoopState.OPEN if live and start is None else start_state(start, ioc)
     check_live(find_ring(config, ioc), ioc, start, live)
     check_duration(duration)
@@ -62,6 +64,7 @@ def run_service(
                 _log.error("start_failed", problem=str(error))
             raise
         service.announce(announce)
+        announce(f"started after {time.monotonic() - begun:.1f} s")
         if live:
             announce("live: the loop is OPEN and writes nothing; `orbitfb command close` closes it")
         signals.hand_over()

@@ -1,6 +1,7 @@
 """What the command line does to policies and archives, with a service running or without."""
 
 import hashlib
+import time
 from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -63,16 +64,20 @@ def baseline(
         say: Told how far it is, where that takes its time: a kind that is trained.
     """
     matrix = nominal_response(ring, config.ring.planes, config.ring.response, config.masks)
-    total = config.policy.supervised.iterations
+    kind, total, begun = config.policy.kind, config.policy.supervised.iterations, time.monotonic()
+    if kind == "supervised":
+        say(f"training the first policy ({kind}): {total} iterations")
 
     def progress(done: int, loss: float) -> None:
         if done == 1 or done * TOLD_TIMES // total > (done - 1) * TOLD_TIMES // total:
             say(
-                f"training the first policy ({config.policy.kind}): {done} of {total} iterations, "
-                f"loss {loss:.3g}"
+                f"training the first policy ({kind}): {done} of {total} iterations, loss {loss:.3g}"
             )
 
-    return first_policy(matrix, config.policy, movable(config, ring), progress)
+    policy = first_policy(matrix, config.policy, movable(config, ring), progress)
+    if kind == "supervised":
+        say(f"training the first policy ({kind}) took {time.monotonic() - begun:.0f} s")
+    return policy
 
 
 def check_policy(nominal: ResponsePolicy, config: AppConfig) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from orbitfb.cli.diagnosis.progress import progress_bar, told_when_interrupted
+from orbitfb.cli.duration import tells_its_time
 from orbitfb.cli.options import (
     AsJson,
     PlacesTable,
@@ -35,6 +36,7 @@ diagnose = typer.Typer(
 
 
 @diagnose.command(DEFAULT)
+@tells_its_time("the diagnosis")
 def diagnose_record(
     record: Annotated[
         Path,

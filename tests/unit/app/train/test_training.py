@@ -164,9 +164,11 @@ def test_a_baseline_that_is_trained_says_how_far_it_is(config):
     said: list[str] = []
     trained = config.model_copy(update={"policy": policy})
     stored_policies.baseline(trained, trained.ring.load(), said.append)
-    assert len(said) == 11
-    assert said[0].startswith("training the first policy (supervised): 1 of 20 iterations, loss ")
-    assert said[-1].startswith("training the first policy (supervised): 20 of 20 iterations, loss ")
+    assert len(said) == 13
+    assert said[0] == "training the first policy (supervised): 20 iterations"
+    assert said[1].startswith("training the first policy (supervised): 1 of 20 iterations, loss ")
+    assert said[-2].startswith("training the first policy (supervised): 20 of 20 iterations, loss ")
+    assert said[-1].startswith("training the first policy (supervised) took ")
 
 
 def test_the_list_has_kind_planes_and_warning(config, tmp_path, capsys):
