@@ -66,7 +66,7 @@ class ControlServer:
             self._listener.close()
             raise OwnershipError(
                 f"the control socket {self._path} cannot be made ({error.strerror or error}); "
-                "mend that directory, or set XDG_RUNTIME_DIR to another"
+                "repair that directory, or set XDG_RUNTIME_DIR to another"
             ) from None
         self._thread = threading.Thread(target=self._serve, name="control", daemon=True)
         self._thread.start()

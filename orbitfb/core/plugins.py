@@ -44,7 +44,7 @@ def whose(entry: EntryPoint) -> str:
 
 
 def _load(entry: EntryPoint, wanted: type[T]) -> T:
-    advice = "mend or uninstall that package"
+    advice = "repair or uninstall that package"
     try:
         item = entry.load()
     except Exception as error:

@@ -131,7 +131,7 @@ class UnitWatch:
     """Knows the units that PVs stated at the start, and sees when one comes back with another.
 
     A record that is loaded anew may state another unit: its numbers mean something else from then
-    on, by powers of ten. Whoever mended it has to say so by a new start.
+    on, by powers of ten. Whoever repaired it has to say so by a new start.
 
     Args:
         context: Of the groups.
@@ -183,7 +183,7 @@ class UnitWatch:
                 first = int(changed.argmax())
                 told.append(
                     f"{np.count_nonzero(changed)} PVs have come back with another unit (EGU), as "
-                    f"{group.names[first]}: {stated[first]}, at the start {before[first]}; mend "
+                    f"{group.names[first]}: {stated[first]}, at the start {before[first]}; repair "
                     "the records, or start anew with that unit"
                 )
         self.told = "; ".join(told)

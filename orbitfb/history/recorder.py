@@ -54,7 +54,7 @@ class Recorder:
         except OSError as error:
             raise ArchiveError(
                 f"the archive {directory} cannot be used ({error.strerror}); name another "
-                "directory or mend its permissions"
+                "directory or repair its permissions"
             ) from error
         # Segments of runs that were killed wait here for compression like full ones.
         self._full = deque(left if settings.compress else ())

@@ -99,7 +99,7 @@ class Journal:
             self._moved.unlink(missing_ok=True)
         except OSError as error:
             raise MeasurementError(
-                f"{self._moved} cannot be removed ({error.strerror}); mend that directory. The "
+                f"{self._moved} cannot be removed ({error.strerror}); repair that directory. The "
                 "setpoints are where they were"
             ) from error
 

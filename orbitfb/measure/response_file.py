@@ -137,8 +137,8 @@ def adopted(
         more = f"\n  and {len(problems) - 10} more" if len(problems) > 10 else ""
         raise RingError(
             f"the response matrix {path} is not adopted, {len(problems)} of its columns and rows "
-            f"are not to be used:\n{told}{more}\nmend them and measure again, or mask them in the "
-            "configuration"
+            f"are not to be used:\n{told}{more}\n"
+            "repair them and measure again, or mask them in the configuration"
         )
     if not np.isfinite(matrix).all():
         raise RingError(f"the response matrix {path} is not finite; {_ADVICE}")

@@ -89,7 +89,7 @@ class Checkpoint:
         except OSError as error:
             raise StoreError(
                 f"the checkpoint {self.directory} cannot be written ({error.strerror}); name "
-                "another directory or mend its permissions"
+                "another directory or repair its permissions"
             ) from error
 
     def load(

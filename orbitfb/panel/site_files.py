@@ -29,8 +29,8 @@ _GUIDANCE = {
     ),
     "RfState-I": (
         "Orbit feedback leaves the RF frequency alone",
-        "The orbit is corrected all the same, the energy is not. RfReason says why. Mend it, then "
-        "write follow to Rf-Cmd, or leave if the frequency is to stay.",
+        "The orbit is corrected all the same, the energy is not. RfReason says why. Repair it, "
+        "then write follow to Rf-Cmd, or leave if the frequency is to stay.",
         10,
     ),
     "BpmsInvalid-I": (
@@ -42,7 +42,7 @@ _GUIDANCE = {
     "MeasureState-I": (
         "The measurement of the response failed",
         "The setpoints were put back where the machine answered; MeasureText says what went wrong "
-        "and which were not. The response in force is unchanged. Mend it, then measure again.",
+        "and which were not. The response in force is unchanged. Repair it, then measure again.",
         10,
     ),
 }

@@ -59,7 +59,7 @@ def read_failures(path: Path) -> dict[str, Failure]:
     """
     if not path.exists():
         return {}
-    advice = f"mend {path}, or remove it: then it is forgotten which policies failed"
+    advice = f"repair {path}, or remove it: then it is forgotten which policies failed"
     try:
         failures = _Failures.model_validate(read_json(path, _LARGEST, advice)).failures
     except ValidationError as error:

@@ -196,5 +196,5 @@ class PolicyShelf:
         except OSError as error:
             raise StoreError(
                 f"policy {card.id} cannot be stored in {self.path} ({error.strerror}); make room "
-                "or mend the permissions and save it again"
+                "or repair the permissions and save it again"
             ) from error

@@ -175,7 +175,7 @@ class PostMortemRecorder:
             except Exception as error:  # the guard of this thread: told and counted
                 self._give_up(
                     f"the post-mortem of tick {frozen.cause.tick} cannot be written to "
-                    f"{self._shelf.directory} ({error}); make room or mend the directory: it is "
+                    f"{self._shelf.directory} ({error}); make room or repair the directory: it is "
                     "lost, the archive has the ticks if that was written",
                     asked,
                 )

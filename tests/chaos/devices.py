@@ -115,7 +115,7 @@ class FaultyRing:
         return actual, errors
 
     def _bump(self, fault: dict[str, Any]) -> np.ndarray:
-        """An orbit that correctors can make, so that a loop can mend it."""
+        """An orbit that correctors can make, so that a loop can repair it."""
         rng = np.random.default_rng(int(fault["kick"] * 1e9))
         orbit = self._ring.nominal_response @ rng.normal(size=len(self._ring.channels.correctors))
         return orbit * fault["kick"] / np.sqrt(np.mean(orbit**2))

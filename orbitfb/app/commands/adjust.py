@@ -160,7 +160,7 @@ class Adjuster:
         path = self._base.directory / FILE
         if not path.exists():
             return False
-        advice = "it holds what operators had set; mend it, or remove it and set it anew"
+        advice = "it holds what operators had set; repair it, or remove it and set it anew"
         saved = read_whole(path, Saved, advice)
         channels = self._base.channels
         if not fits(saved, channels, LARGEST_GAIN):

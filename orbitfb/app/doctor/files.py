@@ -61,7 +61,7 @@ def _data_directory(directory: Path) -> Finding:
         "data directory",
         Verdict.FAILED if problem else Verdict.OK,
         problem or f"{directory} is writable{new}",
-        "name another with --data, or mend its permissions" if problem else "",
+        "name another with --data, or repair its permissions" if problem else "",
         {"path": str(directory), "exists": not new},
     )
 

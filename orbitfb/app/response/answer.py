@@ -95,7 +95,7 @@ def offered(
     bad = len(answer["bad_correctors"]), len(answer["bad_bpms"])
     if any(bad):
         told += f"; {bad[0]} correctors and {bad[1]} BPMs are bad: see `measure` and its file"
-        return {}, f"{told}; mend or mask them, then measure again"
+        return {}, f"{told}; repair or mask them, then measure again"
     if config.policy.kind not in LINEAR:
         return {}, f"{told}; set ring.response to it and train a policy: `orbitfb train`"
     counting, moving = mask_of(channels, config.masks)

@@ -66,7 +66,7 @@ class Lock:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         except OSError as error:
             raise OwnershipError(
-                f"{what} cannot be locked: {path}: {error.strerror}; mend that directory"
+                f"{what} cannot be locked: {path}: {error.strerror}; repair that directory"
             ) from None
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

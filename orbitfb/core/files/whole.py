@@ -140,7 +140,7 @@ def sole_writer(directory: Path) -> Generator[None]:
     except OSError as error:
         raise StoreError(
             f"the policy store {directory} cannot be used ({error.strerror}); name another "
-            "directory or mend its permissions"
+            "directory or repair its permissions"
         ) from error
     with lock:
         _take(lock.fileno(), directory)

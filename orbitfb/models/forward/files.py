@@ -78,7 +78,7 @@ def save_forward(net: ForwardNet, directory: Path) -> None:
     except OSError as error:
         raise StoreError(
             f"the forward net cannot be written to {directory} ({error.strerror}); name another "
-            "directory or mend its permissions"
+            "directory or repair its permissions"
         ) from error
 
 

@@ -244,8 +244,8 @@ class PolicyStore(PolicyShelf):
                     remove_directory(self.path / identifier)
                 except OSError as error:
                     raise StoreError(
-                        f"{self.path / identifier} cannot be removed ({error.strerror}); mend the "
-                        "permissions"
+                        f"{self.path / identifier} cannot be removed ({error.strerror}); repair "
+                        "the permissions"
                     ) from error
                 removed(identifier)
         return leaving

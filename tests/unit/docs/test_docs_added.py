@@ -142,7 +142,7 @@ def test_what_contributors_are_told_to_run_is_there():
         (
             "my_effects:Missing",
             r"entry point corrector-curvature \(orbitfb.effects\) of the package my-effects "
-            "cannot be loaded: AttributeError.*mend or uninstall",
+            "cannot be loaded: AttributeError.*repair or uninstall",
         ),
         ("my_effects:np", "is module, expected was type"),
         ("my_effects:_Bent", "_Bent is no EffectKind"),

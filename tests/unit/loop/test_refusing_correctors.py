@@ -85,7 +85,7 @@ class Bench:
             self.runner.step()
 
     def kick(self, size=1.0):
-        """Move the beam by something that correctors can mend."""
+        """Move the beam by something that correctors can repair."""
         self.machine.disturbance = RESPONSE @ np.array([0.3, -0.4, 1.0, 0.2]) * size
 
     def states(self):

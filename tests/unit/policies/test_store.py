@@ -265,7 +265,7 @@ def test_failures_are_on_record_beyond_the_policy_and_the_program(store):
     assert list(again) == [identifier]
     assert again[identifier].cause == "rolled_back" and len(again[identifier].reason) == 400
     (store.path / "failures.json").write_text("[]")
-    with pytest.raises(StoreError, match=r"failures\.json holds no JSON object; mend"):
+    with pytest.raises(StoreError, match=r"failures\.json holds no JSON object; repair"):
         store.failures()
 
 

@@ -174,5 +174,5 @@ def test_every_interface_is_never_searched(monkeypatch):
 
 
 def test_the_text_ends_with_what_to_do():
-    text = as_text([Finding("a", "b", Verdict.FAILED, "broken", "mend it")])
-    assert text.splitlines()[-3:] == ["  b: mend it", "", "1 failed"]
+    text = as_text([Finding("a", "b", Verdict.FAILED, "broken", "repair it")])
+    assert text.splitlines()[-3:] == ["  b: repair it", "", "1 failed"]
