@@ -39,7 +39,7 @@ class RfNews:
                 self._tell("the frequency follows the energy again")
             else:
                 _log.warning("rf_stopped", reason=sight.reason, frequency=sight.frequency)
-                self._tell(f"the frequency is left alone: {sight.reason}")
+                self._tell(f"the RF frequency is not adjusted: {sight.reason}")
         now = self._clock.monotonic()
         if sight.steps > self._steps and now - self._told >= QUIET:
             _log.info(

@@ -42,7 +42,7 @@ def rf_model(
     except RingError as error:
         if wanted:
             raise
-        say(f"the RF frequency is left alone: {error}")
+        say(f"the RF frequency is not adjusted: {error}")
         return None
 
 

@@ -186,7 +186,7 @@ function describe(now) {
 function gap(its) {
   say("gap", its.gap.headline);
   at("gap").classList.toggle("resolved", its.gap.resolved);
-  say("gap-time", its.gap.time === null ? "" : `looked at ${moment(its.gap.time, its.time)}`);
+  say("gap-time", its.gap.time === null ? "" : `checked at ${moment(its.gap.time, its.time)}`);
   const report = its.report, key = JSON.stringify(report), place = at("report");
   if (place.dataset.key === key) return;
   place.dataset.key = key;
@@ -218,7 +218,7 @@ function loop(its) {
   say("period", `${quantity(its.period_ms, "ms")}, jitter ${quantity(its.jitter_ms, "ms")}`);
   const rf = its.rf;
   const energy = rf.energy_ppm === null ? "" : `, energy of the correctors ${rf.energy_ppm.toFixed(1)} ppm`;
-  say("rf", rf.follows ? `follows, ${rf.steps} steps${energy}` : `left alone: ${rf.reason}`);
+  say("rf", rf.follows ? `follows, ${rf.steps} steps${energy}` : `not adjusted: ${rf.reason}`);
   say("latency", `p50 ${quantity(its.latency50_ms, "ms")}, p99 ${quantity(its.latency99_ms, "ms")}`);
   say("service", `orbitfb ${its.version}, since ${moment(its.started, its.time)}`);
 }
@@ -232,7 +232,7 @@ function measurement(its) {
   at("measure-share").value = share;
   say("measure-text", text);
   const may = running || its.state === "OPEN";
-  say("measure-what", running ? "Abort and put back:" : may ? "Start:" : "It needs a loop that is OPEN.");
+  say("measure-what", running ? "Abort, and put the setpoints back:" : may ? "Start:" : "Open the loop first.");
   say("measure-how", may ? `orbitfb command measure action=${running ? "abort" : "start"}` : "");
 }
 

@@ -13,7 +13,7 @@ const MEANINGS = {
   FAULT: "the program failed; read the log",
 };
 
-const MEASURING = "writes for the measurement of the response alone";
+const MEASURING = "writes only to measure the response";
 
 export const at = (id) => document.getElementById(id);
 
@@ -60,10 +60,10 @@ function commanded(its) {
 function notify(its, link, late, silent, restarted, layout) {
   let words = "", calm = false;
   if (late) {
-    const old = its ? `What is grey is of ${timeOfDay(its.time)}. ` : "";
-    words = `NOT LIVE: ${link.problem || "no picture comes"}. ${old}Trying again.`;
-  } else if (silent) words = "The loop does not tick: what is grey is old.";
-  else if (orbitOld(its, layout)) words = "No orbit data: greyed values are out of date.";
+    const old = its ? `Grey values are of ${timeOfDay(its.time)}. ` : "";
+    words = `NOT LIVE: ${link.problem || "no data come"}. ${old}Trying again.`;
+  } else if (silent) words = "The loop does not tick: grey values are out of date.";
+  else if (orbitOld(its, layout)) words = "No orbit data: grey values are out of date.";
   else if (restarted && its.time - restarted < RESTART_TOLD) {
     words = `The service was started again at ${timeOfDay(its.started)}.`;
     calm = true;
