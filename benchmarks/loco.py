@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from orbitfb.core.errors import RingError
 from orbitfb.loco.measured import Measured, Pair, bpm_labels, corrector_labels
 from orbitfb.loco.optics import RingOptics
 from orbitfb.loco.run import Result, diagnose
@@ -197,7 +198,12 @@ def one(seed: int, size: str) -> Score:
     """Draw a response, diagnose it, compare."""
     counts, case = Score(), draw(seed, size)
     begin = time.process_time()
-    found = diagnose(case.ring, case.measured)
+    try:
+        found = diagnose(case.ring, case.measured)
+    except RingError as error:
+        (counts.healthy if case.kind == "none" else counts.right).append(False)
+        counts.misses.append(f"{seed}: {case.kind} {case.places}, refused: {error}")
+        return counts
     counts.seconds[size] = [time.process_time() - begin]
     score(case, found, counts, seed)
     return counts

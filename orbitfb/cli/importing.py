@@ -80,6 +80,7 @@ def import_response_command(
     as_json: AsJson = False,
 ) -> None:
     """Take a response matrix that was measured elsewhere; exit code 1: something in it is bad."""
+    from orbitfb.app.setup.loop_in_force import loop_of
     from orbitfb.exchange.response.parts import ResponseRequest
     from orbitfb.exchange.response.reading import import_response
 
@@ -89,7 +90,10 @@ def import_response_command(
     request = ResponseRequest(
         file, out, matrix, bpm_names, corrector_names, order, unit, sigma, transpose, anyway
     )
-    answer = import_response(request, settings.ring.load(), settings.ring.planes, settings.measure)
+    ring_now = settings.ring.load()
+    answer = import_response(
+        request, ring_now, settings.ring.planes, settings.measure, loop_of(settings, ring_now)
+    )
     show(answer, as_json)
     if answer["bad_correctors"] or answer["bad_bpms"]:
         raise typer.Exit(1)

@@ -22,6 +22,10 @@ MOST_SIZE = 3.0
 """How many times larger or smaller than by the optics a response may be [1]; the calibrations of
 whole rings are off by 2 at most, wrong units by 1000."""
 
+_OTHER_UNIT = 10.0
+"""The same for a response that is fitted: near an integer tune it grows by a few, which a fit
+finds, and units differ by 1000 [1]."""
+
 _LEAST_GAIN = 0.5
 """An exchange must leave less than this share of the misfit of both rows [1]."""
 
@@ -134,7 +138,7 @@ def size_told(data: Matrix, model: Matrix) -> str:
     """Say by how much a matrix is too large or too small as a whole; "" when it is not."""
     sizes = row_sizes(data, model)
     size = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 1.0
-    if 1 / MOST_SIZE < size < MOST_SIZE:
+    if 1 / _OTHER_UNIT < size < _OTHER_UNIT:
         return ""
     return (
         f"it is {size:.3g} times as large as the optics say: state the unit that it was measured "

@@ -55,18 +55,21 @@ def growth_of(policy: Policy, larger: float = 0.0) -> float:
     return _growth((1.0 + larger) * answers, settings)
 
 
-def growth_on(policy: Policy, response: Vector) -> float:
+def growth_on(policy: Policy, response: Vector, part: tuple[slice, slice] | None = None) -> float:
     """Give the growth per tick on a response that the policy was not made for [1].
 
     Args:
         policy: One that names its slope at zero.
-        response: Of the ring, shape (n, m) [m/A].
+        response: Of the ring, shape (n, m) [m/A], or of the part.
+        part: BPMs and correctors of one plane; None: all.
     """
     outside: Any = policy
     inside: Any = policy
     while isinstance(inside, MaskedPolicy):
         inside = inside.policy
     gain = outside.gain_matrix
+    if part is not None:
+        gain = gain[part[1], part[0]]
     answers = np.linalg.eigvals(response @ gain if len(response) <= len(gain) else gain @ response)
     return _growth(answers, inside.settings)
 
@@ -82,7 +85,7 @@ def unstable_on(policy: Policy, response: Vector) -> str:
     if growth <= HIGHEST:
         return ""
     return (
-        f"would lose the beam: on the measured response (ring.response) the orbit grows by "
+        f"would lose the beam: on the measured response the orbit grows by "
         f"{growth:.4g} per tick; put a policy in force that is made for that response "
         "(`orbitfb policies list`), or measure again"
     )

@@ -184,6 +184,25 @@ def test_a_dead_corrector_is_named_and_no_policy_is_offered(session: Session):
     np.testing.assert_array_equal(session.setpoints(), before)
 
 
+def test_the_loop_does_not_close_on_a_policy_that_loses_the_beam_on_what_was_measured(
+    session: Session,
+):
+    opened(session)
+    session.fault(sign=-1.0)
+    measure(session, action="start", fresh=True)
+    answer = ended(session)
+    assert answer["state"] == "DONE", answer["text"]
+    assert "which is in force, would lose the beam" in answer["loop"]["x"]
+    with pytest.raises(ControlError, match=r"close refused: policy .* would lose the beam"):
+        session.command("close")
+    session.fault(sign=1.0)
+    measure(session, action="start", fresh=True)
+    answer = ended(session)
+    assert "which is in force, holds" in answer["loop"]["x"]
+    session.command("close")
+    session.command("open")
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from orbitfb.app.commands.known_response import KnownResponse
 from orbitfb.core.errors import ControlError
 from orbitfb.core.ports import Policy
-from orbitfb.core.signals import Channels, LoopState, Vector
+from orbitfb.core.signals import Channels, LoopState
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.slot import PolicySlot
@@ -41,7 +42,7 @@ class Remote:
         period: Of the loop [s]; a command takes effect at a tick, so it waits for a few.
         dress: Makes of a stored policy the one that may act: masked correctors do not move.
         freeze: Freezes the last seconds to a file, for who asks; None when that is off.
-        measured: The response that was measured, shape (n, m) [m/A]; None: that of the optics.
+        measured: The response that was measured, if one was.
     """
 
     runner: Runner
@@ -54,7 +55,7 @@ class Remote:
     period: float
     dress: Callable[[StoredPolicy], Policy] = lambda policy: policy
     freeze: Callable[[str], Future[Path]] | None = None
-    measured: Vector | None = None
+    measured: KnownResponse = field(default_factory=KnownResponse)
 
     def __call__(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         """Carry out a request.
@@ -98,9 +99,9 @@ class Remote:
         return {"postmortem": str(path)}
 
     def _command(self, name: str) -> Mapping[str, Any]:
-        if name == Event.CLOSE and self.measured is not None:
+        if name == Event.CLOSE:
             policy = self.slot.current
-            if problem := unstable_on(policy, self.measured):
+            if problem := self._lost(policy):
                 raise ControlError(f"close refused: policy {policy.policy_id} {problem}")
         patience = min(max(5.0, 3 * self.period), LONGEST_PATIENCE)
         future = self.runner.command(name)
@@ -115,6 +116,11 @@ class Remote:
                 ) from None
             state = future.result(patience)
         return {"state": state, "reason": self.runner.reason}
+
+    def _lost(self, policy: Policy) -> str:
+        """Say that a policy would lose the beam on the measured response; "" where it would not."""
+        matrix = self.measured.matrix
+        return "" if matrix is None else unstable_on(policy, matrix)
 
     def _refit(self, activate: bool) -> Mapping[str, Any]:
         if self.learner is None:
@@ -140,7 +146,7 @@ class Remote:
         policy = self.dress(self.store.load(policy_id, self.channels))
         failure = self.store.failures().get(policy_id)
         unstable = warning_of(policy)
-        lost = "" if self.measured is None else unstable_on(policy, self.measured)
+        lost = self._lost(policy)
         warning = "; ".join(filter(None, (failure.words if failure else "", unstable, lost)))
         barred = failure is not None or is_unstable(unstable) or bool(lost)
         if barred and not force and self.runner.state in (LoopState.CLOSED, LoopState.HELD):

@@ -1,11 +1,12 @@
 """What a correction by hand would be: the change, and the orbit that is expected after it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from orbitfb.app.commands.known_response import KnownResponse
 from orbitfb.app.commands.preview import Latest
 from orbitfb.core.errors import ControlError, OrbitFeedbackError
 from orbitfb.core.ports import Policy
@@ -40,7 +41,7 @@ class Sources:
         bounds: Gives the limits of the setpoints that are in force.
         settings: Of corrections.
         period: Of the loop [s].
-        measured: The response that was measured, shape (n, m) [m/A]; None: that of the policy.
+        measured: The response that was measured, else that of the policy counts.
     """
 
     channels: Channels
@@ -52,7 +53,7 @@ class Sources:
     bounds: Callable[[], Bounds]
     settings: CorrectionSettings
     period: float
-    measured: Vector | None = None
+    measured: KnownResponse = field(default_factory=KnownResponse)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +159,7 @@ def _law(sources: Sources, kind: str) -> Policy:
 
 def expected(sources: Sources, error: Vector, change: Vector) -> Vector:
     """Give the orbit error after a change, shape (n,) [m], by what is known of the response."""
-    response = sources.measured
+    response = sources.measured.matrix
     if response is None:
         response = getattr(sources.slot.acting, "response", None)
     if response is None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import structlog
 
+from orbitfb.app.commands.known_response import KnownResponse
 from orbitfb.app.commands.preview import Handler
 from orbitfb.app.response.answer import offered
 from orbitfb.app.response.procedure import Choice, Subject, measure_on, place_of
@@ -17,9 +18,12 @@ from orbitfb.core.ports import Clock
 from orbitfb.core.signals import Mask
 from orbitfb.loop.lending.lent import LentMachine
 from orbitfb.loop.runner import Runner
+from orbitfb.loop.slot import PolicySlot
+from orbitfb.measure.growth import Loop
 from orbitfb.measure.journal import Journal
 from orbitfb.measure.measurement import Teller
 from orbitfb.measure.progress import Progress, Stage, progress_of
+from orbitfb.measure.response_file import read_response
 from orbitfb.observe.statistics.running import LoopStatistics
 from orbitfb.physics.places import Ring
 from orbitfb.physics.response import response
@@ -54,6 +58,8 @@ class Sources:
         where: The machine, as the journal calls it.
         journal: Directory of the journal.
         clock: Of the service.
+        slot: The policy in force.
+        measured: Takes what was measured; the loop does not close on what loses the beam there.
     """
 
     config: AppConfig
@@ -65,6 +71,8 @@ class Sources:
     where: str
     journal: Path
     clock: Clock
+    slot: PolicySlot
+    measured: KnownResponse
 
 
 class Measuring(Teller):
@@ -168,6 +176,7 @@ class Measuring(Teller):
         measure = config.measure.model_copy(update={"at_once": at_once})
         choice = Choice(place_of(config, None), fresh, restore)
         nominal = response(sources.ring, config.ring.planes)
+        policy = sources.slot.current
         with self._lock:
             moving, bounds = sources.movable(), sources.bounds()
             lent = sources.runner.lend(NAME, moving)
@@ -181,6 +190,7 @@ class Measuring(Teller):
                 sources.where,
                 sources.journal,
                 sources.clock,
+                Loop(policy, f"policy {policy.policy_id}, which is in force,"),
             )
             self._stop.clear()
             self._sure.clear()
@@ -224,6 +234,7 @@ class Measuring(Teller):
         if answer is not None:
             stage = Stage.DONE
             try:
+                self._take(subject, Path(answer["file"]))
                 more, told = offered(subject.config, answer, lent.channels)
                 self._answer = {**answer, **more}
             except OrbitFeedbackError as error:
@@ -231,6 +242,11 @@ class Measuring(Teller):
         elif self._sure.is_set() and _is_back(subject):
             told = f"{told}; the setpoints are back"
         self._end(stage, told)
+
+    def _take(self, subject: Subject, out: Path) -> None:
+        measured = read_response(out, subject.machine.channels)
+        known = self._sources.measured
+        known.take(measured, subject.nominal, subject.counting, subject.moving)
 
     def _end(self, stage: Stage, told: str) -> None:
         self._progress = replace(self.sight, stage=stage, left=0.0, text=told)

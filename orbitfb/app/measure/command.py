@@ -14,6 +14,7 @@ from orbitfb.app.response.answer import activate
 from orbitfb.app.response.procedure import Choice, Subject, measure_on, place_of
 from orbitfb.app.response.unfinished import Say
 from orbitfb.app.setup.lease import take_lease
+from orbitfb.app.setup.loop_in_force import loop_of
 from orbitfb.app.setup.production_guard import check_live
 from orbitfb.app.setup.simulated_ring import SimulatedRing
 from orbitfb.app.setup.startup import SIMULATED, find_ring, make_directory, take_ring
@@ -86,6 +87,7 @@ def measure_response(
     channels = ring.channels(config.ring.planes)
     counting, moving = mask_of(channels, config.masks)
     nominal = response(ring, config.ring.planes)
+    loop = loop_of(config, ring)
     simulated = request.ioc == SIMULATED
     epics = find_ring(config, request.ioc)
     check_live(epics, request.ioc, None, request.live)
@@ -117,7 +119,7 @@ def measure_response(
         if lease is not None:
             machine = GuardedMachine(machine, lease.refusal)
         subject = Subject(
-            config, machine, nominal, counting, moving, bounds, where, directory, clock
+            config, machine, nominal, counting, moving, bounds, where, directory, clock, loop
         )
         choice = Choice(out, request.fresh, request.restore)
         try:

@@ -11,7 +11,7 @@ from orbitfb.app.setup.stored_policies import activate_stored, movable, open_sto
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.learn.builders import first_policy
-from orbitfb.measure.growth import growth_told
+from orbitfb.measure.growth import Loop, growth_told
 from orbitfb.measure.judging import Judgement
 from orbitfb.measure.measurement import Result
 from orbitfb.measure.response_file import adopted, read_response
@@ -51,6 +51,7 @@ def answer_of(
     out: Path,
     about: dict[str, Any],
     channels: Channels,
+    loop: Loop,
 ) -> dict[str, Any]:
     """Say what came of it, for people and programs."""
     table = result.table
@@ -67,7 +68,7 @@ def answer_of(
         "from_optics": float(
             np.linalg.norm((table.response - nominal)[area]) / np.linalg.norm(nominal[area])
         ),
-        "loop": growth_told(np.where(area, table.response, np.nan), nominal, channels),
+        "loop": growth_told(np.where(area, table.response, np.nan), nominal, channels, loop),
         "check": about["check"],
         "orbits_rejected": about["orbits_rejected"],
         "duration_s": about["duration"],

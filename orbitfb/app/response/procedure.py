@@ -13,6 +13,7 @@ from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.ports import Clock, Machine
 from orbitfb.core.signals import Mask
+from orbitfb.measure.growth import Loop
 from orbitfb.measure.journal import Journal
 from orbitfb.measure.judging import judge
 from orbitfb.measure.measurement import Measurement, Teller
@@ -36,6 +37,7 @@ class Subject:
         where: The ring, as the journal calls it.
         directory: Of the journal.
         clock: Tells the time.
+        loop: The loop that would be closed on what is measured.
     """
 
     config: AppConfig
@@ -47,6 +49,7 @@ class Subject:
     where: str
     directory: Path
     clock: Clock
+    loop: Loop
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,5 +156,6 @@ def measure_on(
     write_response(choice.out, result.table, result.base, channels, judgement, about)
     journal.forget()
     return answer_of(
-        result, judgement, subject.nominal, subject.counting, choice.out, about, channels
-    )
+        result, judgement, subject.nominal, subject.counting, choice.out, about, channels,
+        subject.loop,
+    )  # fmt: skip

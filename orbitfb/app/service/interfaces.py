@@ -15,6 +15,7 @@ from orbitfb.app.commands.correct import Corrections
 from orbitfb.app.commands.correction import Sources as CorrectionSources
 from orbitfb.app.commands.dispatch import Commands, Handler
 from orbitfb.app.commands.frequency import FrequencyCommands
+from orbitfb.app.commands.known_response import KnownResponse
 from orbitfb.app.commands.measuring import Measuring
 from orbitfb.app.commands.measuring import Sources as MeasuringSources
 from orbitfb.app.commands.preview import Latest, Trial
@@ -62,7 +63,7 @@ class Parts:
         lease: Of the machine; None: there is none.
         bounds: Gives the limits of the setpoints that are in force.
         frequency: The RF.
-        measured: The response that was measured, shape (n, m) [m/A]; None: that of the optics.
+        measured: The response that was measured, if one was.
         where: The machine, as messages and journals call it.
         journal: Where a measurement of the response keeps its journal.
     """
@@ -80,7 +81,7 @@ class Parts:
     lease: Lease | None
     bounds: Callable[[], Bounds]
     frequency: FrequencyCommands
-    measured: Vector | None
+    measured: KnownResponse
     where: str
     journal: Path
 
@@ -185,6 +186,8 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
             parts.where,
             parts.journal,
             SystemClock(),
+            parts.slot,
+            parts.measured,
         ),
         statistics,
     )

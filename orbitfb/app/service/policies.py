@@ -3,13 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from orbitfb.app.commands.known_response import KnownResponse
 from orbitfb.app.service.access import RingAccess
 from orbitfb.app.service.active_policy import Keeper
 from orbitfb.app.service.reports import say_and_log
 from orbitfb.app.setup.stored_policies import baseline, check_policy, open_store
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError
-from orbitfb.core.signals import Channels, LoopState, Vector
+from orbitfb.core.signals import Channels, LoopState
 from orbitfb.learn.builders import ResponsePolicy
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.physics.places import Ring
@@ -27,7 +28,7 @@ class Policies:
         nominal: What the configuration makes of the response.
         first: The policy that the loop begins with.
         slot: Where the loop takes its policy from.
-        measured: The response that was measured, shape (n, m) [m/A]; None: that of the optics.
+        measured: The response that was measured, if one was.
     """
 
     store: PolicyStore
@@ -35,7 +36,7 @@ class Policies:
     nominal: ResponsePolicy
     first: ResponsePolicy
     slot: PolicySlot
-    measured: Vector | None
+    measured: KnownResponse
 
 
 def choose_policies(
@@ -71,4 +72,4 @@ def choose_policies(
     lost = "" if measured is None else unstable_on(first, measured)
     if lost and start is LoopState.CLOSED:
         raise ConfigError(f"the loop does not start closed: policy {first.policy_id} {lost}")
-    return Policies(store, keeper, nominal, first, PolicySlot(first), measured)
+    return Policies(store, keeper, nominal, first, PolicySlot(first), KnownResponse(measured))

@@ -9,9 +9,11 @@ from orbitfb.cli.diagnosis.progress import progress_bar, told_when_interrupted
 from orbitfb.cli.duration import tells_its_time
 from orbitfb.cli.options import (
     AsJson,
+    ConfigFile,
     PlacesTable,
     RecordPlanes,
     RingParameters,
+    configure,
     path_of,
     planes_of,
 )
@@ -19,6 +21,7 @@ from orbitfb.cli.record_first import DEFAULT, RecordFirst
 
 if TYPE_CHECKING:
     from orbitfb.diagnose.result.diagnosis import Diagnosis
+    from orbitfb.physics.places import Ring
 
 NOT_INTACT = 3
 """Exit code when the record failed the integrity screen."""
@@ -119,6 +122,7 @@ def diagnose_record(
             "formats [that of the optics of the table].",
         ),
     ] = None,
+    config_file: ConfigFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Diagnose a record, or a measured response.
@@ -130,7 +134,6 @@ def diagnose_record(
     from orbitfb.diagnose.result.diagnosis import document
     from orbitfb.diagnose.verdict.files import diagnose_files
     from orbitfb.effects.registry import effect
-    from orbitfb.physics.places import Ring
 
     chosen = planes_of(planes)
     left_out = frozenset(effect(name).id for name in without or ())
@@ -141,9 +144,9 @@ def diagnose_record(
         tuple(mask or ()), model,
     )  # fmt: skip
     if of_response.given or is_response(record):
-        diagnose_response(record, of_response, chosen, places, ring, target, as_json)
+        diagnose_response(record, of_response, chosen, places, ring, target, as_json, config_file)
         return
-    known = Ring.load(places, ring)
+    known = _ring_of(config_file, places, ring)
     with told_when_interrupted():
         with progress_bar(as_json) as progress:
             answer = diagnose_files(
@@ -163,6 +166,14 @@ def diagnose_record(
         _show(answer, written)
     if answer.failed:
         raise typer.Exit(NOT_INTACT)
+
+
+def _ring_of(config: Path | None, places: Path | None, ring: Path | None) -> "Ring":
+    from orbitfb.physics.places import Ring
+
+    if config is None:
+        return Ring.load(places, ring)
+    return configure(config, ring__places=places, ring__parameters=ring).ring.load()
 
 
 def beside(record: Path) -> Path:

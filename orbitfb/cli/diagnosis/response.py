@@ -75,9 +75,12 @@ def diagnose_response(
     ring: Path | None,
     out: Path,
     as_json: bool,
+    config: Path | None = None,
 ) -> None:
     """Fit, diagnose, write and show a measured response."""
+    from orbitfb.app.setup.loop_in_force import loop_of
     from orbitfb.cli.diagnosis.progress import progress_bar, told_when_interrupted
+    from orbitfb.cli.options import configure
     from orbitfb.core.errors import ConfigError
     from orbitfb.core.units import parse_quantity
     from orbitfb.loco.answer import answer_of
@@ -103,7 +106,15 @@ def diagnose_response(
         options.transpose, noise, quantity("--kick", options.kick, "rad"), options.dispersion,
         options.mask,
     )  # fmt: skip
-    known = Ring.load(places, ring)
+    loop, of_loop = None, planes or "xy"
+    if config is None:
+        known = Ring.load(places, ring)
+    else:
+        settings = configure(
+            config, ring__places=places, ring__parameters=ring, ring__planes=planes
+        )
+        known, of_loop = settings.ring.load(), settings.ring.planes
+        loop = loop_of(settings, known)
     with told_when_interrupted():
         loaded = load(request, known)
         measured, notes, model = loaded.measured, loaded.notes, None
@@ -114,7 +125,7 @@ def diagnose_response(
             notes = (*notes, f"the model is that of {options.model.name}", *its.notes)
         with progress_bar(as_json) as progress:
             result = diagnose(known, measured, progress, model)
-        growth = growths(known, measured, result.nominal)
+        growth = growths(known, measured, result.nominal, loop, of_loop)
         answer = answer_of(result, path.name, notes, growth)
         written = write(answer, result, out)
     if as_json:

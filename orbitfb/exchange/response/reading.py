@@ -22,7 +22,7 @@ from orbitfb.exchange.response.parts import (
 )
 from orbitfb.exchange.units import PER_CURRENT, PER_KICK, RESPONSE, factor
 from orbitfb.measure.column import Table
-from orbitfb.measure.growth import growth_told
+from orbitfb.measure.growth import Loop, growth_told
 from orbitfb.measure.judging import Judgement, judge, labels
 from orbitfb.measure.response_file import write_response
 from orbitfb.measure.settings import MeasureSettings
@@ -31,7 +31,11 @@ from orbitfb.physics.response import response
 
 
 def import_response(
-    request: ResponseRequest, ring: Ring, planes: Planes, settings: MeasureSettings
+    request: ResponseRequest,
+    ring: Ring,
+    planes: Planes,
+    settings: MeasureSettings,
+    loop: Loop | None = None,
 ) -> dict[str, Any]:
     """Read a matrix, see that it is of this ring, and write it for `ring.response`.
 
@@ -40,6 +44,7 @@ def import_response(
         ring: The ring.
         planes: `x`, `y` or `xy`.
         settings: Thresholds of what is bad.
+        loop: The loop that would be closed on it; None: the default SVD of the optics.
 
     Returns:
         What was taken, and what of it is not to be used.
@@ -87,7 +92,7 @@ def import_response(
     }
     base = np.full(len(channels.correctors), np.nan)
     write_response(request.out, table, base, channels, judgement, about)
-    answer = _answer(request, table, nominal, channels, judgement, unit, problem)
+    answer = _answer(request, table, nominal, channels, judgement, unit, problem, loop)
     known = (*labels(channels.bpms, channels.bpm_planes),
              *labels(channels.correctors, channels.corrector_planes))  # fmt: skip
     return answer | {
@@ -134,6 +139,7 @@ def _answer(
     judgement: Judgement,
     unit: str,
     problem: str,
+    loop: Loop | None,
 ) -> dict[str, Any]:
     found = likeness(table.response, nominal)
     return {
@@ -146,7 +152,7 @@ def _answer(
         "size_over_optics": round(found.size, 4),
         "planes": channels.planes,
         "implausible": problem,
-        "loop": growth_told(table.response, nominal, channels),
+        "loop": growth_told(table.response, nominal, channels, loop),
         "bad_correctors": judgement.correctors,
         "bad_bpms": judgement.bpms,
     }

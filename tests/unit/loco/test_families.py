@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_responses import NOISE, synthetic
 
 from orbitfb.loco.coupling import fit_coupling
 from orbitfb.loco.families import families_of, middles
@@ -14,6 +13,7 @@ from orbitfb.loco.named import Named
 from orbitfb.loco.optics import RingOptics
 from orbitfb.loco.run import diagnose
 from orbitfb.loco.together import rows_together
+from tests.unit.loco.synthetic_responses import NOISE, synthetic
 
 
 def test_values_around_three_middles_are_three_families() -> None:

@@ -10,7 +10,10 @@ from orbitfb.loco.fit import PlaneFit
 from orbitfb.loco.measured import Measured
 from orbitfb.loco.normal import Piece, normal_equations
 from orbitfb.loco.optics import RingOptics, turned
+from orbitfb.loco.run import diagnose
+from orbitfb.measure.screen import row_sizes
 from orbitfb.physics.optics import green, green_with_gradient_errors
+from orbitfb.physics.places import Ring
 from tests.unit.loco.synthetic_responses import NOISE, devices, synthetic
 
 
@@ -135,3 +138,16 @@ def test_a_measured_dispersion_helps_and_its_scale_is_free() -> None:
     assert fit.part("rf")[0] == pytest.approx(0.07, abs=0.01)
     apart = [np.std(one.part("gradient") - truth.gradient) for one in (fit, without)]
     assert apart[0] < apart[1]
+
+
+def test_a_table_that_is_off_by_a_tenth_in_tune_is_no_matter_of_units() -> None:
+    """Near an integer tune a response is four times as large; the fit gets there."""
+    strong = Ring.load().names("QUAD").index("QL2A_C09")
+    truth = synthetic(12, gradients=0.0, faults={("gradient", "", strong): -0.055})
+    found = diagnose(truth.ring, truth.measured)
+    assert row_sizes(truth.measured.response["x", "x"], found.nominal["x"]).mean() > 3.0
+    wanted = found.optics.tune("x", truth.gradient)
+    assert wanted < truth.ring.tune("x") - 0.12
+    fitted = found.optics.tune("x", found.fit.part("gradient"))
+    assert fitted == pytest.approx(wanted, abs=1e-3)
+    assert found.named[0].places == ("QL2A_C09",)

@@ -10,6 +10,7 @@ import pytest
 
 from orbitfb.app.commands import answers
 from orbitfb.app.commands.answers import Remote
+from orbitfb.app.commands.known_response import KnownResponse
 from orbitfb.core.errors import ControlError, StoreError
 from orbitfb.core.refit import RefitReport
 from orbitfb.core.signals import LoopState
@@ -63,11 +64,12 @@ def test_closing_is_refused_where_the_measured_response_would_lose_the_beam(stor
     measured = NOMINAL.copy()
     measured[7] *= -1.0
     runner = SimpleNamespace(command=lambda name: _done(name), state="CLOSED", reason="")
-    answers = replace(served(store, runner=runner), measured=measured)
+    answers = replace(served(store, runner=runner), measured=KnownResponse(measured))
     with pytest.raises(ControlError, match=r"close refused: .* grows by 1\.\d+ per tick"):
         answers({"command": "close"})
     assert answers({"command": "open"})["state"] == "open"
-    assert replace(answers, measured=NOMINAL)({"command": "close"})["state"] == "close"
+    answers.measured.matrix = NOMINAL  # measured anew
+    assert answers({"command": "close"})["state"] == "close"
 
 
 def _done(name: str) -> Future[str]:
