@@ -171,5 +171,5 @@ class AppConfig(Settings):
     )
     effect: tuple[EffectSettings, ...] = Field(
         default=(),
-        description="Effects that the simulated ring has besides; a table `effect` each.",
+        description="Physical effects that are added to the simulated ring; a table `effect` each.",
     )

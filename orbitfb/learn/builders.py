@@ -10,7 +10,7 @@
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -94,6 +94,17 @@ def unmasked(policy: Policy) -> Policy:
     while isinstance(policy, MaskedPolicy):
         policy = policy.policy
     return policy
+
+
+def remasked(policy: Policy, movable: Mask) -> ResponsePolicy:
+    """Let a policy move these correctors and no others, whatever it moved before.
+
+    Args:
+        policy: That of the service, which has a response.
+        movable: Correctors that may move, shape (m,).
+    """
+    inside: Any = unmasked(policy)
+    return masked(inside, movable)
 
 
 def builder(settings: PolicySettings, movable: Mask | None = None, seed: int = 0) -> "Build":

@@ -130,26 +130,27 @@ class InterlockSettings(Settings):
     answer_reach: float | None = Field(
         default=10e-6,
         gt=0,
-        description="What may be asked of a BPM, or of the orbit by a corrector, without a sign of "
-        "an answer, before the loop asks [m]; false = believe all that is read.",
+        description="Orbit that the loop may ask for, at a BPM or by a corrector, without seeing a "
+        "response, before it asks by random excursions [m]; false = never check the response.",
     )
     answer_question: float = Field(
         default=0.5e-6,
         ge=0,
-        description="Largest orbit that such questions may cause, rms over the BPMs [m]; 0 = never "
-        "ask: only steps that are large show an answer.",
+        description="Largest orbit that such excursions may cause, rms over the BPMs [m]; "
+        "0 = none: only large steps of the loop then show a response.",
     )
     answer_after: float = Field(
         default=60.0,
         gt=0,
-        description="Time without a sign of an answer after which the loop asks too [s].",
+        description="Time without a response after which the loop asks as well [s].",
     )
     second_controller_ticks: int = Field(
         default=10,
         ge=0,
-        description="Orbits at which somebody else has moved more of the loop's correctors than "
-        "may be lost, half of those at which nobody has taken off, from which that is a second "
-        "controller: the loop trips; 0 = never (setpoint records that move by themselves).",
+        description="Orbits at which somebody else moved more than max_lost_correctors of the "
+        "loop's correctors, from which that counts as a second controller and the loop trips; each "
+        "orbit without such moves takes off half of one; 0 = never (setpoints that move by "
+        "themselves).",
     )
     frozen_ticks: int = Field(
         default=1,

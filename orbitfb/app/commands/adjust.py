@@ -5,8 +5,7 @@ Each is checked as a whole, put in force between two ticks, then saved for the n
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,53 +22,26 @@ from orbitfb.app.commands.autosave import (
     FILE,
     Saved,
     all_but,
-    fits,
     names_off,
-    read_whole,
+    read_saved,
     write_whole,
 )
+from orbitfb.app.commands.base import Base
 from orbitfb.app.commands.bumps import Bumps
 from orbitfb.app.commands.references import load_reference, reference_file, save_reference
-from orbitfb.core.errors import ConfigError, ControlError, OrbitFeedbackError
-from orbitfb.core.ports import Policy
+from orbitfb.core.errors import ControlError, OrbitFeedbackError
 from orbitfb.core.retry import EVERY, Retry
-from orbitfb.core.signals import Channels, Mask, Vector
-from orbitfb.learn.builders import masked, unmasked
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.learn.builders import remasked
 from orbitfb.loop.excitation.dither import Dither
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import MOST_AVERAGED
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.panel.settings import PanelSettings
-from orbitfb.physics.places import Ring
 
 _log = structlog.stdlib.get_logger("orbitfb.control.server")
 
 LARGEST_GAIN = 1.0
 """A policy is judged with its own gain; operators may only take some of it away."""
-
-
-@dataclass(frozen=True, slots=True)
-class Base:
-    """What the adjustments start from.
-
-    Args:
-        channels: Of the loop.
-        counting: BPMs that are not masked by configuration, shape (n,).
-        movable: Correctors that are not, shape (m,).
-        limits: Of what operators may set.
-        directory: Data directory.
-        ring: For bumps.
-        crossed: Says which correctors would go beyond their limits with a change of the setpoints,
-            shape (m,) [A]; empty: none.
-    """
-
-    channels: Channels
-    counting: Mask
-    movable: Mask
-    limits: PanelSettings
-    directory: Path
-    ring: Ring
-    crossed: Callable[[Vector], str] = lambda change: ""
 
 
 class Adjuster:
@@ -157,14 +129,10 @@ class Adjuster:
         Raises:
             ConfigError: It is damaged, or of another ring.
         """
-        path = self._base.directory / FILE
-        if not path.exists():
-            return False
-        advice = "it holds what operators had set; repair it, or remove it and set it anew"
-        saved = read_whole(path, Saved, advice)
         channels = self._base.channels
-        if not fits(saved, channels, LARGEST_GAIN):
-            raise ConfigError(f"{path}: is of another ring or other planes; {advice}")
+        saved = read_saved(self._base.directory, channels, LARGEST_GAIN)
+        if saved is None:
+            return False
         self._gain.update(saved.gain)
         self._reference_name = saved.reference_name
         self._correctors = all_but(
@@ -295,7 +263,7 @@ class Adjuster:
 
     def _redress(self) -> None:
         movable = self.movable
-        self._slot.redress(lambda policy: _moving(policy, movable))
+        self._slot.redress(lambda policy: remasked(policy, movable))
         self._dither.retune(movable=movable)
         self._solve(self._runner.adjustments.enabled)
 
@@ -340,8 +308,3 @@ class Adjuster:
 
 def _say_unsaved(error: OrbitFeedbackError) -> None:
     _log.error("settings_not_saved", problem=str(error))
-
-
-def _moving(policy: Policy, movable: Mask) -> Policy:
-    inside: Any = unmasked(policy)
-    return masked(inside, movable)

@@ -96,6 +96,27 @@ def fits(saved: Saved, channels: Channels, largest_gain: float) -> bool:
     )
 
 
+def read_saved(directory: Path, channels: Channels, largest_gain: float) -> Saved | None:
+    """Read what operators had set; None: nothing was saved.
+
+    Args:
+        directory: Data directory.
+        channels: Of the loop.
+        largest_gain: Largest gain that is accepted.
+
+    Raises:
+        ConfigError: It is damaged, or of another ring.
+    """
+    path = directory / FILE
+    if not path.exists():
+        return None
+    advice = "it holds what operators had set; repair it, or remove it and set it anew"
+    saved = read_whole(path, Saved, advice)
+    if not fits(saved, channels, largest_gain):
+        raise ConfigError(f"{path}: is of another ring or other planes; {advice}")
+    return saved
+
+
 def all_but(names: Sequence[str], planes: Sequence[str], off: Sequence[str]) -> Mask:
     """Give the devices that are not among some, `NAME:plane` each, shape (k,)."""
     return np.array([its not in off for its in labels(names, planes)], dtype=np.bool_)

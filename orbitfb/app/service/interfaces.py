@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import structlog
 
-from orbitfb.app.commands.adjust import Adjuster, Base
+from orbitfb.app.commands.adjust import Adjuster
 from orbitfb.app.commands.autosave import FILE
+from orbitfb.app.commands.base import Base
 from orbitfb.app.commands.correct import Corrections
 from orbitfb.app.commands.correction import Sources as CorrectionSources
 from orbitfb.app.commands.dispatch import Commands, Handler

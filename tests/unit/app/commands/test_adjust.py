@@ -8,8 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from orbitfb.app.commands.adjust import Adjuster, Base
+from orbitfb.app.commands.adjust import Adjuster
 from orbitfb.app.commands.autosave import FILE
+from orbitfb.app.commands.base import Base
 from orbitfb.core.errors import ConfigError, ControlError
 from orbitfb.loop.adjustments import Adjustments
 from orbitfb.loop.excitation.dither import Dither, DitherSettings
