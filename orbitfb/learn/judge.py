@@ -9,6 +9,7 @@ rows, before they were used, were likelier under R̂ than under the incumbent's 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -97,7 +98,7 @@ def judge(
         theirs_gain,
         model,
         settings.horizon,
-        (model.sample(generator) for _ in range(settings.samples)),
+        islice(model.samples(generator), settings.samples),
         least if linear and must_be_resolved else None,
     )
     figures = {"growth_candidate": ours.growth, "growth_incumbent": theirs.growth}

@@ -202,16 +202,16 @@ class Learner:
                 f"({counts(since.left_out)}); record with the loop CLOSED and readbacks that "
                 "follow the setpoints"
             )
-        figures = since.figures() | self._model_figures(incumbent)
+        model = self.model
+        figures = since.figures() | self._model_figures(model, incumbent)
         candidate, verdict = None, self._obstacle(since)
         if verdict is None:
-            model = self.model
             candidate = self._build(model, incumbent)
             evidence = Evidence(since.take_nats(), since.page)
             nats, cost = evidence.nats, swap_cost(self.settings)
             verdict = judge(
                 candidate, incumbent, model, evidence, self.settings.judge, self._generator, cost,
-                self._unreachable(candidate),
+                self._unreachable(model, candidate),
             )  # fmt: skip
             if nats < -_REFUTED * self.settings.judge.evidence:
                 self.forget(incumbent)
@@ -249,11 +249,11 @@ class Learner:
             )
         return None
 
-    def _unreachable(self, candidate: Policy) -> float:
+    def _unreachable(self, model: LinearModel, candidate: Policy) -> float:
         """Of the last orbit errors, what no corrector that moves reaches, rms [m]."""
         if self._error is None:
             return 0.0
-        response = self.model.response
+        response = model.response
         moving = np.abs(gain_of(candidate, len(response))).max(axis=1) > 0.0
         return unreachable_rms(self._error, response, moving)
 
@@ -261,8 +261,7 @@ class Learner:
         response = getattr(policy, "response", None)
         return self._first_response if response is None else response
 
-    def _model_figures(self, incumbent: Policy) -> dict[str, float]:
-        model = self.model
+    def _model_figures(self, model: LinearModel, incumbent: Policy) -> dict[str, float]:
         before = self._response_of(incumbent)
         return {
             "reading_noise": float(np.sqrt(model.reading_variance)),

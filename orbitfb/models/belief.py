@@ -1,6 +1,6 @@
 """What is believed about R if it drifts slowly, and what if quickly; which is likelier.
 
-Both are posteriors of one regression (`orbitfb.estimation.statistics`) around the first R̂, and
+All are posteriors of one regression (`orbitfb.estimation.statistics`) around the first R̂, and
 differ in the size of the drift Q per tick:
 
 - `Keeping`: a slow one. All rows are one regression; the prior grows by Q per tick, a row counts
@@ -9,11 +9,14 @@ differ in the size of the drift Q per tick:
   once tells some directions so well that nothing since has tested them.
 - `Following`: a quick one. R walks at random, chunk by chunk: what was known of it before a chunk,
   less certain by Q per tick, is the prior of the next one (the filter of R. Kalman, J. Basic Eng.
-  82 (1960) 35), so that no old row, however loud, holds R̂ where it was.
+  82 (1960) 35), so that no old row, however loud, holds R̂ where it was. There are two, the one
+  half as quick in logarithms: too small a Q claims to know what has moved since, and too large a
+  one knows so little of R that caution takes the gain away.
 
 Each predicts the next rows before they are used. The logarithms of their probabilities move by the
 log densities of these; besides, R may change its ways once in `memory` rows (the forward recursion
-of a hidden Markov chain, L. Rabiner, Proc. IEEE 77 (1989) 257). So the forgetting follows what was
+of a hidden Markov chain, L. Rabiner, Proc. IEEE 77 (1989) 257). One is held until another one is a
+hundred times likelier. So the forgetting follows what was
 measured: a ring at rest is known better with every row for long, and little that the noise alone
 does to R̂ asks for another policy.
 """
@@ -41,6 +44,12 @@ SLOW = 1 / 8
 """Slow drift over the quick one, rms [1]: with the defaults 1.25 % in 10,000 ticks, what
 temperatures do to gains and optics of a healthy ring in a quarter of an hour, which a loop at its
 noise floor cannot show."""
+
+
+_GIVEN_UP = 0.01
+"""Likelihood of the belief that is held over that of another one, below which the other is held
+[1]: on a ring at rest chance alone makes it a tenth now and then, and a belief that comes and goes
+asks for refits."""
 
 
 class Keeping:
@@ -138,8 +147,8 @@ class Following:
         return follow(tail, before, WEIGHTS, levels, variance) if tail.rows else before
 
 
-def make_beliefs(response: Vector, settings: IdentifySettings) -> tuple[Keeping, Following]:
-    """Say what is believed before there are rows: a slow drift, and a quick one.
+def make_beliefs(response: Vector, settings: IdentifySettings) -> tuple[Keeping, Following, Following]:
+    """Say what is believed before there are rows: a slow drift, a quicker one, and a quick one.
 
     Args:
         response: R̂₀, shape (n, m) [m/A].
@@ -159,7 +168,8 @@ def make_beliefs(response: Vector, settings: IdentifySettings) -> tuple[Keeping,
     drift = _bordered(drift, settings.creep**2 / settings.creep_memory)
     # The memory goes with 1/√Q, the time in which a scalar Kalman filter forgets.
     keeping = Keeping(prior, SLOW**2 * drift, modes, settings.memory / SLOW)
-    return keeping, Following(prior, drift, modes)
+    between = Following(prior, SLOW * drift, modes)  # √SLOW in rms: half way in logarithms
+    return keeping, between, Following(prior, drift, modes)
 
 
 def _bordered(covariance: Vector, creep: float) -> Vector:
@@ -180,17 +190,14 @@ class Likelihoods:
 
     Attributes:
         log: Logarithms of the probabilities, shape (count,) [nats].
+        best: The one that is held: the likeliest, once the one before is a hundred times less so.
     """
 
     def __init__(self, count: int, memory: float) -> None:
         self._memory = memory
         self.log = np.full(count, -np.log(memory))
         self.log[0] = np.log1p(-(count - 1) / memory)
-
-    @property
-    def best(self) -> int:
-        """The likeliest belief."""
-        return int(np.argmax(self.log))
+        self.best = 0
 
     def follow(self, densities: Vector, rows: float) -> None:
         """Take in what rows say.
@@ -202,6 +209,8 @@ class Likelihoods:
         likely = self.log + densities
         likely = np.exp(likely - likely.max())
         likely /= likely.sum()
+        if likely[self.best] < _GIVEN_UP * likely.max():
+            self.best = int(np.argmax(likely))
         changed = -float(np.expm1(-rows / self._memory))
         mixed = (1.0 - changed) * likely + changed * (1.0 - likely) / (len(likely) - 1)
         self.log = np.log(mixed)

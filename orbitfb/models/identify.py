@@ -87,7 +87,7 @@ class Identifier:
 
     @property
     def drift(self) -> int:
-        """Which drift R̂ allows for: 0 a slow one, 1 a quick one."""
+        """Which drift R̂ allows for: 0 a slow one, 1 and 2 ever quicker ones."""
         return self._chosen
 
     @property
@@ -158,7 +158,7 @@ class Identifier:
         self._unsolved += len(rows)
         self._seen += len(rows)
         said = self._sums - before
-        self._likely.follow(said.densities, len(rows))
+        self._likely.follow(said.densities(len(rows)), len(rows))
         self._squares += np.maximum(said.squares, 0.0)
         self._counted += max(said.counted, 0.0)
         return Absorbed(
@@ -166,7 +166,7 @@ class Identifier:
             kicks=kicks,
             chi2=said.chi2 / len(rows),
             chi2_other=said.chi2_other / len(rows),
-            nats=said.nats / len(rows),
+            nats=said.nats(len(rows)) / len(rows),
             dither_pull=pull,
             dither_information=information,
             contrasts=self._contrast(rows, differences),

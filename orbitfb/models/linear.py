@@ -1,5 +1,6 @@
 """The linear model of the ring, x' = x + R̂ a, with what is not known about R̂."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,12 +46,20 @@ class LinearModel:
 
     def sample(self, generator: np.random.Generator) -> Vector:
         """Draw a response that the data allow, shape (n, m) [m/A]."""
-        rows = generator.standard_normal(self.response.shape)
-        error = np.empty_like(rows)
-        for level in np.unique(self.levels):
-            members = self.levels == level
-            error[members] = rows[members] @ np.linalg.cholesky(self.covariances[level]).T
-        return self.response + self.modes @ error
+        return next(self.samples(generator))
+
+    def samples(self, generator: np.random.Generator) -> Iterator[Vector]:
+        """Draw responses that the data allow one after another, each of shape (n, m) [m/A]."""
+        factors = [
+            (self.levels == level, np.linalg.cholesky(self.covariances[level]).T)
+            for level in np.unique(self.levels)
+        ]
+        while True:
+            rows = generator.standard_normal(self.response.shape)
+            error = np.empty_like(rows)
+            for members, factor in factors:
+                error[members] = rows[members] @ factor
+            yield self.response + self.modes @ error
 
     def normalised_errors(self, response: Vector) -> Vector:
         """Errors against a known response in units of the stated uncertainty.

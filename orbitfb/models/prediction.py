@@ -1,10 +1,12 @@
 """How well beliefs about R predict rows: sums over an unbroken tail of rows.
 
 In the sine transform of the tail (`orbitfb.estimation.transform`) what a belief does not explain
-has the variance r² (ρ_i + λ_f) of noise and ground, and φ_fᵀ P φ_f of what is not known about R.
-Every sum here is a log density or a part of one. So the difference of the sums over a tail with its
-new rows and without them is what the new rows say, given those before: nothing is used before it is
-predicted.
+has the variance V_f = r² (ρ_i + λ_f) of noise and ground, and φ_fᵀ P φ_f of what is not known about
+R. Sums of squares over V_f, and of φ_fᵀ P φ_f over V_f, are sums over rows of innovations: the
+difference of those over a tail with its new rows and without them is about the new rows alone, given
+those before, also where R̂ was fitted to the rows before. Nothing is used before it is predicted.
+What is not known of R comes in after that difference, as one factor for the new rows: weighed
+frequency by frequency it would let the rows before, which fit R̂ too well, speak again.
 """
 
 from collections.abc import Sequence
@@ -25,19 +27,23 @@ class Sums:
     """Sums over rows; differences of them are about the rows between.
 
     Args:
-        densities: Log density of the rows under every belief, shape (beliefs,) [nats].
-        chi2: Σ z²/V of the chosen belief over rows, mean over modes.
-        chi2_other: The same of the other response, without what is not known of it.
-        nats: Log density of the chosen belief over that of the other response, both with the
-            variance of the belief, without the creep [nats].
+        misfits: Σ z²/V over rows and modes under every belief, shape (beliefs,).
+        doubts: Σ φᵀPφ/V over rows and modes, P of every belief, shape (beliefs,).
+        chi2: Σ z²/(V + φᵀPφ) of the chosen belief over rows, mean over modes.
+        chi2_other: Σ z²/V of the other response, mean over modes.
+        gain: Half of Σ z²/V of the other response less that of the chosen belief, the creep taken
+            out of both [nats].
+        doubt: Σ φᵀPφ/V of the chosen belief, the creep taken for known.
         squares: Squares of innovations for every level and mode, shape (levels, n) [m²].
         counted: Rows that count in `squares`.
     """
 
-    densities: Vector
+    misfits: Vector
+    doubts: Vector
     chi2: float
     chi2_other: float
-    nats: float
+    gain: float
+    doubt: float
     squares: Vector
     counted: float
 
@@ -45,10 +51,24 @@ class Sums:
         names = [field.name for field in fields(Sums)]
         return Sums(*(getattr(self, name) - getattr(before, name) for name in names))
 
+    def densities(self, rows: int) -> Vector:
+        """Log density of rows under every belief but for what all have in common, (beliefs,)."""
+        count = rows * self.squares.shape[1]
+        wider = 1.0 + np.maximum(self.doubts, 0.0) / count
+        return -0.5 * (self.misfits / wider + count * np.log(wider))
+
+    def nats(self, rows: int) -> float:
+        """Log density of rows under the chosen belief over that under the other response.
+
+        Both have the variance that noise and doubt about R predict.
+        """
+        return self.gain / (1.0 + max(self.doubt, 0.0) / (rows * self.squares.shape[1]))
+
 
 def no_sums(modes: int, beliefs: int) -> Sums:
     """Sums over no row."""
-    return Sums(np.zeros(beliefs), 0.0, 0.0, 0.0, np.zeros((len(LADDER), modes)), 0.0)
+    none = np.zeros(beliefs)
+    return Sums(none, none, 0.0, 0.0, 0.0, 0.0, np.zeros((len(LADDER), modes)), 0.0)
 
 
 def sums_of(
@@ -73,20 +93,20 @@ def sums_of(
     count, modes = member.sum(axis=0), len(noise.levels)
     plain = noise.reading_variance * (_RATIOS + spectrum.eigenvalue[:, None])
     constant = spectrum.regressors[:, -1]
-    densities = np.empty(len(beliefs))
+    certainty = (1.0 / plain) @ count
+    misfits, doubts = np.empty((2, len(beliefs)))
     own, variance, doubt = np.empty(0), plain, np.empty(0)
     for index, belief in enumerate(beliefs):
         pooled = np.tensordot(count / modes, belief.covariances, axes=1)
         seen = spectrum.regressors @ pooled
-        doubts = np.sum(seen * spectrum.regressors, axis=1)
+        unknown = np.sum(seen * spectrum.regressors, axis=1)
         residual = spectrum.steps - spectrum.regressors @ belief.rows.T
-        total = plain + doubts[:, None]
-        by_level = residual**2 @ member
-        densities[index] = -0.5 * float(np.sum(by_level / total + count * np.log(total)))
+        misfits[index] = float(np.sum(residual**2 @ member / plain))
+        doubts[index] = float(unknown @ certainty)
         if index == chosen:
-            own, variance, doubt = residual, total, doubts
+            own, variance = residual, plain + unknown[:, None]
             # The prior of the creep is wide: where nothing creeps it would explain noise.
-            doubt = doubts - 2.0 * seen[:, -1] * constant + constant**2 * pooled[-1, -1]
+            doubt = unknown - 2.0 * seen[:, -1] * constant + constant**2 * pooled[-1, -1]
     theirs = spectrum.steps - spectrum.regressors @ other.T
     squared = own**2
     chi2 = np.sum(squared @ member / variance, axis=1) / modes
@@ -95,14 +115,16 @@ def sums_of(
     weights = known / (_RATIOS[:, None] + spectrum.eigenvalue)
     spread = innovation_ratio(LADDER)[:, None]
     return Sums(
-        densities,
+        misfits,
+        doubts,
         chi2=float(chi2.sum()),
-        chi2_other=_without_creep(theirs, constant, plain, member) / modes,
-        nats=0.5
+        chi2_other=float(np.sum(theirs**2 @ member / plain)) / modes,
+        gain=0.5
         * (
-            _without_creep(theirs, constant, variance, member)
-            - _without_creep(own, constant, variance, member)
+            _without_creep(theirs, constant, plain, member)
+            - _without_creep(own, constant, plain, member)
         ),
+        doubt=float(doubt @ certainty),
         squares=spread * (weights @ (squared * certain[:, noise.levels])),
         counted=float(known.sum()),
     )
