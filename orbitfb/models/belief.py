@@ -15,8 +15,7 @@ differ in the size of the drift Q per tick:
 
 Each predicts the next rows before they are used. The logarithms of their probabilities move by the
 log densities of these; besides, R may change its ways once in `memory` rows (the forward recursion
-of a hidden Markov chain, L. Rabiner, Proc. IEEE 77 (1989) 257). One is held until another one is a
-hundred times likelier. So the forgetting follows what was
+of a hidden Markov chain, L. Rabiner, Proc. IEEE 77 (1989) 257). So the forgetting follows what was
 measured: a ring at rest is known better with every row for long, and little that the noise alone
 does to R̂ asks for another policy.
 """
@@ -44,12 +43,6 @@ SLOW = 1 / 8
 """Slow drift over the quick one, rms [1]: with the defaults 1.25 % in 10,000 ticks, what
 temperatures do to gains and optics of a healthy ring in a quarter of an hour, which a loop at its
 noise floor cannot show."""
-
-
-_GIVEN_UP = 0.01
-"""Likelihood of the belief that is held over that of another one, below which the other is held
-[1]: on a ring at rest chance alone makes it a tenth now and then, and a belief that comes and goes
-asks for refits."""
 
 
 class Keeping:
@@ -147,7 +140,9 @@ class Following:
         return follow(tail, before, WEIGHTS, levels, variance) if tail.rows else before
 
 
-def make_beliefs(response: Vector, settings: IdentifySettings) -> tuple[Keeping, Following, Following]:
+def make_beliefs(
+    response: Vector, settings: IdentifySettings
+) -> tuple[Keeping, Following, Following]:
     """Say what is believed before there are rows: a slow drift, a quicker one, and a quick one.
 
     Args:
@@ -190,14 +185,17 @@ class Likelihoods:
 
     Attributes:
         log: Logarithms of the probabilities, shape (count,) [nats].
-        best: The one that is held: the likeliest, once the one before is a hundred times less so.
     """
 
     def __init__(self, count: int, memory: float) -> None:
         self._memory = memory
         self.log = np.full(count, -np.log(memory))
         self.log[0] = np.log1p(-(count - 1) / memory)
-        self.best = 0
+
+    @property
+    def best(self) -> int:
+        """The likeliest belief."""
+        return int(np.argmax(self.log))
 
     def follow(self, densities: Vector, rows: float) -> None:
         """Take in what rows say.
@@ -209,8 +207,6 @@ class Likelihoods:
         likely = self.log + densities
         likely = np.exp(likely - likely.max())
         likely /= likely.sum()
-        if likely[self.best] < _GIVEN_UP * likely.max():
-            self.best = int(np.argmax(likely))
         changed = -float(np.expm1(-rows / self._memory))
         mixed = (1.0 - changed) * likely + changed * (1.0 - likely) / (len(likely) - 1)
         self.log = np.log(mixed)

@@ -3,10 +3,10 @@
 In the sine transform of the tail (`orbitfb.estimation.transform`) what a belief does not explain
 has the variance V_f = r² (ρ_i + λ_f) of noise and ground, and φ_fᵀ P φ_f of what is not known about
 R. Sums of squares over V_f, and of φ_fᵀ P φ_f over V_f, are sums over rows of innovations: the
-difference of those over a tail with its new rows and without them is about the new rows alone, given
-those before, also where R̂ was fitted to the rows before. Nothing is used before it is predicted.
-What is not known of R comes in after that difference, as one factor for the new rows: weighed
-frequency by frequency it would let the rows before, which fit R̂ too well, speak again.
+difference of those over a tail with its new rows and without them is about the new rows alone,
+given those before, also where R̂ was fitted to the rows before. Nothing is used before it is
+predicted. What is not known of R comes in after that difference, as one factor for the new rows:
+weighed frequency by frequency it would let the rows before, which fit R̂ too well, speak again.
 """
 
 from collections.abc import Sequence
