@@ -358,6 +358,13 @@ MUTANTS = (
         ("loop/test_two_loops.py",),
     ),
     Mutant(
+        "a loop that may not write for its lease does not trip on what the owner puts",
+        "orbitfb.loop.machines.guarded",
+        "return replace(reading, by_others=None)",
+        "return reading",
+        ("loop/test_two_loops.py",),
+    ),
+    Mutant(
         "a dead channel that reads exactly 0 is not believed",
         BPMS,
         "zero = known & (position == 0.0) & ~habit.is_coarse & settings.bpm_zero",
