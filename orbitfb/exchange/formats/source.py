@@ -66,7 +66,15 @@ def names_from(source: Source, where: str) -> tuple[str, ...]:
     """
     if not where.startswith("@"):
         return names_of(source.get(where), source.path)
-    path = Path(where[1:])
+    return names_listed(Path(where[1:]))
+
+
+def names_listed(path: Path) -> tuple[str, ...]:
+    """Read names of a text file with one per line.
+
+    Raises:
+        ExchangeError: There are none.
+    """
     check_file(path, _LARGEST_LIST)
     text = read_text(path, _LARGEST_LIST, ExchangeError, "name a list of names")
     lines = (line.strip() for line in text.splitlines())

@@ -1,6 +1,6 @@
 """What is said of a foreign response matrix, and the table that is made of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from orbitfb.exchange.formats.csv_file import COLUMNS, ROWS, VALUES, CsvSource
 from orbitfb.exchange.formats.datasets import Found, Source, matrix_of
 from orbitfb.exchange.formats.source import names_from
 from orbitfb.exchange.naming import bpm_labels, corrector_labels, places_or_none
+from orbitfb.exchange.response.middle_layer import block_of, is_middle_layer
 from orbitfb.measure.column import Table
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices, Planes
@@ -59,7 +60,7 @@ def found_in(source: Source, where: str | None, planes: Planes) -> Found:
         ExchangeError: Nobody says where it is, or it is not there.
     """
     if where is None and not isinstance(source, CsvSource):
-        if any(name.startswith("Rmat.") for name in source.listing()):
+        if is_middle_layer(source):
             return _middle_layer(source, planes)
         raise ExchangeError(
             f"{source.path}: --matrix must say which of these is the matrix: "
@@ -73,36 +74,26 @@ def _middle_layer(source: Source, planes: Planes) -> Found:
 
     A file of one block is of the plane that the caller says.
     """
-
-    def block(row: int, column: int) -> Found | None:
-        try:
-            found = source.get(f"Rmat({row},{column}).Data")
-        except ExchangeError:
-            return None
-        return found if found.numbers.size else None
-
-    first, last = block(1, 1), block(2, 2)
+    blocks = {(i, j): block_of(source, i, j) for i in (1, 2) for j in (1, 2)}
+    first, last = blocks[1, 1], blocks[2, 2]
     if first is None:
         return source.get("Rmat.Data")
     if planes == "x" or (last is None and planes == "y"):
-        return first
+        return replace(first[0], numbers=first[1])
     if last is None:
         raise ExchangeError(
             f"{source.path}: Rmat has one block, and planes x and y are asked for; give the plane "
             "that it is of with --planes"
         )
     if planes == "y":
-        return last
-    own = [matrix_of(its, source.path) for its in (first, last)]
-    whole = np.zeros((len(own[0]) + len(own[1]), own[0].shape[1] + own[1].shape[1]))
-    rows = (slice(0, len(own[0])), slice(len(own[0]), None))
-    columns = (slice(0, own[0].shape[1]), slice(own[0].shape[1], None))
-    for i in (0, 1):
-        for j in (0, 1):
-            its = block(i + 1, j + 1)
-            if its is not None:
-                whole[rows[i], columns[j]] = matrix_of(its, source.path)
-    return Found("Rmat", whole, (), first.units)
+        return replace(last[0], numbers=last[1])
+    (n, m), (more, others) = first[1].shape, last[1].shape
+    whole = np.zeros((n + more, m + others))
+    rows, columns = (slice(0, n), slice(n, None)), (slice(0, m), slice(m, None))
+    for (i, j), its in blocks.items():
+        if its is not None:
+            whole[rows[i - 1], columns[j - 1]] = its[1]
+    return Found("Rmat", whole, (), first[0].units)
 
 
 def places_in(
@@ -119,7 +110,9 @@ def places_in(
     if request.transpose:
         matrix = matrix.T
     n, m = len(channels.bpms), len(channels.correctors)
-    if request.order == "table":
+    unnamed = request.bpm_names is None and request.corrector_names is None
+    numbered = unnamed and request.matrix is None and is_middle_layer(source)
+    if request.order == "table" or (numbered and matrix.shape == (n, m)):
         if matrix.shape != (n, m):
             turned = matrix.shape == (m, n) and n != m
             advice = "give --transpose" if turned else "give the names, or the planes that it is of"

@@ -1,6 +1,5 @@
 """The matrices of a file as they stand in it, with the names and units that it gives them."""
 
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,24 +8,17 @@ from typing import Any
 import numpy as np
 
 from orbitfb.core.errors import ExchangeError
-from orbitfb.core.files.arrays import first_line
-from orbitfb.core.files.bounded import LARGEST_TEXT, parse_json, read_text
 from orbitfb.core.signals import COUNTS, Vector, parts, planes_in
 from orbitfb.exchange.formats.csv_file import COLUMNS, ROWS, VALUES, CsvSource
 from orbitfb.exchange.formats.datasets import LARGEST_FILE, Source, column_of, matrix_of
-from orbitfb.exchange.formats.source import check_file, names_from, open_source
+from orbitfb.exchange.formats.source import check_file, names_from, names_listed, open_source
+from orbitfb.exchange.response.middle_layer import block_of, is_middle_layer
+from orbitfb.loco.input.parts import BPMS, CORRECTORS, MATRICES, Parts, of_json, of_numpy, unpacked
 from orbitfb.loco.measured import PLANES, Pair
-from orbitfb.loco.noise import of_repeats
 from orbitfb.measure.packed import read_packed
 from orbitfb.physics.optics import Matrix
 
 _ADVICE = "measure it with `orbitfb measure-response`, or import it"
-_MATRICES = ("response", "matrix", "R", "RM")
-_BPMS = ("bpms", "bpm_names", "output_names", "outputs", "rows")
-_CORRECTORS = ("correctors", "corrector_names", "input_names", "inputs", "columns")
-_UNITS = ("units", "unit")
-_MOST_ARRAYS, _LARGEST, _PACKED = 64, 1 << 30, 200
-"""Most arrays of a file, most bytes of them, and how many times they may be packed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,14 +69,13 @@ def raw_blocks(
     check_file(file, LARGEST_FILE)
     if suffix == ".safetensors":
         return (_packed(file),)
-    if suffix in (".npy", ".npz"):
-        return (_numpy(file),)
-    if suffix == ".json":
-        return (_json(file),)
+    if suffix in (".npy", ".npz", ".json"):
+        its = of_json(file) if suffix == ".json" else of_numpy(file)
+        return (_renamed(its, bpm_names, corrector_names),)
     source = open_source(file)
     if matrix is None and suffix == ".mat":
         there = source.listing()
-        if any(name.startswith("Rmat.") for name in there):
+        if is_middle_layer(source):
             return _middle_layer(source)
         if "LocoMeasData.M" in there:
             return (_loco(source),)
@@ -99,34 +90,31 @@ def names_inside(file: Path) -> frozenset[str]:
     """
     suffix = file.suffix.lower()
     if suffix == ".npz":
-        with _unpacked(file) as archive:
+        with unpacked(file) as archive:
             return frozenset(name.removesuffix(".npy") for name in archive.namelist())
     if suffix in (".h5", ".hdf5", ".hdf"):
         return frozenset(name.partition("/")[0] for name in open_source(file).listing())
     return frozenset()
 
 
-def _unpacked(file: Path) -> zipfile.ZipFile:
-    """Open an `.npz` file whose arrays are few and not absurdly packed.
+def _renamed(its: Parts, bpm_names: str | None, corrector_names: str | None) -> Raw:
+    """Make the matrix of a file of parts, with the names that the caller gives."""
 
-    Raises:
-        ExchangeError: It is none, or claims more than a response can be.
-    """
-    try:
-        archive = zipfile.ZipFile(file)
-    except (OSError, zipfile.BadZipFile) as error:
-        raise ExchangeError(
-            f"{file}: no readable .npz ({first_line(error)}); save it again with numpy.savez"
-        ) from error
-    members = archive.infolist()
-    size = sum(one.file_size for one in members)
-    if len(members) > _MOST_ARRAYS or size > _LARGEST or size > _PACKED * file.stat().st_size:
-        archive.close()
-        raise ExchangeError(
-            f"{file}: {len(members)} arrays of {size} bytes when unpacked: a response is smaller; "
-            f"save the matrix, its names and sigmas alone"
-        )
-    return archive
+    def named(where: str | None, own: tuple[str, ...], option: str) -> tuple[str, ...]:
+        if where is None:
+            return own
+        if not where.startswith("@"):
+            raise ExchangeError(
+                f"{option} {where}: give @FILE, a text file with one name per line; names within a "
+                f"file of this format are found by themselves"
+            )
+        return names_listed(Path(where[1:]))
+
+    return Raw(
+        its.where, its.values, its.units, named(bpm_names, its.rows, "--bpm-names"),
+        named(corrector_names, its.columns, "--corrector-names"), its.sigma,
+        dispersion=its.dispersion,
+    )  # fmt: skip
 
 
 def _packed(file: Path) -> Raw:
@@ -143,83 +131,12 @@ def _packed(file: Path) -> Raw:
     )  # fmt: skip
 
 
-def _numpy(file: Path) -> Raw:
-    try:
-        if file.suffix.lower() == ".npy":  # mapped: a header cannot claim more than there is
-            values, sigma = _matrices(np.load(file, "r", allow_pickle=False), file)
-            return Raw(file.name, values, sigma=sigma)
-        _unpacked(file).close()
-        content = np.load(file, allow_pickle=False)
-        found = {name: content[name] for name in content.files}
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        raise ExchangeError(
-            f"{file}: no readable {file.suffix} of numbers and names ({first_line(error)}); save "
-            "it again, without objects in it"
-        ) from error
-    return _of_parts(file, found)
-
-
-def _json(file: Path) -> Raw:
-    content = parse_json(read_text(file, LARGEST_TEXT, ExchangeError, "name a file"), file,
-                         ExchangeError)  # fmt: skip
-    if not isinstance(content, dict):
-        raise ExchangeError(f"{file}: no object with a matrix in it; {_ADVICE}")
-    return _of_parts(file, content)
-
-
-def _of_parts(file: Path, parts: dict[str, Any]) -> Raw:
-    name = next((name for name in _MATRICES if name in parts), None)
-    if name is None:
-        raise ExchangeError(
-            f"{file}: none of {', '.join(_MATRICES)} is in it (there are: "
-            f"{', '.join(list(parts)[:20])}); call the matrix one of these"
-        )
-    values, scatter = _matrices(parts[name], file)
-    sigma = _table(parts["sigma"], file) if "sigma" in parts else scatter
-    eta = parts.get("dispersion")
-    units = next((str(np.asarray(parts[key])) for key in _UNITS if key in parts), "")
-    return Raw(
-        name, values, units, _texts(parts, _BPMS), _texts(parts, _CORRECTORS), sigma,
-        dispersion=None if eta is None else np.ravel(_numbers(eta, file)),
-    )  # fmt: skip
-
-
-def _texts(parts: dict[str, Any], keys: tuple[str, ...]) -> tuple[str, ...]:
-    for key in keys:
-        if key in parts:
-            return tuple(str(name) for name in np.ravel(np.asarray(parts[key])))
-    return ()
-
-
-def _numbers(values: Any, file: Path) -> Vector:
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ExchangeError(f"{file}: its matrix is no table of numbers ({error})") from error
-
-
-def _table(values: Any, file: Path) -> Matrix:
-    found = _numbers(values, file)
-    if found.ndim != 2 or 0 in found.shape:
-        raise ExchangeError(f"{file}: its matrix has shape {found.shape}; give rows and columns")
-    return found
-
-
-def _matrices(values: Any, file: Path) -> tuple[Matrix, Matrix | None]:
-    """Read a matrix, or repeats of one (first axis): their mean, and its noise by their scatter."""
-    found = _numbers(values, file)
-    if found.ndim == 3 and 0 not in found.shape:
-        mean, sigma = of_repeats(found)
-        return mean, sigma if np.isfinite(sigma).any() else None
-    return _table(found, file), None
-
-
 def _named(
     source: Source, matrix: str | None, bpm_names: str | None, corrector_names: str | None
 ) -> Raw:
     if matrix is None and not isinstance(source, CsvSource):
         there = source.listing()
-        matrix = next((name for name in _MATRICES if name in there), None)
+        matrix = next((name for name in MATRICES if name in there), None)
         if matrix is None:
             raise ExchangeError(
                 f"{source.path}: --matrix must say which of these is the matrix: "
@@ -231,8 +148,8 @@ def _named(
         bpm_names = ROWS if source.rows else None
     if corrector_names is None and isinstance(source, CsvSource):
         corrector_names = COLUMNS if source.columns else None
-    bpm_names = bpm_names or next((name for name in _BPMS if name in there), None)
-    corrector_names = corrector_names or next((n for n in _CORRECTORS if n in there), None)
+    bpm_names = bpm_names or next((name for name in BPMS if name in there), None)
+    corrector_names = corrector_names or next((n for n in CORRECTORS if n in there), None)
     sigma = None
     if not isinstance(source, CsvSource) and "sigma" in there:
         sigma = matrix_of(source.get("sigma"), source.path)
@@ -247,21 +164,17 @@ def _middle_layer(source: Source) -> tuple[Raw, ...]:
     """Read `Rmat` of the Matlab Middle Layer: rows and columns are the families of x and y.
 
     Its devices are numbered, [sector, device], and have no names: they are taken in the order of
-    the table, and the likeness with the optics tells whether that is right.
+    their numbers as that of the table, and the likeness with the optics tells whether it is right.
     """
     found: list[Raw] = []
     for i, read in enumerate(PLANES, start=1):
         for j, driven in enumerate(PLANES, start=1):
-            where = f"Rmat({i},{j}).Data"
-            try:
-                block = source.get(where)
-            except ExchangeError:
-                if i == j == 1:
-                    raise
-                continue
-            if block.numbers.size:
-                values = matrix_of(block, source.path)
-                found.append(Raw(where, values, block.units, pair=(read, driven)))
+            its = block_of(source, i, j)
+            if its is not None:
+                where = f"Rmat({i},{j}).Data"
+                found.append(Raw(where, its[1], its[0].units, pair=(read, driven)))
+    if not found:
+        raise ExchangeError(f"{source.path}: Rmat has no block with numbers in it")
     return tuple(found)
 
 

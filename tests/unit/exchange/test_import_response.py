@@ -15,7 +15,6 @@ from orbitfb.cli.app import app
 from orbitfb.core.errors import ExchangeError
 from orbitfb.measure.response_file import nominal_response, read_response
 from orbitfb.physics.places import Ring
-from orbitfb.physics.response import response
 from orbitfb.policies.masking import MaskSettings
 
 DATA = Path(__file__).parents[3] / "orbitfb/data"
@@ -285,29 +284,3 @@ def test_a_device_that_the_table_lacks_is_left_out_and_told(tmp_path, matrix, ca
     assert measured.table.response.shape == (180, 180)
     told = capsys.readouterr().out
     assert "NEWB" in told and "NEWC" in told and "is not in the places table" in told
-
-
-def test_the_middle_layer_says_where_its_matrix_is(tmp_path, matrix):
-    one = {"Data": 1e3 * matrix, "UnitsString": "mm/Ampere"}
-    scipy.io.savemat("one.mat", {"Rmat": one})
-    assert "--order table" in refused("one.mat")  # its devices have no names
-    assert "Rmat has one block" in refused("one.mat", "--order", "table", "--planes", "xy")
-    _, adopted = taken("one.mat", "--order", "table")
-    np.testing.assert_allclose(adopted, matrix)
-
-    vertical = response(RING, "y")
-    blocks = np.empty((2, 2), dtype=[("Data", object), ("UnitsString", object)])
-    for i, j in np.ndindex(2, 2):
-        data = (matrix, vertical)[i] if i == j else np.empty((0, 0))
-        blocks[i, j] = (1e3 * data, "mm/Ampere")
-    scipy.io.savemat("both.mat", {"Rmat": blocks})
-    _, adopted = taken("both.mat", "--order", "table")
-    np.testing.assert_allclose(adopted, matrix)
-    app(
-        ["import", "response", "both.mat", "--order", "table", "--planes", "xy"],
-        standalone_mode=False,
-    )
-    both = read_response(Path("response.safetensors"), RING.channels("xy")).table.response
-    np.testing.assert_allclose(both[:180, :180], matrix)
-    np.testing.assert_allclose(both[180:, 180:], vertical)
-    assert not both[:180, 180:].any()
