@@ -51,6 +51,8 @@ def problem(piece):
         return f"'{piece.kind}' is no kind of block, see tests/docs_pieces.py"
     if piece.kind == "text" and TYPED.search(piece.body):
         return "a text block with something to type: make it sh or console"
+    if "other" in words and piece.kind != "toml":
+        return "only a toml block can be other than a configuration"
     if piece.kind in COMMANDS and not commands(piece.body):
         return "a block without a command"
     checks = {"python": ast.parse, "json": json.loads, "yaml": yaml_problem, "toml": toml_problem}
@@ -83,6 +85,7 @@ def test_every_block_is_run_or_checked_or_says_why_not(page):
         ("```text\norbitfb run --ioc sim\n```\n", "something to type"),
         ("<!-- test: skip -->\n```sh\nx\n```\n", "without a reason"),
         ("<!-- test: jump -->\n```sh\nx\n```\n", "no such order"),
+        ("<!-- test: other -->\n```sh\nx\n```\n", "only a toml block"),
         ("```sh\n# nothing\n```\n", "without a command"),
         ("```python\nif\n```\n", "invalid syntax"),
         ("```toml\n[loop]\nrate_hz = 1.0\n```\n", "does not begin with"),
