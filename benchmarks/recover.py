@@ -16,8 +16,8 @@ from benchmarks.simulate import simulate_record
 from benchmarks.small_ring import small_ring
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse
-from orbitfb.diagnose.hypotheses.run import tournament
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.build import Since, layout_of
 from orbitfb.effects.device_kinds import PairKind
 from orbitfb.effects.kinds import EffectKind, Values

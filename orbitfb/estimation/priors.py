@@ -102,6 +102,10 @@ tenths of a millimetre beside some micrometres. By hand: a factor of ten costs l
 ROUNDS = 4
 """Causes that are accepted at most."""
 
+AT_ONCE = 2
+"""Different effects that a record may have at once. A third one has odds of one in tens, as each of
+the others had; that the library lacks the effect at work is likelier."""
+
 SCATTER = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Multiples of the healthy scatter that are tried for all devices at once."""
 

@@ -9,7 +9,7 @@ from orbitfb.diagnose.experiments.proposals import Limits
 from orbitfb.diagnose.experiments.search import plan
 from orbitfb.diagnose.experiments.suspects import Suspect
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.run import candidates_of
+from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.progress import Progress
 from orbitfb.effects.kinds import EffectKind

@@ -68,6 +68,12 @@ class Candidate:
     again: "Callable[[Workspace], Candidate] | None" = None
     finer: "Callable[[], Candidate] | None" = None
 
+    @property
+    def told(self) -> bool:
+        """Whether it adds a course that is told to the readings, and changes nothing else."""
+        more = self.walk is not None or self.white is not None or self.raised or self.columns
+        return self.field is not None and self.undone is None and not more
+
     def accepted(self, space: Workspace, spread: bool = True) -> Workspace:
         """Add it to what a workspace explains, and estimate the floor anew.
 

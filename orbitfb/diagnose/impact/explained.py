@@ -13,12 +13,12 @@ from scipy.linalg import cho_factor, cho_solve
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.run import Round
 from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.impact.pieces import Differences, Piece, columns_of, pieces_of
 from orbitfb.diagnose.impact.waves import wave_of
 from orbitfb.diagnose.likelihood.errors import ErrorBlock, saturated
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.rounds import Round
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.priors import LEAST_SHARE, WIDE
 from orbitfb.estimation.transform import Matrix

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.run import Round
+from orbitfb.diagnose.selection.rounds import Round
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.priors import MISFIT, RIVAL
 
@@ -71,10 +71,14 @@ def probabilities(candidates: Sequence[Candidate]) -> dict[str, float]:
     """Probability of every effect to be the one that explains most, and of none ("").
 
     Evidence is that of models that are all a little wrong: differences count in units of a share
-    of what the best one explains.
+    of what the best one explains. Free elements of the response take what any law of their device
+    does: they are no rival of a law that says how.
     """
     best: dict[str, float] = {"": 0.0}
+    free = bool(candidates) and candidates[0].kind.elemental
     for one in candidates:
+        if one.kind.elemental and not free:
+            continue
         best[one.kind.id] = max(best.get(one.kind.id, -np.inf), one.evidence)
     top = max(best.values())
     unit = 1.0 + MISFIT * max(top, 0.0)

@@ -6,11 +6,11 @@ import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.ranking import worths_of
-from orbitfb.diagnose.hypotheses.run import Round
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.result.blocks import ScoreMap, ScoreRow
 from orbitfb.diagnose.result.values import numbers
+from orbitfb.diagnose.selection.rounds import Round
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.priors import ONCE_IN

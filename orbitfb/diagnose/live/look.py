@@ -13,7 +13,7 @@ import numpy as np
 from orbitfb.core.gap import GapSight
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.free_course import scan_free
-from orbitfb.diagnose.hypotheses.run import candidates_of
+from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.named import probabilities
 from orbitfb.diagnose.likelihood.workspace import Workspace

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.run import Round
 from orbitfb.diagnose.impact.named import Named, probabilities
 from orbitfb.diagnose.impact.pieces import Piece
 from orbitfb.diagnose.likelihood.workspace import Workspace
@@ -20,6 +19,7 @@ from orbitfb.diagnose.result.blocks import (
 )
 from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.result.parts import Cause, PlaceValues
+from orbitfb.diagnose.selection.rounds import Round
 from orbitfb.diagnose.verdict.proved import Untold
 from orbitfb.diagnose.verdict.state import Judged
 from orbitfb.diagnose.verdict.values import Measured
@@ -168,7 +168,13 @@ def unknown_of(
     told = sum(one.evidence for one in causes)
     places = tuple(one.name for one in verdict.left[:_WHERE])
     text = ""
-    if places:
+    if verdict.rest is not None:
+        places = verdict.rest.names[:_WHERE]
+        text = (
+            f"What is left looks most like {verdict.rest.kind.title}; so many effects at once are "
+            "rarely more than one that is not in the library."
+        )
+    elif places:
         device = {"bpm": "BPM", "corrector": "corrector"}[verdict.left[0].target]
         text = (
             f"What is left follows the motion of {device} {places[0]}, by a law that is not in the "
@@ -203,7 +209,7 @@ def tournament_of(
                 effect=one.kind.id,
                 places=", ".join(one.names[:_NAMED]) or "all",
                 nats=one.evidence,
-                probability=chances[one.kind.id],
+                probability=chances.get(one.kind.id, 0.0),
                 accepted=one.kind.id in found,
             )
     for kind in kinds:

@@ -9,7 +9,6 @@ import numpy as np
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.diagnose.experiments.search import experiment_for
-from orbitfb.diagnose.hypotheses.run import tournament
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.audit import audit
 from orbitfb.diagnose.impact.closed_loop import closed_loop
@@ -29,6 +28,7 @@ from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.headline import headline
 from orbitfb.diagnose.result.naming import as_in_record, geometry
 from orbitfb.diagnose.result.parts import Cause, Experiment, NotTested, Provenance
+from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.diagnose.verdict.causes import (
     ambiguous_sets,
     cause_of,

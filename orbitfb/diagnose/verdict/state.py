@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse
-from orbitfb.diagnose.hypotheses.run import Round
 from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.result.diagnosis import State
+from orbitfb.diagnose.selection.rounds import Round
 from orbitfb.diagnose.verdict.proved import Proved
 from orbitfb.estimation.priors import CERTAIN, REMAINDER, SURE
 
@@ -18,12 +19,14 @@ class Judged:
     Args:
         state: Of the five.
         left: Devices whose free course still explains something, the most telling first.
-        nats: What the best of them explains [nats].
+        nats: What the best of them, or the effect that is left, explains [nats].
+        rest: What of the library is sure beside the causes and was not accepted; None: nothing.
     """
 
     state: State
     left: tuple[FreeCourse, ...]
     nats: float
+    rest: Candidate | None = None
 
 
 def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
@@ -42,10 +45,14 @@ def judged(causes: Sequence[Named], rounds: Sequence[Round]) -> Judged:
     freely = rounds[0].free[0].evidence if rounds[0].free else 0.0
     if freely > first.evidence and freely > SURE:
         return Judged("unknown", rounds[0].free[:1], freely)
+    rest = rounds[-1].left(told) if len(rounds) > 1 else None
+    if rest is not None and rest.evidence > max(nats, REMAINDER * told):
+        state: State = "unknown" if rest.evidence > told else "named_plus_remainder"
+        return Judged(state, left, rest.evidence, rest)
     if nats > REMAINDER * told:
         return Judged("named_plus_remainder", left, nats)
     alone = first.chances[first.kind.id]
-    state: State = "named" if alone > CERTAIN or not first.rivals else "ambiguous"
+    state = "named" if alone > CERTAIN or not first.rivals else "ambiguous"
     return Judged(state, (), 0.0)
 
 

@@ -19,7 +19,7 @@ from orbitfb.diagnose.experiments.separation import separation
 from orbitfb.diagnose.experiments.suspects import Suspect, change_of
 from orbitfb.diagnose.experiments.words import ENOUGH
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.run import candidates_of
+from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.kinds import EffectKind

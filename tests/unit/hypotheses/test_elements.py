@@ -7,11 +7,11 @@ import pytest
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.elements import scan_elements
-from orbitfb.diagnose.hypotheses.run import tournament
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.explained import Explained
 from orbitfb.diagnose.impact.named import named
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.laws import ElementsLaw
 from orbitfb.effects.registry import effect
 from orbitfb.physics.optics import Matrix

@@ -10,9 +10,10 @@ from benchmarks.small_ring import small_ring
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose import hypotheses, likelihood
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.run import candidates_of, tournament
+from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind, Parameter, Values

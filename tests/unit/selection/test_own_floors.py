@@ -7,10 +7,11 @@ import pytest
 
 from benchmarks.small_ring import small_ring
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.hypotheses import run
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.run import candidates_of, refitted
+from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection import own_floors, rounds
+from orbitfb.diagnose.selection.own_floors import refitted
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import effect
 from orbitfb.records.record import Record
@@ -19,6 +20,7 @@ from tests.unit.hypotheses.small_records import NOISE, kinds_for, make_record
 RING = small_ring()
 LAYOUT = layout_of(RING, "x", 0.1)
 ROWS = 900
+PATTERN = LAYOUT.orbit_per_kick("QUAD", "x")[:, 12]
 
 
 def record_with(orbit: Vector, seed: int) -> Record:
@@ -82,8 +84,36 @@ def test_of_a_bpm_whose_noise_remembers_no_law_of_its_readings_is_told(
         noisy=True, coloured=coloured,
     )  # fmt: skip
     late = Candidate(effect("bpm-latency"), (3,), ("B3 (x)",), {"ticks": 1.0}, 100.0)
-    rounds = iter(([noise, late], [late], []))
-    monkeypatch.setattr(run, "candidates_of", lambda *given: next(rounds))
-    monkeypatch.setattr(run, "refitted", lambda candidates, *given: candidates)
-    accepted, _ = run.tournament(Workspace.of(record, [effect("bpm-gain")]), [])
+    found = iter(([noise, late], [late], []))
+    monkeypatch.setattr(rounds, "candidates_of", lambda *given: next(found))
+    monkeypatch.setattr(rounds, "refitted", lambda candidates, *given: candidates)
+    accepted, _ = rounds.tournament(Workspace.of(record, [effect("bpm-gain")]), [])
     assert accepted == ([noise] if coloured else [noise, late])
+
+
+def test_a_rival_shows_under_the_floor_of_what_leads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over the floor of all, which has learned what a corrector does not do, nothing tells them."""
+    record = record_with(np.zeros(len(LAYOUT.bpms)), 22)
+    acting = record.setpoints.copy()
+    acting[300:, 5] = acting[299, 5]
+    stuck = record.readings + (acting - record.setpoints) @ LAYOUT.response.T
+    space, found = scanned(replace(record, readings=stuck))
+    late = [one for one in found if one.cost is not None and one.onset]
+    slew = next(one for one in late if one.kind.id == "corrector-slew")
+    true = next(one for one in late if one.kind.id == "corrector-stuck")
+    monkeypatch.setattr(own_floors, "LEADING", 1)
+    first = replace(slew, evidence=true.evidence + 1.0)
+    least = replace(true, evidence=0.2 * true.evidence)
+    best, second = refitted([first, least], space)
+    assert (best.kind.id, second.kind.id) == ("corrector-stuck", "corrector-slew")
+    assert best.evidence > 1.1 * true.evidence
+
+
+def test_under_the_floor_of_another_one_none_has_more_than_under_its_own() -> None:
+    space, found = scanned(record_with(np.outer(5e-6 * np.sin(0.2 * np.arange(ROWS)), PATTERN), 23))
+    told = [one for one in found if one.told and one.cost is not None and one.evidence > 0.0]
+    own = {one.kind.id: one.evidence for one in refitted(told, space)}
+    alone = {one.kind.id: refitted([one], space)[0].evidence for one in told}
+    best = max(own.values())
+    for name, evidence in own.items():
+        assert evidence < alone[name] + 0.01 * best, name

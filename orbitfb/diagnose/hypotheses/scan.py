@@ -1,0 +1,112 @@
+"""All hypotheses on what is left of a record, the best first."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
+from orbitfb.diagnose.hypotheses.device_laws import scan_devices
+from orbitfb.diagnose.hypotheses.each_own import scan_each_own
+from orbitfb.diagnose.hypotheses.elements import scan_elements
+from orbitfb.diagnose.hypotheses.events import scan_events
+from orbitfb.diagnose.hypotheses.fields import scan_field
+from orbitfb.diagnose.hypotheses.healthy import scan_errors
+from orbitfb.diagnose.hypotheses.lines import scan_lines
+from orbitfb.diagnose.hypotheses.onsets import jumps_of, scan_jumps, scan_late
+from orbitfb.diagnose.hypotheses.pairs import scan_pairs
+from orbitfb.diagnose.hypotheses.random_laws import scan_random
+from orbitfb.diagnose.hypotheses.ranking import ranked
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.hypotheses.undone import scan_undone
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.effects.laws import DeviceLaw, ElementsLaw, EventLaw, FieldLaw, Law, PairLaw
+from orbitfb.estimation.priors import CLOSE, FINALISTS, SURE
+
+
+def candidates_of(
+    space: Workspace,
+    kinds: Sequence[EffectKind],
+    tell: Callable[[str], None] = lambda text: None,
+    enough: float = SURE,
+) -> list[Candidate]:
+    """Try every hypothesis on what is left, the best first; exactly where it may have enough."""
+    scorer = Scorer.of(space)
+    began = time.process_time()
+    found = list(scan_errors(scorer))
+    tell(f"errors {time.process_time() - began:.2f} s")
+    for kind in kinds:
+        began = time.process_time()
+        for law in space.courses.laws(kind):
+            found += _scan(kind, law, scorer)
+        tell(f"{kind.id} {time.process_time() - began:.2f} s")
+    return _refined(strongest(found), scorer, enough)
+
+
+def _refined(candidates: list[Candidate], scorer: Scorer, enough: float) -> list[Candidate]:
+    """Evaluate the finalists exactly, and refine their values, until all that lead are.
+
+    A scan leaves out up to half of what is worth something, so less than half of what is enough,
+    or a small part of the best, can win no more.
+    """
+    while True:
+        top = candidates[0].evidence if candidates else 0.0
+        least = max(0.5 * enough, CLOSE * top)
+        for place in _leading(candidates):
+            one = candidates[place]
+            if one.finer is not None and one.evidence > least:
+                fine = one.finer()
+                better = one.field is None or fine.evidence > one.evidence
+                candidates[place] = fine if better else replace(one, finer=None)
+                break
+        else:
+            break
+        candidates = strongest(candidates)
+    for place in _leading(candidates):
+        one = candidates[place]
+        if one.field is not None and one.evidence > 0.0:
+            cost = one.cost
+            if cost is None:
+                pull, information = scorer.evaluate([one.field])
+                cost = float(pull[0] - 0.5 * information[0, 0]) - one.evidence
+            gain = one.evidence + scorer.eased(one.field)
+            candidates[place] = replace(one, evidence=gain, cost=cost)
+    return strongest(candidates)
+
+
+def _leading(candidates: list[Candidate]) -> list[int]:
+    """Places of the finalists, and of the best of every effect: one has many sets and onsets."""
+    first = {one.kind.id: place for place, one in reversed(list(enumerate(candidates)))}
+    return sorted({*range(min(FINALISTS, len(candidates))), *first.values()})
+
+
+def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
+    """Scan a law by its form."""
+    if not kind.parameters and (
+        law.readings if isinstance(law, PairLaw) else isinstance(law, DeviceLaw) and law.undone
+    ):
+        return scan_undone(kind, law, scorer)
+    if isinstance(law, DeviceLaw | FieldLaw):
+        usual = {p.name: p.typical for p in kind.parameters}
+        jumps = jumps_of(law, usual, scorer) if kind.sudden else None
+        if jumps is not None:
+            names = law.names if isinstance(law, DeviceLaw) else ()
+            return scan_jumps(kind, jumps, names, usual, scorer)
+    if isinstance(law, DeviceLaw):
+        if law.periodic:
+            return scan_lines(kind, law, scorer)
+        rank = ranked(kind, law, scorer)
+        return [
+            *scan_devices(kind, law, scorer, rank),
+            *scan_late(kind, law, scorer, rank),
+            *scan_each_own(kind, law, scorer, rank),
+        ]
+    if isinstance(law, PairLaw):
+        return scan_pairs(kind, law, scorer)
+    if isinstance(law, FieldLaw):
+        return scan_field(kind, law, scorer)
+    if isinstance(law, ElementsLaw):
+        return scan_elements(kind, law, scorer)
+    if isinstance(law, EventLaw):
+        return scan_events(kind, law, scorer)
+    return scan_random(kind, law, scorer)

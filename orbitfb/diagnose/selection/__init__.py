@@ -1,0 +1,1 @@
+"""Which hypotheses are accepted: those that lead, weighed over floors of their own, one by one."""

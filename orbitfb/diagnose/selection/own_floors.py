@@ -1,0 +1,176 @@
+"""What leads, weighed over floors that are estimated with each of them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.estimation.priors import CLOSE, HEARD, LEADING, MISFIT, SETTLED, SURE
+
+
+def settled(
+    best: Candidate, space: Workspace, times: int = HEARD, spread: bool = True
+) -> tuple[Candidate, Workspace]:
+    """Accept a candidate, with the sizes that it has over the floor that it leaves.
+
+    Args:
+        best: The candidate.
+        space: Without it.
+        times: That its sizes are told anew, at most.
+        spread: Whether its values may differ a little from device to device.
+    """
+    after = best.accepted(space, spread)
+    for _ in range(times):
+        if best.again is None or best.field is None:
+            break
+        last, more = best.field, best.again(after)
+        best = replace(more, cost=best.cost if more.cost is None else more.cost)
+        after = best.accepted(replace(space, noise=after.noise), spread)
+        if np.linalg.norm(np.asarray(best.field) - last) < SETTLED * np.linalg.norm(last):
+            break
+    return best, after
+
+
+def refitted(
+    candidates: Sequence[Candidate], space: Workspace, enough: float = SURE
+) -> list[Candidate]:
+    """Compare those that lead under floors that are estimated with each of them.
+
+    A floor that was estimated without a cause stands in for what the cause does as far as it can,
+    and so do the healthy errors: what a law is worth beside it depends on that. Under floors of
+    their own a law and a random course, a reversed sign and a walk, are weighed alike.
+
+    A floor of its own is the best that a candidate has. Under that of another one it has no more,
+    so every floor that is estimated says of all of them how much they have at least: rivals of what
+    leads, which no floor of all tells from it, show under its floor and get one of their own.
+
+    Args:
+        candidates: The best first.
+        space: That they were tried on.
+        enough: Evidence from which one is accepted [nats]; half of it may be in the floor.
+
+    Returns:
+        The candidates, the best first.
+    """
+    if not candidates or candidates[0].evidence < 0.5 * enough or candidates[0].noisy:
+        return list(candidates)  # what is said of the noise alone is not weighed so
+    space = space.saturable()
+    # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
+    base = space.with_floor().log_posterior()
+    field = _Field(list(candidates), [one.evidence for one in candidates], enough)
+    while (number := field.next()) is not None:
+        told, after = settled(candidates[number], space, times=1, spread=False)
+        field.own[number] = replace(
+            told, evidence=after.log_posterior() - base - (told.cost or 0.0)
+        )
+        if told.told:
+            field.least(_under(candidates, space, after, base))
+    return field.ranked()
+
+
+@dataclass(slots=True)
+class _Field:
+    """The candidates of a round, and what is known of their evidence.
+
+    Args:
+        candidates: As they were scanned, the best first.
+        worth: The most that each has under any floor so far [nats].
+        enough: Evidence from which one is accepted [nats].
+        own: Those that were weighed under floors of their own, by number.
+    """
+
+    candidates: list[Candidate]
+    worth: list[float]
+    enough: float
+    own: dict[int, Candidate] = field(default_factory=dict)
+
+    def least(self, found: Mapping[int, float]) -> None:
+        """Learn what some have at least [nats], by number."""
+        for number, gain in found.items():
+            self.worth[number] = max(self.worth[number], gain)
+
+    def next(self) -> int | None:
+        """Number of the one that gets a floor of its own next; None: no other needs one."""
+        good = self._good()
+        best = max(good, default=0.0)
+        least = max(0.5 * self.enough, CLOSE * best)
+        if len(good) >= LEADING:
+            least = max(least, best - SURE * (1.0 + MISFIT * best))
+        weighed = self._weighed()
+        for number in np.argsort(-np.array(self.worth), kind="stable"):
+            one = self.candidates[number]
+            if one.noisy or one.cost is None or number in self.own:
+                continue
+            form = _form(one)
+            if form in weighed and (not one.told or self.worth[number] <= weighed[form]):
+                continue
+            # Each BPM is the scale of what is undone: beside the floor of all it counts for little.
+            at_it = _beside(one, self.candidates[0]) and one.evidence > 0.5 * self.enough
+            if at_it or self.worth[number] > (self.enough if one.undone else least):
+                return int(number)
+        return None
+
+    def ranked(self) -> list[Candidate]:
+        """All of them, the best first; of one without a floor of its own what it has at least.
+
+        That is no more than its effect, or those that led, have.
+        """
+        weighed, good = self._weighed(), min(self._good(), default=np.inf)
+        found = []
+        for number, one in enumerate(self.candidates):
+            most = one.evidence if one.noisy else weighed.get(_form(one), good)
+            rest = replace(one, evidence=min(self.worth[number], most))
+            found.append(self.own.get(number, rest))
+        return strongest(found)
+
+    def _good(self) -> list[float]:
+        return [one.evidence for one in self.own.values() if one.evidence > 0.0]
+
+    def _weighed(self) -> dict[tuple[str, bool], float]:
+        """Evidence of every form of an effect that has a floor of its own."""
+        found: dict[tuple[str, bool], float] = {}
+        for one in self.own.values():
+            found[_form(one)] = max(one.evidence, found.get(_form(one), one.evidence))
+        return found
+
+
+def _form(one: Candidate) -> tuple[str, bool]:
+    """Its effect, as a random course or as one that is told."""
+    return (one.kind.id, one.walk is None)
+
+
+def _under(
+    candidates: Sequence[Candidate], space: Workspace, after: Workspace, base: float
+) -> dict[int, float]:
+    """Evidence of all that is told over the floor that one of them leaves [nats], by number.
+
+    Args:
+        candidates: Of the round.
+        space: That they were tried on.
+        after: With one of them accepted.
+        base: Log posterior without any.
+    """
+    lower = replace(
+        space, noise=after.noise, shape=after.shape, weights=after.weights, trust=after.trust,
+        known=after.known, shares=after.shares,
+    )  # fmt: skip
+    without = lower.log_posterior() - base
+    scorer = Scorer.of(lower)
+    found = {}
+    for number, one in enumerate(candidates):
+        if one.told and one.field is not None and one.cost is not None:
+            pull, information = scorer.evaluate([one.field])
+            found[number] = without + float(pull[0] - 0.5 * information[0, 0]) - one.cost
+    return found
+
+
+def _beside(one: Candidate, best: Candidate) -> bool:
+    """Whether the best says of a device of it only that its course is odd.
+
+    Whatever that device does is a random course to a floor that was estimated without it.
+    """
+    same = one.kind.target == best.kind.target
+    return best.courseless and same and not set(one.places).isdisjoint(best.places)

@@ -1,0 +1,122 @@
+"""The tournament: all hypotheses, the best accepted, and again."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
+from orbitfb.diagnose.hypotheses.scan import candidates_of
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.own_floors import refitted, settled
+from orbitfb.effects.kinds import EffectKind
+from orbitfb.estimation.priors import AT_ONCE, FINALISTS, MISFIT, REMAINDER, ROUNDS, SURE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Round:
+    """One round: every candidate, the best first, and the workspace that they were tried on.
+
+    Args:
+        space: Before anything of the round was accepted.
+        candidates: Every one that was tried.
+        free: Unknown laws of single devices, the most telling first.
+    """
+
+    space: Workspace
+    candidates: tuple[Candidate, ...]
+    free: tuple[FreeCourse, ...]
+
+    def left(self, told: float) -> Candidate | None:
+        """The best that is sure beside causes with that evidence [nats]; None: there is none."""
+        best = next(iter(self.candidates), None)
+        return best if best is not None and best.evidence > SURE + MISFIT * told else None
+
+
+def tournament(
+    space: Workspace,
+    kinds: Sequence[EffectKind],
+    tell: Callable[[str], None] = lambda text: None,
+) -> tuple[list[Candidate], list[Round]]:
+    """Accept the best hypothesis while one is sure.
+
+    Args:
+        space: Of the record.
+        kinds: Effects that the record can show.
+        tell: Is told the effect that is tried, and what it takes.
+
+    Returns:
+        The accepted candidates in order, and all rounds, the last one without a sure candidate.
+    """
+    accepted: list[Candidate] = []
+    rounds: list[Round] = []
+    while True:
+        told = {one.kind.id for one in accepted if one.noisy}
+        left = [kind for kind in kinds if kind.id not in told]
+        enough = SURE + MISFIT * sum(one.evidence for one in accepted)
+        candidates = candidates_of(space, left, tell, enough)
+        candidates = [one for one in candidates if not _echo(one, accepted)]
+        candidates = _last_resort(refitted(candidates, space, enough), bool(accepted))
+        deaf = _coloured(accepted)
+        free = [one for one in scan_free(Scorer.of(space)) if one.name not in deaf][:FINALISTS]
+        rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
+        for one in candidates[:6]:
+            tell("top " + one.describe())
+        if len(accepted) == ROUNDS or not candidates or candidates[0].evidence < enough:
+            return accepted, rounds
+        if _composed([*accepted, candidates[0]]):
+            return accepted, rounds
+        if not accepted and free and free[0].evidence > candidates[0].evidence:
+            return accepted, rounds  # nothing of the library is as good as a law without a name
+        best, space = settled(candidates[0], space.trusting())
+        accepted.append(best)
+
+
+def _composed(causes: Sequence[Candidate]) -> bool:
+    """Whether more effects are at work, each with a share that counts, than a record has at once.
+
+    A law that is in the library takes nearly all that it does. One that is not is taken to pieces:
+    as much is left after every effect that is accepted as before. Devices of one effect are one,
+    and so are errors of all devices, which a model that was never calibrated has of every kind.
+    """
+    whole = sum(one.evidence for one in causes)
+    large = [one for one in causes if one.evidence > REMAINDER * whole]
+    return len({"" if one.raised else one.kind.id for one in large}) > AT_ONCE
+
+
+def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:
+    """Whether it says again what is said of its BPMs.
+
+    A BPM that averages, scales or delays does so to its noise as well, and what its law leaves
+    wanders with the orbit: its noise, or what it reads, is not odd besides. And of a BPM whose
+    noise is told to remember no law of its readings is: a feedback that acts on them makes the beam
+    follow that noise, which looks like a law, and no floor has such a noise.
+    """
+    if one.kind.target != "bpm":
+        return False
+    if one.places and set(one.names) <= _coloured(accepted):
+        return True
+    if not (one.noisy or one.courseless):
+        return False
+    known = [set(its.places) for its in accepted if its.kind.target == "bpm" and not its.noisy]
+    return any(not places or (one.places and set(one.places) <= places) for places in known)
+
+
+def _coloured(accepted: Sequence[Candidate]) -> set[str]:
+    """Names of single BPMs whose noise is told to remember."""
+    return {name for one in accepted if one.coloured for name in one.names}
+
+
+def _last_resort(candidates: list[Candidate], accepted: bool) -> list[Candidate]:
+    """Tell that the noise of a BPM is unlike the others' only where nothing else is told.
+
+    Whatever a BPM does that is in no law adds to its noise.
+    """
+    others = [one for one in candidates if not (one.noisy and one.courseless)]
+    return others if accepted or (others and others[0].evidence >= SURE) else candidates
+
+
+def _light(candidates: list[Candidate]) -> list[Candidate]:
+    """Drop the fields of all but the finalists: each is as large as the record."""
+    rest = [replace(one, field=None, finer=None) for one in candidates[FINALISTS:]]
+    return [*candidates[:FINALISTS], *rest]

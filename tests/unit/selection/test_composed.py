@@ -1,0 +1,70 @@
+"""What takes many effects at once is one that the library lacks."""
+
+import pytest
+
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.impact.named import named
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection import rounds
+from orbitfb.diagnose.verdict.causes import unknown_of
+from orbitfb.diagnose.verdict.state import judged
+from orbitfb.effects.registry import effect
+from tests.unit.hypotheses.small_records import make_record
+
+BROAD = {0: 2.0}
+
+
+def causes(*told: tuple[str, float]) -> list[Candidate]:
+    return [Candidate(effect(name), (), (), {}, nats, noisy=True) for name, nats in told]
+
+
+def found(monkeypatch: pytest.MonkeyPatch, *told: Candidate) -> tuple[list[Candidate], list]:
+    """A tournament in which each of them leads a round, and then none."""
+    ahead = iter([one] for one in told)
+    monkeypatch.setattr(rounds, "candidates_of", lambda *given: next(ahead, []))
+    monkeypatch.setattr(rounds, "refitted", lambda candidates, *given: candidates)
+    monkeypatch.setattr(Candidate, "accepted", lambda one, space, spread=True: space)
+    return rounds.tournament(Workspace.of(make_record(41), [effect("bpm-gain")]), [])
+
+
+def test_a_third_effect_is_told_as_what_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = causes(("bpm-walk", 400.0), ("corrector-lag", 300.0), ("bpm-roll", 200.0))
+    accepted, its = found(monkeypatch, *told)
+    assert accepted == told[:2]
+    verdict = judged(named(accepted, its), its)
+    assert (verdict.state, verdict.nats) == ("named_plus_remainder", 200.0)
+    unknown = unknown_of(verdict, named(accepted, its))
+    assert unknown is not None
+    assert effect("bpm-roll").title in unknown.text
+
+
+def test_where_more_is_left_than_was_named_nothing_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told = causes(("bpm-walk", 400.0), ("corrector-lag", 300.0), ("bpm-roll", 900.0))
+    accepted, its = found(monkeypatch, *told)
+    assert judged(named(accepted, its), its).state == "unknown"
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        causes(("bpm-walk", 400.0), ("bpm-walk", 300.0), ("bpm-walk", 200.0)),
+        causes(("bpm-walk", 4000.0), ("corrector-lag", 3000.0), ("bpm-roll", 100.0)),
+    ],
+    ids=["devices of one effect", "a small third one"],
+)
+def test_what_is_one_or_hardly_counts_is_accepted(
+    told: list[Candidate], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    accepted, its = found(monkeypatch, *told)
+    assert accepted == told
+    assert judged(named(accepted, its), its).state == "named"
+
+
+def test_errors_of_all_devices_are_one_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model that was never calibrated has them of gains, calibrations and gradients."""
+    names = ("bpm-gain", "corrector-gain", "quadrupole-gradient")
+    told = [Candidate(effect(one), (), (), {}, 300.0, raised=BROAD) for one in names]
+    accepted, _ = found(monkeypatch, *told)
+    assert accepted == told
