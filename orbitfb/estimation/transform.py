@@ -18,9 +18,6 @@ from orbitfb.core.signals import Mask, Vector
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_LOWEST = 1e-4
-"""λ of the edge of the lowest band: periods of 630 ticks and longer are one band."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepTransform:
@@ -52,7 +49,8 @@ class StepTransform:
 
         Args:
             starts: Whether a row begins a stretch, shape (N,); the first row does.
-            bands: Into how many bands of λ to sort the frequencies, logarithmic in λ; None: every
+            bands: Into how many bands of λ to sort the frequencies, logarithmic in λ from the
+                slowest one on: where nothing walks, its weight is that of no other. None: every
                 value of λ is a band of its own, so that sums by band are exact.
             exact: Leave every stretch whole.
         """
@@ -69,7 +67,7 @@ class StepTransform:
         if bands is None:
             _, band = np.unique(eigenvalue, return_inverse=True)
         else:
-            edges = np.geomspace(_LOWEST, 4.0, bands)[:-1]
+            edges = np.geomspace(np.min(eigenvalue, initial=4.0), 4.0, bands + 1)[1:-1]
             _, band = np.unique(np.searchsorted(edges, eigenvalue), return_inverse=True)
         count = np.bincount(band)
         return cls(len(starts), begins, tuple(pieces), eigenvalue, band, count)

@@ -252,3 +252,18 @@ def test_sizes_are_exact_though_the_factor_is_that_of_another_information() -> N
     assert (found - wanted)[used] @ inner @ (found - wanted)[used] < 1e-4
     assert not np.any(found[~used])
     assert its.mean(pull) != pytest.approx(wanted, rel=0.1)
+
+
+@pytest.mark.parametrize("rows", [300, 3000, 20000])
+@pytest.mark.parametrize("ratio", [1e-9, 1e-4])
+def test_information_by_band_is_right_for_what_is_slow(rows: int, ratio: float) -> None:
+    """A ramp is at the slowest frequency, which noise alone leaves quieter than all others."""
+    starts = np.zeros(rows, dtype=np.bool_)
+    starts[0] = True
+    transform = StepTransform.of(starts, 16)
+    noise = StepNoise(np.array([[ratio]]), np.array([[1.0]]))
+    for course in (np.arange(rows), np.arange(rows) > rows // 2, np.arange(rows) ** 2 / rows):
+        power = transform.spectrum(course[:, None].astype(float)) ** 2
+        exact = float(np.sum(power / noise.variance(transform)))
+        by_band = float(np.sum(transform.by_band(power) * noise.inverse_variance(transform)))
+        assert by_band == pytest.approx(exact, rel=0.35)
