@@ -24,6 +24,9 @@ from orbitfb.loco.named import Named
 from orbitfb.loco.run import Result, diagnose
 from orbitfb.physics.places import Plane
 
+_SAME = 0.3
+"""Share of a deviation by which the laboratory's may differ, of the same device [1]."""
+
 
 def fitted(its: MeasuredRing, checks: bool) -> dict[str, Any]:
     """Fit one response.
@@ -58,6 +61,7 @@ def fitted(its: MeasuredRing, checks: bool) -> dict[str, Any]:
         one.planes: round(one.per_tick or 0.0, 4)
         for one in growths(its.ring, its.measured, found.nominal)
     }
+    answer["gains_named_as_the_laboratory"] = _as_the_laboratory(its, found)
     answer["named"] = [_told(its, one) for one in found.named if one.stands_out]
     answer["nearly"] = [_told(its, one) for one in found.named if not one.stands_out]
     return answer
@@ -99,6 +103,24 @@ def _plane(its: MeasuredRing, found: Result, plane: Plane) -> dict[str, Any]:
         answer[f"{group}_mad"] = round(TO_SIGMA * float(np.median(np.abs(apart))), 5)
         answer[f"{group}_worst"] = round(float(np.max(np.abs(apart))), 5)
     return answer
+
+
+def _as_the_laboratory(its: MeasuredRing, found: Result) -> str:
+    """Count gains and calibrations that are named and that the laboratory's fit has, too."""
+    same, known = 0, 0
+    for group in ("gain", "calibration"):
+        for plane in found.mended.planes:
+            own = found.estimates[f"{group}:{plane}"]
+            theirs = its.laboratory[f"{group}:{plane}"]
+            value = own.value + (group == "gain")
+            usual = np.isfinite(theirs) & (own.family == 0) & ~own.free
+            there = own.free & np.isfinite(theirs)
+            there &= found.fit.noise[plane].kept.any(axis=1 if group == "gain" else 0)
+            apart = (value / np.median(value[usual]) - 1.0)[there]
+            lab = (theirs / np.median(theirs[usual]) - 1.0)[there]
+            known += int(there.sum())
+            same += int((np.abs(lab - apart) < _SAME * np.abs(apart)).sum())
+    return f"{same} of {known}"
 
 
 def _halves(its: MeasuredRing) -> dict[Plane, float]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from orbitfb.loco.estimates import GAUGE
 from orbitfb.loco.named import Named
+from orbitfb.loco.output.correlations import correlations
 from orbitfb.loco.output.devices import kicks, outliers, quadrupoles, readings, skews
 from orbitfb.loco.parameters import BELIEVED
 from orbitfb.loco.run import Result
@@ -61,6 +62,7 @@ def answer_of(
         quadrupoles=quadrupoles(result),
         skews=skews(result),
         outliers=outliers(result),
+        correlations=correlations(result),
     )
 
 

@@ -61,14 +61,14 @@ def estimates(fitting: PlaneFit, fit: Fit, coupling: Coupling | None) -> dict[st
         z, free, spread, family = _standing(fit, name)
         if kind == "gain":
             usual[plane] = index[~free]
-        contrast, offset = _contrast(fit, name, usual)
-        spread_out = contrast @ fit.posterior.covariance
-        sigma = np.sqrt(np.einsum("ij,ij->i", spread_out, contrast))
+        form, offset = contrast(fit, name, usual)
+        spread_out = form @ fit.posterior.covariance
+        sigma = np.sqrt(np.einsum("ij,ij->i", spread_out, form))
         halves = by_row if kind in ("calibration", "column-phase", "energy") else by_column
-        apart = contrast @ (halves[0] - halves[1])
+        apart = form @ (halves[0] - halves[1])
         widened = max(1.0, _typical(apart) / (2.0 * max(float(np.median(sigma)), 1e-300)))
         found[name] = Estimate(
-            contrast @ fit.theta + offset, sigma * widened, z, free, spread, widened, family
+            form @ fit.theta + offset, sigma * widened, z, free, spread, widened, family
         )
     if coupling is not None:
         for name, index in coupling.groups.of.items():
@@ -105,7 +105,7 @@ def _standing(fit: Fit, name: str) -> tuple[Vector, Mask, float, Indices]:
     return z, z > STANDS_OUT, spread, family
 
 
-def _contrast(fit: Fit, name: str, usual: dict[str, Indices]) -> tuple[Matrix, Vector]:
+def contrast(fit: Fit, name: str, usual: dict[str, Indices]) -> tuple[Matrix, Vector]:
     """Give the linear form of the parameters that a group is told by, and what is added.
 
     Args:

@@ -101,6 +101,14 @@ class Skew(Part):
     z: Number
 
 
+class Correlation(Part):
+    """Two parameters that the response knows only together: kind and device of each."""
+
+    first: str
+    second: str
+    correlation: Number
+
+
 class Block(Part):
     """One block: relative residuals step by step, and χ² per degree of freedom."""
 
@@ -169,6 +177,7 @@ class ResponseDiagnosis(Part):
     quadrupoles: tuple[Quadrupole, ...]
     skews: tuple[Skew, ...]
     outliers: tuple[Outlier, ...]
+    correlations: tuple[Correlation, ...]
 
 
 def document(answer: ResponseDiagnosis) -> str:

@@ -30,6 +30,7 @@ def write(answer: ResponseDiagnosis, result: Result, directory: Path) -> tuple[P
         "quadrupoles.csv": csv_of(answer.quadrupoles),
         "skews.csv": csv_of(answer.skews),
         "outliers.csv": csv_of(answer.outliers),
+        "correlations.csv": csv_of(answer.correlations),
         "corrections.csv": corrections_csv(answer),
         "fitted.csv": fitted_csv(result),
         "effect.toml": fragment(answer.findings, result, answer.headline),
