@@ -1,12 +1,15 @@
 """What the learner promotes on a ring that rests and on rings that drift.
 
     python -m benchmarks.promotions [--minutes 60] [--drift none,paper,mild,strong] [--seed 1]
+                                    [--rule before,now] [--policy svd]
 
 The loop runs in process, as fast as it goes, with the service's own learner: identification,
 judge, shadow and watch, at 10 orbits a second. Every run is made twice on the same ring and the
 same noise: by the rule `before` (a predicted gain of 0.2 %, whatever its interval) and by the rule
 of the configuration. Both are told side by side: refits, how many of them were promoted with
-the 95 % interval of that share (Wilson), when the first useful one came, and the true orbit.
+the 95 % interval of that share (Wilson), when the first useful one came, the true orbit, that over
+the one of a loop that is told the true response every two seconds, and the share of the errors of
+R̂ within two of their standard deviations, every fifty seconds.
 
 A promotion is useful when the loop on the true response is better with it than with the policy of
 the start by more than a swap costs (`orbitfb.learn.watch.swap_cost`).
@@ -44,6 +47,8 @@ from orbitfb.physics.plant import Plant, PlantSettings  # noqa: E402
 from orbitfb.policies.settings import PolicySettings  # noqa: E402
 
 RATE = 10.0
+_TOLD, _ASKED = 20, 500
+"""Ticks between two true responses that are told, and between two looks at the errors of R̂."""
 _POLL = 4
 """Ticks between two looks of the learner; the service looks five times a second."""
 RULES: Mapping[str, Mapping[str, Any]] = {
@@ -76,10 +81,12 @@ class Run:
     Args:
         events: Of the learner.
         true_rms: True orbit of every tick [m].
+        covered: Share of the errors of R̂ within two standard deviations, one for every look [1].
     """
 
     events: tuple[Event, ...]
     true_rms: np.ndarray
+    covered: tuple[float, ...] = ()
 
     @property
     def rms(self) -> float:
@@ -102,6 +109,20 @@ class Run:
         return next(useful, None)
 
 
+def plant(drift: str, seed: int) -> Plant:
+    """Make the ring of a run."""
+    drifting = DriftSettings.model_validate({"preset": drift})
+    return Plant(Ring.load(), "x", PlantSettings(drift=drifting), seed)
+
+
+def told(drift: str, seed: int, ticks: int, policy: PolicySettings) -> Run:
+    """Run the loop that is told the true response."""
+    ring = plant(drift, seed)
+    loop = ClosedLoop(ring, first_policy(ring.response, policy), ticks)
+    loop.run(lambda its: first_policy(its.plant.response, policy), _TOLD)
+    return Run((), loop.true_rms)
+
+
 class Bench:
     """A ring, its loop and the learner's work, stepped by hand.
 
@@ -110,17 +131,18 @@ class Bench:
         seed: Of ring, noise and drift.
         ticks: How long.
         judge: Settings of the judge that differ from the defaults.
+        policy: Kind of the policy.
     """
 
-    def __init__(self, drift: str, seed: int, ticks: int, judge: Mapping[str, Any]) -> None:
-        drifting = DriftSettings.model_validate({"preset": drift})
-        self._plant = Plant(Ring.load(), "x", PlantSettings(drift=drifting), seed)
-        policy = PolicySettings()
-        first = first_policy(self._plant.nominal_response, policy)
+    def __init__(
+        self, drift: str, seed: int, ticks: int, judge: Mapping[str, Any], policy: PolicySettings
+    ) -> None:
+        self._plant = plant(drift, seed)
+        first = first_policy(self._plant.response, policy)
         self._slot = PolicySlot(first)
         self._loop = ClosedLoop(self._plant, first, ticks)
         settings = LearnSettings.model_validate({"judge": judge})
-        response = self._plant.nominal_response
+        response = self._plant.response
         self._learner = Learner(response, settings, builder(policy), ManualClock(), seed, RATE)
         self._events: list[Event] = []
         self._clock = ManualClock()
@@ -137,11 +159,16 @@ class Bench:
 
     def run(self) -> Run:
         """Run to the end."""
+        covered: list[float] = []
         while self._loop.tick < len(self._loop.true_rms) and not self._loop.lost:
             self._loop.advance(_POLL)
             self._thread.step()
             self._loop.policy = self._slot.current
-        return Run(tuple(self._events), self._loop.true_rms[: self._loop.tick])
+            if self._loop.tick % _ASKED == 0:
+                errors = self._learner.model.normalised_errors(self._plant.response)
+                covered.append(float(np.mean(np.abs(errors) < 2.0)))
+        true_rms = self._loop.true_rms[: self._loop.tick]
+        return Run(tuple(self._events), true_rms, tuple(covered))
 
     def _note(self, report: RefitReport) -> None:
         gain = float("nan")
@@ -167,7 +194,7 @@ def wilson(count: int, total: int) -> tuple[float, float]:
     return float(middle - half), float(middle + half)
 
 
-def line(drift: str, seed: int, rule: str, run: Run) -> str:
+def line(drift: str, seed: int, rule: str, run: Run, bound: Run) -> str:
     """Say what came of one run."""
     low, high = wilson(run.promoted, run.refits)
     first = run.first_useful(swap_cost(LearnSettings()))
@@ -175,7 +202,8 @@ def line(drift: str, seed: int, rule: str, run: Run) -> str:
     return (
         f"{drift:<7}{seed:>4}  {rule:<7}{run.refits:>7}{run.promoted:>9}"
         f"   {100 * run.promoted / max(run.refits, 1):4.1f} [{100 * low:.1f}, {100 * high:.1f}] %"
-        f"   {useful:>8}   {run.rms * 1e6:.4f}"
+        f"   {useful:>8}   {run.rms * 1e6:.4f}   {run.rms / bound.rms:9.3f}"
+        f"   {100 * np.mean(run.covered):.1f} %"
     )
 
 
@@ -186,13 +214,19 @@ def main() -> None:
     parser.add_argument("--drift", default="none,paper,mild,strong", help="presets, by commas")
     parser.add_argument("--seed", type=int, default=1, help="of ring, noise and drift")
     parser.add_argument("--rule", default="before,now", help="rules, by commas")
+    parser.add_argument("--policy", default="svd", help="kind of the policy")
     options = parser.parse_args()
     ticks = int(options.minutes * 60 * RATE)
-    print("drift  seed  rule    refits promoted   share               first useful   true um rms")
+    policy = PolicySettings(kind=options.policy)
+    print(
+        "drift  seed  rule    refits promoted   share               first useful   true um rms"
+        "   over told   covered"
+    )
     for drift in options.drift.split(","):
+        bound = told(drift, options.seed, ticks, policy)
         for rule in options.rule.split(","):
-            run = Bench(drift, options.seed, ticks, RULES[rule]).run()
-            print(line(drift, options.seed, rule, run), flush=True)
+            run = Bench(drift, options.seed, ticks, RULES[rule], policy).run()
+            print(line(drift, options.seed, rule, run, bound), flush=True)
 
 
 if __name__ == "__main__":
