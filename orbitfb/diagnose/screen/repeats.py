@@ -19,7 +19,7 @@ HELD = "held-readings"
 
 _CHANCE = 1e-6
 _TOGETHER = 3
-"""BPMs that repeat at once and are no chance."""
+"""BPMs that repeat at once, at least, to be told as those of a crate."""
 _MOSTLY_READ_TWICE = 0.5
 """Share of these rows in which a BPM repeats that belongs to them."""
 _SHORTEST_FREEZE = 8
@@ -82,10 +82,14 @@ def check_repeats(record: Record) -> list[Finding]:
 
 
 def shared_repeats(record: Record) -> Mask:
-    """Tell which readings repeat the one before to the last bit, with others but not all, (N, n).
+    """Tell which readings repeat the one before to the last bit, some at once but not all, (N, n)."""
+    same = _repeats(record)
+    same[np.count_nonzero(same, axis=1) < _TOGETHER] = False
+    return same
 
-    Where readings never repeat by chance, three that do at once were not read but kept.
-    """
+
+def _repeats(record: Record) -> Mask:
+    """The same of single ones, too; none where readings of most BPMs repeat by chance, (N, n)."""
     same = np.zeros(record.readings.shape, dtype=np.bool_)
     same[1:] = (np.diff(record.readings, axis=0) == 0.0) & inner(record)[:, None]
     same[1:] &= ~record.filled[1:] & ~record.filled[:-1]
@@ -94,8 +98,28 @@ def shared_repeats(record: Record) -> Mask:
     if np.median(share) > 0.0:
         return np.zeros_like(same)
     same[:, share >= _HELD] = False
-    same[np.count_nonzero(same, axis=1) < _TOGETHER] = False
     return same
+
+
+def _by_chance(record: Record, together: int, rows: int) -> bool:
+    """Whether BPMs that repeat at the same rows may each do so by chance, as they do alone.
+
+    Readings in single precision repeat some ten times in a hundred thousand.
+
+    Args:
+        record: In question.
+        together: How many repeat at once.
+        rows: In how many rows.
+    """
+    alone = np.count_nonzero(np.count_nonzero(_repeats(record), axis=1) == 1)
+    each = math.log(max(alone, 1) / record.readings.size)
+    tries = _log_choices(record.readings.shape[1], together) + _log_choices(len(record), rows)
+    return tries + rows * together * each > math.log(_CHANCE)
+
+
+def _log_choices(count: int, chosen: int) -> float:
+    """Logarithm of the number of ways to choose some of many."""
+    return math.lgamma(count + 1) - math.lgamma(chosen + 1) - math.lgamma(count - chosen + 1)
 
 
 def _crates(record: Record, shared: Mask, told: set[str]) -> list[Finding]:
@@ -107,6 +131,8 @@ def _crates(record: Record, shared: Mask, told: set[str]) -> list[Finding]:
         label for label, share in zip(labels, often, strict=True) if share > _MOSTLY_READ_TWICE
     )
     if len(names) < _TOGETHER or told & set(names):
+        return []
+    if _by_chance(record, len(names), len(rows)):
         return []
     text = (
         f"{listed(names)} repeat their readings, to the last bit, at the same "

@@ -242,6 +242,22 @@ def test_a_crate_that_is_not_read_at_some_ticks():
     np.testing.assert_array_equal(certain.record.readings[~filled], readings[~filled])
 
 
+@pytest.mark.parametrize(("together", "rows", "crate"), [(3, 1, False), (3, 4, True), (8, 1, True)])
+def test_readings_in_single_precision_repeat_at_once_by_chance(together, rows, crate):
+    """As often as 120 lone ones of 540,000 let it."""
+    made = record()
+    readings, rng = made.readings.copy(), np.random.default_rng(9)
+    count, n = readings.shape
+    lone = rng.choice(np.arange(20, count - 20, 3), max(count * n // 4500, 20), replace=False)
+    for row in lone:
+        column = rng.integers(n)
+        readings[row, column] = readings[row - 1, column]
+    for row in np.setdiff1d(np.arange(20, count - 20), [*lone, *lone - 1, *lone + 1])[:rows]:
+        readings[row, 40 : 40 + together] = readings[row - 1, 40 : 40 + together]
+    found = screen(replace(made, readings=readings))
+    assert any(one.check == "repeated-crate" for one in found) == crate
+
+
 def test_all_bpms_frozen_make_a_diagnosis_nonsense():
     made = record(ticks=400)
     readings = made.readings.copy()
