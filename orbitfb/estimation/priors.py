@@ -178,6 +178,10 @@ OWN_VALUES = 9
 RANKED_VALUES = 3
 """Values of a grid that are scored for all sets of devices, by each of two marks."""
 
+SAMPLED = 12
+"""Frequencies of a band that are summed where a value is only to be ranked among others: of the
+slow bands, which have fewer, all."""
+
 VALUE_SCATTER = 0.5
 """Largest scatter of a value from device to device, of the value [1]: a half."""
 

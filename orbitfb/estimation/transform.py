@@ -90,6 +90,20 @@ class StepTransform:
         """Frequencies of a band."""
         return np.flatnonzero(self.band == band)
 
+    def sample(self, most: int) -> tuple[Indices, Vector]:
+        """Frequencies, evenly from every band, and how many each stands for, shape (k,) both.
+
+        Args:
+            most: Of a band, about; all of one that has fewer.
+        """
+        bands = [self.members(band) for band in range(len(self.count))]
+        # An odd distance: a course that is symmetric has nothing at every other frequency.
+        some = [one[:: len(one) // most | 1] for one in bands]
+        share = [
+            np.full(len(part), len(one) / len(part)) for one, part in zip(bands, some, strict=True)
+        ]
+        return np.concatenate(some), np.concatenate(share)
+
     def by_band(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
         """Sum over the frequencies of every band, shape (B, k) of (T, k)."""
         member = np.zeros((len(self.count), len(self)), dtype=values.dtype)

@@ -15,11 +15,8 @@ from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, OwnValues
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalPriors, NormalTerms
-from orbitfb.estimation.priors import SHARES
+from orbitfb.estimation.priors import SAMPLED, SHARES
 from orbitfb.estimation.transform import Indices, Matrix
-
-_SIXTEENTH = 16
-"""Every which frequency is summed where a value is only to be ranked among others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +34,7 @@ class Scorer:
         inverse: Mean inverse variance of every mode in every band, shape (B, n).
         weights: 1/(q + λ) of every mode at every frequency, shape (T, n).
         members: Frequencies of every band.
+        sample: Frequencies that stand for all where values are ranked, and for how many each.
         kept: What patterns see, by their identity.
         nearby: Errors of the devices of a kind, by the kind.
         smaller: The healthy errors as they are, and as they may be once a cause is known.
@@ -52,6 +50,7 @@ class Scorer:
     inverse: Single
     weights: Single
     members: tuple[Indices, ...]
+    sample: tuple[Indices, Vector]
     kept: dict[int, Seen] = field(default_factory=dict)
     nearby: dict[str, Beside | None] = field(default_factory=dict)
     smaller: list[NormalPriors] = field(default_factory=list)
@@ -69,6 +68,7 @@ class Scorer:
             space.noise.inverse_variance(transform).astype(np.float32),
             (1.0 / space.noise.variance(transform)).astype(np.float32),
             tuple(transform.members(band) for band in range(len(transform.count))),
+            transform.sample(SAMPLED),
         )  # fmt: skip
 
     def evaluate(self, fields: "Sequence[Matrix | Single]") -> tuple[Vector, Matrix]:
@@ -202,13 +202,13 @@ class Scorer:
         return self.nearby[target]
 
     def all_together(self, patterns: Matrix, spectrum: Single) -> float:
-        """Information of all devices with one common value, from every sixteenth frequency."""
+        """Information of all devices with one common value, from some frequencies of each band."""
         if spectrum.shape[1] == 1:
             spectrum = np.broadcast_to(spectrum, (len(spectrum), patterns.shape[1]))
-        seen = spectrum[::_SIXTEENTH] @ self.seen(patterns).modes
-        return float(
-            _SIXTEENTH * np.sum(seen * seen * self.weights[::_SIXTEENTH], dtype=np.float64)
-        )
+        rows, share = self.sample
+        seen = spectrum[rows] @ self.seen(patterns).modes
+        along = np.sum(seen * seen * self.weights[rows], axis=1, dtype=np.float64)
+        return float(share @ along)
 
     def eased(self, field: Matrix) -> float:
         """Log evidence gained if the healthy errors are smaller once a cause is known [nats].

@@ -82,7 +82,7 @@ def check_repeats(record: Record) -> list[Finding]:
 
 
 def shared_repeats(record: Record) -> Mask:
-    """Tell which readings repeat the one before to the last bit, some at once but not all, (N, n)."""
+    """Tell which readings repeat the one before to the last bit, several at once, (N, n)."""
     same = _repeats(record)
     same[np.count_nonzero(same, axis=1) < _TOGETHER] = False
     return same
