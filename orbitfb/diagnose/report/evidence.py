@@ -13,9 +13,9 @@ _MOST = 12
 def evidence(its: Diagnosis) -> str:
     """Show which effects were tried, and what each explains of the record."""
     said = paragraph(
-        "Evidence counts in nats: the logarithm of how much more likely the record is with an "
-        "effect in the model than without it, less what the choice of places and values costs. "
-        "12 nats are odds of a hundred thousand to one.",
+        "Evidence is counted in nats. It says how much more likely an effect in the model makes "
+        "the record: the natural logarithm of the ratio, less a cost for the choice of places and "
+        "values. 12 nats are odds of a hundred thousand to one.",
         "note",
     )
     pieces = [said, *_gap(its), *_tournament(its)]
@@ -34,8 +34,8 @@ def _gap(its: Diagnosis) -> list[str]:
     whole = interval(gap.nats_per_tick, gap.low, gap.high)
     pieces = [
         paragraph(
-            f"The nominal model makes the record less likely by {whole} nats a row than it is by "
-            f"its noise alone. Noise: {text(gap.floor_from)}."
+            f"The nominal model makes the record less likely than noise alone does, by {whole} "
+            f"nats a row. Noise: {text(gap.floor_from)}."
         )
     ]
     if len(its.waterfall) > 1:

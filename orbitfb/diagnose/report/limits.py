@@ -34,8 +34,8 @@ def limits(its: Diagnosis) -> str:
         ]
         pieces.append(
             paragraph(
-                "How alike the best effects change this record: the cosine of what they add; at ±1 "
-                "they cannot be told apart.",
+                "How similar the changes are that the best effects make to this record (cosine). "
+                "Two effects at ±1 cannot be told apart.",
                 "note",
             )
         )
@@ -54,7 +54,8 @@ def limits(its: Diagnosis) -> str:
         heads = ("effect", "parameter", "at half of the places", "at the best place")
         pieces.append(
             folded(
-                "what size of each effect this record would have shown (5 standard deviations)",
+                "smallest size of each effect that this record would have shown (5 standard "
+                "deviations)",
                 table(heads, rows),
             )
         )
@@ -76,8 +77,8 @@ def audit(its: Diagnosis) -> str:
     if its.audit is None:
         return section("audit", title, missing("The audit of what is left"))
     said = (
-        "With all causes in the model the errors of its predictions should be plain noise. Each "
-        "limit is passed by 99 of 100 records that are."
+        "With all causes in the model, the errors of its predictions should be white noise. For "
+        "white noise, 99 of 100 records stay within each limit."
     )
     return section("audit", title, paragraph(said, "note"), *_audit(its.audit))
 

@@ -46,9 +46,9 @@ def _tiles(its: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "where", where_is(its.causes[0], 2)
         yield "probability", chance(its.causes[0].probability)
     if its.gap is not None and its.gap.um:
-        yield "orbit error it adds, row to row", micrometres(its.gap.um)
+        yield "orbit error that it adds, row to row", micrometres(its.gap.um)
     if its.shrink is not None and its.shrink.resolved:
-        yield "gone with it in the model", percent(its.shrink.um)
+        yield "of it removed by a model with the cause", percent(its.shrink.um)
     loop = its.closed_loop
     if loop is not None and loop.without_um is not None:
         yield "orbit in the loop now", micrometres(loop.measured_um)
@@ -170,7 +170,7 @@ def experiment(its: Diagnosis) -> str:
     """Write the card of the recommended experiment."""
     title = "Recommended experiment"
     if its.experiment is None:
-        why = "" if its.state == "ambiguous" else "nothing has to be told apart"
+        why = "" if its.state == "ambiguous" else "there are no rival causes to tell apart"
         return section("experiment", title, missing("An experiment", why))
     plan = its.experiment
     rows = [(name, value) for name, value in _plan(plan) if value]

@@ -18,7 +18,7 @@ def orbit(its: Diagnosis) -> str:
     pieces = [
         _shrink(its.shrink)
         if its.shrink
-        else missing("The shrink", "what is named is noise: it changes no prediction")
+        else missing("The shrink", "the cause is noise, which changes no prediction")
     ]
     if its.k_steps:
         pieces.append(orbit_pictures.k_steps(its.k_steps))
@@ -30,13 +30,13 @@ def orbit(its: Diagnosis) -> str:
 def _shrink(its: Shrink) -> str:
     on = text(its.on) or "the record"
     if not its.resolved:
-        return paragraph(f"On {on} there is no gap that is larger than its own uncertainty.")
+        return paragraph(f"On {on} the gap is not larger than its uncertainty.")
     rows = [
         ("error of a prediction beyond noise and drift, nominal model", micrometres(its.before_um)),
-        ("the same with the causes in the model", micrometres(its.after_um)),
-        ("gone, 90 % interval", percent(its.um, its.um_low, its.um_high)),
+        ("the same, with the causes in the model", micrometres(its.after_um)),
+        ("removed by the causes, 90 % interval", percent(its.um, its.um_low, its.um_high)),
     ]
-    return paragraph(f"Told on {on}, {its.held_out_ticks} rows.") + table(("", ""), rows)
+    return paragraph(f"Measured on {on}, {its.held_out_ticks} rows.") + table(("", ""), rows)
 
 
 def _loop(loop: ClosedLoop) -> list[str]:
@@ -63,7 +63,9 @@ def where(its: Diagnosis) -> str:
     title = "Where and when"
     gap = its.gap
     if gap is None or not (gap.um_by_bpm or gap.by_window):
-        why = "noise alone has no course" if its.causes else "no cause is named"
+        why = (
+            "the cause is noise, which has no place in time" if its.causes else "no cause is named"
+        )
         return section("gap", title, missing("Where the gap lies", why))
     onsets = [cause.onset_s for cause in its.causes if cause.onset_s is not None]
     return section(

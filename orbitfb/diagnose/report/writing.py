@@ -20,8 +20,8 @@ _FILES = (ANSWER, REPORT, GAP, EFFECTS)
 _UNKNOWN_RING = "unknown-ring"
 """The check that looks for the names in the places table."""
 _OF_ANOTHER_RING = (
-    "The names are in no known places table: the default ring cannot have these effects. Give the "
-    "places table of your ring, to `orbitfb run` as ring.places of the configuration."
+    "No known places table has these names, so the default ring cannot have these effects. Give "
+    "`orbitfb run` the places table of your ring: ring.places in the configuration."
 )
 
 
@@ -38,12 +38,13 @@ def check_directory(directory: Path) -> None:
             nearest = nearest.parent
         if not nearest.is_dir():
             raise RecordError(
-                f"--out {directory}: {nearest} is no directory; name one, or a new one"
+                f"--out {directory}: {nearest} is not a directory; name a directory, existing or "
+                "new"
             )
         taken = [name for name in _FILES if (directory / name).is_dir()]
     except OSError as error:
         raise RecordError(
-            f"--out {directory}: cannot be looked at ({error.strerror}); name another directory"
+            f"--out {directory}: cannot be read ({error.strerror}); name another directory"
         ) from error
     if taken:
         raise RecordError(

@@ -19,8 +19,8 @@ _TO_DO = {
     "sensor": "Check the reading of {where}: cable, electronics, calibration.",
     "actuator": "Check the power supply and the magnet of {where}.",
     "optics": "Measure the response again, or load effect.toml into the model.",
-    "disturbance": "Look for what moves the beam at {where}.",
-    "noise": "Check what makes the readings of {where} noisy; the response need not change.",
+    "disturbance": "Find what moves the beam at {where}.",
+    "noise": "Find what makes the readings of {where} noisy. The response can stay as it is.",
     "timing": "Check trigger and transport of {where}: when data are taken and when they arrive.",
 }
 """What to do about a cause, by the link of the chain that it is in."""
@@ -53,12 +53,12 @@ def headline(
     """
     if state is None:
         failures = [finding.text for finding in findings if finding.severity == "failure"]
-        return "The record is not intact, nothing was estimated: " + "; ".join(failures[:3])
+        return "The record is not intact, so nothing was estimated: " + "; ".join(failures[:3])
     noise = quantity(None if gap is None or gap.floor_um is None else 1e-6 * gap.floor_um, "m")
     if state == "no_gap":
         return (
-            "No gap: the model explains the record down to its noise "
-            f"({noise} rms of a prediction one row ahead). No effect is needed."
+            "No gap: the model explains the record down to its noise. A prediction one row ahead "
+            f"is wrong by {noise} rms from noise alone. No effect is needed."
         )
     parts = [
         _named(cause, first=number == 0)
@@ -135,7 +135,7 @@ def where_is(cause: Cause, most: int = 4) -> str:
 def to_do(cause: Cause) -> str:
     """Say what to do about a cause."""
     if cause.scatter:
-        return "The errors are everywhere: measure the response again, or refit the model."
+        return "All devices have errors: measure the response again, or refit the model."
     return _TO_DO[cause.stage].format(where=where_is(cause))
 
 
@@ -148,12 +148,15 @@ def _named(cause: Cause, *, first: bool) -> str:
 def _size(gap: Gap, shrink: Shrink | None, noise: str) -> str:
     """What the causes do to a prediction, in µm of orbit, and what is left of that."""
     told = quantity(None if gap.um is None else 1e-6 * gap.um, "m")
-    text = f"This adds {told} rms to the {noise} that noise leaves of a prediction one row ahead"
+    text = (
+        f"This adds {told} rms to the error of a prediction one row ahead; "
+        f"noise alone makes {noise}"
+    )
     if shrink is None or shrink.um is None or not shrink.resolved:
         return f"{text}."
     on = "" if shrink.on == "the record itself" else f" on {shrink.on}"
     gone = percent(shrink.um, shrink.um_low, shrink.um_high)
-    return f"{text}; with it in the model {gone} of that is gone{on}."
+    return f"{text}. A model with the cause removes {gone} of the added error{on}."
 
 
 def _loop(loop: ClosedLoop | None) -> str:
@@ -170,6 +173,6 @@ def _unknown(state: State, unknown: Unknown | None, effects: int) -> str:
     begin = (
         f"None of {tested} explains the gap."
         if state == "unknown"
-        else f"A part of the gap remains that none of {tested} explains."
+        else f"None of {tested} explains the rest of the gap."
     )
     return f"{begin} {unknown.text}" if unknown is not None and unknown.text else begin

@@ -34,7 +34,7 @@ _FACTORS = {
     -1.0: (
         "wrong-sign",
         "the change of 'setpoint' with the opposite sign",
-        "one of the two has the wrong sign; turn it",
+        "one of the two has the wrong sign; reverse it",
     ),
 }
 
@@ -57,9 +57,9 @@ def other_actions(first: Indices, asked: Matrix, done: Matrix, exact: np.ndarray
             return [Finding(check, "failure", (), None, text)]
     if _share(asked, done, meant, exact) < 1.0 - _NEARLY and _unlike(first, asked, done):
         text = (
-            "the setpoints do not follow 'action' in (nearly) any row, nor a few rows earlier or "
-            "later: 'action' and 'setpoint' do not belong together; give both of the same rows "
-            "and in the same order, or leave 'action' out"
+            "the setpoints follow 'action' in (nearly) no row, and not a few rows earlier or later "
+            "either: 'action' and 'setpoint' do not match. Give both for the same rows and with "
+            "the columns in the same order, or leave 'action' out"
         )
         return [Finding("foreign-action", "failure", (), None, text)]
     return []

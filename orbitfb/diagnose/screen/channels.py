@@ -44,10 +44,10 @@ class _Alternative:
 
 
 _TEXTS = {
-    "bpm-polarity": "reads with the wrong sign: its steps are those of the model, turned",
-    "bpm-swap": "each read what the model says of the other: their cables or names are swapped",
-    "corrector-polarity": "acts with the wrong sign: the orbit steps against the model with it",
-    "corrector-swap": "each act where the model has the other: their cables or names are swapped",
+    "bpm-polarity": "reads with the wrong sign: its steps are opposite to those of the model",
+    "bpm-swap": "each read what the model predicts for the other: cables or names are swapped",
+    "corrector-polarity": "acts with the wrong sign: its steps are opposite to those of the model",
+    "corrector-swap": "each act as the model predicts for the other: cables or names are swapped",
 }
 
 
@@ -118,8 +118,8 @@ def _turned(steps: Steps, response: Matrix) -> list[Finding]:
     against = (turned < _EXPLAINED * seen) & (likelier(count, right, turned) > SURE)
     if against.mean() > _MOST:
         text = (
-            "the orbit moves against the model: model_R, the setpoints or the orbit have the "
-            "wrong sign altogether; turn one of them"
+            "the orbit moves opposite to the model: model_R, 'setpoint' or 'orbit' has the wrong "
+            "sign as a whole; reverse the wrong one"
         )
         return [Finding("wrong-sign", "failure", (), None, text)]
     return []

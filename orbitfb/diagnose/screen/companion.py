@@ -36,7 +36,7 @@ def read_beside(record: Record, path: Path, planes: Planes | None, ring: Ring | 
     ):
         if its != wanted:
             raise RecordError(
-                f"{path}: array '{array}' is not that of {record.source}: "
+                f"{path}: array '{array}' differs from {record.source}: "
                 f"{_first_difference(its, wanted)}; give a record of the same devices in the "
                 "same order"
             )
@@ -48,14 +48,14 @@ def read_beside(record: Record, path: Path, planes: Planes | None, ring: Ring | 
     error, largest = np.abs(other.response - own.response).max(), np.abs(own.response).max()
     if error > _SAME_MODEL * largest:
         raise RecordError(
-            f"{path}: array 'model_R' is not that of {record.source}: it differs by up to "
-            f"{error * 1e3:.3g} mm/A, the largest there is {largest * 1e3:.3g} mm/A; give both the "
-            "model that is in question"
+            f"{path}: array 'model_R' differs from {record.source} by up to "
+            f"{error * 1e3:.3g} mm/A (largest element {largest * 1e3:.3g} mm/A); give both "
+            "records the model that you want to test"
         )
     if _shared(record, loaded.record) > _MOST_SHARED:
         raise RecordError(
-            f"{path}: array 'orbit' has the rows of {record.source}, and the same data tells "
-            "nothing more; give a record of another time, or leave the option out"
+            f"{path}: array 'orbit' has the same rows as {record.source}, and the same data "
+            "add nothing; give a record of another time, or leave the option out"
         )
     for finding in (*loaded.findings, *screen(loaded.record)):
         if finding.severity == "failure":
@@ -74,8 +74,8 @@ def _shared(first: Record, second: Record) -> float:
 
 def _first_difference(its: Devices, wanted: Devices) -> str:
     if len(its) != len(wanted):
-        return f"it names {len(its)} devices in place of {len(wanted)}"
+        return f"it names {len(its)} devices instead of {len(wanted)}"
     for column in range(len(its)):
         if its.label(column) != wanted.label(column):
-            return f"column {column} is {its.label(column)} in place of {wanted.label(column)}"
+            return f"column {column} is {its.label(column)} instead of {wanted.label(column)}"
     return "the devices are in other cells"

@@ -34,32 +34,32 @@ def check_units(record: Record) -> list[Finding]:
     if rms > LARGEST_ORBIT and not wide[: len(wide) // _SOME].any():
         row = int(np.argmax(wide))
         text = (
-            f"array 'orbit' is wider than a beam pipe from row {row} on ({rms * 1e3:.3g} mm rms in "
-            "all) and was not before: the loop ran away; cut the record before that row"
+            f"from row {row} on array 'orbit' is larger than a beam pipe ({rms * 1e3:.3g} mm rms "
+            "over all rows): the loop ran away; cut the record before that row"
         )
         return [Finding("lost-beam", "failure", (), (row, len(wide) - 1), text)]
     if rms > LARGEST_ORBIT:
         text = (
-            f"the orbit is {rms * 1e3:.3g} mm rms, wider than a beam pipe: is it in µm or nm "
+            f"the orbit is {rms * 1e3:.3g} mm rms, larger than a beam pipe: is it in µm or nm "
             "instead of mm? Correct the array, or say so in meta: units.orbit"
         )
         return [Finding("wrong-units", "failure", (), None, text)]
     steps = steps_of(record)
     seen, made, alike = _quiet_sizes(steps)
     if made == 0.0 or len(steps.first) < _FEWEST:
-        text = "no setpoint moves: nothing can be said about actuators and the response"
+        text = "no setpoint moves, so the record says nothing about the correctors and the response"
         return [Finding("no-action", "warning", (), None, text)] if made == 0.0 else []
     if 0.0 < seen < _TOO_STILL * made and alike > _MOST:
         text = (
-            f"the orbit moves by {seen * 1e6:.3g} µm per tick, the model says {made * 1e6:.3g} µm: "
-            "is the orbit in m instead of mm, or are the currents in mA instead of A? Correct the "
-            "array, or say so in meta: units"
+            f"the orbit moves by {seen * 1e6:.3g} µm per tick, the model predicts "
+            f"{made * 1e6:.3g} µm: is the orbit in m instead of mm, or are the currents in mA "
+            "instead of A? Correct the array, or say so in meta: units"
         )
         return [Finding("wrong-units", "failure", (), None, text)]
     slope, error = _instrumented_slope(steps)
     if slope > _TOO_WILD and slope > _SURE * error:
         text = (
-            f"the orbit moves {slope:.3g} times as far as the model says: is model_R in m/A "
+            f"the orbit moves {slope:.3g} times as far as the model predicts: is model_R in m/A "
             "instead of mm/A, or the orbit in µm instead of mm? Correct the array, or say so in "
             "meta: units"
         )
@@ -126,8 +126,8 @@ def _compare(block: Matrix, own: Matrix, other: Matrix, plane: ChannelPlane) -> 
     likeness = correlation(block, own)
     if likeness < _UNLIKE and correlation(block, other) > _LIKE:
         text = (
-            f"model_R is that of the other plane than {plane}, which the columns are said to "
-            "be in; correct the planes"
+            f"the columns are declared to be in plane {plane}, but model_R is that of the other "
+            "plane; correct the planes"
         )
         return [Finding("swapped-planes", "failure", (), None, text)]
     # Where BPMs and correctors alternate a response is nearly symmetric.

@@ -46,13 +46,13 @@ def check_order(steps: Steps, response: Matrix) -> list[Finding]:
     better = float(np.sum(likelier(len(steps.first), _left_by_bpms(steps), left))) / np.sqrt(n)
     if better > SURE and correctors:
         text = (
-            f"{correctors} of {m} corrector columns act as the model has other correctors: the "
+            f"{correctors} of {m} corrector columns act as the model predicts for others: the "
             "columns of 'setpoint' (and 'action') are not in the order of corr_names and model_R; "
             "put them, or the names and the columns of model_R, in one order"
         )
     elif better < -SURE and bpms:
         text = (
-            f"{bpms} of {n} BPM columns follow what the model says of other BPMs: columns of "
+            f"{bpms} of {n} BPM columns read what the model predicts for others: columns of "
             "'orbit' are not in the order of bpm_names and model_R"
         )
     else:
@@ -60,7 +60,7 @@ def check_order(steps: Steps, response: Matrix) -> list[Finding]:
             "the orbit follows the setpoints as if devices were in another order: either the "
             "columns of 'orbit' are not in the order of bpm_names and the rows of model_R, or "
             "those of 'setpoint' are not in the order of corr_names and the columns of model_R; "
-            "which of the two, this record does not tell"
+            "this record does not show which of the two"
         )
     return [Finding("permuted-channels", "failure", (), None, text)]
 

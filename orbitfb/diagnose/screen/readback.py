@@ -42,8 +42,8 @@ def check_readback(record: Record) -> list[Finding]:
             rest.append(label)
     if rest:
         text = (
-            f"correctors whose readback goes its own way, more than {_FACTOR:.0f} times further "
-            f"from the setpoint than that of the others: {listed(rest)}"
+            f"correctors whose readback is more than {_FACTOR:.0f} times further from the setpoint "
+            f"than that of the others: {listed(rest)}"
         )
         found.append(Finding("readback", "note", tuple(rest), None, text))
     if usual > 0.02 * float(np.median(moving)) and usual > float(np.median(exact)):
@@ -96,7 +96,7 @@ def _clipped(label: str, rows: Indices, setpoint: Vector, readback: Vector) -> F
         text = (
             f"the readback of {label} stops at {sign * top:.6g} A in "
             f"{counted(int(at.sum()), 'row')} whose "
-            "setpoints go beyond: the supply is at its limit"
+            "setpoints go further: the supply is at its limit"
         )
         span = (int(hit[0]), int(hit[-1]))
         return Finding(
@@ -114,5 +114,5 @@ def _general(
     late = late - np.median(late, axis=0)
     text = f"readbacks differ from their setpoints by {usual:.3g} A rms"
     if float(np.median(np.sqrt(np.mean(late**2, axis=0)))) < 0.1 * usual:
-        text += "; they are those of the tick before"
+        text += "; they are the values of the tick before"
     return Finding("readback", "note", (), None, text)

@@ -62,8 +62,8 @@ def check_repeats(record: Record) -> list[Finding]:
         return [_held_finding(record, held, single, everywhere=True)]
     if usual > _COARSE and np.median(_distinct(record)) < _FEW_VALUES:
         text = (
-            f"{100 * usual:.0f} % of the readings equal the one before: the BPMs are read more "
-            "coarsely than they are noisy, so that frozen ones cannot be told and the noise model "
+            f"{100 * usual:.0f} % of the readings equal the one before: a bit of the BPMs is "
+            "larger than their noise, so frozen BPMs cannot be recognised and the noise model "
             "does not hold"
         )
         return [Finding("coarse-readings", "warning", (), None, text)]
@@ -223,14 +223,14 @@ def _frozen(record: Record, column: int, equal: Mask, whole: Mask, usual: float)
         others = np.delete(record.readings[:, column], np.s_[begin : end + 1])
         value = record.readings[end, column]
         if len(others) >= _FEWEST_OTHERS and (value >= others.max() or value <= others.min()):
-            text += "; it never reads beyond, so that it may be clipped and not frozen"
+            text += "; it never reads further out, so it may be clipped and not frozen"
             return [Finding("rail", "warning", (label,), (begin, end), text)]
         return [Finding("frozen-bpm", "warning", (label,), (begin, end), text, effect="bpm-stuck")]
     repeats = int(equal.sum())
     if usual == 0.0 and _PAIRS <= repeats < _HELD * len(equal):
         rows = np.flatnonzero(equal) + 1
         span = (int(rows[0]), int(rows[-1]))
-        text = f"{label} repeats its reading before, to the last bit, in {repeats} single rows"
+        text = f"{label} repeats its previous reading, to the last bit, in {repeats} single rows"
         return [Finding("repeated-readings", "note", (label,), span, text)]
     return []
 
@@ -260,7 +260,9 @@ def check_rails(record: Record) -> list[Finding]:
                 found.append(Finding("rail", "warning", (label,), span, text))
     if len(found) > max(2, record.readings.shape[1] // 4):
         names = [finding.devices[0] for finding in found]
-        text = f"{len(found)} BPMs come again and again to one extreme reading: {listed(names)}"
+        text = (
+            f"{len(found)} BPMs return again and again to the same extreme reading: {listed(names)}"
+        )
         return [Finding("rail", "note", tuple(dict.fromkeys(names)), None, text)]
     return found
 

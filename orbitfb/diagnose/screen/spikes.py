@@ -53,7 +53,7 @@ def without_spikes(record: Record) -> tuple[Record, list[Finding]]:
         f"{counted(len(rows), 'reading')} of {listed(labels)} (row {at}) "
         f"{'is a spike' if len(rows) == 1 else 'are spikes'}, up to "
         f"{1e6 * float(np.abs(left - between)[spikes].max()):.3g} µm away from the readings before "
-        "and after, and left out"
+        "and after; left out"
     )
     finding = Finding("spikes", "note", tuple(labels), (int(rows.min()), int(rows.max())), text)
     return replace(record, readings=readings, filled=record.filled | spikes), [finding]

@@ -43,8 +43,8 @@ def check_writes(record: Record) -> list[Finding]:
     if lost.any() and lost.mean() < _MOSTLY:
         rows = first[lost]
         text = (
-            f"in {counted(int(lost.sum()), 'row')} (first {int(rows[0])}) the change that was "
-            "asked for is not in the next setpoints, of any corrector: those writes were lost"
+            f"in {counted(int(lost.sum()), 'row')} (first {int(rows[0])}) the requested change "
+            "is missing from the next setpoints of all correctors: those writes were lost"
         )
         span = (int(rows[0]), int(rows[-1]))
         found.append(Finding("lost-write", "warning", (), span, text, effect="missed-write"))
@@ -67,8 +67,8 @@ def _shifted(first: np.ndarray, asked: Matrix, done: Matrix, exact: np.ndarray) 
 
     if fits(done[joined], asked[joined + 1]):
         text = (
-            "'setpoint' holds what was in force after the action of its row, not when the orbit "
-            "was read; move it by one row"
+            "'setpoint' holds the values after the action of its row, not those in force when the "
+            "orbit was read; move it by one row"
         )
         return Finding("shifted-setpoints", "failure", (), None, text)
     if fits(done[joined + 1], asked[joined]):
@@ -94,7 +94,7 @@ def _stuck(
         label = record.layout.correctors.label(int(column))
         text = (
             f"the setpoint of {label} stays at {record.setpoints[-1, column]:.6g} A from row "
-            f"{int(first[begin])} to the end although {wanted} changes were asked for"
+            f"{int(first[begin])} to the end, although {wanted} changes were requested"
         )
         span = (int(first[begin]), len(record) - 1)
         found.append(
@@ -123,10 +123,10 @@ def _others(
     share = float(differs.any(axis=1).mean())
     text = (
         f"in {100 * share:.1f} % of the rows (first {span[0]}) the change of the setpoints is not "
-        f"the action asked for, of "
+        f"the requested action, for "
         f"{counted(len(columns), 'corrector')} ({listed(list(devices))}), by up to "
-        f"{np.abs(error).max():.3g} A: limits, or something else writes too; the setpoints are "
-        "believed"
+        f"{np.abs(error).max():.3g} A: limits, or something else writes too; the diagnosis "
+        "uses the setpoints"
     )
     return [Finding("requested-not-applied", "warning", devices, span, text)]
 
@@ -141,14 +141,15 @@ def check_clock(record: Record) -> list[Finding]:
     usual = float(np.median(gaps))
     if abs(usual / period - 1.0) > _PERIOD:
         text = (
-            f"orbits are stamped {usual:.4g} s apart, but the period is said to be {period:.4g} s"
+            f"the time stamps are {usual:.4g} s apart, but the record states a period of "
+            f"{period:.4g} s"
         )
         found.append(Finding("period", "warning", (), None, text))
     spread = TO_SIGMA * float(np.median(np.abs(gaps - usual))) / np.sqrt(2.0)
     if spread > _JITTER * usual:
         text = (
-            f"the stamps tremble by {spread * 1e3:.3g} ms rms, {100 * spread / usual:.0f} % of a "
-            "period; whether the readings do too is for the tournament"
+            f"the time stamps jitter by {spread * 1e3:.3g} ms rms, {100 * spread / usual:.0f} % "
+            "of a period; the comparison of effects tests whether the readings do too"
         )
         found.append(Finding("stamp-jitter", "note", (), None, text))
     return found

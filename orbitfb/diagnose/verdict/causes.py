@@ -144,7 +144,7 @@ def ambiguous_sets(causes: Sequence[Named]) -> tuple[AmbiguousSet, ...]:
     return (
         AmbiguousSet(
             effects=(first.kind.id, *first.rivals),
-            why="they change this record alike",
+            why="they change this record in the same way",
             splits=first.kind.splits,
         ),
     )
@@ -171,13 +171,13 @@ def unknown_of(
     if verdict.rest is not None:
         places = verdict.rest.names[:_WHERE]
         text = (
-            f"What is left looks most like {verdict.rest.kind.title}; so many effects at once are "
-            "rarely more than one that is not in the library."
+            f"The rest looks most like {verdict.rest.kind.title}. If so many effects seem to act "
+            "at once, one effect that is not in the library is more likely."
         )
     elif places:
         device = {"bpm": "BPM", "corrector": "corrector"}[verdict.left[0].target]
         text = (
-            f"What is left follows the motion of {device} {places[0]}, by a law that is not in the "
+            f"The rest follows the motion of {device} {places[0]}, by a law that is not in the "
             "library."
         )
     return Unknown(

@@ -125,12 +125,15 @@ def test_reference_and_later_record_reach_the_engine(engine, record, tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda made: {"bpm_names": made["bpm_names"][::-1]}, "'bpm_names' is not that of"),
+        (lambda made: {"bpm_names": made["bpm_names"][::-1]}, "'bpm_names' differs from"),
         (lambda made: {"t": 2 * made["t"]}, "'t' says that orbits are"),
         (lambda made: dict.fromkeys(("orbit", "next_orbit"), 0 * made["orbit"]), "stand still"),
-        (lambda made: {"model_R": 1.2 * made["model_R"]}, "'model_R' is not that of"),
-        (lambda made: {}, "'orbit' has the rows of"),
-        (lambda made: {name: a[20:] for name, a in made.items() if len(a) == 120}, "the rows of"),
+        (lambda made: {"model_R": 1.2 * made["model_R"]}, "'model_R' differs from"),
+        (lambda made: {}, "'orbit' has the same rows as"),
+        (
+            lambda made: {name: a[20:] for name, a in made.items() if len(a) == 120},
+            "the same rows as",
+        ),
     ],
 )
 def test_a_record_beside_it_has_to_fit(tmp_path, option, spoil, said):
@@ -179,7 +182,7 @@ def test_the_fragment_of_an_unknown_ring_says_that_the_default_ring_cannot_use_i
     strange = parts.Finding(check="unknown-ring", severity="note", text="in no table")
     assert "ring.places" not in writing.fragment(examples.named())
     fragment = writing.fragment(examples.named(findings=(strange,)))
-    assert "# The names are in no known places table: the default ring cannot" in fragment
+    assert "# No known places table has these names, so the default ring cannot" in fragment
     assert "ring.places" in fragment
     assert len(tomllib.loads(fragment)["effect"]) == 1
 

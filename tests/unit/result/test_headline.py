@@ -15,8 +15,8 @@ def test_the_sentence_leads_with_cause_place_and_size_then_what_to_do_then_the_o
         "from 112.4 s on",
         "probability 0.98",
         "Check the power supply and the magnet of cells C04-C06.",
-        "adds 110 nm rms to the 310 nm that noise leaves",
-        "94 % [91, 97] of that is gone on the later record",
+        "adds 110 nm rms to the error of a prediction one row ahead; noise alone makes 310 nm",
+        "removes 94 % [91, 97] of the added error on the later record",
         "holds the orbit to 349 nm rms; without the cause it would reach 336 nm",
     )
     places = [said.index(words) for words in wanted]

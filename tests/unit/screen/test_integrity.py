@@ -511,7 +511,7 @@ def test_an_order_that_may_be_of_either_is_told_of_neither():
     predicted = setpoints @ response.T
     orbit = np.roll(predicted, 3, axis=1) + 1e-5 * rng.normal(size=predicted.shape)
     (found,) = check_order(Steps(np.arange(300), orbit, setpoints, predicted), response)
-    assert "which of the two, this record does not tell" in found.text
+    assert "this record does not show which of the two" in found.text
 
 
 def test_setpoints_that_never_move():
