@@ -7,8 +7,8 @@ FIGURES = Path(__file__).with_name("newcomer.json")
 AIM = 300.0
 """From the clone to the first report [s]."""
 
-INTRODUCTION = """`make newcomer` clones the last commit and does what the README says in an empty
-home, with nothing downloaded before, and writes down when each thing was there
+INTRODUCTION = """`make newcomer` clones the last commit and follows the README in an empty home
+directory, with nothing downloaded before. It writes down when each step was done
 ([benchmarks/newcomer.json](../../benchmarks/newcomer.json)):
 
 | reached | after [s] |
@@ -24,7 +24,7 @@ def newcomer() -> str:
     verdict = "met" if seconds["first diagnosis report"] <= AIM else "missed"
     load = f"{told['cpus']} processors had a load of {told['load_before'][0]:.0f} before it began"
     source = (
-        "; pip found wheels on the disk of this computer: what had to be downloaded is less than "
+        "; pip found wheels on the disk of this computer, so it downloaded less than it would "
         "elsewhere"
         if told["wheels_from_this_disk"]
         else ""

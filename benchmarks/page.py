@@ -42,24 +42,30 @@ def page(result: Result) -> str:
     return "".join((*parts, TAIL))
 
 
-LEGEND = """Medians over the repeats, in ms. *Round trip*: in lockstep from one orbit to the next,
-which the ring shows as soon as the last setpoint of the one before is in force; at a fixed rate
-from the time stamp of the orbit to that of the last setpoint, as the server applied it. *Latency*:
-to the moment in which the client had sent the last setpoint. *Jitter*: 99th less 1st percentile of
-the time between two writes. *Missed*: of the orbits that were due, those never answered by
-setpoints, all repeats together. CPU per tick. A pair that falls behind has no meaningful latency:
-see what it missed.
+LEGEND = """The table has medians over the repeats, in ms.
+
+- *Round trip*, in lockstep: from one orbit to the next. The ring shows the next orbit as soon as
+  the last setpoint for the one before is in force.
+- *Round trip*, at a fixed rate: from the time stamp of the orbit to that of the last setpoint, as
+  the server applied it.
+- *Latency*: from the time stamp of the orbit until the client has sent the last setpoint.
+- *Jitter*: 99th minus 1st percentile of the time between two writes.
+- *Missed*: the due orbits that no setpoints answered, all repeats together.
+- *CPU*: per tick.
+
+The latency of a pair that falls behind means nothing. See what it missed.
 
 """
 
-SCALING = """Lockstep against a ring without physics and a law whose cost is linear, so that what
-grows is Channel Access and the bookkeeping. Round trip p50, medians over the repeats.
+SCALING = """These runs are in lockstep, with a ring without physics and a law of linear cost. So
+only Channel Access and the bookkeeping grow. The table has the round trip p50, medians over the
+repeats.
 
 """
 
-ADDED = """At 10 Hz, the whole service: the longest latency of any tick beside the disturbance, less
-the median latency without one. Swaps come every 0.35 s; refits run from scratch on 2,000 ticks, one
-after the other without a pause.
+ADDED = """The whole service runs at 10 Hz. *Largest added*: the longest latency of any tick during
+the disturbance, minus the median latency without one. Swaps come every 0.35 s. Refits run from
+scratch on 2,000 ticks, one after the other without a pause.
 
 """
 

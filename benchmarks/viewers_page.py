@@ -13,25 +13,26 @@ WORDS = {
     "thread": "a thread of the loop's",
 }
 
-TEXT = """From the time stamp of an orbit to the moment in which the last setpoint had been sent, of
-every tick at {rate:g} Hz, as the archive has it; [ms]. Company turns every {seconds:g} s within one
-service, and the two services alternate. A stalled viewer opens the page and reads nothing; viewers
-that read have the lowest priority, as they would sit at other computers. *p99 of runs*: how it
-scatters from run to run with the same company. *CPU*: of the loop's process, all threads, a second.
+TEXT = """The table has the latency of every tick at {rate:g} Hz in ms, from the archive: from the
+time stamp of an orbit until the last setpoint was sent. The viewers (*company*) change every
+{seconds:g} s within one service, and the two services alternate. A stalled viewer opens the page
+and reads nothing. Viewers that read have the lowest priority, because in operation they run on
+other computers. *p99 of runs*: the p99 of each run with the same company. *CPU*: of the loop's
+process, all threads, in ms per second.
 
 """
 
 AFTER = """
-Every picture is asked of the service and encoded once, however many look. That costs the loop's
-process CPU time, in ms a second:
+The page asks the service for every picture once and encodes it once, for any number of viewers.
+This costs the loop's process CPU time, in ms per second:
 
 - {process};
 - {thread}.
 
-As a thread, the page holds the interpreter's lock while it encodes and sends, and each viewer
-adds to it; so it has a process of its own. There the p99 with any company is at most {added:.1f} ms
-above that without a viewer. Two runs with the same company differ by up to {scatter:.1f} ms: a
-difference smaller than that says nothing.
+A page in a thread holds the interpreter's lock while it encodes and sends, longer with each
+viewer. So the page has its own process. There the p99 with any company is at most {added:.1f} ms
+above the p99 without a viewer. Two runs with the same company differ by up to {scatter:.1f} ms, so
+a smaller difference means nothing.
 
 `.venv/bin/{command}` measures it.
 """
