@@ -54,9 +54,9 @@ def closed_loop(its: Explained, causes: Sequence[Named], windows: Windows) -> Cl
     frequency, spectrum = _spectrum(record, off)
     law, follows = law_of(record)
     if law is None:
-        why = "too few ticks to tell the law of the loop"
+        why = "too few ticks to estimate the law of the loop"
         if np.isfinite(follows):
-            why = f"a linear law explains {follows:.0%} of the requested changes"
+            why = f"a linear law explains only {follows:.0%} of the requested changes"
         return ClosedLoop(
             without_um=None, measured_um=measured, measured_low=low, measured_high=high,
             frequency_hz=numbers(frequency), psd_measured=numbers(spectrum),
@@ -68,9 +68,9 @@ def closed_loop(its: Explained, causes: Sequence[Named], windows: Windows) -> Cl
     runs = replayed(record, law, (moved, moved - added) if its.counts else (moved,))
     with_um, without_um = (None if run is None else _rms(run) for run in (runs[0], runs[-1]))
     mended = _mended_response(its, causes)
-    note = "" if its.counts else "what is named is noise: it has no course that could be taken out"
+    note = "" if its.counts else "the cause is noise, which cannot be removed from the record"
     if its.counts and runs[-1] is None:
-        note = "not predicted: the loop without the causes is lost"
+        note = "not predicted: the simulated loop without the causes runs away"
     return ClosedLoop(
         without_um=without_um if its.counts else None,
         with_um=with_um,

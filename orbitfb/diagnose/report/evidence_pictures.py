@@ -39,7 +39,7 @@ def tournament(rows: Sequence[TournamentRow], free: float | None) -> str:
     panel.lying(gains, colours, [f"{gain:.0f}" for gain in gains])
     if free is not None and 0.0 < free < panel.x.high:
         panel.moment(free, GREY, "an unknown law of one device")
-    said = "What each effect explains of the record at its best places. Red: taken as a cause."
+    said = "Evidence for each effect at its best places. Red: named as a cause."
     return picture(said, [panel])
 
 
@@ -58,14 +58,14 @@ def waterfall(steps: Sequence[WaterfallStep], gap: Gap | None) -> str:
     """Draw what is left of the gap as one cause after the other joins the model."""
     left = values([step.left_nats for step in steps])
     labels = [shorten(step.label, 36) for step in steps]
-    panel = _lying("gap that is left [nats a row]", left, labels, 210)
+    panel = _lying("rest of the gap [nats a row]", left, labels, 210)
     colours = [INK, *[BLUE] * (len(steps) - 1)]
     largest = float(np.nanmax(left, initial=0.0))
     words = ["0" if abs(value) < 1e-4 * largest else f"{value:.3g}" for value in left]
     panel.lying(left, colours, words)
-    said = "What is left of the gap with one cause after the other in the model."
+    said = "The rest of the gap as one cause after the other joins the model."
     if gap is not None and (gap.by_stage.get("unexplained") or 0.0) > 0.0:
-        said += " What remains at the end is explained by no effect."
+        said += " No effect explains the last bar."
     return picture(said, [panel])
 
 
@@ -75,8 +75,8 @@ def scores(its: ScoreMap) -> str:
     if not drawn:
         return ""
     said = (
-        "Evidence for an effect at every place, before any cause is in the model. Red: the places "
-        "named. Dashed: what chance reaches at the best place of one record in 100."
+        "Evidence for an effect at every place, before any cause is in the model. Red: the named "
+        "places. Dashed: chance alone passes this at the best place of one record in 100."
     )
     return picture(said, *([_score(row, its.threshold_nats)] for row in drawn))
 
@@ -117,7 +117,7 @@ def fingerprint(its: Fingerprint) -> str:
             panel.line(x, heights, colour, label, dashed)
     panel.dots(x, shown, INK, "readings", (shown - error, shown + error))
     said = (
-        f"{its.title}: {its.y_label}, against the {its.x_label}. Where the law is right the points "
+        f"{its.title}: {its.y_label}, against the {its.x_label}. If the law is right, the points "
         "lie on the red line."
     )
     return picture(said, [panel])
@@ -138,7 +138,7 @@ def lags(profile: LagProfile) -> str:
     if profile.refit:
         panel.dots(ages + 0.14, profile.refit, RED, "with the causes")
     said = (
-        "How much more of a change of all correctors the orbit shows than the model expects, by "
-        "the age of the change; 0 where the model is right."
+        "Response of the orbit to a change of all correctors, minus that of the model, against the "
+        "age of the change. It is 0 if the model is right."
     )
     return picture(said, [panel])

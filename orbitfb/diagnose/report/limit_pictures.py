@@ -15,8 +15,8 @@ def audit(its: Audit) -> str:
     if known(its.autocorrelation):
         panels.append(_echo(its))
     said = (
-        "Left: errors of predictions, sorted, against those of noise; on the line where they are "
-        "noise. Right: their correlation from row to row; within the dashed lines for noise."
+        "Left: sorted errors of predictions against those of noise; noise lies on the line. Right: "
+        "their correlation from row to row; noise stays within the dashed lines."
     )
     return picture(said, panels) if panels else ""
 

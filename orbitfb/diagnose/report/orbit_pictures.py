@@ -38,7 +38,7 @@ def k_steps(steps: Sequence[KStep]) -> str:
             panel.line(ahead, heights, colour, label, dashed)
             if not dashed:
                 panel.dots(ahead, heights, colour)
-    said = "Error of a prediction from the logged setpoints, by how far ahead it looks."
+    said = "Error of a prediction from the logged setpoints, against the rows that it looks ahead."
     return picture(said, [panel])
 
 
@@ -71,8 +71,8 @@ def closed_loop(its: ClosedLoop) -> str:
             lines.line(its.frequency_hz, spectrum, colour, label)
         panels.append(lines)
     said = (
-        "The orbit about its reference: as measured, and as the same loop would hold it on the "
-        "same noise and drift without the causes."
+        "Orbit error, measured, and as the same loop would hold it without the causes, with the "
+        "same noise and drift."
     )
     return picture(said, panels)
 
@@ -115,7 +115,7 @@ def in_time(gap: Gap, onsets: Sequence[float]) -> str:
     )
     order = np.arange(len(bands), dtype=np.float64)
     which.bars(order - 0.45, order + 0.45, told, BLUE)
-    said = "When the gap shows, and at which frequencies; the parts of each add up to the same."
+    said = "The gap in time and by frequency. Both divisions add up to the same total."
     return picture(said, [when, which])
 
 
@@ -132,7 +132,7 @@ def modes(by_mode: Sequence[float | None]) -> str:
     panel.bars(order - 0.5, order + 0.5, heights[:-1], BLUE)
     panel.bars([1.02 * count], [1.05 * count], heights[-1:], GREY)
     said = (
-        "The gap by the orbit's shape: strong modes are those that correctors move most; the grey "
-        "bar is what none of them reaches."
+        "The gap by shape of the orbit. Correctors move the strong modes most. The grey bar is "
+        "the part that no mode reaches."
     )
     return picture(said, [panel])

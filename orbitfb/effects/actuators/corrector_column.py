@@ -12,9 +12,9 @@ class CorrectorColumn(ElementsKind):
     target = "corrector"
     title = "corrector that is not of this model"
     sentence = (
-        "What the corrector does at each BPM is not what the model says, and no calibration makes "
-        "it so: it stands elsewhere, its coils are exchanged, or its column of the response was "
-        "measured wrongly. Measure its column again, or leave the corrector out."
+        "The BPMs respond to the corrector otherwise than in the model, and no calibration "
+        "corrects it: the corrector stands elsewhere, its coils are exchanged, or its column of "
+        "the response was measured wrongly. Measure its column again, or leave the corrector out."
     )
     equation = "x_i = Σ_j (R_ij + ε_ij) θ_j, with an ε_ij of its own for every BPM i"
     confused_with = (

@@ -59,7 +59,7 @@ class CorrectorResonance(ActuatorKind):
         ),
     )
     confused_with = ("corrector-lag", "loop-delay", "periodic-disturbance")
-    splits = "Tones around the suspected frequency: only a resonance answers with more than it got."
+    splits = "Tones around the suspected frequency: only a resonance amplifies them."
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Filter."""

@@ -45,8 +45,8 @@ class CorrectorSaturation(ActuatorKind):
     stage = "actuator"
     title = "saturation of a corrector"
     sentence = (
-        "The current stops at a limit below the one that the feedback knows, and what is asked "
-        "beyond is lost until the setpoint comes back. Give the feedback the true limit, or "
+        "The current stops at a limit below the one that the feedback knows, and larger "
+        "setpoints have no effect until they come back. Give the feedback the true limit, or "
         "unload the corrector by moving magnets or the reference orbit."
     )
     equation = (

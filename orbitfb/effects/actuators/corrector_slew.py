@@ -46,7 +46,7 @@ class CorrectorSlew(SteppingKind):
         ),
     )
     confused_with = ("corrector-lag", "corrector-gain", "corrector-deadband", "corrector-stuck")
-    splits = "Steps of three sizes: a slew rate lets small ones pass whole, a lag none."
+    splits = "Steps of three sizes: a slew rate delays only large ones, a lag all."
 
     def drive_each(
         self, setpoints: Matrix, values: Mapping[str, float | Vector], record: Record

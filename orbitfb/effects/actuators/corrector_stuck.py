@@ -36,7 +36,7 @@ class CorrectorStuck(ActuatorKind):
     title = "corrector that is stuck or tripped"
     sentence = (
         "The current of the corrector no longer follows its setpoint: the power supply hangs "
-        "(the whole current is left) or has tripped (nothing is left). Compare its readback "
+        "(the current stays) or has tripped (the current is zero). Compare its readback "
         "with its setpoint, reset it, or take it out of the correction."
     )
     equation = (

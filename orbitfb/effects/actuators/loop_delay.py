@@ -30,8 +30,8 @@ class LoopDelay(ActuatorKind):
     title = "delay of the whole loop"
     sentence = (
         "All correctors act later than the feedback believes: transport of setpoints, queues, or "
-        "readings that are older than their stamp. Let the feedback know the delay, lower its "
-        "gain, or shorten the way."
+        "readings that are older than their stamp. Give the feedback the delay, lower its "
+        "gain, or shorten the transport."
     )
     equation = "θ_n = (1 − f) u_{n−K} + f u_{n−K−1} with k = K + f ticks"
     parameters = (

@@ -30,7 +30,7 @@ class MissedWrite(LatentKind):
     sentence = (
         "Now and then the setpoints of a tick do not arrive in time, and the correctors stay "
         "where they were until the next ones come. Look for lost packets, full queues, or a "
-        "computer that is too busy: that of the loop if all are struck, else that of the crate."
+        "busy computer: the loop's if all correctors are affected, else the crate's."
     )
     equation = "θ_n = θ_{n−1} with probability p, else u_n, of all correctors of a crate at once"
     parameters = (

@@ -29,7 +29,7 @@ class LocalKick(SourceKind):
     linear = "kick"
     confused_with = ("bpm-offset", "insertion-device", "telegraph", "corrector-stuck")
     splits = (
-        "nothing but the shape of one step tells places apart: watch for its repetition, or move "
+        "only the shape of one step tells places apart: wait until it happens again, or move "
         "the magnet; a BPM's offset moves no other BPM"
     )
     collective = False

@@ -26,7 +26,7 @@ class BpmPolarity(SensorKind):
     )
     equation = "y = −(x + v)"
     confused_with = ("bpm-gain",)
-    splits = "nothing is needed: it is a gain error of −2, and so simple that it goes first"
+    splits = "nothing is needed: it equals a gain error of −2, and the simpler effect is named"
     collective = False
 
     def simulate(

@@ -12,7 +12,7 @@ class BpmRow(ElementsKind):
     target = "bpm"
     title = "BPM that is not of this model"
     sentence = (
-        "What the BPM sees of each corrector is not what the model says, and no gain makes it so: "
+        "The BPM responds to the correctors otherwise than in the model, and no gain corrects it: "
         "it stands elsewhere, cables or buttons are exchanged, or its row of the response was "
         "measured wrongly. Measure its row again, or leave the BPM out."
     )

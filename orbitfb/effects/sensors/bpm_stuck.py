@@ -21,7 +21,7 @@ class BpmStuck(SensorKind):
     parameters = ()
     title = "stuck BPM"
     sentence = (
-        "The BPM repeats one reading for ever; its electronics hang or its data no longer come. "
+        "The BPM repeats one reading for ever; its electronics hang or its data do not arrive. "
         "Mask it: the feedback acts on a reading that means nothing."
     )
     equation = "y_n = y_(n−1) from its beginning on"

@@ -29,8 +29,8 @@ class ClockJitter(LatentKind):
     title = "jitter of the time of sampling"
     sentence = (
         "The orbit is sampled a little early or late, differently at every tick, so a moving "
-        "orbit is read with an error that has its own shape; look at the trigger of the BPMs: that "
-        "of all if all are struck, else that of the crate."
+        "orbit is read with an error that has its own shape; look at the trigger of the BPMs: the "
+        "common one if all BPMs are affected, else that of the crate."
     )
     equation = (
         "y_n = x_n + δ_n (x_n − x_(n−1)) / T, δ_n normal and the same for all BPMs of a crate: "
