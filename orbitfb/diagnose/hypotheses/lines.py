@@ -63,16 +63,13 @@ def strongest_line(scorer: Scorer, patterns: Matrix, shaped: bool) -> Line:
         scorer, np.asarray(wave @ scorer.rows.late, dtype=np.complex128), near, patterns, shaped
     )
     line, place = np.unravel_index(int(np.argmax(fine)), fine.shape)
+    variance: float | None = None
     if shaped:
-        alone = _gains(
-            scorer,
-            np.asarray(wave[line : line + 1] @ scorer.rows.late, dtype=np.complex128),
-            near[line : line + 1],
-            patterns,
-            False,
-        )
-        place = int(np.argmax(alone))
-    field, cosine, sine = _field(scorer, patterns[:, place], float(near[line]), shaped)
+        told = np.asarray(wave[line : line + 1] @ scorer.rows.late, dtype=np.complex128)
+        place = int(np.argmax(_gains(scorer, told, near[line : line + 1], patterns, False)))
+        worth = _by_variance(scorer, told, near[line : line + 1])
+        variance = float(LINE_VARIANCES[int(np.argmax(worth))])
+    field, cosine, sine = _field(scorer, patterns[:, place], float(near[line]), variance)
     choices = 1 if shaped else patterns.shape[1]
     evidence = float(fine.max()) - np.log(count) - np.log(choices) - VALUE_COST
     return Line(evidence, int(place), float(near[line]), field, cosine, sine)
@@ -111,26 +108,41 @@ def _gains(
     eigenvalue = (2.0 - 2.0 * np.cos(2.0 * np.pi * cycles))[:, None]
     weight = 0.5 * len(scorer.rows.late) * eigenvalue / (noise.ratio + eigenvalue)
     if shaped:
-        along = turned @ (noise.white @ noise.modes)
-        square = np.abs(along) ** 2 * eigenvalue / weight
-        ground = noise.ratio / np.mean(noise.ratio)
-        best = np.full((len(cycles), 1), -np.inf)
-        for variance in LINE_VARIANCES:
-            prior = variance * ground * weight / np.mean(weight, axis=1, keepdims=True)
-            share = prior / (1.0 + prior)
-            found = np.sum(0.5 * square * share - np.log1p(prior), axis=1, keepdims=True)
-            best = np.maximum(best, found)
-        return best
+        return _by_variance(scorer, turned, cycles).max(axis=0)[:, None]
     information = weight @ ((patterns.T @ noise.modes) ** 2).T
     square = np.abs(turned @ patterns) ** 2 * eigenvalue / np.maximum(information, 1e-300)
     best = np.clip(0.5 * square, 1.0 + LINE_VARIANCES[0], 1.0 + LINE_VARIANCES[-1])  # 1 + variance
     return np.asarray(0.5 * square * (1.0 - 1.0 / best) - np.log(best))
 
 
+def _by_variance(scorer: Scorer, turned: Turned, cycles: Vector) -> Matrix:
+    """Log evidence of a line of the ground's shape, of every variance and frequency, (V, F)."""
+    noise = scorer.space.noise
+    eigenvalue = (2.0 - 2.0 * np.cos(2.0 * np.pi * cycles))[:, None]
+    weight = 0.5 * len(scorer.rows.late) * eigenvalue / (noise.ratio + eigenvalue)
+    along = turned @ (noise.white @ noise.modes)
+    square = np.abs(along) ** 2 * eigenvalue / weight
+    ground = noise.ratio / np.mean(noise.ratio)
+    found = []
+    for variance in LINE_VARIANCES:
+        prior = variance * ground * weight / np.mean(weight, axis=1, keepdims=True)
+        share = prior / (1.0 + prior)
+        found.append(np.sum(0.5 * square * share - np.log1p(prior), axis=1))
+    return np.array(found)
+
+
 def _field(
-    scorer: Scorer, pattern: Vector, cycles: float, shaped: bool
+    scorer: Scorer, pattern: Vector, cycles: float, variance: float | None
 ) -> tuple[Matrix, float, float]:
-    """Spectrum of the most likely line, and the amplitudes of one pattern's cosine and sine."""
+    """Spectrum of the most likely line, and the amplitudes of one pattern's cosine and sine.
+
+    Args:
+        scorer: Of what is left to explain.
+        pattern: Of the place, shape (n,) [m].
+        cycles: Per row.
+        variance: Of a line of the ground's shape, over what the noise leaves uncertain of it; None:
+            it has the shape of the pattern.
+    """
     transform, noise = scorer.space.transform, scorer.space.noise
     phase = 2.0 * np.pi * cycles * np.arange(transform.rows)
     waves = transform.spectrum(np.stack([np.cos(phase), np.sin(phase)], axis=1))
@@ -140,12 +152,12 @@ def _field(
     seen = pattern @ noise.modes
     total = np.einsum("m,mab->ab", seen**2, gram)
     own = np.linalg.solve(total + 1e-12 * np.trace(total) * np.eye(2), seen @ pulls)
-    if not shaped:
+    if variance is None:
         alone = np.asarray(np.outer(waves @ own, pattern), dtype=np.float64)
         return alone, float(own[0]), float(own[1])
     ground = np.trace(gram.sum(axis=0)) / (2.0 * len(gram)) * np.mean(noise.ratio)
     prior = noise.ratio / max(ground, 1e-300)
-    inner = gram + np.eye(2) / np.maximum(1e4 * prior, 1e-12)[:, None, None]
+    inner = gram + np.eye(2) / np.maximum(variance * prior, 1e-12)[:, None, None]
     size = np.asarray(np.linalg.solve(inner, pulls[:, :, None]), dtype=np.float64)[:, :, 0]
     field = np.asarray((waves @ size.T) @ (noise.modes.T @ noise.white), dtype=np.float64)
     return field, float(own[0]), float(own[1])
