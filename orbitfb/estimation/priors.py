@@ -159,6 +159,10 @@ By hand: a floor that was estimated with the cause in it takes part of it, the n
 FINENESS = 1.0 / 300.0
 """Share of the interval between two values of the grid to which the best one is found."""
 
+ROUGHNESS = 1.0 / 30.0
+"""The same where the devices that are struck are sought with the value: which ones they are follows
+from it to less."""
+
 GRID_REACH = 2
 """Values of the grid on either side within which the best one is searched: the best one for one
 device at a grid's distance is the best one for all within two."""
@@ -175,8 +179,8 @@ OWN_REACH = 0.25
 OWN_VALUES = 9
 """Values that are tried within that reach: a sixteenth apart, and a parabola between them."""
 
-RANKED_VALUES = 3
-"""Values of a grid that are scored for all sets of devices, by each of two marks."""
+RANKED_VALUES = 2
+"""Values of a grid that are scored for all sets of devices, by each of three marks."""
 
 SAMPLED = 12
 """Frequencies of a band that are summed where a value is only to be ranked among others: of the

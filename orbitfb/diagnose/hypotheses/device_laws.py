@@ -1,7 +1,8 @@
 """Scan a law of devices over its values and its devices."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import fminbound
@@ -24,6 +25,7 @@ from orbitfb.estimation.evidence import best_size, given_size
 from orbitfb.estimation.priors import (
     FINENESS,
     GRID_REACH,
+    ROUGHNESS,
     SIZE_WIDTH,
     VALUE_COST,
 )
@@ -52,32 +54,43 @@ def scan_devices(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked)
     Returns:
         The best candidates of all devices and of some of them.
     """
-    grid = rank.grid
     usual = any(block.kind is kind and not block.accepted for block in scorer.space.blocks)
     cost = VALUE_COST * len(kind.parameters)
     every: list[_Found] = []
     some: list[_Found] = []
     for values in rank.promising:
-        spectra = scorer.space.courses.spectra(law, values)
-        pull, information = scorer.score(law.patterns, spectra)
-        information = scorer.marginal(kind, law.patterns, spectra, information)
-        for worth, free in worths_of(kind):
-            gain, places = best_set(
-                pull, information, law.groups, worth, whole=law.whole, alone=not kind.collective
-            )
-            (some if places else every).append(_Found(gain, places, values, free))
-            if places and kind.collective:
-                gain = float(worth(np.array([pull.sum()]), np.array([information.sum()]))[0])
-                every.append(_Found(gain, (), values, free))
+        for found in _sets(kind, law, scorer, values):
+            (some if found.places else every).append(found)
     candidates = []
     for found in (every, some):
         top = max(found, key=lambda one: one.evidence, default=None)
         if top is not None and top.evidence > 0.0 and not usual:
-            candidates.append(_refined(kind, law, scorer, grid, top, cost))
+            names = tuple(law.names[place] for place in top.places)
+            candidates.append(
+                Candidate(
+                    kind, top.places, names, top.values, top.evidence - cost,
+                    finer=partial(_finer, kind, law, scorer, rank.grid, top, cost),
+                )
+            )  # fmt: skip
     return candidates
 
 
-def _refined(
+def _sets(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) -> Iterator[_Found]:
+    """All devices, and the best set of some of them, with given values."""
+    spectra = scorer.space.courses.spectra(law, values)
+    pull, information = scorer.score(law.patterns, spectra)
+    information = scorer.marginal(kind, law.patterns, spectra, information)
+    for worth, free in worths_of(kind):
+        gain, places = best_set(
+            pull, information, law.groups, worth, whole=law.whole, alone=not kind.collective
+        )
+        yield _Found(gain, places, values, free)
+        if places and kind.collective:
+            gain = float(worth(np.array([pull.sum()]), np.array([information.sum()]))[0])
+            yield _Found(gain, (), values, free)
+
+
+def _finer(
     kind: EffectKind,
     law: DeviceLaw,
     scorer: Scorer,
@@ -85,37 +98,55 @@ def _refined(
     top: _Found,
     cost: float,
 ) -> Candidate:
-    """The best value of the grid, as scanned; it knows how to be exact, and to search between."""
+    """Be exact, and search between the neighbours of the best value in the grid.
 
-    def exact(values: Values) -> Candidate:
-        return evaluated(kind, law, scorer, top.places, values, 0, top.free, cost)
+    A value that is off by a step of the grid strikes too few devices or too many: first both are
+    sought at once, as they are scanned, then the value alone, exactly.
+    """
 
-    names = tuple(law.names[place] for place in top.places)
-    return Candidate(
-        kind, top.places, names, top.values, top.evidence - cost,
-        finer=lambda: _finer(exact, top, grid),
-    )  # fmt: skip
+    def exact(places: tuple[int, ...], values: Values) -> Candidate:
+        return evaluated(kind, law, scorer, places, values, 0, top.free, cost)
 
-
-def _finer(exact: Callable[[Values], Candidate], top: _Found, grid: Sequence[Values]) -> Candidate:
-    """Be exact, and search between the neighbours of the best value in the grid."""
-    best, name = exact(top.values), _running(grid)
+    best, name = exact(top.places, top.values), _running(grid)
     if name is None or best.evidence <= 0.0:
         return best
     line = sorted({one[name] for one in grid})
     place = line.index(top.values[name])
-    low, high = line[max(place - GRID_REACH, 0)], line[min(place + GRID_REACH, len(line) - 1)]
-    bend = np.log if low > 0.0 else np.asarray
-    back = np.exp if low > 0.0 else np.asarray
+    ends = line[max(place - GRID_REACH, 0)], line[min(place + GRID_REACH, len(line) - 1)]
+    places, values = top.places, top.values
+    if len(places) > 1:
+
+        def scanned(value: float) -> _Found:
+            sets = _sets(kind, law, scorer, {**values, name: value})
+            some = [one for one in sets if one.places and one.free == top.free]
+            return max(some, default=top, key=lambda one: one.evidence)
+
+        found = scanned(_highest(lambda value: scanned(value).evidence, ends, ROUGHNESS))
+        places, values = found.places, found.values
+
+    def near(value: float) -> float:
+        return exact(places, {**values, name: value}).evidence
+
+    fine = exact(places, {**values, name: _highest(near, ends, FINENESS)})
+    return max(best, fine, key=lambda one: one.evidence)
+
+
+def _highest(worth: Callable[[float], float], ends: tuple[float, float], fine: float) -> float:
+    """Where a function is highest between two values, along their logarithm if they have one.
+
+    Args:
+        worth: The function.
+        ends: Between them.
+        fine: To which share of their distance.
+    """
+    bend, back = (np.log, np.exp) if ends[0] > 0.0 else (np.asarray, np.asarray)
+    span = float(bend(ends[0])), float(bend(ends[1]))
 
     def loss(bent: float) -> float:
-        return -exact({**top.values, name: float(back(bent))}).evidence
+        return -worth(float(back(bent)))
 
-    span = (float(bend(low)), float(bend(high)))
-    fine = FINENESS * (span[1] - span[0])
-    bent = float(np.asarray(fminbound(loss, *span, xtol=fine, full_output=False)))
-    trial = exact({**top.values, name: float(back(bent))})
-    return max(best, trial, key=lambda one: one.evidence)
+    found = fminbound(loss, *span, xtol=fine * (span[1] - span[0]), full_output=False)
+    return float(back(float(np.asarray(found))))
 
 
 def _running(grid: Sequence[Values]) -> str | None:

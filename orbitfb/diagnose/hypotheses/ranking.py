@@ -23,7 +23,8 @@ class Ranked:
         grid: The values, one for all devices.
         own: Values of every device's own, each parameter a number or of shape (D,).
         alone: Log evidence of every device for itself, of the grid and then of `own`, (V, D).
-        promising: The values that explain most, by device and by all devices together.
+        promising: The values that explain most, by device, by group and by all devices together:
+            where some devices are struck, a single one stands for the others with another value.
     """
 
     grid: Sequence[Values]
@@ -50,7 +51,8 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
     devices = law.patterns[0].shape[1]
     error = scorer.own_error(kind, np.arange(devices))
     alone = np.full((len(grid) + len(own), devices), -np.inf)
-    together = np.full(len(grid), -np.inf)
+    together = np.full((len(grid), 2), -np.inf)  # of all devices, and of the best group
+    groups = list(law.groups.values())
     for number, values in enumerate((*grid, *own)):
         spectra = scorer.space.courses.spectra(law, values)
         if not any(np.any(one) for one in spectra):
@@ -60,12 +62,18 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
         alone[number] = np.max([worth(pull, information) for worth in worths], axis=0)
         if number >= len(grid):
             continue
-        whole = sum(map(scorer.all_together, law.patterns, spectra))
-        total = np.array([np.sum(pull)])
-        together[number] = max(float(worth(total, np.array([whole]))[0]) for worth in worths)
+        seen = [
+            scorer.together(block, spectrum, groups)
+            for block, spectrum in zip(law.patterns, spectra, strict=True)
+        ]
+        total = np.array([np.sum(pull), *(np.sum(pull[one]) for one in groups)])
+        whole = np.array([[one, *parts] for one, parts in seen]).sum(axis=0)
+        gain = np.max([worth(total, whole) for worth in worths], axis=0)
+        together[number] = gain[0], gain[1:].max(initial=-np.inf)
     top = alone[: len(grid)].max(axis=1)
-    best = {*np.argsort(-top)[:RANKED_VALUES], *np.argsort(-together)[:RANKED_VALUES]}
-    hopeful = np.maximum(top - HOPE, together) > 0.0
+    marks = (top, *together.T)
+    best = {int(one) for mark in marks for one in np.argsort(-mark)[:RANKED_VALUES]}
+    hopeful = np.max([top - HOPE, *together.T], axis=0) > 0.0
     return Ranked(grid, own, alone, [grid[number] for number in sorted(best) if hopeful[number]])
 
 

@@ -9,7 +9,7 @@ from scipy.linalg import cho_solve
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.row_sums import OwnError, Rows
 from orbitfb.diagnose.likelihood.errors import variances
-from orbitfb.diagnose.likelihood.seen import Beside, Seen
+from orbitfb.diagnose.likelihood.seen import Beside, Seen, positive, products
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, OwnValues
@@ -85,15 +85,15 @@ class Scorer:
         """
         pull = np.array([np.einsum("tn,tn->", self.pulled, one, dtype=float) for one in fields])
         seen = [one.astype(np.float32) @ self.modes for one in fields]
-        information = _products([one * self.weights for one in seen], seen)
+        information = products([one * self.weights for one in seen], seen)
         if not len(self.priors.used):
             return pull, information
         used = self.errors.variance > 0.0
         weight = self.inverse[self.space.transform.band]
         weighed = [one * weight for one in seen]
-        by_band = _products(weighed, seen)
+        by_band = products(weighed, seen)
         cross = [self.space.terms.pull(one, used, self.patterns) for one in weighed]
-        left = _positive(self.priors.beyond(by_band, np.stack(cross, axis=1)))
+        left = positive(self.priors.beyond(by_band, np.stack(cross, axis=1)))
         scale = np.sqrt(np.diag(information) / np.maximum(np.diag(by_band), 1e-300))
         return pull, scale[:, None] * left * scale
 
@@ -127,7 +127,7 @@ class Scorer:
             return pull, information
         space = self.space
         cross = space.terms.cross(space.noise, space.transform, patterns, spectrum)
-        return pull, _positive(self.priors.beyond(information, cross))
+        return pull, positive(self.priors.beyond(information, cross))
 
     def seen(self, patterns: Matrix) -> Seen:
         """What patterns see of the residual; kept, as many values of a law share their patterns."""
@@ -154,7 +154,11 @@ class Scorer:
         for one, spectrum, mine in zip(seen, spectra, parts, strict=True):
             pull += np.einsum("fd,fd->d", one.pulled, np.broadcast_to(spectrum, one.pulled.shape))
             for other, theirs in zip(seen, parts, strict=True):
-                precision = one.precision if other is one else self._across(one, other)
+                precision = (
+                    one.precision
+                    if other is one
+                    else [(one.modes * weight) @ other.modes.T for weight in self.inverse]
+                )
                 for weight, left, right in zip(precision, mine, theirs, strict=True):
                     information += weight * (left.T @ right)
         return pull, information
@@ -201,14 +205,19 @@ class Scorer:
             )
         return self.nearby[target]
 
-    def all_together(self, patterns: Matrix, spectrum: Single) -> float:
-        """Information of all devices with one common value, from some frequencies of each band."""
+    def together(
+        self, patterns: Matrix, spectrum: Single, groups: Sequence[Indices]
+    ) -> tuple[float, Vector]:
+        """Information of all devices, and of groups (G,), from some frequencies of each band."""
         if spectrum.shape[1] == 1:
             spectrum = np.broadcast_to(spectrum, (len(spectrum), patterns.shape[1]))
         rows, share = self.sample
-        seen = spectrum[rows] @ self.seen(patterns).modes
-        along = np.sum(seen * seen * self.weights[rows], axis=1, dtype=np.float64)
-        return float(share @ along)
+        modes, some, weight = self.seen(patterns).modes, spectrum[rows], self.weights[rows]
+
+        def of(seen: Single) -> float:
+            return float(share @ np.sum(seen * seen * weight, axis=1, dtype=np.float64))
+
+        return of(some @ modes), np.array([of(some[:, one] @ modes[one]) for one in groups])
 
     def eased(self, field: Matrix) -> float:
         """Log evidence gained if the healthy errors are smaller once a cause is known [nats].
@@ -236,9 +245,6 @@ class Scorer:
             )
         ]
         return max(gains[0] - gains[1], 0.0)
-
-    def _across(self, one: Seen, other: Seen) -> list[Single]:
-        return [(one.modes * weight) @ other.modes.T for weight in self.inverse]
 
     def own_error(self, kind: EffectKind, devices: Indices) -> OwnError | None:
         """The healthy error of the same devices; None where they have none.
@@ -285,15 +291,3 @@ class Scorer:
             information += np.sum(seen.own * power, axis=0)
             cross += np.sum(seen.own * beside, axis=0)
         return pull, information if own is None else own.marginal(information, cross)
-
-
-def _products(weighed: Sequence[Single], seen: Sequence[Single]) -> Matrix:
-    """Sums of the products of all pairs, in double precision, shape (k, k)."""
-    return np.array([[np.einsum("tn,tn->", a, b, dtype=float) for b in seen] for a in weighed])
-
-
-def _positive(information: Matrix) -> Matrix:
-    """Keep what rounding leaves of no information from being less than none."""
-    least = np.zeros_like(information)
-    least[np.diag_indices_from(least)] = np.maximum(-np.diag(information), 0.0)
-    return information + least

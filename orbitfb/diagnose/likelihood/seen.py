@@ -1,5 +1,6 @@
 """What patterns, and errors that are marginalised, see of a residual."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,3 +85,15 @@ class Seen:
             pulled.astype(np.float32) @ single, precision,
             np.stack([np.diag(one) for one in precision]),
         )  # fmt: skip
+
+
+def products(weighed: Sequence[Single], seen: Sequence[Single]) -> Matrix:
+    """Sums of the products of all pairs, in double precision, shape (k, k)."""
+    return np.array([[np.einsum("tn,tn->", a, b, dtype=float) for b in seen] for a in weighed])
+
+
+def positive(information: Matrix) -> Matrix:
+    """Keep what rounding leaves of no information from being less than none."""
+    least = np.zeros_like(information)
+    least[np.diag_indices_from(least)] = np.maximum(-np.diag(information), 0.0)
+    return information + least

@@ -10,6 +10,7 @@ from benchmarks.small_ring import small_ring
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose import hypotheses, likelihood
 from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.device_laws import _finer, _Found
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
@@ -17,7 +18,8 @@ from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind, Parameter, Values
-from orbitfb.effects.registry import all_effects
+from orbitfb.effects.laws import DeviceLaw
+from orbitfb.effects.registry import all_effects, effect
 from orbitfb.estimation.priors import SURE
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
@@ -38,6 +40,16 @@ def lagging(currents: Matrix) -> Matrix:
     for row in currents:
         state = state + (1.0 - kept) * (row - state)
     return state[None]
+
+
+def four_lagging(currents: Matrix) -> Matrix:
+    """Four correctors behind a time constant that lies between two of the grid."""
+    behind, some = currents[-1:].copy(), [1, 2, 6, 9]
+    kept, state = np.exp(-0.1 / 0.079), currents[0, some].copy()
+    for row in currents[:, some]:
+        state = state + (1.0 - kept) * (row - state)
+    behind[0, some] = state
+    return behind
 
 
 def strong_third(currents: Matrix) -> Matrix:
@@ -71,6 +83,21 @@ def test_a_lag_of_all_correctors_is_named_with_its_time_constant() -> None:
     found = winner(record, kinds_for(record))
     assert (found.kind.id, found.places) == ("corrector-lag", ())
     assert found.values["tau"] == pytest.approx(0.1, rel=0.05)
+
+
+def test_which_correctors_lag_is_sought_together_with_their_time_constant() -> None:
+    """Too long a time for all of them strikes some of them only, and no time alone mends that."""
+    record = make_record(14, currents=four_lagging)
+    kind = effect("corrector-lag")
+    space = Workspace.of(record, kinds_for(record))
+    scorer, (law,) = Scorer.of(space), space.courses.laws(kind)
+    assert isinstance(law, DeviceLaw)
+    grid = space.courses.grid(kind)
+    longer = min((one for one in grid if one["tau"] > 0.1), key=lambda one: one["tau"])
+    scanned = _Found(100.0, (2, 9), longer, free=False)
+    found = _finer(kind, law, scorer, grid, scanned, cost=0.0)
+    assert found.places == (1, 2, 6, 9)
+    assert found.values["tau"] == pytest.approx(0.079, rel=0.02)
 
 
 def test_a_gain_of_one_corrector_is_found_with_its_place_and_size() -> None:
