@@ -158,7 +158,15 @@ def test_beyond_its_limits_or_illegal_is_refused_with_alarm_and_log(service: Ser
     seen = operate(
         service,
         """
-        put("GainX-SP", 0.5)
+        if text("State-I") != "CLOSED":
+            put("Command-Cmd", "close")
+            until(lambda: text("State-I") == "CLOSED", "CLOSED")
+
+        def halved():
+            put("GainX-SP", 0.5)
+            return get("GainX-SP") == 0.5  # a busy service may not answer in time
+
+        until(halved, "half the gain")
         kept = []
         for value in (1.5, -0.1, float("nan")):
             put("GainX-SP", value)

@@ -112,7 +112,7 @@ def _information(
     spectra = _spectra(law, values, scorer)
     for pattern, spectrum in zip(law.patterns, spectra, strict=True):
         if law.whole:
-            total += scorer.all_together(pattern, spectrum)
+            total += scorer.together(pattern, spectrum, ())[0]
         else:
             seen = scorer.seen(pattern)
             total += np.einsum("bd,bd->d", seen.own, transform.by_band(spectrum * spectrum))

@@ -41,7 +41,7 @@ READERS = {
     "exchange/response/export.py",
     "history/segment.py",
     "history/verify.py",
-    "loco/input/raw.py",
+    "loco/input/parts.py",
     "loop/excitation/file.py",
     "postmortem/encoding.py",
     "postmortem/opening.py",
