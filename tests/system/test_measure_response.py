@@ -91,7 +91,9 @@ def test_it_refuses_beside_a_closed_loop(tmp_path, config):
             service.wait_state("CLOSED")
             asked = arguments(ring, tmp_path, config)
             same = [tmp_path / "loop" if each == tmp_path / "data" else each for each in asked]
-            assert "is CLOSED" in refused(*same)
+            told = refused(*same)
+            # A busy machine holds a tick back.
+            assert "is CLOSED" in told or "is HELD" in told, told
             # Another user, or another computer: no lock tells, but the lease does, and where there
             # is none, the setpoints move.
             (tmp_path / "elsewhere").mkdir(mode=0o700)

@@ -145,10 +145,11 @@ def test_averages_and_a_dead_band_are_set_by_pv_and_told_in_the_status(service: 
         put("DeadBandX-SP", 20.0)
         until(lambda: get("DeadBandX-RB") == 20.0, "the dead band")
         until(lambda: moves(8) == 0, "rest, and no question")
-        finish(text("State-I"))
+        until(lambda: text("State-I") == "CLOSED", "CLOSED")  # a busy machine holds a tick back
+        finish(True)
         """,
     )
-    assert seen == "CLOSED"
+    assert seen
     status = service.status()
     assert status["average_orbits"] == 15
     assert status["dead_band_um"] == {"x": pytest.approx(20.0)}
