@@ -103,8 +103,8 @@ ROUNDS = 4
 """Causes that are accepted at most."""
 
 AT_ONCE = 2
-"""Different effects that a record may have at once. A third one has odds of one in tens, as each of
-the others had; that the library lacks the effect at work is likelier."""
+"""Different effects that a record may have at once. By hand: faults are rare and independent; one
+that the library lacks is likelier than three at once."""
 
 SCATTER = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Multiples of the healthy scatter that are tried for all devices at once."""
@@ -160,8 +160,8 @@ FINENESS = 1.0 / 300.0
 """Share of the interval between two values of the grid to which the best one is found."""
 
 ROUGHNESS = 1.0 / 30.0
-"""The same where the devices that are struck are sought with the value: which ones they are follows
-from it to less."""
+"""The same where the devices that are struck are sought with the value. By hand: an eighth of a
+step of the grid; the value alone is then sought to FINENESS."""
 
 GRID_REACH = 2
 """Values of the grid on either side within which the best one is searched: the best one for one
@@ -180,11 +180,12 @@ OWN_VALUES = 9
 """Values that are tried within that reach: a sixteenth apart, and a parabola between them."""
 
 RANKED_VALUES = 2
-"""Values of a grid that are scored for all sets of devices, by each of three marks."""
+"""Values of a grid that are scored for all sets of devices, by each of three marks. By hand: the
+best one lies between two of them."""
 
 SAMPLED = 12
 """Frequencies of a band that are summed where a value is only to be ranked among others: of the
-slow bands, which have fewer, all."""
+slow bands, which have fewer, all. By hand: sums of most laws are then right to a fifth."""
 
 VALUE_SCATTER = 0.5
 """Largest scatter of a value from device to device, of the value [1]: a half."""

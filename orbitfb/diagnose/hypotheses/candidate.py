@@ -69,7 +69,7 @@ class Candidate:
     finer: "Callable[[], Candidate] | None" = None
 
     @property
-    def told(self) -> bool:
+    def additive(self) -> bool:
         """Whether it adds a course that is told to the readings, and changes nothing else."""
         more = self.walk is not None or self.white is not None or self.raised or self.columns
         return self.field is not None and self.undone is None and not more

@@ -74,7 +74,7 @@ def check_repeats(record: Record) -> list[Finding]:
     for column in np.flatnonzero(single.any(axis=0)).tolist():
         found += _frozen(record, column, single[:, column], whole, usual)
     told = {name for finding in found if finding.effect for name in finding.devices}
-    crate = _crates(record, shared_repeats(record), told)
+    crate = _crates(record, told)
     known = {name for finding in crate for name in finding.devices}
     found = [*crate, *(one for one in found if one.effect or not known & set(one.devices))]
     held = [column for column in held if record.layout.bpms.label(column) not in told]
@@ -83,9 +83,11 @@ def check_repeats(record: Record) -> list[Finding]:
 
 def shared_repeats(record: Record) -> Mask:
     """Tell which readings repeat the one before to the last bit, several at once, (N, n)."""
-    same = _repeats(record)
-    same[np.count_nonzero(same, axis=1) < _TOGETHER] = False
-    return same
+    return _together(_repeats(record))
+
+
+def _together(same: Mask) -> Mask:
+    return same & (np.count_nonzero(same, axis=1) >= _TOGETHER)[:, None]
 
 
 def _repeats(record: Record) -> Mask:
@@ -101,19 +103,19 @@ def _repeats(record: Record) -> Mask:
     return same
 
 
-def _by_chance(record: Record, together: int, rows: int) -> bool:
+def _by_chance(same: Mask, together: int, rows: int) -> bool:
     """Whether BPMs that repeat at the same rows may each do so by chance, as they do alone.
 
     Readings in single precision repeat some ten times in a hundred thousand.
 
     Args:
-        record: In question.
+        same: All readings that repeat, shape (N, n).
         together: How many repeat at once.
         rows: In how many rows.
     """
-    alone = np.count_nonzero(np.count_nonzero(_repeats(record), axis=1) == 1)
-    each = math.log(max(alone, 1) / record.readings.size)
-    tries = _log_choices(record.readings.shape[1], together) + _log_choices(len(record), rows)
+    alone = np.count_nonzero(np.count_nonzero(same, axis=1) == 1)
+    each = math.log(max(alone, 1) / same.size)
+    tries = _log_choices(same.shape[1], together) + _log_choices(len(same), rows)
     return tries + rows * together * each > math.log(_CHANCE)
 
 
@@ -122,17 +124,17 @@ def _log_choices(count: int, chosen: int) -> float:
     return math.lgamma(count + 1) - math.lgamma(chosen + 1) - math.lgamma(count - chosen + 1)
 
 
-def _crates(record: Record, shared: Mask, told: set[str]) -> list[Finding]:
+def _crates(record: Record, told: set[str]) -> list[Finding]:
     """Find BPMs that were not read at some ticks, all of a crate at once."""
+    same = _repeats(record)
+    shared = _together(same)
     rows = np.flatnonzero(shared.any(axis=1))
     labels = [record.layout.bpms.label(column) for column in range(shared.shape[1])]
     often = shared[rows].mean(axis=0) if len(rows) else np.zeros(len(labels))
     names = tuple(
         label for label, share in zip(labels, often, strict=True) if share > _MOSTLY_READ_TWICE
     )
-    if len(names) < _TOGETHER or told & set(names):
-        return []
-    if _by_chance(record, len(names), len(rows)):
+    if len(names) < _TOGETHER or told & set(names) or _by_chance(same, len(names), len(rows)):
         return []
     text = (
         f"{listed(names)} repeat their readings, to the last bit, at the same "

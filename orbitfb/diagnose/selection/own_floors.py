@@ -60,19 +60,18 @@ def refitted(
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
     base = space.with_floor().log_posterior()
-    field = _Field(list(candidates), [one.evidence for one in candidates], enough)
-    while (number := field.next()) is not None:
-        told, after = settled(candidates[number], space, times=1, spread=False)
-        field.own[number] = replace(
-            told, evidence=after.log_posterior() - base - (told.cost or 0.0)
-        )
-        if told.told:
-            field.least(_under(candidates, space, after, base))
-    return field.ranked()
+    rivals = _Rivals(list(candidates), [one.evidence for one in candidates], enough)
+    while (number := rivals.next()) is not None:
+        own, after = settled(candidates[number], space, times=1, spread=False)
+        gain = after.log_posterior() - base - (own.cost or 0.0)
+        rivals.own[number] = replace(own, evidence=gain)
+        if own.additive:
+            rivals.least(_under(candidates, space, after, base))
+    return rivals.ranked()
 
 
 @dataclass(slots=True)
-class _Field:
+class _Rivals:
     """The candidates of a round, and what is known of their evidence.
 
     Args:
@@ -105,7 +104,7 @@ class _Field:
             if one.noisy or one.cost is None or number in self.own:
                 continue
             form = _form(one)
-            if form in weighed and (not one.told or self.worth[number] <= weighed[form]):
+            if form in weighed and (not one.additive or self.worth[number] <= weighed[form]):
                 continue
             # Each BPM is the scale of what is undone: beside the floor of all it counts for little.
             at_it = _beside(one, self.candidates[0]) and one.evidence > 0.5 * self.enough
@@ -145,7 +144,7 @@ def _form(one: Candidate) -> tuple[str, bool]:
 def _under(
     candidates: Sequence[Candidate], space: Workspace, after: Workspace, base: float
 ) -> dict[int, float]:
-    """Evidence of all that is told over the floor that one of them leaves [nats], by number.
+    """Evidence of all that add a course over the floor that one of them leaves [nats], by number.
 
     Args:
         candidates: Of the round.
@@ -161,7 +160,7 @@ def _under(
     scorer = Scorer.of(lower)
     found = {}
     for number, one in enumerate(candidates):
-        if one.told and one.field is not None and one.cost is not None:
+        if one.additive and one.field is not None and one.cost is not None:
             pull, information = scorer.evaluate([one.field])
             found[number] = without + float(pull[0] - 0.5 * information[0, 0]) - one.cost
     return found

@@ -30,7 +30,17 @@ class Round:
     def left(self, told: float) -> Candidate | None:
         """The best that is sure beside causes with that evidence [nats]; None: there is none."""
         best = next(iter(self.candidates), None)
-        return best if best is not None and best.evidence > SURE + MISFIT * told else None
+        return best if best is not None and best.evidence > enough_beside(told) else None
+
+
+def enough_beside(told: float) -> float:
+    """Evidence from which one more candidate is sure [nats].
+
+    Args:
+        told: Evidence of the causes beside it [nats]: laws that are all a little wrong leave a
+            share of it to others.
+    """
+    return SURE + MISFIT * told
 
 
 def tournament(
@@ -46,14 +56,15 @@ def tournament(
         tell: Is told the effect that is tried, and what it takes.
 
     Returns:
-        The accepted candidates in order, and all rounds, the last one without a sure candidate.
+        The accepted candidates in order, and all rounds; of the last one nothing was accepted,
+        although it may have a candidate that is sure.
     """
     accepted: list[Candidate] = []
     rounds: list[Round] = []
     while True:
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
-        enough = SURE + MISFIT * sum(one.evidence for one in accepted)
+        enough = enough_beside(sum(one.evidence for one in accepted))
         candidates = candidates_of(space, left, tell, enough)
         candidates = [one for one in candidates if not _echo(one, accepted)]
         candidates = _last_resort(refitted(candidates, space, enough), bool(accepted))

@@ -11,7 +11,7 @@ from orbitfb.exchange.formats.csv_file import ROWS, VALUES, CsvSource
 from orbitfb.exchange.formats.source import open_source
 from orbitfb.exchange.units import ORBIT, factor
 from orbitfb.loco.input.labels import Place
-from orbitfb.loco.input.raw import Raw
+from orbitfb.loco.input.matrix import Raw
 from orbitfb.physics.places import Indices, Plane, Ring
 
 

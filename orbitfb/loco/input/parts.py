@@ -5,7 +5,6 @@ and a plane for each, H or V.
 """
 
 import zipfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from orbitfb.core.errors import ExchangeError
 from orbitfb.core.files.arrays import first_line
 from orbitfb.core.files.bounded import LARGEST_TEXT, parse_json, read_text
 from orbitfb.core.signals import Vector
+from orbitfb.loco.input.matrix import Raw
 from orbitfb.loco.noise import of_repeats
 from orbitfb.physics.optics import Matrix
 
@@ -29,29 +29,6 @@ _UNITS = ("units", "unit")
 _PLANES = {"H": "x", "V": "y", "X": "x", "Y": "y"}
 _MOST_ARRAYS, _LARGEST, _PACKED = 64, 1 << 30, 200
 """Most arrays of a file, most bytes of them, and how many times they may be packed."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Parts:
-    """What such a file has of a response.
-
-    Args:
-        where: The matrix in the file, for messages.
-        values: Shape (n, m), in the unit of the file.
-        units: As the file says; empty: it does not.
-        rows: Names of the BPMs, NAME or NAME:x; empty: none.
-        columns: Names of the correctors; empty: none.
-        sigma: Standard deviations, the same unit; None: not known.
-        dispersion: Measured horizontal dispersion of the rows [m]; None: not in the file.
-    """
-
-    where: str
-    values: Matrix
-    units: str = ""
-    rows: tuple[str, ...] = ()
-    columns: tuple[str, ...] = ()
-    sigma: Matrix | None = None
-    dispersion: Vector | None = None
 
 
 def unpacked(file: Path) -> zipfile.ZipFile:
@@ -77,7 +54,7 @@ def unpacked(file: Path) -> zipfile.ZipFile:
     return archive
 
 
-def of_numpy(file: Path) -> Parts:
+def of_numpy(file: Path) -> Raw:
     """Read `.npy` or `.npz`.
 
     Raises:
@@ -86,7 +63,7 @@ def of_numpy(file: Path) -> Parts:
     try:
         if file.suffix.lower() == ".npy":  # mapped: a header cannot claim more than there is
             values, sigma = _matrices(np.load(file, "r", allow_pickle=False), file)
-            return Parts(file.name, values, sigma=sigma)
+            return Raw(file.name, values, sigma=sigma)
         unpacked(file).close()
         content = np.load(file, allow_pickle=False)
         found = {name: content[name] for name in content.files}
@@ -98,7 +75,7 @@ def of_numpy(file: Path) -> Parts:
     return _of_parts(file, found)
 
 
-def of_json(file: Path) -> Parts:
+def of_json(file: Path) -> Raw:
     """Read JSON.
 
     Raises:
@@ -114,7 +91,7 @@ def of_json(file: Path) -> Parts:
     return _of_parts(file, content)
 
 
-def _of_parts(file: Path, parts: dict[str, Any]) -> Parts:
+def _of_parts(file: Path, parts: dict[str, Any]) -> Raw:
     name = next((name for name in MATRICES if name in parts), None)
     if name is None:
         raise ExchangeError(
@@ -128,7 +105,7 @@ def _of_parts(file: Path, parts: dict[str, Any]) -> Parts:
     rows = _labels(parts, BPMS, _BPM_PLANES, file)
     columns = _labels(parts, CORRECTORS, _CORRECTOR_PLANES, file)
     dispersion = None if eta is None else np.ravel(_numbers(eta, file))
-    return Parts(name, values, units, rows, columns, sigma, dispersion)
+    return Raw(name, values, units, rows, columns, sigma, dispersion=dispersion)
 
 
 def _labels(

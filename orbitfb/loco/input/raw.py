@@ -1,7 +1,7 @@
 """The matrices of a file as they stand in it, with the names and units that it gives them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,42 +13,12 @@ from orbitfb.exchange.formats.csv_file import COLUMNS, ROWS, VALUES, CsvSource
 from orbitfb.exchange.formats.datasets import LARGEST_FILE, Source, column_of, matrix_of
 from orbitfb.exchange.formats.source import check_file, names_from, names_listed, open_source
 from orbitfb.exchange.response.middle_layer import block_of, is_middle_layer
-from orbitfb.loco.input.parts import BPMS, CORRECTORS, MATRICES, Parts, of_json, of_numpy, unpacked
-from orbitfb.loco.measured import PLANES, Pair
+from orbitfb.loco.input.matrix import Raw
+from orbitfb.loco.input.parts import BPMS, CORRECTORS, MATRICES, of_json, of_numpy, unpacked
+from orbitfb.loco.measured import PLANES
 from orbitfb.measure.packed import read_packed
-from orbitfb.physics.optics import Matrix
 
 _ADVICE = "measure it with `orbitfb measure-response`, or import it"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Raw:
-    """A matrix of a file.
-
-    Args:
-        where: In the file, for messages.
-        values: Shape (n, m), in the unit of the file.
-        unit: As the file says; empty: it does not.
-        rows: Names of the BPMs; empty: none.
-        columns: Names of the correctors; empty: none.
-        sigma: Standard deviations, the same unit; None: not known.
-        pair: Planes of rows and columns, where the file says.
-        planes: Planes that are stacked in it, where the file says.
-        dispersion: Measured horizontal dispersion of the rows [m], or the change of their orbit by
-            a relative change of the RF frequency of 1 [m]; None: not in the file.
-        by_frequency: Whether it is the latter.
-    """
-
-    where: str
-    values: Matrix
-    unit: str = ""
-    rows: tuple[str, ...] = ()
-    columns: tuple[str, ...] = ()
-    sigma: Matrix | None = None
-    pair: Pair | None = None
-    planes: str | None = None
-    dispersion: Vector | None = None
-    by_frequency: bool = False
 
 
 def raw_blocks(
@@ -97,7 +67,7 @@ def names_inside(file: Path) -> frozenset[str]:
     return frozenset()
 
 
-def _renamed(its: Parts, bpm_names: str | None, corrector_names: str | None) -> Raw:
+def _renamed(its: Raw, bpm_names: str | None, corrector_names: str | None) -> Raw:
     """Make the matrix of a file of parts, with the names that the caller gives."""
 
     def named(where: str | None, own: tuple[str, ...], option: str) -> tuple[str, ...]:
@@ -110,10 +80,9 @@ def _renamed(its: Parts, bpm_names: str | None, corrector_names: str | None) -> 
             )
         return names_listed(Path(where[1:]))
 
-    return Raw(
-        its.where, its.values, its.units, named(bpm_names, its.rows, "--bpm-names"),
-        named(corrector_names, its.columns, "--corrector-names"), its.sigma,
-        dispersion=its.dispersion,
+    return replace(
+        its, rows=named(bpm_names, its.rows, "--bpm-names"),
+        columns=named(corrector_names, its.columns, "--corrector-names"),
     )  # fmt: skip
 
 

@@ -16,7 +16,8 @@ from orbitfb.core.near_names import did_you_mean
 from orbitfb.exchange.units import PER_KICK, RESPONSE, factor
 from orbitfb.loco.input.dispersion import of_blocks, of_file
 from orbitfb.loco.input.labels import labels, masked
-from orbitfb.loco.input.raw import Raw, raw_blocks
+from orbitfb.loco.input.matrix import Raw
+from orbitfb.loco.input.raw import raw_blocks
 from orbitfb.loco.measured import PLANES, Measured, Pair, from_setpoints
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices, Kind, Plane, Planes, Ring, plane_row, split

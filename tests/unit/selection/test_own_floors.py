@@ -11,7 +11,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection import own_floors, rounds
-from orbitfb.diagnose.selection.own_floors import refitted
+from orbitfb.diagnose.selection.own_floors import _under, refitted, settled
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.registry import effect
 from orbitfb.records.record import Record
@@ -110,10 +110,15 @@ def test_a_rival_shows_under_the_floor_of_what_leads(monkeypatch: pytest.MonkeyP
 
 
 def test_under_the_floor_of_another_one_none_has_more_than_under_its_own() -> None:
+    """And that of the one whose floor it is has there what it has."""
     space, found = scanned(record_with(np.outer(5e-6 * np.sin(0.2 * np.arange(ROWS)), PATTERN), 23))
-    told = [one for one in found if one.told and one.cost is not None and one.evidence > 0.0]
-    own = {one.kind.id: one.evidence for one in refitted(told, space)}
-    alone = {one.kind.id: refitted([one], space)[0].evidence for one in told}
-    best = max(own.values())
-    for name, evidence in own.items():
-        assert evidence < alone[name] + 0.01 * best, name
+    told = [one for one in found if one.additive and one.cost is not None and one.evidence > 0.0]
+    space = space.saturable()
+    base = space.with_floor().log_posterior()
+    own = [refitted([one], space)[0].evidence for one in told]
+    best = int(np.argmax(own))
+    told[best], after = settled(told[best], space, times=1, spread=False)
+    under = _under(told, space, after, base)
+    assert under[best] == pytest.approx(own[best], rel=0.01)
+    for number, evidence in under.items():
+        assert evidence < own[number] + 0.01 * own[best], told[number].describe()
