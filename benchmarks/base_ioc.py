@@ -5,7 +5,7 @@
 SIZE 0 is the job's own ring. Plain soft `ai` and `ao` records; per tick Python steps the ring and
 calls dbPutField once per reading and dbGetField once per setpoint through ctypes, with addresses
 looked up beforehand. All readings take the time stamp of one record (TSEL). The put of the last
-setpoint wakes the ring in lockstep (FLNK to one record with a Python callback); no other record
+corrector wakes the ring in lockstep (FLNK to one record with a Python callback); no other record
 runs Python.
 """
 
@@ -74,13 +74,13 @@ def database(layout: Layout) -> str:
     reading = f'field(TSEL, "{STAMP}.TIME") field(MDEL, "-1") field(ADEL, "-1") field(VAL, "0")'
     records = [f'record(ai, "{STAMP}") {{ field(TSE, "0") }}']
     records += [f'record(ai, "{spec.name}") {{ {reading} }}' for spec in layout.readings]
-    last = layout.setpoints[-1].name
+    last = layout.setpoints[layout.correctors - 1].name
     for spec in layout.setpoints:
         low, high = spec.drive
         link = f'field(FLNK, "{DONE}")' if spec.name == last else ""
         records.append(
             f'record(ao, "{spec.name}") {{ field(DRVH, "{high}") field(DRVL, "{low}") '
-            f'field(VAL, "0") field(PINI, "YES") {link} }}'
+            f'field(VAL, "{spec.initial}") field(PINI, "YES") {link} }}'
         )
     return "\n".join(records)
 
@@ -123,8 +123,10 @@ def main() -> None:
             due = max(due + period, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
         stamp.put()
-        state = ring.step(setpoints.get())
-        readings.values[:] = layout.values(state, ring.tick)
+        values = setpoints.get()
+        rf = float(values[-1])
+        state = ring.step(values[: layout.correctors], rf - layout.rf_frequency)
+        readings.values[:] = layout.values(state, ring.tick, rf=rf)
         readings.put()
 
 

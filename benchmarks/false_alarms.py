@@ -133,6 +133,7 @@ def first_alarm(drift: DriftSettings, seed: int, ticks: int) -> tuple[int | None
     """Tick of the first alarm, mean-square innovation and true orbit of the 100 ticks before it."""
     detector = ChangeDetector(ChangeSettings(), RATE)
     chi2: list[float] = []
+    recent = float("nan")
     for loop, contrasts in loop_contrasts(drift, seed, ticks):
         chi2 += [contrast.chi2 for contrast in contrasts if contrast.rows]
         recent = float(np.mean(loop.true_rms[max(0, loop.tick - 100) : loop.tick]))

@@ -69,7 +69,7 @@ def refit(kind: str) -> float:
     times = []
     for _ in range(4):
         loop.advance(100)
-        new = loop.transitions(learner.last_tick + 1)
+        new = loop.transitions((learner.last_tick or 0) + 1)
         began = time.perf_counter()
         learner.refit(new, policy, "periodic")
         times.append(time.perf_counter() - began)

@@ -120,7 +120,7 @@ def journey(directory: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     document: dict[str, Any] = {**circumstances("make newcomer", 1, quick=False)}

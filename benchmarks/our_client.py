@@ -65,17 +65,14 @@ def main() -> None:
     with ExitStack() as stack:
         machine = stack.enter_context(EpicsMachine(channels, settings, clock))
         recorder = Recorder(job, machine, clock, stop)
-        if run.size is None:
-            policy = SvdPolicy(response(Ring.load(), job.sim.planes), SvdSettings())
-        else:
-            policy = Diagonal()
-        slot = PolicySlot(policy)
+        svd = SvdPolicy(response(Ring.load(), job.sim.planes), SvdSettings())
+        slot = PolicySlot(svd if run.size is None else Diagonal())
         subscribers: tuple[Subscriber, ...] = ()
         if run.client == "service":
             from benchmarks.surroundings import Surroundings  # much that the loop needs not
 
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            surroundings = Surroundings(channels, policy.response, slot, folder, clock, stack)
+            surroundings = Surroundings(channels, svd.response, slot, folder, clock, stack)
             subscribers = surroundings.subscribers
         runner = Runner(
             machine,

@@ -30,7 +30,7 @@ class CountingRing:
         self.tick = 0
         self._offsets = np.arange(size) * STEP
 
-    def step(self, setpoints: Vector) -> PlantState:
+    def step(self, setpoints: Vector, frequency_change: float = 0.0) -> PlantState:
         reading = self._offsets + _PATTERN[self.tick % len(_PATTERN)]
         self.tick += 1
         return PlantState(reading, reading, setpoints.copy())

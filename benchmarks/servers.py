@@ -4,6 +4,7 @@ import os
 import selectors
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -55,20 +56,24 @@ def serving(server: Server, job: SimJob, size: int | None = None) -> Iterator[Ru
         command = ["-m", "benchmarks.counting_ioc", str(size)]
     else:
         command = ["-m", "orbitfb.sim"]
+    words = tempfile.TemporaryFile()  # noqa: SIM115
     process = subprocess.Popen(
         [sys.executable, *command],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL if server == "base" else None,  # EPICS base greets there
+        stderr=words,
         env=os.environ | _base_environment(port),
     )
     try:
         said = _start(process, job)
         yield Running(process.pid, int(said.partition("port=")[2].split()[0]))
     finally:
+        if process.poll() is not None:
+            words.seek(0)
+            sys.stderr.write(f"the server ({server}) ended by itself: {words.read().decode()}\n")
         process.kill()
         process.wait()
-        for pipe in (process.stdin, process.stdout):
+        for pipe in (process.stdin, process.stdout, words):
             if pipe is not None:
                 pipe.close()
 
