@@ -54,7 +54,8 @@ def effects_show(
         bounds = f"{p.low:g} to {p.high:g}{unit}, none at {p.nominal:g}, typical {p.typical:g}"
         print(f"{p.name:<10} {p.description} ({bounds})")
     if kind.confused_with:
-        print(f"like       {', '.join(kind.confused_with)}; told apart by {kind.splits}")
+        print(f"like       {', '.join(kind.confused_with)}")
+        print(f"tell apart {kind.splits}")
 
 
 def _parameters(kind: "EffectKind") -> str:

@@ -47,7 +47,7 @@ class ElementsKind(EffectKind):
             high=3.0,
             nominal=0.0,
             typical=0.1,
-            description="Rms of the errors of its elements, over the rms of its elements.",
+            description="Rms of the errors of the elements, divided by the rms of the elements.",
         ),
     )
     linear = "share"

@@ -78,15 +78,15 @@ class EffectKind(ABC):
         target: What it sits on; `source` is a quadrupole or corrector place that kicks the beam.
         parameters: In the order in which people would name them; the size comes first.
         title: A few words, beginning in lower case ("gain error of a BPM").
-        sentence: What it means to an operator, one or two sentences.
+        sentence: What an operator sees, why, and what to check; short sentences.
         equation: How it acts, one line of plain text, with its source where there is one.
         linear: Name of the parameter in which the change of the prediction is (nearly)
             proportional to (value − nominal), so that its best value is found without a search;
             None when there is none: then `grid` is searched.
         homogeneous: Whether the change is (nearly) proportional to all parameters at once, each
             from its nominal value on: a size for each plane, say. The grid tells their ratio.
-        confused_with: Ids of effects that a record may be unable to tell from it, and in
-            `splits` what would (one line).
+        confused_with: Ids of effects that a record may be unable to tell from it.
+        splits: What would tell them apart, in sentences.
         also_called: Ids by which the same fault goes with another course in time; an answer lists
             them beside its own.
         collective: Whether it commonly strikes all devices of a cell, or of the ring, with one

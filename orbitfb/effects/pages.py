@@ -107,7 +107,7 @@ def _page(kind: EffectKind, note: str) -> Iterator[str]:
     if kind.confused_with:
         known = all_effects()
         links = [f"[{its}]({its}.md)" if its in known else its for its in kind.confused_with]
-        told = f" What tells them apart: {kind.splits.rstrip('.')}." if kind.splits else ""
+        told = f" To tell them apart: {kind.splits.rstrip('.')}." if kind.splits else ""
         yield f"\nA record may be unable to tell it from {', '.join(links)}.{told}"
 
 

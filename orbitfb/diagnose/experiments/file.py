@@ -42,7 +42,7 @@ class Plan:
     @property
     def _runnable(self) -> ExcitationSettings:
         if self.settings is None:
-            raise EstimationError(f"there is nothing to run: {self.experiment.text}")
+            raise EstimationError(f"there is no excitation to run: {self.experiment.text}")
         return self.settings
 
     def write(self, path: Path) -> None:
@@ -78,20 +78,20 @@ class Plan:
 
 
 def check_file(path: Path) -> None:
-    """See to it that a plan can be written, before the work for it.
+    """Check that a plan can be written, before the search for it.
 
     Raises:
-        RecordError: It is a directory, is to be in one that does not exist, or is called like
-            neither of the two files that can be run.
+        RecordError: The path is a directory, its directory does not exist, or its ending is
+            neither `.toml` nor `.npz`.
     """
     if path.is_dir():
-        raise RecordError(f"--out {path}: it is a directory; name a file in it")
+        raise RecordError(f"--out {path}: this is a directory; name a file in it")
     if not path.parent.is_dir():
         raise RecordError(f"--out {path}: there is no directory {path.parent}; make it first")
     if path.suffix not in (".toml", ".npz"):
         raise RecordError(
-            f"--out {path}: `orbitfb run --excite` reads a description (.toml) or a waveform "
-            f"(.npz), not {path.suffix or 'a name without an ending'!r}; give the file one of "
+            f"--out {path}: `orbitfb run --excite` reads files that end in .toml (a description) "
+            f"or .npz (a waveform), not in {path.suffix or 'nothing'!r}; give the file one of "
             "these endings"
         )
 

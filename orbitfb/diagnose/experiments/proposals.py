@@ -125,14 +125,18 @@ def _dithers(layout: Layout) -> Iterator[Proposal]:
     shaped = tuple(float(each) for each in size[0] / size)
     for hold in (1, 4):
         part = ExcitationPart(kind="prbs", modes=modes, amplitude=shaped, hold=hold, duration=1.0)
-        yield Proposal("shaped-dither", part, "all modes, alike in the orbit")
+        yield Proposal(
+            "shaped-dither", part, "random changes of all modes, of equal size in the orbit"
+        )
     part = ExcitationPart(kind="prbs", modes=modes, amplitude=(1.0,), duration=1.0)
-    yield Proposal("white-dither", part, "all modes, alike in the currents")
+    yield Proposal(
+        "white-dither", part, "random changes of all modes, of equal size in the currents"
+    )
     low = min(_LOW_MODES, len(size))
     part = ExcitationPart(
         kind="prbs", modes=modes[:low], amplitude=shaped[:low], hold=2, duration=1.0
     )
-    yield Proposal("shaped-dither", part, "the strongest modes")
+    yield Proposal("shaped-dither", part, "random changes of the strongest modes")
 
 
 def _ladders(layout: Layout, suspects: Sequence[Suspect]) -> Iterator[Proposal]:
@@ -144,7 +148,8 @@ def _ladders(layout: Layout, suspects: Sequence[Suspect]) -> Iterator[Proposal]:
             seen.add(wanted.tobytes())
             if np.count_nonzero(wanted) == 1:
                 column = np.flatnonzero(wanted)
-                yield from _of_pattern(layout, column, np.ones(1), "amplitude-ladder", what)
+                ladder = f"steps of {what} in several sizes"
+                yield from _of_pattern(layout, column, np.ones(1), "amplitude-ladder", ladder)
                 yield Proposal(
                     "corrector-dither",
                     _part(layout, "prbs", column, np.ones(1), (1.0, -1.0), 2),
@@ -152,15 +157,16 @@ def _ladders(layout: Layout, suspects: Sequence[Suspect]) -> Iterator[Proposal]:
                 )
             for ridge in _RIDGES:
                 column, pattern = _bump(layout, wanted, ridge)
-                yield from _of_pattern(layout, column, pattern, "bump-ladder", what)
+                ladder = f"steps of {what} in several sizes, by a bump"
+                yield from _of_pattern(layout, column, pattern, "bump-ladder", ladder)
 
 
 def _of_pattern(
-    layout: Layout, columns: Indices, pattern: Vector, kind: str, what: str
+    layout: Layout, columns: Indices, pattern: Vector, kind: str, label: str
 ) -> Iterator[Proposal]:
     for levels, hold in ((STEPS, 1), (STEPS, 4), (TRIANGLES, 2)):
         part = _part(layout, "ladder", columns, pattern, levels, hold)
-        yield Proposal(kind, part, what)
+        yield Proposal(kind, part, label)
 
 
 def _part(

@@ -1,4 +1,4 @@
-"""What a plan tells people: a movement of the correctors, a longer record, or advice."""
+"""The text of a plan: a movement of the correctors, a longer record, or advice."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,21 +10,22 @@ from orbitfb.diagnose.experiments.proposals import Limits, Proposal
 from orbitfb.diagnose.experiments.suspects import Suspect
 from orbitfb.diagnose.result.headline import quantity
 from orbitfb.diagnose.result.parts import Experiment
+from orbitfb.estimation.priors import SURE
 from orbitfb.records.layout import Layout
 
 ENOUGH = 30.0
-"""Expected separation [nats]: its scatter is √(2 · 30), so 99 runs in 100 end above 12 nats, of
-which 7 may be lost to the choice of values and places."""
+"""Expected evidence that is enough [nats]. Its standard deviation is √(2 · 30), so 99 of 100 runs
+end above 12 nats. The choice of values and places may cost 7 of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """A proposal with what it is worth.
+    """A proposal and its expected result.
 
     Args:
-        proposal: What is done.
-        rate: Expected separation [nats/tick].
-        minutes: Until it is enough [min].
+        proposal: The excitation.
+        rate: Expected evidence [nats/tick].
+        minutes: Time until the evidence is enough [min].
         orbit: Largest rms orbit of a tick [m].
         amplitude: Largest excursion of a corrector [A].
     """
@@ -39,26 +40,26 @@ class Option:
 def movement(
     layout: Layout, suspects: Sequence[Suspect], best: Option, limits: Limits, seed: int
 ) -> Plan:
-    """Tell which movement of the correctors to do.
+    """Describe a movement of the correctors.
 
     Args:
-        layout: Of the record.
-        suspects: What is to be seen, or to be told from all that follow.
-        best: What is done.
-        limits: Kept by it.
-        seed: Of random levels.
+        layout: Layout of the record.
+        suspects: The effect to be seen, or the first effect and those to be told from it.
+        best: The movement.
+        limits: Limits that the movement keeps.
+        seed: Seed of random levels.
     """
     minutes = min(best.minutes, limits.minutes)
     ticks = int(np.ceil(minutes * 60 / layout.period))
     separated = best.rate * ticks
     part = best.proposal.part
     settings = best.proposal.settings(ticks, layout.period, seed)
-    short = "" if separated >= ENOUGH else " That is not enough for certainty; do it again."
+    short = "" if separated >= ENOUGH else " That may not be enough: then repeat it."
     experiment = Experiment(
         kind=best.proposal.kind,
-        text=f"To {_purpose(suspects)}: {best.proposal.kind.replace('-', ' ')} "
-        f"({best.proposal.label}), up to {best.amplitude:.3g} A and {best.orbit * 1e6:.3g} µm rms, "
-        f"for {minutes:.2g} min; {separated:.3g} nats are expected to separate them.{short}",
+        text=f"To {_purpose(suspects)}: {best.proposal.label}, for {minutes:.2g} min. A corrector "
+        f"moves by up to {best.amplitude:.3g} A, the orbit by up to {best.orbit * 1e6:.3g} µm rms. "
+        f"The expected evidence is {separated:.3g} nats; {SURE:g} nats decide.{short}",
         splits=tuple(one.kind.id for one in suspects),
         devices=tuple(dict.fromkeys(part.correctors)),
         modes=tuple(mode - 1 for mode in part.modes),
@@ -73,18 +74,18 @@ def movement(
 
 
 def longer(layout: Layout, suspects: Sequence[Suspect], rate: float) -> Plan:
-    """Say that the record's own activity is as good as anything that could be done.
+    """Describe a longer record: ordinary operation is as good as any movement.
 
     Args:
-        layout: Of the record.
-        suspects: What is to be seen, or to be told from all that follow.
-        rate: Expected separation by the record's own activity [nats/tick].
+        layout: Layout of the record.
+        suspects: The effect to be seen, or the first effect and those to be told from it.
+        rate: Expected evidence in ordinary operation [nats/tick].
     """
     minutes = ENOUGH / rate * layout.period / 60
     experiment = Experiment(
         kind="longer-record",
-        text=f"To {_purpose(suspects)}: {minutes:.2g} min more of the same operation; no movement "
-        "of the correctors within the limits is much faster.",
+        text=f"To {_purpose(suspects)}: record {minutes:.2g} min more of the same operation. No "
+        "movement of the correctors within the limits is much faster.",
         splits=tuple(one.kind.id for one in suspects),
         orbit_cost_um=0.0,
         minutes=minutes,
@@ -94,17 +95,17 @@ def longer(layout: Layout, suspects: Sequence[Suspect], rate: float) -> Plan:
 
 
 def advice(layout: Layout, suspects: Sequence[Suspect]) -> Plan:
-    """Say what the effects themselves say, when no movement of the correctors helps.
+    """Describe another test, where no movement of the correctors helps.
 
     Args:
-        layout: Of the record.
-        suspects: What is to be seen, or to be told from all that follow.
+        layout: Layout of the record.
+        suspects: The effect to be seen, or the first effect and those to be told from it.
     """
-    ways = dict.fromkeys(_otherwise(suspects[0], one) for one in suspects[1:] or suspects)
+    ways = dict.fromkeys(_other_test(suspects[0], one) for one in suspects[1:] or suspects)
     experiment = Experiment(
         kind="read-only-test",
         text=f"No movement of the correctors within the limits helps to {_purpose(suspects)}. "
-        f"Beyond the limits, or without the correctors: {'; '.join(ways)}.",
+        f"Another test: {' '.join(ways)}",
         splits=tuple(one.kind.id for one in suspects),
         separation_nats=0.0,
     )
@@ -112,29 +113,30 @@ def advice(layout: Layout, suspects: Sequence[Suspect]) -> Plan:
 
 
 def beside(its: Plan, first: Suspect, left: Sequence[Suspect]) -> Plan:
-    """Add what would split those that the experiment does not.
+    """Add tests for the rivals that the experiment does not tell apart.
 
     Args:
         its: The plan for the others.
-        first: What is to be told from all.
-        left: Rivals that no movement of the correctors splits from it.
+        first: The effect to be told from all others.
+        left: Rivals that no movement of the correctors tells from the first effect.
     """
     if not left:
         return its
-    ways = [f"{one.kind.id}: {_otherwise(first, one)}" for one in left]
-    text = f"{its.experiment.text} It does not split {first.kind.id} from {'; '.join(ways)}."
+    rivals = " or ".join(dict.fromkeys(one.kind.id for one in left))
+    ways = " ".join(dict.fromkeys(_other_test(first, one) for one in left))
+    text = f"{its.experiment.text} It does not tell {first.kind.id} from {rivals}. For that: {ways}"
     return Plan(its.experiment.model_copy(update={"text": text}), its.settings, its.layout)
 
 
-def _otherwise(first: Suspect, second: Suspect) -> str:
-    """Give what splits two suspects without a movement of the correctors, by their own words."""
+def _other_test(first: Suspect, second: Suspect) -> str:
+    """Give the test that the effects themselves name, as a sentence."""
     own = first.kind.splits if second.kind.id in first.kind.confused_with else ""
-    splits = (own or second.kind.splits or first.kind.splits).rstrip(".")
-    return f"{splits[0].lower()}{splits[1:]}" if splits else "nothing known does"
+    splits = own or second.kind.splits or first.kind.splits
+    return f"{splits.rstrip('.')}." if splits else "None is known."
 
 
 def _purpose(suspects: Sequence[Suspect]) -> str:
-    """Say what the experiment is for, after "to"."""
+    """Name the purpose of the experiment, to follow "To"."""
     if len(suspects) == 1:
         kind, values = suspects[0].kind, suspects[0].values
         own = (p for p in kind.parameters if p.name == (kind.linear or p.name))

@@ -1,1 +1,1 @@
-"""What a diagnosis says: its schema, its words, its files."""
+"""The answer of a diagnosis: its schema, its sentences, its files."""

@@ -1,4 +1,4 @@
-"""The parts of a diagnosis that its report draws; any of them may be missing."""
+"""The parts of a diagnosis that the report draws. Each of them may be missing."""
 
 from pydantic import Field
 
@@ -6,186 +6,215 @@ from orbitfb.diagnose.result.values import Number, Numbers, Part, Table
 
 
 class Geometry(Part):
-    """Where the devices stand, for pictures; empty where it is not known."""
+    """Positions of the devices along the ring, for pictures; empty if they are not known."""
 
-    bpms: dict[str, Number] = Field(default_factory=dict, description="by key of by_bpm [m]")
-    correctors: dict[str, Number] = Field(
-        default_factory=dict, description="by key of by_corrector [m]"
+    bpms: dict[str, Number] = Field(
+        default_factory=dict, description="position of each BPM, by the keys of `by_bpm` [m]"
     )
-    sectors_m: Numbers = Field(default=(), description="where sectors begin [m]")
-    sector_names: tuple[str, ...] = ()
-    circumference_m: Number = None
+    correctors: dict[str, Number] = Field(
+        default_factory=dict,
+        description="position of each corrector, by the keys of `by_corrector` [m]",
+    )
+    sectors_m: Numbers = Field(default=(), description="positions at which sectors begin [m]")
+    sector_names: tuple[str, ...] = Field(default=(), description="names of these sectors")
+    circumference_m: Number = Field(default=None, description="circumference of the ring [m]")
 
 
 class KStep(Part):
-    """Rms error of a prediction k rows ahead, from the logged setpoints [µm]."""
+    """Rms error of a prediction k rows ahead, made from the recorded setpoints."""
 
-    k: int
-    nominal_um: Number = Field(description="of the nominal model [µm]")
-    effect_um: Number = Field(default=None, description="with the causes in the model [µm]")
-    floor_um: Number = Field(default=None, description="that noise and drift alone leave [µm]")
+    k: int = Field(description="number of rows")
+    nominal_um: Number = Field(description="error of the nominal model [µm]")
+    effect_um: Number = Field(default=None, description="error of the model with the causes [µm]")
+    floor_um: Number = Field(default=None, description="error by noise and drift alone [µm]")
 
 
 class ClosedLoop(Part):
-    """The orbit about its reference: measured, and the loop run anew on the record's noise."""
+    """Orbit error in closed loop: as measured, and as simulated with the noise of the record."""
 
     without_um: Number = Field(
         description="rms that the loop would reach without the causes [µm]; null: not predicted"
     )
     with_um: Number = Field(
         default=None,
-        description="the same with the causes: where it is not what was measured, the loop's law "
-        "is not known well enough [µm]",
+        description="simulated rms with the causes [µm]; if it differs from `measured_um`, the law "
+        "of the loop is not known well enough",
     )
     measured_um: Number = Field(description="rms of the readings [µm]")
-    measured_low: Number = None
-    measured_high: Number = None
-    radius_without: Number = Field(default=None, description="spectral radius of the loop, nominal")
+    measured_low: Number = Field(default=None, description="lower end of its 90 % interval [µm]")
+    measured_high: Number = Field(default=None, description="upper end of its 90 % interval [µm]")
+    radius_without: Number = Field(
+        default=None, description="spectral radius of the loop with the nominal model [1]"
+    )
     radius_with: Number = Field(
         default=None,
-        description="spectral radius with the causes, where they are gains of correctors",
+        description="spectral radius of the loop with the causes [1]; null unless they are gains",
     )
-    frequency_hz: Numbers = Field(default=(), description="of the spectra [Hz]")
+    frequency_hz: Numbers = Field(default=(), description="frequencies of the spectra [Hz]")
     psd_measured: Numbers = Field(
         default=(),
-        description="of the same readings, mean over the BPMs [µm²/Hz]",
+        description="measured power spectral density, mean over the BPMs [µm²/Hz]",
     )
-    psd_without: Numbers = Field(default=(), description="without the causes [µm²/Hz]")
-    note: str = Field(default="", description="why a prediction is missing")
+    psd_without: Numbers = Field(
+        default=(), description="the same, predicted without the causes [µm²/Hz]"
+    )
+    note: str = Field(default="", description="the reason why a prediction is missing")
 
 
 class TournamentRow(Part):
-    """A kind of effect at its best places."""
+    """One effect at its best places."""
 
-    effect: str
-    places: str = Field(default="", description="in words")
+    effect: str = Field(description="id of the effect")
+    places: str = Field(default="", description="the places in words")
     nats: Number = Field(
-        description="log evidence over no effect, less what the choice of places costs; 0: the "
-        "record shows nothing of it [nats]"
+        description="log evidence for the effect against no effect, less the cost of choosing the "
+        "places [nats]; 0: the record shows no trace of it"
     )
-    probability: Number = Field(default=None, description="that it is the first cause [1]")
-    members: tuple[str, ...] = Field(default=(), description="ids of its class, itself included")
-    accepted: bool = False
+    probability: Number = Field(
+        default=None, description="probability that this is the first cause [1]"
+    )
+    members: tuple[str, ...] = Field(
+        default=(),
+        description="ids of the effects that the record cannot tell from it, itself included",
+    )
+    accepted: bool = Field(default=False, description="whether it is among the causes")
 
 
 class Tournament(Part):
-    """All kinds of effects against each other."""
+    """All effects compared with each other."""
 
-    rows: tuple[TournamentRow, ...] = ()
+    rows: tuple[TournamentRow, ...] = Field(default=(), description="one row per effect")
     free_nats: Number = Field(
         default=None,
-        description="what an unknown law of the best single device would explain [nats]",
+        description="evidence for an unknown law of the best single device [nats]",
     )
 
 
 class WaterfallStep(Part):
-    """What is left of the gap after one more cause, in the order in which they were found."""
+    """The rest of the gap after one more cause, in the order in which causes were found."""
 
-    label: str
-    left_nats: Number = Field(description="gap that is left [nats/tick]")
+    label: str = Field(description="the cause in words")
+    left_nats: Number = Field(description="the rest of the gap [nats/tick]")
 
 
 class GoodnessTest(Part):
-    """A test of what is left when all causes are in the model."""
+    """A test of the residuals of the model with all causes."""
 
-    name: str
-    value: Number
-    limit: Number
-    flagged: bool
-    note: str = ""
-    nats: Number = Field(default=0.0, description="what a model that has it would gain, roughly")
-    places: tuple[str, ...] = Field(default=(), description="devices that it speaks of")
+    name: str = Field(description="name of the test")
+    value: Number = Field(description="its result")
+    limit: Number = Field(description="limit of the result")
+    flagged: bool = Field(description="whether the result is beyond the limit")
+    note: str = Field(default="", description="the result in words")
+    nats: Number = Field(
+        default=0.0, description="rough evidence that a better model would gain [nats]"
+    )
+    places: tuple[str, ...] = Field(default=(), description="devices that the test concerns")
 
 
 class AmbiguousSet(Part):
     """Effects that this record cannot tell apart."""
 
     effects: tuple[str, ...] = Field(
-        description="`no_gap` among them: there may be none of them either"
+        description="ids of the effects; with `no_gap` among them there may be no effect at all"
     )
-    why: str = ""
+    why: str = Field(default="", description="the reason in words")
     splits: str = Field(default="", description="what would tell them apart")
 
 
 class Fingerprint(Part):
-    """The slice of the record that shows an effect best: data, nominal model, mended model."""
+    """The picture that shows an effect best: data, nominal model, and model with the cause."""
 
-    title: str
-    x_label: str
-    y_label: str
-    x: Numbers = Field(description="mean of every bin")
-    measured: Numbers = Field(description="what the model without it leaves, mean of the bin")
-    nominal: Numbers = Field(default=(), description="what the model without the cause expects")
-    refit: Numbers = Field(default=(), description="what the cause expects there")
+    title: str = Field(description="title of the picture")
+    x_label: str = Field(description="label of the horizontal axis")
+    y_label: str = Field(description="label of the vertical axis")
+    x: Numbers = Field(description="mean of each bin")
+    measured: Numbers = Field(
+        description="residual of the model without the cause, mean of each bin"
+    )
+    nominal: Numbers = Field(default=(), description="prediction of the model without the cause")
+    refit: Numbers = Field(default=(), description="prediction of the cause")
     error: Numbers = Field(default=(), description="standard error of `measured`")
 
 
 class ScoreRow(Part):
-    """Gain of log-likelihood by one effect of a stage at each place, on the nominal model."""
+    """Gain of log-likelihood by one effect at each place, added to the nominal model."""
 
-    stage: str
+    stage: str = Field(description="stage of the effect")
     effect: str = Field(
-        default="", description="a cause, or the best of the tournament with places"
+        default="", description="id of a cause, or of the best effect of the stage that has places"
     )
-    gain: Numbers = Field(description="nats, at each place")
-    s_m: Numbers = Field(default=(), description="position of each place [m]; empty: not known")
-    names: tuple[str, ...] = ()
-    fitted: tuple[int, ...] = Field(default=(), description="indices of the places named")
-    within: tuple[int, ...] = Field(default=(), description="indices that cannot be excluded")
+    gain: Numbers = Field(description="gain at each place [nats]")
+    s_m: Numbers = Field(default=(), description="position of each place [m]; empty if not known")
+    names: tuple[str, ...] = Field(default=(), description="name of each place")
+    fitted: tuple[int, ...] = Field(default=(), description="indices of the places of the cause")
+    within: tuple[int, ...] = Field(
+        default=(), description="indices of places that cannot be excluded"
+    )
 
 
 class ScoreMap(Part):
-    """Score of every stage over the ring."""
+    """Scores along the ring."""
 
-    rows: tuple[ScoreRow, ...] = ()
+    rows: tuple[ScoreRow, ...] = Field(default=(), description="one row per stage")
     threshold_nats: Number = Field(
         default=None,
-        description="what chance reaches at the best place once in 100 records",
+        description="score that the best place reaches by chance in one of 100 records [nats]",
     )
 
 
 class LagProfile(Part):
-    """Answer to a change of the setpoints by its age, beyond what the model expects [1]."""
+    """Response to a change of the setpoints, in addition to that of the model, by its age."""
 
-    lags: tuple[int, ...] = Field(description="rows since the change; 0: that of the reading")
-    slope: Numbers = Field(description="nominal model, share of the change; 0 where it is right")
-    low: Numbers = ()
-    high: Numbers = ()
-    refit: Numbers = Field(default=(), description="the same with the causes in the model")
+    lags: tuple[int, ...] = Field(description="rows since the change; 0 is the row of the reading")
+    slope: Numbers = Field(
+        description="additional response, as a share of the change [1]; 0 if the model is right"
+    )
+    low: Numbers = Field(default=(), description="lower ends of the 90 % intervals of `slope`")
+    high: Numbers = Field(default=(), description="upper ends of the 90 % intervals of `slope`")
+    refit: Numbers = Field(default=(), description="the same for the model with the causes")
 
 
 class Identifiability(Part):
-    """Which effects look alike in this record."""
+    """Effects that look alike in this record."""
 
-    effects: tuple[str, ...] = ()
-    cosine: Table = Field(default=(), description="cosine of the changes of the prediction [1]")
-    degenerate: tuple[str, ...] = Field(default=(), description="in words, a sentence each")
+    effects: tuple[str, ...] = Field(default=(), description="ids of the effects")
+    cosine: Table = Field(
+        default=(),
+        description="cosine between what two effects add to the prediction [1]; 1: alike",
+    )
+    degenerate: tuple[str, ...] = Field(default=(), description="a sentence for each alike pair")
 
 
 class Unknown(Part):
-    """What is known of a gap that no effect of the library explains."""
+    """A gap that no effect of the library explains."""
 
-    places: tuple[str, ...] = Field(default=(), description="devices where the gap sits")
-    text: str = Field(default="", description="its fingerprint in words")
+    places: tuple[str, ...] = Field(default=(), description="devices at which the gap is")
+    text: str = Field(default="", description="what the gap looks like, in words")
     nearest: str = Field(default="", description="id of the nearest effect of the library")
-    nearest_nats: Number = None
+    nearest_nats: Number = Field(default=None, description="evidence for that effect [nats]")
     explained: Number = Field(
-        default=None, description="share of the gap in nats that the causes explain [1]"
+        default=None, description="share of the gap that the causes explain [1]"
     )
 
 
 class Audit(Part):
-    """What is left when all causes are in the model."""
+    """Tests of the residuals of the model with all causes."""
 
-    tests: tuple[GoodnessTest, ...] = ()
+    tests: tuple[GoodnessTest, ...] = Field(default=(), description="the tests")
     quantiles: Numbers = Field(
-        default=(), description="of the whitened innovation, sorted; thinned to some hundreds"
+        default=(), description="some hundred quantiles of the whitened prediction errors, sorted"
     )
-    autocorrelation: Numbers = Field(default=(), description="lags 1, 2, … [1]")
-    autocorrelation_limit: Number = None
+    autocorrelation: Numbers = Field(
+        default=(), description="autocorrelation of the prediction errors at lags 1, 2, … [1]"
+    )
+    autocorrelation_limit: Number = Field(
+        default=None, description="limit of the autocorrelation [1]"
+    )
     worst_channels: dict[str, Number] = Field(
-        default_factory=dict, description="mean square of the whitened innovation [1]"
+        default_factory=dict,
+        description="mean square of the whitened prediction errors, by BPM [1]; 1 is expected",
     )
     worst_ticks: dict[str, Number] = Field(
-        default_factory=dict, description="by row, mean square of the whitened innovation [1]"
+        default_factory=dict,
+        description="mean square of the whitened prediction errors, by row [1]; 1 is expected",
     )

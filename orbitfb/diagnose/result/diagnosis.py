@@ -1,4 +1,4 @@
-"""The answer of a diagnosis: what `diagnosis.json` holds and the report draws."""
+"""The answer of a diagnosis: the content of `diagnosis.json` and of the report."""
 
 import json
 from pathlib import Path
@@ -36,41 +36,63 @@ from orbitfb.diagnose.result.values import Part
 
 State = Literal["no_gap", "named", "ambiguous", "named_plus_remainder", "unknown"]
 SCHEMA_VERSION = "2.0"
-"""Raised in front when a key goes or changes its meaning, behind when one is added."""
+"""The first number rises when a key goes or changes its meaning, the second when one is added."""
 
 
 class Diagnosis(Part):
-    """Where the gap lies, what causes it, how far it shrinks, what to do; null: not resolved."""
+    """Where the gap is, what causes it, how much of it goes, and what to do; null: not resolved."""
 
     schema_version: Literal["2.0"] = SCHEMA_VERSION
     state: State | None = Field(
-        description="null when the integrity screen failed: nothing was estimated"
+        description="the kind of answer; null if the integrity screen failed"
     )
-    headline: str = Field(description="the answer in one sentence")
-    causes: tuple[Cause, ...] = ()
-    gap: Gap | None = None
-    shrink: Shrink | None = None
-    experiment: Experiment | None = None
-    not_tested: tuple[NotTested, ...] = ()
-    detectable: tuple[Detectable, ...] = ()
-    findings: tuple[Finding, ...] = Field(default=(), description="of the integrity screen")
-    provenance: Provenance
-    ambiguous: tuple[AmbiguousSet, ...] = ()
-    unknown: Unknown | None = None
-    k_steps: tuple[KStep, ...] = ()
-    closed_loop: ClosedLoop | None = None
-    tournament: Tournament | None = None
-    waterfall: tuple[WaterfallStep, ...] = ()
-    audit: Audit | None = None
-    fingerprints: tuple[Fingerprint, ...] = ()
-    score_map: ScoreMap | None = None
-    lag_profile: LagProfile | None = None
-    identifiability: Identifiability | None = None
-    geometry: Geometry | None = None
+    headline: str = Field(description="the answer in a few sentences")
+    causes: tuple[Cause, ...] = Field(default=(), description="named causes, the strongest first")
+    gap: Gap | None = Field(default=None, description="size of the gap, and its parts")
+    shrink: Shrink | None = Field(
+        default=None, description="share of the gap that the causes remove"
+    )
+    experiment: Experiment | None = Field(default=None, description="recommended experiment")
+    not_tested: tuple[NotTested, ...] = Field(
+        default=(), description="effects that this record cannot show"
+    )
+    detectable: tuple[Detectable, ...] = Field(
+        default=(), description="size of each effect that this record would have shown"
+    )
+    findings: tuple[Finding, ...] = Field(
+        default=(), description="findings of the integrity screen"
+    )
+    provenance: Provenance = Field(description="data, versions and settings of this answer")
+    ambiguous: tuple[AmbiguousSet, ...] = Field(
+        default=(), description="sets of effects that the record cannot tell apart"
+    )
+    unknown: Unknown | None = Field(
+        default=None, description="the part of the gap that no effect explains"
+    )
+    k_steps: tuple[KStep, ...] = Field(default=(), description="errors of longer predictions")
+    closed_loop: ClosedLoop | None = Field(
+        default=None, description="the orbit in closed loop, with and without the causes"
+    )
+    tournament: Tournament | None = Field(default=None, description="all effects compared")
+    waterfall: tuple[WaterfallStep, ...] = Field(
+        default=(), description="the rest of the gap after each cause"
+    )
+    audit: Audit | None = Field(default=None, description="tests of the model with the causes")
+    fingerprints: tuple[Fingerprint, ...] = Field(
+        default=(), description="pictures that show each effect best"
+    )
+    score_map: ScoreMap | None = Field(default=None, description="scores along the ring")
+    lag_profile: LagProfile | None = Field(
+        default=None, description="response to a change of the setpoints, by its age"
+    )
+    identifiability: Identifiability | None = Field(
+        default=None, description="effects that look alike in this record"
+    )
+    geometry: Geometry | None = Field(default=None, description="positions of the devices")
 
     @property
     def failed(self) -> bool:
-        """Whether the integrity screen found what makes every estimate worthless."""
+        """Whether the integrity screen failed, so that nothing was estimated."""
         return self.state is None
 
 
@@ -93,7 +115,7 @@ def read_diagnosis(path: Path) -> Diagnosis:
         first = error.errors()[0]
         where = ".".join(str(step) for step in first["loc"]) or "the top"
         raise RecordError(
-            f"{path}: it is no diagnosis of version {SCHEMA_VERSION}: {where}: {first['msg']}"
+            f"{path}: this is not a diagnosis of version {SCHEMA_VERSION}: {where}: {first['msg']}"
         ) from None
 
 

@@ -1,4 +1,4 @@
-"""Names of the columns of a record in a diagnosis, and where they stand."""
+"""Names and positions of the devices of a record in a diagnosis."""
 
 from collections.abc import Iterable, Sequence
 
@@ -22,14 +22,14 @@ def column_names(devices: Devices) -> tuple[str, ...]:
 
 
 def devices_and_planes(labels: Sequence[str]) -> tuple[tuple[str, ...], Planes]:
-    """Name devices without their planes, as far as that says the same.
+    """Name devices without their planes, if no information is lost.
 
     Args:
         labels: Names, such as `CL1B_C24 (x)` where a plane belongs to them.
 
     Returns:
-        The devices and the planes in which they are meant. Names keep their planes where some
-        devices are meant in one and others in the other.
+        The devices, and their planes. Names keep their planes if some devices are meant in one
+        plane and others in the other.
     """
     devices: dict[str, dict[str, None]] = {"x": {}, "y": {}}
     for label in labels:
@@ -46,11 +46,11 @@ def devices_and_planes(labels: Sequence[str]) -> tuple[tuple[str, ...], Planes]:
 
 
 def as_in_record(causes: Sequence[Cause], layout: Layout) -> tuple[Cause, ...]:
-    """Give the places of causes the names that the record has for them.
+    """Rename the places of causes as the record names them.
 
     Args:
-        causes: On devices by their names in the places table.
-        layout: Of the record.
+        causes: Causes with the device names of the places table.
+        layout: Layout of the record.
     """
     return tuple(_as_in_record(cause, layout) for cause in causes)
 
@@ -83,7 +83,7 @@ def _as_in_record(cause: Cause, layout: Layout) -> Cause:
 
 
 def geometry(layout: Layout) -> Geometry:
-    """Tell where the devices stand and where sectors begin; empty without a ring."""
+    """Give the positions of devices and sectors; empty without a ring."""
     if layout.ring is None:
         return Geometry()
     table = layout.ring.table

@@ -6,7 +6,7 @@ from orbitfb.diagnose.result.parts import ParameterValue
 
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"))
 _PREFIXED = ("m", "A", "rad", "s", "V", "T", "eV")
-"""Units that take a prefix; others, as 1/m, are told as they are."""
+"""Units that take a prefix; others, such as 1/m, are written without one."""
 
 
 def quantity(value: float | None, unit: str = "1") -> str:
@@ -41,7 +41,7 @@ def percent(share: float | None, low: float | None = None, high: float | None = 
 
 
 def chance(probability: float | None) -> str:
-    """Write a probability; never as a certainty, which no record can give."""
+    """Write a probability, never as certain: no record can prove that."""
     if probability is None:
         return "not resolved"
     return "above 0.99" if probability > 0.99 else f"{probability:.2g}"

@@ -1,4 +1,4 @@
-"""The reference page of `diagnosis.json`, from its schema."""
+"""The reference page of `diagnosis.json`, made from its schema."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -8,18 +8,19 @@ from orbitfb.diagnose.result.diagnosis import SCHEMA_VERSION, schema
 
 _HEAD = f"""# diagnosis.json
 
-What `orbitfb diagnose` writes, version {SCHEMA_VERSION}, as [JSON schema](diagnosis.schema.json).
-The number in front of the point rises when a key goes or changes its meaning, the one behind when a
-key is added. `orbitfb.diagnose.result.diagnosis.read_diagnosis` reads it.
+`orbitfb diagnose` writes this file. The version is {SCHEMA_VERSION}; there is a
+[JSON schema](diagnosis.schema.json). The first number of the version rises when a key goes or
+changes its meaning, the second when a key is added.
+`orbitfb.diagnose.result.diagnosis.read_diagnosis` reads the file.
 
-- Numbers are finite. `null` says: not resolved, or not computed.
-- Intervals are 90 %. The gap's `low` and `high` belong to `nats_per_tick`, the shrink's to `nats`;
-  those of the µm are `um_low` and `um_high`.
-- `shrink` holds shares: 1 is all of the gap, a negative one says that the gap has grown.
-- `state` is `null` when the integrity screen failed (exit code 3): `findings` says why, nothing was
-  estimated.
-- Devices that act in both planes are told apart as `NAME (x)` and `NAME (y)`; in a record of one
-  plane they have their names.
+- Numbers are finite. `null` means: not resolved, or not computed.
+- Intervals are 90 %. In `gap`, `low` and `high` belong to `nats_per_tick`; in `shrink`, they belong
+  to `nats`. `um_low` and `um_high` belong to `um`.
+- `shrink` has shares: 1 is all of the gap; a negative share means that the gap has grown.
+- `state` is `null` if the integrity screen failed (exit code 3). Then nothing was estimated, and
+  `findings` says why.
+- A device that acts in both planes is written as `NAME (x)` and `NAME (y)`. In a record of one
+  plane it has only its name.
 
 """
 

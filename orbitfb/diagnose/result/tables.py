@@ -1,6 +1,6 @@
-"""The parts of the gap and the scores over the ring as one tidy table (CSV).
+"""The parts of the gap and the scores along the ring as one tidy table (CSV).
 
-One row for every number: which cut of the gap, which piece of it, value with interval and unit.
+One row per number: how the gap is divided, which part, its value with interval and unit.
 """
 
 import csv
@@ -23,7 +23,7 @@ _Line = dict[str, _Cell]
 
 
 def gap_csv(its: Diagnosis) -> str:
-    """Write the table; nothing but its head where there is no gap to speak of.
+    """Write the table; only its head if there is no gap.
 
     Args:
         its: The diagnosis.

@@ -1,4 +1,4 @@
-"""Numbers of a diagnosis as JSON can hold them, and the base of all its parts."""
+"""Numbers of a diagnosis in the form of JSON, and the base class of its parts."""
 
 import math
 from collections.abc import Sequence
@@ -63,7 +63,7 @@ Table = Annotated[Sequence[Numbers], BeforeValidator(_table_before), AfterValida
 
 
 class Part(BaseModel):
-    """A frozen part of a diagnosis that refuses unknown keys and numbers JSON does not have."""
+    """A frozen part of a diagnosis; it refuses unknown keys and numbers that JSON lacks."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True

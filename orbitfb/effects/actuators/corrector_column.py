@@ -12,18 +12,19 @@ class CorrectorColumn(ElementsKind):
     target = "corrector"
     title = "corrector that is not of this model"
     sentence = (
-        "The BPMs respond to the corrector otherwise than in the model, and no calibration "
-        "corrects it: the corrector stands elsewhere, its coils are exchanged, or its column of "
-        "the response was measured wrongly. Measure its column again, or leave the corrector out."
+        "The response of the BPMs to the corrector is not that of the model, and no calibration "
+        "corrects it. The corrector stands elsewhere, its coils are exchanged, or its column of "
+        "the response matrix was measured wrongly. Measure its column again, or leave the "
+        "corrector out."
     )
-    equation = "x_i = Σ_j (R_ij + ε_ij) θ_j, with an ε_ij of its own for every BPM i"
+    equation = "x_i = Σ_j (R_ij + ε_ij) θ_j, with an error ε_ij of its own for every BPM i"
     confused_with = (
         "corrector-gain",
         "corrector-roll",
         "corrector-crosstalk",
         "quadrupole-gradient",
     )
-    splits = "steps of this corrector alone, which measure the column element by element"
+    splits = "Steps of this corrector alone. They measure the column element by element."
 
     def table(self, response: Matrix) -> Matrix:
         """Columns of the response."""

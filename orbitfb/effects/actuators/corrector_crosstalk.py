@@ -20,8 +20,9 @@ class CorrectorCrosstalk(PairKind):
     target = "corrector"
     title = "crosstalk between correctors"
     sentence = (
-        "A share of the current of one corrector appears in another as well: power supplies that "
-        "share a rail or a ground, or neighbouring coils. Check what the two have in common."
+        "A share of the current of one corrector also appears in another. Their power supplies "
+        "share a rail or a ground, or their coils are neighbours. Check what the two have in "
+        "common."
     )
     equation = "θ_k = u_k + c u_j (from the first, j, to the second, k)"
     parameters = (
@@ -32,13 +33,18 @@ class CorrectorCrosstalk(PairKind):
             high=3.0,
             nominal=0.0,
             typical=0.1,
-            description="Share c of the current of the first that appears in the second.",
+            description=(
+                "Share c of the current of the first corrector that appears in the second."
+            ),
         ),
     )
     linear = "share"
     collective = False
     confused_with = ("corrector-gain", "corrector-swap", "corrector-roll", "quadrupole-gradient")
-    splits = "Steps of the first corrector with the second held: its own kick must be the only one."
+    splits = (
+        "Steps of the first corrector while the second stands still. Then only the first should "
+        "kick."
+    )
 
     def unavailable(self, record: Record) -> str:
         """Need a pair."""

@@ -34,9 +34,9 @@ class CorrectorDeadband(SteppingKind):
     stage = "actuator"
     title = "dead-band of a corrector"
     sentence = (
-        "The corrector ignores setpoints that differ from its current by less than a certain "
-        "amount, and catches up in one jump once the difference is larger. Small corrections "
-        "are lost until then; narrow the dead-band of the device or of the control system."
+        "The corrector ignores a setpoint that differs from its current by less than a threshold. "
+        "When the difference is larger, it catches up in one jump. Small corrections are lost "
+        "until then. Make the dead-band of the device or of the control system narrower."
     )
     equation = "θ_n = u_n if |u_n − θ_{n−1}| > w, else θ_{n−1}"
     parameters = (
@@ -47,7 +47,7 @@ class CorrectorDeadband(SteppingKind):
             high=10.0,
             nominal=0.0,
             typical=1e-3,
-            description="Largest difference w that is ignored, either sign.",
+            description="Largest difference w that is ignored, of either sign.",
             log=True,
         ),
     )
@@ -57,7 +57,7 @@ class CorrectorDeadband(SteppingKind):
         "corrector-stuck",
         "missed-write",
     )
-    splits = "Ladders of small steps up and down: a dead-band releases them in one jump."
+    splits = "Series of small steps up and down. A dead-band lets them through in one jump."
 
     def drive_each(
         self, setpoints: Matrix, values: Mapping[str, float | Vector], record: Record

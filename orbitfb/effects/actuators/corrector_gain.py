@@ -20,8 +20,8 @@ class CorrectorGain(ActuatorKind):
     stage = "actuator"
     title = "gain error of a corrector"
     sentence = (
-        "The corrector kicks the beam by a constant factor more or less than its calibration "
-        "says. Check its calibration, its power supply and whether a coil is shorted."
+        "The corrector kicks the beam by a constant factor more or less than its calibration says. "
+        "Check its calibration and its power supply, and whether a coil is shorted."
     )
     equation = "θ_n = (1 + g) u_n (the corrector gain of J. Safranek, NIM A 388 (1997) 27)"
     parameters = (
@@ -46,8 +46,9 @@ class CorrectorGain(ActuatorKind):
         "quadrupole-gradient",
     )
     splits = (
-        "Single-corrector steps of several sizes, watched for some ticks; all gains of correctors "
-        "against all gains of BPMs only by an RF step or one calibrated corrector."
+        "Steps of this corrector alone in several sizes, watched for some ticks. A common gain of "
+        "all correctors can be told from that of all BPMs only by an RF step or one calibrated "
+        "corrector."
     )
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:

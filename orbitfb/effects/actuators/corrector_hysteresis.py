@@ -39,9 +39,9 @@ class CorrectorHysteresis(SteppingKind):
     stage = "actuator"
     title = "hysteresis of a corrector"
     sentence = (
-        "After every reversal of the setpoint the field of the corrector stays behind until the "
-        "setpoint has gone some way: iron with remanence, or play. Condition the magnet by a "
-        "cycle, or let the feedback make larger and fewer reversals."
+        "After every reversal of the setpoint the field of the corrector lags behind until the "
+        "setpoint has moved some way. The iron has remanence, or something has play. Cycle the "
+        "magnet, or let the feedback reverse less often and in larger steps."
     )
     equation = (
         "p_n = clip(p_{n−1}, u_n ± w/2), θ_n = u_n + s (p_n − u_n): the play operator "
@@ -55,7 +55,7 @@ class CorrectorHysteresis(SteppingKind):
             high=10.0,
             nominal=0.0,
             typical=1e-3,
-            description="Width w of the play: how far the setpoint goes before the field turns.",
+            description="Width w of the play: how far the setpoint moves before the field turns.",
             log=True,
         ),
         Parameter(
@@ -65,12 +65,17 @@ class CorrectorHysteresis(SteppingKind):
             high=1.0,
             nominal=0.0,
             typical=1.0,
-            description="Share s of the field that has the play; negative if it runs ahead.",
+            description=(
+                "Share s of the field that has play. It is negative if the field runs ahead."
+            ),
         ),
     )
     linear = "share"
     confused_with = ("corrector-deadband", "corrector-lag", "corrector-gain", "corrector-slew")
-    splits = "A triangular ladder with reversals at three amplitudes: only play depends on them."
+    splits = (
+        "Triangular ramps with reversals at three amplitudes. Only the effect of play depends on "
+        "the amplitude."
+    )
 
     def drive_each(
         self, setpoints: Matrix, values: Mapping[str, float | Vector], record: Record

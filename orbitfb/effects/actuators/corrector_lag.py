@@ -30,9 +30,9 @@ class CorrectorLag(ActuatorKind):
     stage = "actuator"
     title = "lag of a corrector"
     sentence = (
-        "The kick approaches its setpoint exponentially and is not there in full when the next "
-        "orbit is read: eddy currents in the chamber, or a slow power supply. The feedback "
-        "overshoots unless its gain is lowered or the lag is in its model."
+        "The kick approaches its setpoint exponentially. When the next orbit is read, a part of it "
+        "is still missing. The reason is an eddy current in the chamber or a slow power supply. "
+        "The feedback overshoots unless its gain is lowered or the lag is in its model."
     )
     equation = (
         "τ dθ/dt = c − θ behind τ₂ dc/dt = u − c, exact for setpoints held over the period T; with "
@@ -56,7 +56,10 @@ class CorrectorLag(ActuatorKind):
             high=100.0,
             nominal=_NONE,
             typical=_NONE,
-            description="Second time constant τ₂, as of a chamber behind a supply.",
+            description=(
+                "Second time constant τ₂, for example of a chamber in addition to that of the "
+                "supply."
+            ),
             log=True,
             optional=True,
         ),
@@ -70,8 +73,8 @@ class CorrectorLag(ActuatorKind):
         "corrector-resonance",
     )
     splits = (
-        "Steps or tones at three frequencies: a lag has a tail that a delay lacks, does not "
-        "depend on the amplitude as a slew rate does, and leaves the noise of the BPMs white."
+        "Steps or tones at three frequencies. Unlike a delay, a lag has a tail. Unlike a slew "
+        "rate, it does not depend on the amplitude. It leaves the noise of the BPMs white."
     )
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:

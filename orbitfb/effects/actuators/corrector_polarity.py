@@ -20,13 +20,13 @@ class CorrectorPolarity(ActuatorKind):
     stage = "actuator"
     title = "wrong polarity of a corrector"
     sentence = (
-        "The corrector kicks the beam the wrong way, by the right amount: its leads are swapped, "
-        "or its sign is wrong in the configuration. The feedback may run away."
+        "The corrector kicks the beam the wrong way, by the right amount. Its leads are exchanged, "
+        "or its sign in the configuration is wrong. The feedback may run away."
     )
     equation = "θ_n = −u_n"
     parameters = ()
     confused_with = ("corrector-gain", "corrector-swap", "bpm-polarity")
-    splits = "A step of this corrector alone: the orbit moves by the opposite of the model's."
+    splits = "A step of this corrector alone. The orbit moves opposite to the model."
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Turn the sign round."""

@@ -33,7 +33,7 @@ class CorrectorQuantisation(ActuatorKind):
     title = "quantised current of a corrector"
     sentence = (
         "The power supply rounds its setpoint to the steps of its digital-to-analogue converter. "
-        "Changes below half a step do nothing, or too much; the orbit looks noisier than it is."
+        "Changes below half a step do nothing, or too much. The orbit looks noisier than it is."
     )
     equation = "θ_n = q · round(u_n / q)"
     parameters = (
@@ -50,8 +50,8 @@ class CorrectorQuantisation(ActuatorKind):
     )
     confused_with = ("ground-motion-level", "corrector-deadband", "noise-level")
     splits = (
-        "A slow triangular ramp of one corrector over ten steps or more; or the readback of its "
-        "current, when that is finer than the step."
+        "A slow triangular ramp of one corrector over ten steps or more, or the readback of its "
+        "current if that is finer than the step."
     )
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:

@@ -32,8 +32,9 @@ class CorrectorResonance(ActuatorKind):
     stage = "actuator"
     title = "resonance of a corrector"
     sentence = (
-        "The kick overshoots a step and rings before it settles: a badly tuned regulator of the "
-        "power supply, or a resonance. Retune the regulator, or keep the feedback below it."
+        "The kick overshoots a step and rings before it settles. The regulator of the power supply "
+        "is badly tuned, or something has a resonance. Tune the regulator, or keep the feedback "
+        "below this frequency."
     )
     equation = "d²θ/dt² + 2 ζ ω₀ dθ/dt + ω₀² θ = ω₀² u with ω₀ = 2π f"
     parameters = (
@@ -54,12 +55,12 @@ class CorrectorResonance(ActuatorKind):
             high=1.0,
             nominal=0.3,
             typical=0.3,
-            description="Damping ratio ζ; above 1 it would be a lag with two time constants.",
+            description="Damping ratio ζ. Above 1 it would be a lag with two time constants.",
             log=True,
         ),
     )
     confused_with = ("corrector-lag", "loop-delay", "periodic-disturbance")
-    splits = "Tones around the suspected frequency: only a resonance amplifies them."
+    splits = "Tones around the suspected frequency. Only a resonance amplifies them."
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Filter."""

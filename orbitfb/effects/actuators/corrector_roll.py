@@ -31,12 +31,12 @@ class CorrectorRoll(PairKind):
     target = "corrector"
     title = "roll of a corrector"
     sentence = (
-        "The corrector is turned about the beam axis, so a part of every kick goes into the "
-        "other plane. Check its alignment; the angle can be put into the model."
+        "The corrector is rotated about the beam axis, so a part of every kick goes into the other "
+        "plane. Check its alignment, or put the angle into the model."
     )
     equation = (
-        "kick_x = cos φ k_x − sin φ k_y, kick_y = sin φ k_x + cos φ k_y with k = c u; of one coil "
-        "alone only the terms with its k"
+        "kick_x = cos φ k_x − sin φ k_y, kick_y = sin φ k_x + cos φ k_y with k = c u; if only one "
+        "coil is there, only the terms with its k"
     )
     parameters = (
         Parameter(
@@ -46,13 +46,15 @@ class CorrectorRoll(PairKind):
             high=0.8,
             nominal=0.0,
             typical=0.05,
-            description="Angle φ of the roll, from x to y.",
+            description="Angle of the roll φ, from x to y.",
         ),
     )
     linear = "angle"
     collective = False
     confused_with = ("bpm-roll", "skew-coupling", "corrector-crosstalk")
-    splits = "Steps in each plane by itself: a roll kicks into the other at this corrector only."
+    splits = (
+        "Steps in one plane at a time. A roll kicks into the other plane at this corrector only."
+    )
 
     def unavailable(self, record: Record) -> str:
         """Need a corrector with both planes."""

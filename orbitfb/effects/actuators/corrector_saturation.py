@@ -45,13 +45,13 @@ class CorrectorSaturation(ActuatorKind):
     stage = "actuator"
     title = "saturation of a corrector"
     sentence = (
-        "The current stops at a limit below the one that the feedback knows, and larger "
-        "setpoints have no effect until they come back. Give the feedback the true limit, or "
-        "unload the corrector by moving magnets or the reference orbit."
+        "The current stops at a limit below the one that the feedback knows. Larger setpoints have "
+        "no effect. Give the feedback the true limit, or unload the corrector: move magnets or the "
+        "reference orbit."
     )
     equation = (
-        "θ_n = u_n − s(u_n − m) + s(−m − u_n), or on one side alone, with what is beyond, "
-        "s(d) = w log(1 + exp(d/w)): clip(u_n, ± m) for a sharp corner"
+        "θ_n = u_n − s(u_n − m) + s(−m − u_n) with the smooth excess s(d) = w log(1 + exp(d/w)), "
+        "or one of the two terms; for w = 0: clip(u_n, ± m)"
     )
     parameters = (
         Parameter(
@@ -61,7 +61,7 @@ class CorrectorSaturation(ActuatorKind):
             high=_NONE,
             nominal=_NONE,
             typical=0.05,
-            description="The limit m, without its sign.",
+            description="Limit m, without its sign.",
             log=True,
         ),
         Parameter(
@@ -71,7 +71,7 @@ class CorrectorSaturation(ActuatorKind):
             high=2.0,
             nominal=0.0,
             typical=0.0,
-            description="Which limit there is.",
+            description="Which limits there are.",
             whole=True,
             meanings={1: "θ ≤ m", 2: "θ ≤ −m", -1: "θ ≥ −m", -2: "θ ≥ m", 0: "both, ± m"},
         ),
@@ -82,13 +82,13 @@ class CorrectorSaturation(ActuatorKind):
             high=10.0,
             nominal=_SHARP,
             typical=_SHARP,
-            description="Width w of the rounded corner; 0.69 w is lost at the limit itself.",
+            description="Width w of the rounded corner. At the limit itself 0.69 w is missing.",
             log=True,
             optional=True,
         ),
     )
     confused_with = ("corrector-stuck", "corrector-gain")
-    splits = "A slow ramp of this corrector through the suspected limit, at both signs."
+    splits = "A slow ramp of this corrector through the suspected limit, with both signs."
 
     def own_grid(self, record: Record) -> tuple[OwnValues, ...]:
         """Limits at shares of the sizes that every corrector's setpoint has; soft ones about it."""

@@ -29,8 +29,8 @@ class CorrectorSlew(SteppingKind):
     stage = "actuator"
     title = "slew-rate limit of a corrector"
     sentence = (
-        "The current follows small steps at once, and large steps only at a limited rate. "
-        "Raise the ramp rate of the power supply, or lower the largest step of the feedback."
+        "The current follows small steps at once, but large steps only at a limited rate. Raise "
+        "the ramp rate of the power supply, or lower the largest step of the feedback."
     )
     equation = "θ_n = θ_{n−1} + clip(u_n − θ_{n−1}, ± r T)"
     parameters = (
@@ -41,12 +41,12 @@ class CorrectorSlew(SteppingKind):
             high=1e6,
             nominal=1e6,
             typical=5e-3,
-            description="Largest rate r of the current, either sign.",
+            description="Largest rate of change r of the current, of either sign.",
             log=True,
         ),
     )
     confused_with = ("corrector-lag", "corrector-gain", "corrector-deadband", "corrector-stuck")
-    splits = "Steps of three sizes: a slew rate delays only large ones, a lag all."
+    splits = "Steps of three sizes. A slew rate delays only the large ones, a lag delays all."
 
     def drive_each(
         self, setpoints: Matrix, values: Mapping[str, float | Vector], record: Record

@@ -35,9 +35,9 @@ class CorrectorStuck(ActuatorKind):
     stage = "actuator"
     title = "corrector that is stuck or tripped"
     sentence = (
-        "The current of the corrector no longer follows its setpoint: the power supply hangs "
-        "(the current stays) or has tripped (the current is zero). Compare its readback "
-        "with its setpoint, reset it, or take it out of the correction."
+        "The current of the corrector no longer follows its setpoint. The power supply hangs (the "
+        "current stays) or has tripped (the current is zero). Compare readback and setpoint, reset "
+        "the supply, or take the corrector out of the correction."
     )
     equation = (
         "θ_n = u_onset (s + (1 − s) exp(−t/τ)), t the time since the tick before the onset; "
@@ -51,7 +51,9 @@ class CorrectorStuck(ActuatorKind):
             high=1.0,
             nominal=1.0,
             typical=1.0,
-            description="Share s of the current at the onset that is left: 1 frozen, 0 tripped.",
+            description=(
+                "Share s of the current at the onset that remains: 1 is frozen, 0 is tripped."
+            ),
             optional=True,
         ),
         Parameter(
@@ -67,7 +69,7 @@ class CorrectorStuck(ActuatorKind):
         ),
     )
     confused_with = ("corrector-gain", "corrector-saturation", "corrector-deadband", "local-kick")
-    splits = "The readback of its current, or a step of this corrector alone: nothing moves."
+    splits = "The readback of its current, or a step of this corrector alone. Nothing moves."
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
         """Hold the first row, or let it fall."""

@@ -20,14 +20,16 @@ class CorrectorSwap(PairKind):
     target = "corrector"
     title = "exchanged correctors"
     sentence = (
-        "Each of two correctors gets the setpoint of the other: their cables, or their names in "
+        "Each of two correctors gets the setpoint of the other. Their cables, or their names in "
         "the configuration, are exchanged. The feedback may run away."
     )
     equation = "θ_j = u_k, θ_k = u_j"
     parameters = ()
     collective = False
     confused_with = ("corrector-gain", "corrector-polarity", "bpm-swap")
-    splits = "A step of one of the two alone: the orbit moves as the model says of the other."
+    splits = (
+        "A step of one of the two alone. The orbit moves as the model predicts for the other one."
+    )
 
     def unavailable(self, record: Record) -> str:
         """Need a pair."""

@@ -29,9 +29,9 @@ class LoopDelay(ActuatorKind):
     target = "ring"
     title = "delay of the whole loop"
     sentence = (
-        "All correctors act later than the feedback believes: transport of setpoints, queues, or "
-        "readings that are older than their stamp. Give the feedback the delay, lower its "
-        "gain, or shorten the transport."
+        "All correctors act later than the feedback assumes. Setpoints travel slowly or queue, or "
+        "the readings are older than their time stamps. Tell the feedback the delay, lower its "
+        "gain, or shorten the delay."
     )
     equation = "θ_n = (1 − f) u_{n−K} + f u_{n−K−1} with k = K + f ticks"
     parameters = (
@@ -42,14 +42,14 @@ class LoopDelay(ActuatorKind):
             high=float(_LONGEST),
             nominal=0.0,
             typical=1.0,
-            description="Delay k in periods of the loop; need not be whole.",
+            description="Delay k in periods of the loop. It need not be a whole number.",
         ),
     )
     homogeneous = True  # below a tick
     confused_with = ("bpm-latency", "corrector-lag", "missed-write", "clock-jitter")
     splits = (
-        "Late readings and late correctors give the same record; time stamps, or a disturbance "
-        "that no corrector made, tell them apart. A lag has a tail, a delay has none."
+        "Late readings and late correctors give the same record. Time stamps tell them apart, or a "
+        "disturbance that no corrector made. A lag has a tail, a delay has none."
     )
 
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:

@@ -28,9 +28,9 @@ class MissedWrite(LatentKind):
     strength = "always one"
     title = "missed writes of setpoints"
     sentence = (
-        "Now and then the setpoints of a tick do not arrive in time, and the correctors stay "
-        "where they were until the next ones come. Look for lost packets, full queues, or a "
-        "busy computer: the loop's if all correctors are affected, else the crate's."
+        "At some ticks the setpoints do not arrive in time, and the correctors stay where they "
+        "were until the next ones come. Check for lost packets, full queues and a busy computer: "
+        "that of the loop if all correctors are affected, else that of the crate."
     )
     equation = "θ_n = θ_{n−1} with probability p, else u_n, of all correctors of a crate at once"
     parameters = (
@@ -46,7 +46,7 @@ class MissedWrite(LatentKind):
         ),
     )
     confused_with = ("loop-delay", "clock-jitter", "missed-read", "corrector-deadband")
-    splits = "Sequence numbers or time stamps of the writes; the readbacks of the currents."
+    splits = "Sequence numbers or time stamps of the writes, or the readbacks of the currents."
 
     def shapes(self, record: Record, currents: Matrix, orbit: Matrix) -> Matrix:
         """Take the change of the currents back, shape (N, n) [m]."""

@@ -25,18 +25,18 @@ class EnergyDrift(NoiseKind):
     collective = False
     parameters = (
         Parameter(
-            "step", "1", 0.0, 1e-2, 0.0, 3e-7, "Change of δ from tick to tick, rms.", log=True
+            "step", "1", 0.0, 1e-2, 0.0, 3e-7, "Rms change of δ from tick to tick.", log=True
         ),
     )
     title = "energy that wanders"
     sentence = (
-        "The energy wanders from tick to tick, along the dispersion and horizontally only; look "
-        "at the RF (its frequency reference, its phase loops)."
+        "The energy wanders from tick to tick, so the orbit moves along the dispersion, "
+        "horizontally only. Check the RF: its frequency reference and its phase loops."
     )
-    equation = "x_n += η δ_n, δ_n = δ_{n−1} + w, so the walk's covariance gains σ_w² η ηᵀ"
+    equation = "x_n += η δ_n, δ_n = δ_{n−1} + w, so the covariance of the walk gains σ_w² η ηᵀ"
     also_called = ("energy-ramp",)
     confused_with = ("energy-ramp", "ground-motion-level", "noise-correlated")
-    splits = "a step of the RF frequency as reference; the phase of the RF"
+    splits = "A step of the RF frequency as a reference, or a record of the RF phase."
 
     def unavailable(self, record: Record) -> str:
         """It needs the dispersion, and the horizontal plane."""

@@ -30,13 +30,13 @@ class EnergyOffset(RingKind):
     )
     title = "step of the energy"
     sentence = (
-        "The energy stepped, as by a change of the RF frequency; horizontal correctors now hold "
-        "an orbit that belongs to the RF: set the frequency right."
+        "The energy changed in one step, as after a change of the RF frequency. The horizontal "
+        "correctors now hold an orbit that belongs to the RF. Set the RF frequency right."
     )
     equation = "x += η δ, horizontal only; δ = −Δf / (α_c f) by the RF frequency"
     linear = "offset"
     confused_with = ("energy-ramp", "energy-drift", "local-kick")
-    splits = "a step of the RF frequency as reference; the log of the RF frequency"
+    splits = "A step of the RF frequency as a reference, or the log of the RF frequency."
 
     def unavailable(self, record: Record) -> str:
         """It needs the dispersion, and the horizontal plane."""

@@ -19,19 +19,26 @@ class EnergyRamp(RingKind):
     stage = "optics"
     parameters = (
         Parameter(
-            "rate", "1/s", -1e-3, 1e-3, 0.0, 5e-7, "Change of the relative energy deviation δ."
+            "rate",
+            "1/s",
+            -1e-3,
+            1e-3,
+            0.0,
+            5e-7,
+            "Change of the relative energy deviation δ per second.",
         ),
     )
     title = "steady drift of the energy"
     sentence = (
-        "The energy drifts because the length of the ring changes (tide, temperature) while the "
-        "RF frequency stays; horizontal correctors follow it: let the frequency follow instead."
+        "The energy drifts, because the length of the ring changes (tide, temperature) while the "
+        "RF frequency stays. The horizontal correctors follow it. Let the RF frequency follow "
+        "instead."
     )
     equation = "x += η δ̇ t, horizontal only (J. Safranek, Nucl. Instrum. Meth. A 388 (1997) 27)"
     linear = "rate"
     also_called = ("energy-drift",)
     confused_with = ("energy-drift", "energy-offset", "thermal-drift")
-    splits = "a step of the RF frequency as reference; a longer record"
+    splits = "A step of the RF frequency as a reference, or a longer record."
     sudden = False
     grows = True
 

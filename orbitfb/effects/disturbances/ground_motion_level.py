@@ -23,20 +23,29 @@ class GroundMotionLevel(NoiseKind):
     collective = False
     parameters = (
         Parameter(
-            "factor", "1", 0.1, 100.0, 1.0, 2.0, "Steps of the orbit over the usual ones, rms."
+            "factor",
+            "1",
+            0.1,
+            100.0,
+            1.0,
+            2.0,
+            "Rms step of the orbit, divided by the usual one.",
         ),
     )
     title = "level of the ground motion"
     sentence = (
-        "All quadrupoles move more (or less) from tick to tick than before: works, traffic or "
-        "wind; the feedback has more to do, and no device is at fault."
+        "From tick to tick all quadrupoles move more (or less) than before. The reason is building "
+        "work, traffic or wind. The feedback has more to do, and no device is at fault."
     )
     equation = (
         "w_n → k w_n, so Σ_w → k² Σ_w with Σ_w = Σ_q (k1L_q)² G_bq G_bqᵀ σ² (quadrupoles that walk "
         "independently; ATL law: B. Baklakov et al., Tech. Phys. 38 (1993) 894)"
     )
     confused_with = ("noise-level", "corrector-quantisation", "telegraph", "energy-drift")
-    splits = "the spectrum: motion falls with 1/f², reading noise is white; a quiet record"
+    splits = (
+        "The spectrum: motion falls with 1/f², noise of the readings is white. Compare with a "
+        "quiet record."
+    )
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -37,7 +37,7 @@ class InsertionDevice(SourceKind):
             0.5,
             0.03,
             0.03,
-            "Period of the magnets; only where the record has a gap.",
+            "Period of the magnets. Used if the record has a gap.",
             log=True,
         ),
         Parameter(
@@ -47,7 +47,7 @@ class InsertionDevice(SourceKind):
             1e4,
             10.0,
             10.0,
-            "Time in which it closes; only where the record has no gap.",
+            "Time in which the gap closes. Used if the record has no gap.",
             log=True,
         ),
         Parameter(
@@ -57,23 +57,24 @@ class InsertionDevice(SourceKind):
             1e3,
             0,
             0,
-            "Which of the recorded gaps, in the order of their names; where there are several.",
+            "Number of the recorded gap, in the order of their names. Used if there are several.",
             whole=True,
             optional=True,
         ),
     )
     title = "kick by the gap of an insertion device"
     sentence = (
-        "As the gap of an insertion device closes the beam is kicked here: its feed-forward is "
-        "wrong or missing. Measure its table again."
+        "When the gap of an insertion device closes, the beam is kicked here. The feed-forward of "
+        "the device is wrong or missing. Measure its feed-forward table again."
     )
     equation = (
-        "x += G_bq θ g, g = exp(−π (gap − 10 mm) / period) by the recorded gap (K. Halbach, Nucl. "
-        "Instrum. Meth. 187 (1981)); without one g = min(t / duration, 1) from the onset on"
+        "x += G_bq θ g, g = exp(−π (gap − 10 mm) / period) of the recorded gap (K. Halbach, Nucl. "
+        "Instrum. Meth. 187 (1981)); in a record without gaps g = min(t / duration, 1) from the "
+        "onset on"
     )
     linear = "kick"
     confused_with = ("local-kick", "thermal-drift", "telegraph", "quadrupole-gradient")
-    splits = "record the gap, and move it to and fro while the feedback holds"
+    splits = "Record the gap, and open and close it while the feedback holds the orbit."
     collective = False
 
     def unavailable(self, record: Record) -> str:

@@ -18,19 +18,19 @@ class LocalKick(SourceKind):
     id = "local-kick"
     stage = "disturbance"
     parameters = (
-        Parameter("kick", "rad", -1e-3, 1e-3, 0.0, 5e-7, "Angle of the kick, from then on."),
+        Parameter("kick", "rad", -1e-3, 1e-3, 0.0, 5e-7, "Angle of the kick, from the onset on."),
     )
     title = "kick at one place"
     sentence = (
-        "At one moment something at this place began to kick the beam and goes on doing so: a "
-        "magnet that moved or tripped, a corrector outside the feedback."
+        "Something at this place began to kick the beam at one moment and still does. A magnet "
+        "moved or tripped, or a corrector outside the feedback changed."
     )
     equation = "x += G_bq θ for t ≥ t₀, G the closed orbit per kick"
     linear = "kick"
     confused_with = ("bpm-offset", "insertion-device", "telegraph", "corrector-stuck")
     splits = (
-        "only the shape of one step tells places apart: wait until it happens again, or move "
-        "the magnet; a BPM's offset moves no other BPM"
+        "One step shows only its shape, which does not always tell places apart. Wait for the next "
+        "step, or move the magnet. An offset of a BPM moves no other BPM."
     )
     collective = False
 

@@ -25,17 +25,26 @@ class PeriodicDisturbance(SourceKind):
         Parameter("cosine", "rad", -1e-3, 1e-3, 0.0, 3e-8, "Amplitude of the cosine."),
         Parameter("sine", "rad", -1e-3, 1e-3, 0.0, 3e-8, "Amplitude of the sine."),
         Parameter(
-            "frequency", "Hz", 0.0, 1e4, 1.0, 1.0, "Frequency, or its alias below half the rate."
+            "frequency",
+            "Hz",
+            0.0,
+            1e4,
+            1.0,
+            1.0,
+            "Frequency, or its alias below half the rate of the loop.",
         ),
     )
     title = "periodic kick at one place"
     sentence = (
-        "Something at this place shakes the beam at one frequency: a pump, the mains or one of "
-        "its aliases, the booster; look for what runs at this frequency there."
+        "Something at this place shakes the beam at one frequency: a pump, the mains or one of its "
+        "aliases, the booster. Find out what runs at this frequency there."
     )
     equation = "x += G_bq (a cos 2πft + b sin 2πft), G the closed orbit per kick"
     confused_with = ("noise-coloured", "telegraph")
-    splits = "another rate of the orbit tells aliases apart; a longer record"
+    splits = (
+        "Another rate of the loop tells aliases apart. A longer record resolves the frequency "
+        "better."
+    )
     collective = False
 
     def grid(self, record: Record) -> Sequence[Values]:

@@ -28,7 +28,9 @@ class Telegraph(NoiseKind):
     collective = False
     sudden = False
     parameters = (
-        Parameter("kick", "rad", 0.0, 1e-3, 0.0, 1e-7, "Kick ±θ in either state.", log=True),
+        Parameter(
+            "kick", "rad", 0.0, 1e-3, 0.0, 1e-7, "Size of the kick, which is +θ or −θ.", log=True
+        ),
         Parameter(
             "probability",
             "1",
@@ -42,13 +44,13 @@ class Telegraph(NoiseKind):
     )
     title = "source that switches to and fro"
     sentence = (
-        "A kick at this place jumps between two values at random times: a supply with a loose "
-        "contact, a door, a crane or a moving vehicle nearby."
+        "A kick at this place jumps between two values at random times. Look for a supply with a "
+        "loose contact, a door, a crane or a vehicle nearby."
     )
     equation = (
-        "x += s G_bq θ with s = ±1 changing its sign with probability p per tick: steps of 2 θ, "
-        "so the walk's covariance gains 4 p θ² G Gᵀ, in rare strokes (random telegraph signal, "
-        "S. O. Rice, Bell Syst. Tech. J. 23 (1944) 282)"
+        "x += s G_bq θ with s = ±1, which changes sign with probability p per tick: steps of 2 θ, "
+        "so the covariance of the walk gains 4 p θ² G Gᵀ, in rare strokes (random telegraph "
+        "signal, S. O. Rice, Bell Syst. Tech. J. 23 (1944) 282)"
     )
     confused_with = (
         "ground-motion-level",
@@ -56,7 +58,7 @@ class Telegraph(NoiseKind):
         "periodic-disturbance",
         "insertion-device",
     )
-    splits = "the statistics of its jumps: a longer record"
+    splits = "A longer record has more jumps."
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

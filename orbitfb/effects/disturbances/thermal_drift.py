@@ -25,7 +25,13 @@ class ThermalDrift(SourceKind):
     stage = "disturbance"
     parameters = (
         Parameter(
-            "rate", "rad/s", -1e-4, 1e-4, 0.0, 5e-9, "Change of the kick per second, at first."
+            "rate",
+            "rad/s",
+            -1e-4,
+            1e-4,
+            0.0,
+            5e-9,
+            "Change of the kick per second, at the onset.",
         ),
         Parameter(
             "tau",
@@ -34,14 +40,17 @@ class ThermalDrift(SourceKind):
             1e7,
             1e7,
             3600.0,
-            "Time constant with which it settles; far longer than the record: steady growth.",
+            (
+                "Time constant with which it settles. If it is far longer than the record, the "
+                "kick grows steadily."
+            ),
             log=True,
         ),
     )
     title = "kick that grows and settles"
     sentence = (
-        "A magnet at this place creeps, and the feedback follows it: look at the temperature of "
-        "its girder, its cooling water and its supply."
+        "A magnet at this place drifts, and the feedback follows it. Check the temperature of its "
+        "girder, its cooling water and its power supply."
     )
     equation = (
         "x += G_bq θ̇ τ (1 − exp(−t/τ)), G the closed orbit per kick: one heat capacity behind one "
@@ -49,7 +58,7 @@ class ThermalDrift(SourceKind):
     )
     linear = "rate"
     confused_with = ("bpm-drift", "energy-ramp", "ground-motion-level", "insertion-device")
-    splits = "a longer record, together with the temperatures"
+    splits = "A longer record, together with the temperatures."
     collective = False
     grows = True
 

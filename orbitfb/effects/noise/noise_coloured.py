@@ -24,17 +24,23 @@ class NoiseColoured(NoiseKind):
     lag = 1
     parameters = (
         Parameter(
-            "correlation", "1", -0.98, 0.98, 0.0, 0.5, "Of the noise of two ticks in sequence."
+            "correlation",
+            "1",
+            -0.98,
+            0.98,
+            0.0,
+            0.5,
+            "Correlation ρ of the noise from tick to tick.",
         ),
     )
     title = "coloured noise of a BPM"
     sentence = (
-        "The noise of the BPM is not new at every tick: hum, slow electronics or a filter that "
-        "reaches over several ticks. The orbit itself is read without delay."
+        "The noise of the BPM has a memory of several ticks. The reason is hum, slow electronics "
+        "or a filter. The orbit itself is read without delay."
     )
-    equation = "v_n = ρ v_(n−1) + √(1 − ρ²) ε_n, ε white, so that the rms of v stays"
+    equation = "v_n = ρ v_(n−1) + √(1 − ρ²) ε_n, ε white, so the rms of v does not change"
     confused_with = ("bpm-lowpass", "noise-level", "ground-motion-level")
-    splits = "dither: a low-pass delays the response to correctors too, coloured noise does not"
+    splits = "Dither: a low-pass also delays the response to correctors, coloured noise does not."
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -19,16 +19,20 @@ class NoiseCorrelated(NoiseKind):
 
     id = "noise-correlated"
     target = "bpm"
-    parameters = (Parameter("rms", "m", 0.0, 1e-3, 0.0, 0.3e-6, "Of the common noise.", log=True),)
+    parameters = (
+        Parameter("rms", "m", 0.0, 1e-3, 0.0, 0.3e-6, "Rms of the common noise.", log=True),
+    )
     title = "noise common to a group of BPMs"
     sentence = (
-        "BPMs that share a crate, a clock or a reference jitter together, in addition to the "
-        "noise of each; the beam does not move like that."
+        "BPMs that share a crate, a clock or a reference have a common noise, in addition to the "
+        "noise of each. The beam does not move like this."
     )
     equation = "v_i = ε_i + z for all BPMs i of the group and plane, z white with the given rms"
     collective = False
     confused_with = ("noise-level", "energy-drift", "ground-motion-level", "clock-jitter")
-    splits = "the shape: motion of the beam looks like dispersion or like a kick, not like a crate"
+    splits = (
+        "The shape: motion of the beam looks like the dispersion or like a kick, not like a crate."
+    )
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

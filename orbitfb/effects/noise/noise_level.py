@@ -21,17 +21,23 @@ class NoiseLevel(NoiseKind):
     relative = True
     parameters = (
         Parameter(
-            "factor", "1", 0.05, 100.0, 1.0, 2.0, "Noise rms over what the BPM has without it."
+            "factor",
+            "1",
+            0.05,
+            100.0,
+            1.0,
+            2.0,
+            "Rms noise of the BPM, divided by its usual one.",
         ),
     )
     title = "noise level of a BPM"
     sentence = (
-        "The BPM is noisier (or quieter) than assumed, with readings that are right on average; "
-        "look at its attenuators, its stored bunch pattern and its electronics."
+        "The BPM is noisier (or quieter) than assumed. Its readings are right on average. Check "
+        "its attenuators, its setting for the bunch pattern and its electronics."
     )
     equation = "v_i → k v_i, so Σ_ii → k² Σ_ii, white in time"
     confused_with = ("ground-motion-level", "noise-coloured", "noise-tails", "noise-correlated")
-    splits = "the spectrum: reading noise is white, motion of the orbit falls with 1/f²"
+    splits = "The spectrum: noise of the readings is white, motion of the orbit falls with 1/f²."
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

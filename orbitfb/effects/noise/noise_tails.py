@@ -25,18 +25,27 @@ class NoiseTails(LatentKind):
     per_bpm = True
     collective = True
     parameters = (
-        Parameter("probability", "1", 0.0, 0.5, 0.0, 0.003, "Of a spike, per reading.", log=True),
-        Parameter("amplitude", "m", 0.0, 1e-2, 0.0, 5e-6, "Spikes, rms.", log=True),
+        Parameter(
+            "probability",
+            "1",
+            0.0,
+            0.5,
+            0.0,
+            0.003,
+            "Probability of a spike, per reading.",
+            log=True,
+        ),
+        Parameter("amplitude", "m", 0.0, 1e-2, 0.0, 5e-6, "Rms height of the spikes.", log=True),
     )
     title = "spikes in the readings of a BPM"
     sentence = (
-        "Now and then single readings of the BPM are far off, for one tick, and no other BPM "
-        "sees it; the feedback answers each with a kick. Look for loose contacts and for noise "
-        "picked up from pulsed magnets."
+        "Now and then one reading of the BPM is far off, for one tick, and no other BPM sees it. "
+        "The feedback answers with a kick. Check for loose contacts and for interference from "
+        "pulsed magnets."
     )
     equation = "v += s · N(0, A²), s = 1 with probability p, else 0, new at every tick and BPM"
     confused_with = ("noise-level", "bpm-offset", "missed-read")
-    splits = "a longer record: a spike is one tick of one BPM, an offset stays"
+    splits = "A longer record: a spike is one tick of one BPM, an offset stays."
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -27,22 +27,24 @@ class OpticsDrift(SourceKind):
             high=1e-2,
             nominal=0.0,
             typical=1e-4,
-            description="Relative change Δk/k of the gradient per second; of several quadrupoles "
-            "together: its rms, each with a rate of its own.",
+            description=(
+                "Relative change Δk/k of the gradient per second. For several quadrupoles it is "
+                "the rms, and each has a rate of its own."
+            ),
         ),
     )
     title = "drift of the optics"
     sentence = (
-        "The response moves away from the model as time goes on, because the gradients of "
-        "quadrupoles change (temperature, power supplies, an insertion device that moves); "
-        "measure the response again."
+        "The response slowly moves away from the model, because the gradients of quadrupoles "
+        "change (temperature, power supplies, an insertion device that moves). Measure the "
+        "response again."
     )
     equation = (
-        "R(t) = R₀ + ΔR(Δk(t)), Δk_q(t) = r_q k_q t, r_q normal; ΔR as of quadrupole-gradient"
+        "R(t) = R₀ + ΔR(Δk(t)), Δk_q(t) = r_q k_q t, r_q normal; ΔR as for quadrupole-gradient"
     )
     linear = "rate"
     confused_with = ("quadrupole-gradient", "tune-drift", "tune-shift")
-    splits = "the same dither at the beginning and at the end of an hour; the measured tunes"
+    splits = "The same dither at the beginning and at the end of an hour, or the measured tunes."
     collective = True
     sudden = False
     grows = True

@@ -28,14 +28,16 @@ class QuadrupoleGradient(SourceKind):
             high=0.04,
             nominal=0.0,
             typical=0.005,
-            description="Error Δk1L of the integrated gradient, positive where the quadrupole "
-            "focuses more in x.",
+            description=(
+                "Error Δk1L of the integrated gradient; positive if the quadrupole focuses more in "
+                "x."
+            ),
         ),
     )
     title = "gradient error of a quadrupole"
     sentence = (
-        "The quadrupole focuses more or less than the model says, which changes the response of "
-        "all BPMs to all correctors; look at its current, its shunt and its temperature."
+        "The quadrupole focuses more or less than the model says. This changes the response of all "
+        "BPMs to all correctors. Check its current, its shunt and its temperature."
     )
     equation = (
         "ΔR_x = −Δk / (1 + Δk G_qq) · G_bq G_qc, opposite sign of Δk in y; exact for one thin "
@@ -44,8 +46,8 @@ class QuadrupoleGradient(SourceKind):
     linear = "gradient"
     confused_with = ("optics-drift", "tune-shift", "corrector-gain", "bpm-gain", "sextupole")
     splits = (
-        "tones of low-order modes and correctors at other phases, in both planes; the measured "
-        "tunes; neighbours at the same phase stay alike"
+        "Tones of low-order modes, correctors at other phases, both planes, the measured tunes. "
+        "Neighbours at the same phase advance stay alike."
     )
     collective = False
     standing = True

@@ -35,23 +35,29 @@ class Sextupole(SourceKind):
             high=300.0,
             nominal=0.0,
             typical=5.0,
-            description="Integrated strength b2L beyond the model's, which has none if it is "
-            "linear; of several sextupoles the mean size, their ratios and signs being those of "
-            "the table of places.",
+            description=(
+                "Integrated strength b2L in addition to that of the model; a linear model has "
+                "none. For several sextupoles it is the mean size: ratios and signs are those of "
+                "the table of places."
+            ),
         ),
     )
     title = "sextupole that the model does not have"
     sentence = (
-        "The response depends on the orbit in this sextupole: its strength differs from the "
-        "model's, or the model is linear and the orbit is large there."
+        "The response depends on the orbit in this sextupole. Its strength differs from the model, "
+        "or the model is linear and the orbit is large there."
     )
     equation = (
-        "Δx = −G_bs b2L (x_s² − y_s²), Δy = +2 G_bs b2L x_s y_s, x_s and y_s from the correctors "
-        "and, interpolated between BPMs, from all else (feed-down 2 b2L x_s is in it)"
+        "Δx = −G_bs b2L (x_s² − y_s²), Δy = +2 G_bs b2L x_s y_s; x_s and y_s come from the "
+        "correctors, and between BPMs by interpolation from all else (this includes the feed-down "
+        "2 b2L x_s)"
     )
     linear = "strength"
     confused_with = ("quadrupole-gradient", "bpm-nonlinearity")
-    splits = "two amplitudes of the same excitation, or two reference orbits: it doubles tones"
+    splits = (
+        "Two amplitudes of the same excitation, or two reference orbits. A sextupole also doubles "
+        "the frequency of tones."
+    )
     collective = False
     standing = True
 

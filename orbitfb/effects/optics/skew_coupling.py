@@ -27,21 +27,25 @@ class SkewCoupling(SourceKind):
             high=0.05,
             nominal=0.0,
             typical=0.003,
-            description="Integrated skew gradient k_s; of a quadrupole rolled by φ: 2 φ k1L.",
+            description="Integrated skew gradient k_s. A quadrupole rolled by φ has 2 φ k1L.",
         ),
     )
     title = "coupling of the planes at a quadrupole"
     sentence = (
-        "The quadrupole is rolled (or the orbit is off centre in a sextupole next to it): "
-        "horizontal correctors move the vertical orbit everywhere, and the other way round."
+        "The quadrupole is rolled, or the orbit is off centre in a sextupole next to it. "
+        "Horizontal correctors move the vertical orbit everywhere, and vertical ones the "
+        "horizontal orbit."
     )
     equation = (
-        "Δx = G_bq k_s (y_q + k_s G_qq,y x_q) / D, Δy the like with x and y changed, "
-        "D = 1 − k_s² G_qq,x G_qq,y; exact for one thin skew quadrupole"
+        "Δx = G_bq k_s (y_q + k_s G_qq,y x_q) / D, Δy the same with x and y exchanged, D = 1 − "
+        "k_s² G_qq,x G_qq,y; exact for one thin skew quadrupole"
     )
     linear = "skew"
     confused_with = ("bpm-roll", "corrector-roll")
-    splits = "excite one plane at a time: a BPM's roll shows at one BPM, a corrector's for one only"
+    splits = (
+        "Excite one plane at a time. The roll of a BPM shows at that BPM only, the roll of a "
+        "corrector with that corrector only."
+    )
     collective = False
     standing = True
 

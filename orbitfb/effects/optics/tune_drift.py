@@ -24,19 +24,23 @@ class TuneDrift(RingKind):
     id = "tune-drift"
     stage = "optics"
     parameters = (
-        Parameter("rate_x", "1/s", -1e-2, 1e-2, 0.0, 5e-5, "Change of the horizontal tune."),
-        Parameter("rate_y", "1/s", -1e-2, 1e-2, 0.0, 5e-5, "Change of the vertical tune."),
+        Parameter(
+            "rate_x", "1/s", -1e-2, 1e-2, 0.0, 5e-5, "Change of the horizontal tune per second."
+        ),
+        Parameter(
+            "rate_y", "1/s", -1e-2, 1e-2, 0.0, 5e-5, "Change of the vertical tune per second."
+        ),
     )
     title = "drift of the tunes"
     sentence = (
-        "The tunes move away from the model's as time goes on: a main power supply or the "
-        "temperature of the magnets; compare with the log of the tune meter."
+        "The tunes slowly move away from those of the model. The reason is a main power supply or "
+        "the temperature of the magnets. Compare with the log of the tune meter."
     )
-    equation = "R(t) = R₀ + t (ν̇_x ∂R/∂ν_x + ν̇_y ∂R/∂ν_y), the derivatives as of tune-shift"
+    equation = "R(t) = R₀ + t (ν̇_x ∂R/∂ν_x + ν̇_y ∂R/∂ν_y), with the derivatives of tune-shift"
     homogeneous = True
     also_called = ("optics-drift",)
     confused_with = ("tune-shift", "optics-drift", "quadrupole-gradient")
-    splits = "the log of the tune meter; the same dither at the beginning and at the end"
+    splits = "The log of the tune meter, or the same dither at the beginning and at the end."
     sudden = False
     grows = True
 

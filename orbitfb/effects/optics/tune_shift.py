@@ -25,24 +25,37 @@ class TuneShift(RingKind):
     stage = "optics"
     parameters = (
         Parameter(
-            "dnu_x", "1", -0.1, 0.1, 0.0, 0.005, "Horizontal tune less the model's, first order."
+            "dnu_x",
+            "1",
+            -0.1,
+            0.1,
+            0.0,
+            0.005,
+            "Horizontal tune minus that of the model, first order.",
         ),
         Parameter(
-            "dnu_y", "1", -0.1, 0.1, 0.0, 0.005, "Vertical tune less the model's, first order."
+            "dnu_y",
+            "1",
+            -0.1,
+            0.1,
+            0.0,
+            0.005,
+            "Vertical tune minus that of the model, first order.",
         ),
     )
     title = "shift of the tunes"
     sentence = (
-        "The tunes are not those of the model, with no single magnet to blame: a main power "
-        "supply, the energy, or the focusing of insertion devices; compare with the tune meter."
+        "The tunes are not those of the model, and no single magnet is the reason. A main power "
+        "supply, the energy or the focusing of insertion devices has changed. Compare with the "
+        "tune meter."
     )
     equation = (
-        "R(ν + Δν) by the smallest relative errors of all quadrupoles with "
-        "4π Δν_x,y = ±Σ β_x,y Δk (Courant and Snyder 1958, eq. 4.5)"
+        "R(ν + Δν) by the smallest relative errors of all quadrupoles that make 4π Δν_x,y = ±Σ "
+        "β_x,y Δk (Courant and Snyder 1958, eq. 4.5)"
     )
     homogeneous = True
     confused_with = ("quadrupole-gradient", "tune-drift", "optics-drift")
-    splits = "the measured tunes; dither of the modes whose numbers are next to the tunes"
+    splits = "The measured tunes, or dither of the modes whose numbers are next to the tunes."
 
     def unavailable(self, record: Record) -> str:
         """It needs the optics."""

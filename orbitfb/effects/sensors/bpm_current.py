@@ -40,18 +40,24 @@ class BpmCurrent(SensorKind):
     stage = "sensor"
     parameters = (
         Parameter(
-            "slope", "m/A", -0.1, 0.1, 0.0, 2e-4, "Change of the reading per stored current."
+            "slope",
+            "m/A",
+            -0.1,
+            0.1,
+            0.0,
+            2e-4,
+            "Change of the reading per change of the stored current.",
         ),
     )
     title = "current dependence of a BPM"
     sentence = (
-        "The reading follows the stored current though the beam stays; it shows as a sawtooth in "
-        "top-up operation. Look at the gain control and attenuators of its electronics."
+        "The reading follows the stored current, although the beam stays. In top-up operation it "
+        "shows as a sawtooth. Check the gain control and the attenuators of its electronics."
     )
     equation = "y = x + c (I − I₀), I the stored current, I₀ that at the beginning"
     linear = "slope"
     confused_with = ("bpm-drift", "thermal-drift", "insertion-device")
-    splits = "change the pattern of top-up and see whether the reading follows the current"
+    splits = "Change the pattern of top-up and see whether the reading follows the current."
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -23,8 +23,8 @@ class BpmDrift(SensorKind):
     )
     title = "drift of a BPM's offset"
     sentence = (
-        "The reading creeps though the beam does not; temperature of the electronics or of the "
-        "chamber as a rule. The feedback moves the beam along with it."
+        "The reading drifts although the beam does not. The usual reason is the temperature of the "
+        "electronics or of the chamber. The feedback moves the beam along with the reading."
     )
     equation = "y = x + r (t − t₀), zero before t₀"
     linear = "rate"
@@ -38,8 +38,8 @@ class BpmDrift(SensorKind):
         "bpm-offset",
     )
     splits = (
-        "a drift of the beam is seen by all BPMs; record the temperature of the crate and the "
-        "stored current with the orbit"
+        "A drift of the beam shows at all BPMs. Record the temperature of the crate and the stored "
+        "current with the orbit."
     )
 
     def simulate(

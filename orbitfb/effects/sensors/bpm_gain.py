@@ -26,12 +26,12 @@ class BpmGain(SensorKind):
     parameters = (Parameter("gain", "1", -0.9, 4.0, 0.0, 0.05, "Relative error of the gain."),)
     title = "gain error of a BPM"
     sentence = (
-        "The BPM reads every displacement too large or too small by the same factor; its "
-        "calibration, cables or electronics changed."
+        "The BPM reads every displacement too large or too small by the same factor. Check its "
+        "calibration, its cables and its electronics."
     )
     equation = (
-        "y = (1 + g)(x + v), the noise v is scaled too "
-        "(J. Safranek, Nucl. Instrum. Meth. A 388 (1997) 27)"
+        "y = (1 + g)(x + v): the noise v is scaled, too (J. Safranek, Nucl. Instrum. Meth. A 388 "
+        "(1997) 27)"
     )
     linear = "gain"
     delays = 1
@@ -43,8 +43,8 @@ class BpmGain(SensorKind):
         "quadrupole-gradient",
     )
     splits = (
-        "orbits at three levels tell it from a nonlinearity; for the scale common to all BPMs and "
-        "all correctors a change of RF frequency or one calibrated corrector is needed"
+        "Orbits at three levels tell it from a nonlinearity. The scale common to all BPMs and all "
+        "correctors needs a change of the RF frequency or one calibrated corrector."
     )
 
     def healthy_scatter(self, layout: Layout) -> Vector:

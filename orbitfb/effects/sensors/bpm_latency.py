@@ -33,7 +33,7 @@ class BpmLatency(SensorKind):
             _MOST,
             0.0,
             1.0,
-            "Ticks by which readings are late; need not be whole.",
+            "Delay of the readings in ticks. It need not be a whole number.",
         ),
         Parameter(
             name="resampled",
@@ -42,7 +42,7 @@ class BpmLatency(SensorKind):
             high=1.0,
             nominal=0.0,
             typical=0.0,
-            description="How a reading comes to be late by a part of a tick.",
+            description="How a delay that is not a whole number of ticks arises.",
             whole=True,
             optional=True,
             meanings={0: "orbit sampled late", 1: "two samples averaged with their noise"},
@@ -50,8 +50,8 @@ class BpmLatency(SensorKind):
     )
     title = "late readings of a BPM"
     sentence = (
-        "The BPM shows where the beam was some time ago; look at buffering and at the "
-        "time stamps of its electronics."
+        "The BPM shows where the beam was some time ago. Check the buffers and the time stamps of "
+        "its electronics."
     )
     equation = (
         "y_n = (1 − f) x_(n−K) + f x_(n−K−1) + v_n with k = K + f ticks; resampled: "
@@ -59,8 +59,8 @@ class BpmLatency(SensorKind):
     )
     confused_with = ("loop-delay", "bpm-lowpass", "missed-read")
     splits = (
-        "if all BPMs are late, only time stamps or a motion of the beam that no corrector made "
-        "tell it from late correctors"
+        "If all BPMs are late, only time stamps tell it from late correctors, or a motion of the "
+        "beam that no corrector made."
     )
 
     def simulate(

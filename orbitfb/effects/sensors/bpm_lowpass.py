@@ -26,17 +26,17 @@ class BpmLowpass(SensorKind):
     )
     title = "averaging of a BPM's readings"
     sentence = (
-        "The BPM averages over more than one tick: it shows a step of the orbit late and "
+        "The BPM averages over more than one tick. It shows a step of the orbit late and "
         "gradually, with less noise. Compare the filter settings of its electronics."
     )
     equation = (
-        "y_n = α y_(n−1) + (1 − α)(x_n + v_n), α = exp(−T/τ), T the period: filtered is the noisy "
-        "sample"
+        "y_n = α y_(n−1) + (1 − α)(x_n + v_n), α = exp(−T/τ), T the period: the filter acts on the "
+        "noisy sample"
     )
     confused_with = ("corrector-lag", "bpm-latency", "noise-coloured")
     splits = (
-        "the noise of the BPM is coloured too, which a slow corrector does not do; dither tells "
-        "it from coloured noise"
+        "This also colours the noise of the BPM; a slow corrector does not. Dither tells it from "
+        "coloured noise."
     )
 
     def simulate(

@@ -28,22 +28,38 @@ class BpmNonlinearity(SensorKind):
     id = "bpm-nonlinearity"
     stage = "sensor"
     parameters = (
-        Parameter("quadratic", "1/m", -1e5, 1e5, 0.0, 200.0, "a₂, bend of one sign."),
-        Parameter("cubic", "1/m²", -1e10, 1e10, 0.0, 2e5, "a₃; negative: the reading saturates."),
+        Parameter(
+            "quadratic",
+            "1/m",
+            -1e5,
+            1e5,
+            0.0,
+            200.0,
+            "Coefficient a₂: the curve bends to one side.",
+        ),
+        Parameter(
+            "cubic",
+            "1/m²",
+            -1e10,
+            1e10,
+            0.0,
+            2e5,
+            "Coefficient a₃. If it is negative, the reading saturates.",
+        ),
     )
     title = "curved characteristic of a BPM"
     sentence = (
-        "The BPM is right near its centre and wrong by a growing share off it (pincushion, "
-        "saturation); its gain depends on where the orbit is."
+        "The BPM reads right near its centre. Its error grows with the distance from the centre "
+        "(pincushion, saturation), so its gain depends on where the orbit is."
     )
     equation = (
-        "y = x + a₂x² + a₃x³, x the noisy position; straight on where its slope falls to 0.2 "
-        "(R. E. Shafer, AIP Conf. Proc. 212 (1990) 26)"
+        "y = x + a₂x² + a₃x³, x the noisy position; a straight line beyond the point where the "
+        "slope falls to 0.2 (R. E. Shafer, AIP Conf. Proc. 212 (1990) 26)"
     )
     scales = True  # by its slope where the orbit is
     homogeneous = True
     confused_with = ("bpm-gain", "sextupole")
-    splits = "a closed bump through the BPM at three levels or more, with both signs"
+    splits = "A closed bump through the BPM at three levels or more, with both signs."
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -21,15 +21,16 @@ class BpmOffset(SensorKind):
     parameters = (Parameter("offset", "m", -2e-3, 2e-3, 0.0, 5e-6, "Jump of the reading."),)
     title = "jump of a BPM's offset"
     sentence = (
-        "The reading jumped and stayed there though the beam did not move; the feedback then "
-        "made a bump that is not needed. Look for a switched range or a moved chamber."
+        "The reading jumped and stayed there, although the beam did not move. The feedback then "
+        "made a bump that nobody needs. Check whether a range was switched or the chamber has "
+        "moved."
     )
     equation = "y = x + b from the time of the jump on"
     linear = "offset"
     confused_with = ("local-kick", "bpm-drift", "noise-tails")
     splits = (
-        "a kick moves the orbit at all BPMs; with few BPMs compare with a photon monitor or put "
-        "the loop in OPEN at the next jump"
+        "A kick moves the orbit at all BPMs. With few BPMs compare with a photon monitor, or open "
+        "the loop before the next jump."
     )
 
     def simulate(

@@ -21,12 +21,14 @@ class BpmPolarity(SensorKind):
     parameters = ()
     title = "reversed sign of a BPM"
     sentence = (
-        "The BPM reads displacements with the wrong sign; two cables are swapped, or its sign is "
-        "wrong in the database. The feedback pushes the orbit the wrong way there."
+        "The BPM reads displacements with the wrong sign. Two cables are exchanged, or its sign in "
+        "the database is wrong. The feedback pushes the orbit the wrong way there."
     )
     equation = "y = −(x + v)"
     confused_with = ("bpm-gain",)
-    splits = "nothing is needed: it equals a gain error of −2, and the simpler effect is named"
+    splits = (
+        "No experiment is needed. It equals a gain error of −2, and the simpler effect is named."
+    )
     collective = False
 
     def simulate(

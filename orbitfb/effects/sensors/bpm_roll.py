@@ -22,12 +22,20 @@ class BpmRoll(PairKind):
     stage = "sensor"
     target = "bpm"
     parameters = (
-        Parameter("angle", "rad", -0.8, 0.8, 0.0, 0.02, "Roll; positive from the x to the y axis."),
+        Parameter(
+            "angle",
+            "rad",
+            -0.8,
+            0.8,
+            0.0,
+            0.02,
+            "Angle of the roll φ, positive from the x axis to the y axis.",
+        ),
     )
     title = "roll of a BPM"
     sentence = (
-        "The BPM is turned about the beam (or its electronics mix the planes): part of x is read "
-        "as y and the other way round with the opposite sign."
+        "The BPM is rotated about the beam, or its electronics mix the planes. It reads a part of "
+        "x as y, and a part of y as x with the opposite sign. Check its alignment."
     )
     equation = (
         "y_x = x cos φ + y sin φ, y_y = −x sin φ + y cos φ "
@@ -36,7 +44,7 @@ class BpmRoll(PairKind):
     linear = "angle"
     collective = False
     confused_with = ("skew-coupling", "corrector-roll", "bpm-gain")
-    splits = "skew magnets are seen by all BPMs; excite both planes one after the other"
+    splits = "All BPMs see a skew magnet; only one sees this. Excite one plane after the other."
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -12,13 +12,13 @@ class BpmRow(ElementsKind):
     target = "bpm"
     title = "BPM that is not of this model"
     sentence = (
-        "The BPM responds to the correctors otherwise than in the model, and no gain corrects it: "
-        "it stands elsewhere, cables or buttons are exchanged, or its row of the response was "
-        "measured wrongly. Measure its row again, or leave the BPM out."
+        "The response of the BPM to the correctors is not that of the model, and no gain corrects "
+        "it. The BPM stands elsewhere, cables or buttons are exchanged, or its row of the response "
+        "matrix was measured wrongly. Measure its row again, or leave the BPM out."
     )
-    equation = "y_i = Σ_j (R_ij + ε_ij) θ_j, with an ε_ij of its own for every corrector j"
+    equation = "y_i = Σ_j (R_ij + ε_ij) θ_j, with an error ε_ij of its own for every corrector j"
     confused_with = ("bpm-gain", "bpm-roll", "bpm-nonlinearity", "quadrupole-gradient")
-    splits = "steps of one corrector after the other, which measure the row element by element"
+    splits = "Steps of one corrector after the other. They measure the row element by element."
 
     def table(self, response: Matrix) -> Matrix:
         """Rows of the response."""

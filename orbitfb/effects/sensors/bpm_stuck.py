@@ -21,12 +21,12 @@ class BpmStuck(SensorKind):
     parameters = ()
     title = "stuck BPM"
     sentence = (
-        "The BPM repeats one reading for ever; its electronics hang or its data do not arrive. "
+        "The BPM repeats one reading forever. Its electronics hang, or its data do not arrive. "
         "Mask it: the feedback acts on a reading that means nothing."
     )
-    equation = "y_n = y_(n−1) from its beginning on"
+    equation = "y_n = y_(n−1) from the onset on"
     confused_with = ("missed-read",)
-    splits = "nothing is needed: exact repeats of one BPM while the others go on"
+    splits = "No experiment is needed. One BPM repeats itself exactly while the others go on."
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -24,13 +24,13 @@ class BpmSwap(PairKind):
     parameters = ()
     title = "exchanged readings of two BPMs"
     sentence = (
-        "Each of two channels carries the reading of the other; their cables or their names in "
-        "the database are exchanged. The feedback may run away."
+        "Each of two channels carries the reading of the other. Their cables, or their names in "
+        "the database, are exchanged. The feedback may run away."
     )
     equation = "y_i = x_j + v_j, y_j = x_i + v_i"
     collective = False
     confused_with = ("bpm-gain", "bpm-polarity")
-    splits = "nothing is needed: each of them follows the model of the other"
+    splits = "No experiment is needed. Each of them follows the model of the other."
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

@@ -24,19 +24,22 @@ class BpmWalk(NoiseKind):
     collective = False
     sudden = False
     parameters = (
-        Parameter("step", "m", 0.0, 1e-4, 0.0, 2e-8, "Change of the offset per tick, rms.", True),
+        Parameter(
+            "step", "m", 0.0, 1e-4, 0.0, 2e-8, "Rms change of the offset from tick to tick.", True
+        ),
     )
     title = "wandering offset of a BPM"
     sentence = (
-        "The reading wanders though the beam does not, of one BPM or of all that share a crate: "
-        "temperature of the electronics as a rule. The feedback moves the beam along with it."
+        "The reading of one BPM, or of all BPMs that share a crate, wanders although the beam does "
+        "not. The usual reason is the temperature of the electronics. The feedback moves the beam "
+        "along with the reading."
     )
     equation = "y_n = x_n + o_n, o_n = o_{n−1} + w, one w for all BPMs of the group and plane"
     also_called = ("bpm-drift",)
     confused_with = ("bpm-drift", "thermal-drift", "bpm-offset", "noise-correlated")
     splits = (
-        "motion of the beam is seen by all BPMs, in the shape of a kick; record the temperature of "
-        "the crate with the orbit"
+        "All BPMs see a motion of the beam, in the shape of a kick. Record the temperature of the "
+        "crate with the orbit."
     )
 
     def simulate(

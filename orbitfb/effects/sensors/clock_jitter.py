@@ -24,20 +24,20 @@ class ClockJitter(LatentKind):
     target = "bpm"
     strength = "normal"
     parameters = (
-        Parameter("rms", "s", 0.0, 10.0, 0.0, 0.01, "Of the time of sampling.", log=True),
+        Parameter("rms", "s", 0.0, 10.0, 0.0, 0.01, "Rms error of the sampling time.", log=True),
     )
     title = "jitter of the time of sampling"
     sentence = (
-        "The orbit is sampled a little early or late, differently at every tick, so a moving "
-        "orbit is read with an error that has its own shape; look at the trigger of the BPMs: the "
-        "common one if all BPMs are affected, else that of the crate."
+        "The BPMs sample the orbit a little early or late, by another amount at every tick. While "
+        "the orbit moves, the readings have an error in the shape of that motion. Check the "
+        "trigger of the BPMs: the common one if all BPMs are affected, else that of the crate."
     )
     equation = (
-        "y_n = x_n + δ_n (x_n − x_(n−1)) / T, δ_n normal and the same for all BPMs of a crate: "
-        "the slope of the orbit, not of the noise"
+        "y_n = x_n + δ_n (x_n − x_(n−1)) / T, δ_n normal and the same for all BPMs of a crate: the "
+        "slope of the orbit, not that of the noise"
     )
     confused_with = ("missed-read", "missed-write", "loop-delay", "noise-correlated")
-    splits = "time stamps of the BPMs themselves; steps of the orbit, which make the error large"
+    splits = "The BPMs' own time stamps, or steps of the orbit, which make the error large."
 
     def grid(self, record: Record) -> tuple[Values, ...]:
         """From a thousandth of a tick to three ticks."""

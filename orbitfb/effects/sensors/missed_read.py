@@ -19,16 +19,25 @@ class MissedRead(LatentKind):
     stage = "timing"
     strength = "always one"
     parameters = (
-        Parameter("probability", "1", 0.0, 0.5, 0.0, 0.01, "Of a tick without new data.", log=True),
+        Parameter(
+            "probability",
+            "1",
+            0.0,
+            0.5,
+            0.0,
+            0.01,
+            "Probability that a tick has no new orbit.",
+            log=True,
+        ),
     )
     title = "orbits that are read twice"
     sentence = (
-        "At some ticks no new orbit came and the last one was used again, to the last digit; "
-        "look at the network and at the load of the computers between BPMs and feedback."
+        "At some ticks no new orbit came, and the last one was used again, equal to the last "
+        "digit. Check the network between BPMs and feedback, and the load of its computers."
     )
     equation = "y_n = y_(n−1), noise included, with probability p, else x_n + v_n"
     confused_with = ("bpm-stuck", "bpm-latency", "clock-jitter", "missed-write")
-    splits = "sequence numbers or time stamps; exact repeats of the whole orbit"
+    splits = "Sequence numbers or time stamps, or orbits that repeat exactly."
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator

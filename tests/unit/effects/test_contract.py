@@ -144,6 +144,7 @@ def test_it_tells_of_itself(kind):
     assert kind.equation
     assert set(kind.confused_with) <= set(KINDS) - {kind.id}
     assert not kind.confused_with or kind.splits
+    assert not kind.splits or (kind.splits[0].isupper() and kind.splits.endswith("."))
 
 
 @each_kind

@@ -107,10 +107,10 @@ def test_what_no_corrector_can_split_is_said_in_words(weak: Workspace) -> None:
     jitter = Suspect(effect("clock-jitter"), (), {"rms": 0.01})
     its = plan(weak, missed, [jitter])
     assert its.settings is None
-    assert "helps to tell missed-write from clock-jitter. Beyond the limits, or without" in (
+    assert "helps to tell missed-write from clock-jitter. Another test: Sequence" in (
         its.experiment.text
     )
-    with pytest.raises(EstimationError, match="nothing to run"):
+    with pytest.raises(EstimationError, match="no excitation to run"):
         its.waveform()
 
 
@@ -120,7 +120,7 @@ def test_a_plan_splits_all_rivals_and_says_which_it_cannot(weak: Workspace) -> N
     its = plan(weak, gain_of(0.08), [gain_of(0.08, PLACE + 1), lag, noise]).experiment
     assert its.splits == ("corrector-gain", "corrector-gain", "corrector-lag")
     assert "corrector-gain and corrector-lag:" in its.text
-    assert "does not split corrector-gain from noise-level: " in its.text
+    assert "does not tell corrector-gain from noise-level. For that: The spectrum" in its.text
     assert its.separation_nats is not None
     assert its.separation_nats >= ENOUGH
 
