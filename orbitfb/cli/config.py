@@ -24,7 +24,7 @@ def configshow(config_file: ConfigFile = None) -> None:
 
 @config.command("check")
 def config_check(path: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
-    """Say whether a configuration file is good, with the files that it names."""
+    """Check a configuration file and the files that it names."""
     from orbitfb.app.service.interfaces import check_panel
     from orbitfb.app.setup.stored_policies import baseline, check_policy
     from orbitfb.measure.response_file import nominal_response

@@ -13,25 +13,27 @@ def doctor(
         str | None,
         typer.Option(
             "--ioc",
-            help="Ring whose PVs are searched for: HOST[:PORT] [port 15064]; env: what the "
-            "EPICS_CA_… environment says; config: what [epics] of the configuration says [none].",
+            help="Ring whose PVs to search for: HOST[:PORT] [port 15064]; env: by the EPICS_CA_… "
+            "environment; config: by [epics] of the configuration [none].",
         ),
     ] = None,
     live: Annotated[
         bool,
         typer.Option(
-            "--live", help="Ask a machine: without it port 5064 and other hosts are refused."
+            "--live",
+            help=(
+                "Search on a real machine. Without this option port 5064 and other hosts are "
+                "refused."
+            ),
         ),
     ] = False,
-    deadline: Annotated[
-        float, typer.Option(help="How long all PVs together are waited for [s].")
-    ] = 5.0,
+    deadline: Annotated[float, typer.Option(help="Longest wait for all PVs together [s].")] = 5.0,
     config_file: ConfigFile = None,
     data: DataDirectory = None,
     planes: Planes = None,
     as_json: AsJson = False,
 ) -> None:
-    """Look at program, configuration, files, clock, ports and ring; exit code 1: something failed.
+    """Check program, configuration, files, clock, ports and ring; exit code 1 if a check fails.
 
     Nothing is written to any PV.
     """
@@ -43,7 +45,9 @@ def doctor(
     if not 0 < deadline <= 3600:
         raise ConfigError(f"--deadline {deadline:g}: give seconds above 0, at most 3600")
     if ioc is not None and ioc != "sim":
-        searching = f"searching for the PVs of the ring: {deadline:g} s at most, then it is heard"
+        searching = (
+            f"searching for the PVs of the ring, {deadline:g} s at most, then listening to them"
+        )
         print(searching, file=sys.stderr, flush=True)
     options = {"data_directory": data, "ring.planes": planes}
     found = examine(config_file, options, ioc, live, deadline)

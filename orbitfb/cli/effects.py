@@ -39,7 +39,7 @@ def effects_show(
     name: Annotated[str, typer.Argument(metavar="ID", help="Of the effect.")],
     as_json: AsJson = False,
 ) -> None:
-    """Tell everything about one effect."""
+    """Show one effect: equation, parameters, and the effects that look like it."""
     from orbitfb.effects.registry import effect
 
     kind = effect(name)

@@ -17,17 +17,21 @@ def health(
     config_file: ConfigFile = None,
     ready: Annotated[
         bool,
-        typer.Option("--ready", help="Ask whether it does its work, not only whether it is alive."),
+        typer.Option(
+            "--ready", help="Ask whether the loop does its work, not only whether it is alive."
+        ),
     ] = False,
     host: Annotated[
-        str | None, typer.Option(help="Where it listens [observe.host of the configuration].")
+        str | None, typer.Option(help="Address of the service [observe.host of the configuration].")
     ] = None,
     port: Annotated[
         int | None,
-        typer.Option(min=1, max=65535, help="Its port [observe.port of the configuration]."),
+        typer.Option(
+            min=1, max=65535, help="Port of the service [observe.port of the configuration]."
+        ),
     ] = None,
     timeout: Annotated[
-        float, typer.Option(min=0.1, max=600.0, help="How long it may take to answer [s].")
+        float, typer.Option(min=0.1, max=600.0, help="Longest wait for the answer [s].")
     ] = 3.0,
     as_json: AsJson = False,
 ) -> None:
@@ -79,7 +83,7 @@ def probe(host: str, port: int, path: str, timeout: float) -> dict[str, Any]:
     finally:
         connection.close()
     if not isinstance(content, dict) or not isinstance(content.get("good"), bool):
-        reason = f"{host} port {port} answers, but is no orbitfb"
+        reason = f"{host} port {port} answers, but is not orbitfb"
         return {"good": False, "reason": reason}
     return {**content, "good": content["good"] and status == http.client.OK}
 

@@ -17,28 +17,30 @@ from orbitfb.cli.options import (
 )
 
 importing = typer.Typer(
-    help="Take response matrices and orbit histories from HDF5, CSV, MATLAB or an archiver, and "
-    "lattices of Accelerator Toolbox.",
+    help="Import response matrices and orbit histories from HDF5, CSV, MATLAB or an archiver, "
+    "and lattices of Accelerator Toolbox.",
     no_args_is_help=True,
 )
 
 BpmNames = Annotated[
     str | None,
     typer.Option(
-        help="Where the names of the BPMs are: a path within the file, or @FILE, a text file with "
-        "one per line [above or before the table, in CSV]."
+        help="Names of the BPMs: a path in the file, or @FILE for a text file with one name per "
+        "line [above or before the table, in CSV]."
     ),
 ]
-CorrectorNames = Annotated[str | None, typer.Option(help="The same of the correctors.")]
+CorrectorNames = Annotated[
+    str | None, typer.Option(help="Names of the correctors, in the same way.")
+]
 Order = Annotated[
     str,
     typer.Option(
-        help="names: devices are found by their names; table: they stand in the order of the "
-        "places table, x and then y, and have no names."
+        help="names: find devices by their names; table: the file has no names, its order is "
+        "that of the places table, x and then y."
     ),
 ]
 Anyway = Annotated[
-    bool, typer.Option("--anyway", help="Take it although its size or shape is not plausible.")
+    bool, typer.Option("--anyway", help="Accept a size or shape that is not plausible.")
 ]
 
 
@@ -60,7 +62,7 @@ def import_response_command(
     unit: Annotated[
         str | None,
         typer.Option(
-            help="Of the matrix: m/A, mm/A, um/A, mm/mA, m/rad, mm/mrad, … [as the file says]."
+            help="Unit of the matrix: m/A, mm/A, um/A, mm/mA, m/rad, mm/mrad, … [as the file says]."
         ),
     ] = None,
     bpm_names: BpmNames = None,
@@ -79,7 +81,7 @@ def import_response_command(
     ring: RingParameters = None,
     as_json: AsJson = False,
 ) -> None:
-    """Take a response matrix that was measured elsewhere; exit code 1: something in it is bad."""
+    """Import a response matrix that was measured elsewhere; exit code 1 if a part is bad."""
     from orbitfb.app.setup.loop_in_force import loop_of
     from orbitfb.exchange.response.parts import ResponseRequest
     from orbitfb.exchange.response.reading import import_response
@@ -133,22 +135,22 @@ def import_history_command(
     time_zone: Annotated[
         str | None,
         typer.Option(
-            help="Of times that are text and do not say theirs: UTC, +02:00, Europe/Berlin."
+            help="Time zone of times that are text without one: UTC, +02:00, Europe/Berlin."
         ),
     ] = None,
     tolerance: Annotated[
         float,
-        typer.Option(help="How far apart the stamps of one tick may lie, of an archiver [s]."),
+        typer.Option(help="Largest difference between an archiver's time stamps of one tick [s]."),
     ] = 0.01,
     hold: Annotated[
         float | None,
         typer.Option(
-            help="Longest time for which an archived setpoint stands without another sample [s] "
+            help="Longest time for which an archived setpoint counts without a new sample [s] "
             "[until its connection was lost]."
         ),
     ] = None,
     period: Annotated[
-        float | None, typer.Option(help="From one tick to the next [s] [the median].")
+        float | None, typer.Option(help="Time from one tick to the next [s] [the median].")
     ] = None,
     anyway: Anyway = False,
     config_file: ConfigFile = None,
@@ -157,7 +159,7 @@ def import_history_command(
     ring: RingParameters = None,
     as_json: AsJson = False,
 ) -> None:
-    """Take an orbit history from elsewhere, as a record for `orbitfb diagnose`."""
+    """Import an orbit history, as a record for `orbitfb diagnose`."""
     from orbitfb.core.errors import ConfigError
     from orbitfb.exchange.orbits.history import write_history
     from orbitfb.exchange.orbits.reading import HistoryRequest, read_history

@@ -44,19 +44,24 @@ def measure_response_command(
     ] = None,
     amplitude: Annotated[
         float | None,
-        typer.Option(help="Largest step, either sign [A] [what moves the orbit by 50 µm rms]."),
+        typer.Option(
+            help="Largest step, of either sign [A] [the step that moves the orbit by 50 µm rms]."
+        ),
     ] = None,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Begin anew instead of going on where one was stopped.")
+        bool,
+        typer.Option(
+            "--fresh", help="Start again instead of continuing an interrupted measurement."
+        ),
     ] = False,
     restore: Annotated[
         bool,
         typer.Option(
-            "--restore", help="Put back setpoints that a killed measurement left astray [asks]."
+            "--restore", help="Restore setpoints that a killed measurement left moved [asks]."
         ),
     ] = False,
     leave: Annotated[
-        bool, typer.Option("--leave", help="Leave them where they are [asks].")
+        bool, typer.Option("--leave", help="Leave such setpoints where they are [asks].")
     ] = False,
     activate: Annotated[
         bool,
@@ -70,7 +75,7 @@ def measure_response_command(
         bool,
         typer.Option(
             "--live",
-            help="Measure a machine: without it port 5064, that of production, is refused.",
+            help="Measure a real machine. Without this option the production port 5064 is refused.",
         ),
     ] = False,
     config_file: ConfigFile = None,
@@ -85,15 +90,15 @@ def measure_response_command(
     effects: EffectsFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the response matrix around the present setpoints, and put them back."""
+    """Measure the response matrix around the present setpoints, then restore them."""
     from orbitfb.app.measure.command import MeasureRequest, measure_response
     from orbitfb.app.measure.stopping import StopRequests
     from orbitfb.core.errors import ConfigError, StoppedError
 
     if restore and leave:
         raise ConfigError(
-            "--restore puts setpoints back that a killed measurement left astray, --leave leaves "
-            "them: give one of the two, or none to be asked"
+            "--restore puts back setpoints that a killed measurement moved, --leave leaves them; "
+            "give one of the two, or neither to be asked"
         )
     chosen = chosen_effects(effect, effects)
     if chosen is not None and ioc != "sim":

@@ -17,9 +17,8 @@ Ioc = Annotated[
     str,
     typer.Option(
         "--ioc",
-        help="sim: a simulated ring as a child process; HOST[:PORT]: an IOC that runs there "
-        "[port 15064]; env: what the EPICS_CA_… environment says; config: what [epics] of the "
-        "configuration says.",
+        help="sim: a simulated ring in a child process; HOST[:PORT]: an IOC there [port 15064]; "
+        "env: by the EPICS_CA_… environment; config: by [epics] of the configuration.",
     ),
 ]
 ConfigFile = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).")]
@@ -45,10 +44,10 @@ EffectSpecs = Annotated[
     typer.Option(
         "--effect",
         metavar="SPEC",
-        help="Effect of the simulated ring, ID:KEY=VALUE,…, as in "
-        "corrector-lag:tau=0.1s,cells=3-5,from=30s,planes=x; names=A+B instead of cells; without "
-        "these on all devices; omitted parameters take typical values; 5-3 wraps around the ring; "
-        "repeatable; `orbitfb effects` lists them [those of the "
+        help="Effect of the simulated ring, ID:KEY=VALUE,…, for example "
+        "corrector-lag:tau=0.1s,cells=3-5,from=30s,planes=x. Give names=A+B instead of "
+        "cells, or neither for all devices. Omitted parameters take typical values. Cells "
+        "5-3 wrap around the ring. Repeatable; `orbitfb effects` lists all [those of the "
         "configuration].",
     ),
 ]

@@ -24,7 +24,7 @@ Force = Annotated[
     bool,
     typer.Option(
         "--force",
-        help="Even if the policy tripped the loop, was rolled back, or would run away.",
+        help="Activate it even if it tripped the loop, was rolled back, or would be unstable.",
     ),
 ]
 
@@ -89,7 +89,7 @@ def policies_rollback(
     planes: Planes = None,
     force: Force = False,
 ) -> None:
-    """Go back to the policy that was active before; those that failed are passed over."""
+    """Go back to the policy that was active before; skip policies that failed."""
     from orbitfb.app.setup.stored_policies import activate_policy
 
     settings = configure(config_file, data_directory=data, ring__planes=planes)

@@ -15,8 +15,8 @@ def postmortem(
     file: Annotated[
         Path | None,
         typer.Argument(
-            help="Post-mortem: a file, or its name in the data directory; `last`: the newest. "
-            "Without it, those of the data directory are listed."
+            help="Post-mortem: a file, or its name in the data directory; `last` is the newest. "
+            "Without a name, those of the data directory are listed."
         ),
     ] = None,
     config_file: ConfigFile = None,
@@ -24,16 +24,16 @@ def postmortem(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Where to draw it: .html (a page with all of it), .png or .svg [FILE.html in "
-            "the current directory]."
+            help="File to draw: .html (the whole page), .png or .svg [FILE.html in the current "
+            "directory]."
         ),
     ] = None,
     last: Annotated[
-        float, typer.Option(min=0.0, help="Tell what changed from so long before the trip on [s].")
+        float, typer.Option(min=0.0, help="Show what changed in this time before the trip [s].")
     ] = 10.0,
     as_json: AsJson = False,
 ) -> None:
-    """Tell and draw what happened at a trip, or list the trips that were kept."""
+    """Show what happened at a trip, or list the trips on disk."""
     directory = configure(config_file, data_directory=data).data_directory / "postmortem"
     if file is None:
         _list(directory, as_json)

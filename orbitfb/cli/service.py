@@ -55,8 +55,8 @@ def run(
     excite: Annotated[
         Path | None,
         typer.Option(
-            help="Add the excitation in this file once, some time after the loop has closed (TOML "
-            "or .npz, as a diagnosis recommends it); it is logged as dither."
+            help="Play the excitation in this file once after the loop has closed (TOML or .npz, "
+            "from `orbitfb diagnose plan`); it is logged as dither."
         ),
     ] = None,
     metrics_port: Annotated[
@@ -66,8 +66,8 @@ def run(
         bool,
         typer.Option(
             "--live",
-            help="Run on a machine: without it port 5064, that of production, is refused; with it "
-            "the loop starts OPEN and waits for the command close.",
+            help="Run on a real machine. The loop starts OPEN and waits for the command close. "
+            "Without this option the production port 5064 is refused.",
         ),
     ] = False,
 ) -> None:
@@ -127,7 +127,7 @@ def ioc(
     effects: EffectsFile = None,
     plain: Annotated[
         bool | None,
-        typer.Option("--plain", help="Serve by caproto's documented calls alone (slow reference)."),
+        typer.Option("--plain", help="Use only documented calls of caproto (slow reference)."),
     ] = None,
     lockstep: Annotated[
         bool | None,
@@ -179,7 +179,7 @@ def refit(
     policy: PolicyKind = None,
     as_json: AsJson = False,
 ) -> None:
-    """Identify the response matrix anew, judge the policy built on it, print the decision."""
+    """Identify the response matrix again, judge the policy built on it, print the decision."""
     from orbitfb.app.setup.stored_policies import refit_offline, refit_online
 
     settings = configure(config_file, data_directory=data, ring__planes=planes, policy__kind=policy)
@@ -195,25 +195,24 @@ def command(
     name: Annotated[
         str,
         typer.Argument(
-            help="open, shadow, close, reset, postmortem, status, or one of the others."
+            help="open, shadow, close, reset, postmortem, status, or a command named below."
         ),
     ],
     values: Annotated[
         list[str] | None,
         typer.Argument(
             metavar="KEY=VALUE",
-            help="What goes with gain (plane=x value=0.5), dither (orbit_cost=1e-6), try "
-            "(singular_values=120 regularisation=1e-5, of one plane with plane=y; then apply), "
-            "reference (values=[…], m), reference-save and reference-load (name=golden), "
-            "enable-bpms and enable-correctors (enabled=[true, …]), "
-            "correct (law=active; then correct-apply, or undo), "
-            "bump (place=NAME plane=x position=1e-4 angle=0, m and rad), "
-            "average (orbits=10), dead-band (plane=x value=1e-6, m), "
-            "measure (action=start, abort or status; at_once=0, fresh=true).",
+            help="Values for gain (plane=x value=0.5), dither (orbit_cost=1e-6), try "
+            "(singular_values=120 regularisation=1e-5, of one plane with plane=y; then "
+            "apply), reference (values=[…], m), reference-save and reference-load "
+            "(name=golden), enable-bpms and enable-correctors (enabled=[true, …]), correct "
+            "(law=active; then correct-apply, or undo), bump (place=NAME plane=x "
+            "position=1e-4 angle=0, m and rad), average (orbits=10), dead-band (plane=x "
+            "value=1e-6, m), measure (action=start, abort or status; at_once=0, fresh=true).",
         ),
     ] = None,
     once: Annotated[
-        bool, typer.Option("--once", help="With correct: apply what it computes, once.")
+        bool, typer.Option("--once", help="With correct: apply the computed correction once.")
     ] = False,
     config_file: ConfigFile = None,
     data: DataDirectory = None,

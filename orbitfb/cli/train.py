@@ -66,7 +66,8 @@ def train(
     seed: Annotated[int | None, typer.Option(help="Seed [that of the configuration].")] = None,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Begin anew instead of resuming what was interrupted.")
+        bool,
+        typer.Option("--fresh", help="Start again instead of continuing an interrupted training."),
     ] = False,
     activate: Annotated[
         bool, typer.Option("--activate", help="Put the policy in force when it is trained.")
@@ -78,7 +79,7 @@ def train(
     planes: Planes = None,
     as_json: AsJson = False,
 ) -> None:
-    """Train a policy or a model and store it; Ctrl-C keeps what is done for the next time."""
+    """Train a policy or a model and store it; after Ctrl-C the same command continues."""
     from orbitfb.app.train.forward_model import train_model
     from orbitfb.app.train.policy import train_policy
     from orbitfb.app.train.request import FORWARD, TrainingRequest
@@ -109,7 +110,7 @@ def train(
         try:
             answer = work(settings, request, progress)
         except KeyboardInterrupt:
-            print("interrupted: the same command goes on from here, --fresh begins anew")
+            print("interrupted: the same command goes on from here, --fresh starts again")
             raise typer.Exit(130) from None
     show(answer, as_json)
 

@@ -124,10 +124,11 @@ class AppConfig(Settings):
         "what was trained, imported, measured or activated is never removed.",
     )
     policy: PolicySettings = Field(
-        default=PolicySettings(), description="The law that runs, and that of every refit."
+        default=PolicySettings(),
+        description="The policy that runs, and the kind that every refit builds.",
     )
     masks: MaskSettings = Field(
-        default=MaskSettings(), description="BPMs that do not count, correctors that do not move."
+        default=MaskSettings(), description="BPMs and correctors that are left out."
     )
     ring: RingSettings = Field(default=RingSettings(), description="The ring.")
     loop: LoopSettings = Field(default=LoopSettings(), description="The loop.")
@@ -162,7 +163,8 @@ class AppConfig(Settings):
     web: WebSettings = Field(default=WebSettings(), description="The operator page.")
     panel: PanelSettings = Field(default=PanelSettings(), description="The loop's own PVs.")
     lease: LeaseSettings = Field(
-        default=LeaseSettings(), description="Who of several controllers writes to the machine."
+        default=LeaseSettings(),
+        description="Which of several controllers may write to the machine.",
     )
     epics: EpicsSettings = Field(default=EpicsSettings(), description="Channel Access.")
     sim: SimSettings = Field(default=SimSettings(), description="The soft IOC.")

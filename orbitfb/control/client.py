@@ -97,7 +97,7 @@ def receive(connection: socket.socket) -> Mapping[str, Any]:
     while not data.endswith(b"\n"):
         chunk = connection.recv(65536)
         if not chunk:
-            raise ControlError("the other side hung up in the middle of a message")
+            raise ControlError("the connection closed in the middle of a message")
         data += chunk
         if len(data) > MESSAGE_LIMIT:
             raise ControlError(f"a message of more than {MESSAGE_LIMIT} bytes was refused")

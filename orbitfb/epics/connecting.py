@@ -184,7 +184,7 @@ class UnitWatch:
                 told.append(
                     f"{np.count_nonzero(changed)} PVs have come back with another unit (EGU), as "
                     f"{group.names[first]}: {stated[first]}, at the start {before[first]}; repair "
-                    "the records, or start anew with that unit"
+                    "the records, or start again with that unit"
                 )
         self.told = "; ".join(told)
         if not silent:  # else they are asked again

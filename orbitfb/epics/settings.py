@@ -114,7 +114,7 @@ class EpicsSettings(Settings):
         "come within 1 ms unless the computer is overloaded.",
     )
     reconnect_period: float = Field(
-        default=2.0, gt=0, description="Channels that are away are searched anew so often [s]."
+        default=2.0, gt=0, description="Time between two searches for channels that are away [s]."
     )
     circuit_timeout: float = Field(
         default=5.0,

@@ -250,10 +250,10 @@ def _decide(
         f"{_in_words(theirs.rms)}"
     )
     if unreachable > _TOLD * ours.rms:
-        compared += f", besides {_in_words(unreachable)} that the correctors cannot reach"
+        compared += f" (and {_in_words(unreachable)} that the correctors cannot reach)"
     interval = f"[{100 * gain.low:.2g}, {100 * gain.high:.2g}] % over the responses drawn"
     if not gain.mean >= cost:
-        return False, f"{compared}: not better by the {100 * cost:.2g} % that a swap costs"
+        return False, f"{compared}: the gain is below the {100 * cost:.2g} % that a swap costs"
     better = f"{compared}: better by {100 * gain.mean:.1f} %, {interval}"
     refuted = evidence.page >= settings.evidence
     if settings.resolved and not (gain.low >= cost or refuted):

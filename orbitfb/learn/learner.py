@@ -216,7 +216,7 @@ class Learner:
             if nats < -_REFUTED * self.settings.judge.evidence:
                 self.forget(incumbent)
                 verdict = replace(
-                    verdict, reason=f"{verdict.reason}; R̂ begins anew with that of the incumbent"
+                    verdict, reason=f"{verdict.reason}; R̂ starts again from that of the incumbent"
                 )
         self._number += 1
         report = RefitReport(

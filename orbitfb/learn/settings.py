@@ -49,7 +49,9 @@ class JudgeSettings(Settings):
         default=None,
         ge=0.0,
         lt=1.0,
-        description="Least predicted gain in true-orbit rms, a ratio [1]; none: what a swap costs.",
+        description=(
+            "Least predicted gain in true-orbit rms, a ratio [1]; none: the cost of a swap."
+        ),
     )
     resolved: bool = Field(
         default=True,
@@ -132,13 +134,13 @@ class LearnSettings(Settings):
     )
     process: bool = Field(
         default=True,
-        description="Whether the arithmetic has a process of its own, so that it cannot disturb "
-        "the tick.",
+        description="Whether the learner computes in a process of its own, so that it cannot "
+        "disturb the tick.",
     )
     tolerance: float = Field(
         default=0.05,
         gt=0.0,
-        description="Largest |readback − setpoint| of a row that may teach [A].",
+        description="Largest |readback − setpoint| of a row that the learner uses [A].",
     )
     watch: int = Field(
         default=100, ge=1, description="Ticks for which the orbit is watched after a swap [ticks]."

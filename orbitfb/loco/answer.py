@@ -74,8 +74,8 @@ def verdict(result: Result) -> tuple[State, str]:
     # what stands out of the rest as it is after the named devices are taken at their word
     everywhere = max(its["raw_without_named"] for its in result.ladder.values())
     wide = (
-        f" The response is off by {100 * everywhere:.2g} % everywhere besides: use this fit, which "
-        f"leaves {100 * left:.2g} %."
+        f" In addition, the whole response is off by {100 * everywhere:.2g} %: use this fit, "
+        f"which leaves {100 * left:.2g} %."
         if everywhere > _EVERYWHERE
         else f" The fit leaves {100 * left:.2g} % of the response."
     )
@@ -107,7 +107,7 @@ def _overstated(result: Result) -> tuple[str, ...]:
         if np.isfinite(ratio).any() and float(np.nanmedian(ratio)) > 1.0 / BELIEVED:
             found.append(
                 f"plane {plane}: the stated noise is {np.nanmedian(ratio):.2g} times what the fit "
-                "leaves; it is not believed"
+                "leaves; it is not used"
             )
     return tuple(found)
 

@@ -104,9 +104,9 @@ def _family(members: list[Named], spread: float) -> Named:
     told = ", ".join(places[:_MOST_TOLD]) + (" …" if len(places) > _MOST_TOLD else "")
     bpms = nearest.kind.startswith("bpm")
     text = (
-        f"{len(places)} {'BPMs read' if bpms else 'correctors kick'} {1 + values.mean():.3g} times "
-        f"what the others do, within {100 * np.ptp(values) / 2:.2g} % ({told}): another family of "
-        f"them, or of what calibrates them. The others scatter by {100 * spread:.2g} %."
+        f"{len(places)} {'BPMs read' if bpms else 'correctors kick'} {1 + values.mean():.3g} "
+        f"times what the others do, within {100 * np.ptp(values) / 2:.2g} % ({told}): another "
+        f"family of devices, or of calibrations. The others scatter by {100 * spread:.2g} %."
     )
     return replace(
         nearest, places=places, value=float(values.mean()),

@@ -14,7 +14,7 @@ from orbitfb.safety.answers.owing import Sent
 from orbitfb.safety.answers.questions import Question
 from orbitfb.safety.verdict import FINE, Action, Verdict, name_some
 
-WAITS = "corrects nothing until the orbit has answered what was asked of it"
+WAITS = "no corrections until the orbit has answered a test excitation"
 """Said while too much was asked for without a sign of an answer."""
 
 UNANSWERED = "the orbit does not answer it"
@@ -111,7 +111,7 @@ class Inquiry:
         if doubted is None:
             return Heeded(checked, np.zeros_like(memory.lost), "")
         names = (*self._names.bpms, *self._names.correctors)
-        reason = f"{name_some(doubted, names)}: not heeded until the orbit has answered"
+        reason = f"{name_some(doubted, names)}: not used until the orbit has answered"
         error, valid = np.where(doubted[:n], 0.0, checked.error), checked.valid & ~doubted[:n]
         return Heeded(replace(checked, error=error, valid=valid), doubted[n:], reason)
 

@@ -133,7 +133,7 @@ class Journal:
         return (
             f"{self._moved} is damaged: {problem}. It tells where setpoints were before a "
             f"measurement moved them{named if pvs else ''}; compare the setpoints with the "
-            "archive, put back by hand what is astray, then remove the file"
+            "archive, put back by hand what differs, then remove the file"
         )
 
     def save(self, table: Table, conditions: dict[str, Any]) -> None:

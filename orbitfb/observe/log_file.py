@@ -67,7 +67,9 @@ class LogFile(RotatingFileHandler):
         except OSError as error:
             if not self._refused:
                 self._refused = f"{error.strerror or error}"
-                told = f"the log {self.baseFilename} takes nothing ({self._refused}): lines wait"
+                told = (
+                    f"the log {self.baseFilename} cannot be written ({self._refused}): lines wait"
+                )
                 with suppress(OSError, ValueError):
                     sys.stderr.write(f"orbitfb: {told}\n")
             return

@@ -164,7 +164,7 @@ def checked(pv: PanelPv, data: Any) -> Any:
         case Kind.TEXT:
             text = str(data).strip("\0 \n")
             if not (text.isascii() and text.isprintable()):
-                raise ControlError(f"{pv.name} takes printable ASCII text alone")
+                raise ControlError(f"{pv.name} takes printable ASCII text only")
             return text
         case _:
             value = data.tolist() if hasattr(data, "tolist") else data

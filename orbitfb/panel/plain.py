@@ -40,11 +40,11 @@ def plain(pv: PanelPv, data: Any, data_type: ChannelType) -> tuple[Any, ChannelT
         raise ControlError(f"{pv.name} takes plain values only, not {data_type!r}")
     elements: list[Any] = [*data]
     if not elements or elements in ([b""], [""]):
-        raise ControlError(f"{pv.name}: there is nothing in what was written")
+        raise ControlError(f"{pv.name}: the written value is empty")
     if data_type in (ChannelType.FLOAT, ChannelType.DOUBLE):
         whole = pv.kind in (Kind.INTEGER, Kind.SWITCHES, Kind.CHOICE)
         if whole and not all(float(element).is_integer() for element in elements):
-            raise ControlError(f"{pv.name} takes whole numbers alone")
+            raise ControlError(f"{pv.name} takes whole numbers only")
     if pv.kind is Kind.TEXT and data_type is ChannelType.STRING and len(elements) == 1:
         return array("B", bytes(elements[0])), ChannelType.CHAR
     return data, data_type

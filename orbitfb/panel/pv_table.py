@@ -141,7 +141,7 @@ def _figures(extent: Extent) -> tuple[PanelPv, ...]:
         PanelPv(
             "BpmsInvalid-I",
             Kind.INTEGER,
-            "BPMs of the last orbit that do not count though they should; any is a MINOR alarm.",
+            "BPMs of the last orbit that should count and do not; any is a MINOR alarm.",
             high=1,
         ),
         count_pv("Ticks-I", "Ticks since the start."),
@@ -161,16 +161,16 @@ def _policies() -> tuple[PanelPv, ...]:
     refits = [{"command": "refit", "activate": activate} for activate in (False, True)]
     return (
         text_pv("Policy-I", "Id of the policy that decides."),
-        text_pv("LastRefit-I", "What the last refit came to."),
+        text_pv("LastRefit-I", "Result of the last refit."),
         choice_pv(
             "Refit-Cmd",
-            "Refits now; the write is acknowledged when the decision is there.",
+            "Refits now; the write is acknowledged with the decision.",
             REFITS,
             *refits,
         ),
         choice_pv(
             "RollBack-Cmd",
-            "Puts the policy in force that was before.",
+            "Goes back to the policy that was in force before.",
             ONCE,
             {"command": "activate", "policy": None},
         ),
@@ -191,7 +191,7 @@ def _frequency() -> tuple[PanelPv, ...]:
             minor=("STOPPED",),
         ),
         text_pv("RfReason-I", "Why the frequency does not follow, or waits."),
-        number_pv("RfFrequency-I", "Frequency that the loop has put, or found.", "Hz", 3),
+        number_pv("RfFrequency-I", "Frequency that the loop has set, or found.", "Hz", 3),
         number_pv("RfStep-I", "Last step of the frequency.", "Hz", 3),
         count_pv("RfSteps-I", "Steps of the frequency since the start."),
         number_pv(
@@ -242,7 +242,7 @@ def _adjustments(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]
         ),
         text_pv(
             "ReferenceLoad-Cmd",
-            "Takes the reference of this name.",
+            "Loads the reference of this name.",
             Order("reference-load", "name"),
         ),
         text_pv("ReferenceName-I", "Name of the reference; empty: it was set by hand or never."),

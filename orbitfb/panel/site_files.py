@@ -29,20 +29,21 @@ _GUIDANCE = {
     ),
     "RfState-I": (
         "Orbit feedback leaves the RF frequency alone",
-        "The orbit is corrected all the same, the energy is not. RfReason says why. Repair it, "
-        "then write follow to Rf-Cmd, or leave if the frequency is to stay.",
+        "The orbit is still corrected, the energy is not. RfReason says why. Repair it, then "
+        "write follow to Rf-Cmd, or leave if the frequency is to stay.",
         10,
     ),
     "BpmsInvalid-I": (
         "Orbit feedback leaves out BPMs",
-        "They are disconnected, invalid, frozen or beyond belief; the rest is corrected without "
+        "They are disconnected, invalid, frozen or implausible. The orbit is corrected without "
         "them. The log names them (bpm_mask_changed). Repair them before there are too many.",
         60,
     ),
     "MeasureState-I": (
         "The measurement of the response failed",
-        "The setpoints were put back where the machine answered; MeasureText says what went wrong "
-        "and which were not. The response in force is unchanged. Repair it, then measure again.",
+        "The setpoints were put back where the machine answered. MeasureText says what went "
+        "wrong, and which were not put back. The response in force is unchanged. Repair it, then "
+        "measure again.",
         10,
     ),
 }

@@ -57,8 +57,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 def test_it_says_what_was_started_where(run: Service):
     first, second, third = run.out.splitlines()[:3]
     assert first == (
-        f"simulated ring on 127.0.0.1, port {run.port} (this computer alone can reach it; "
-        "production has 5064)"
+        f"simulated ring on 127.0.0.1, port {run.port} (only this computer can reach it; the "
+        "production port is 5064)"
     )
     assert second == f"metrics and health on {run.where['metrics']}"
     assert third == f"archive, policies and log in {run.data}"

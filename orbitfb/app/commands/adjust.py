@@ -163,7 +163,7 @@ class Adjuster:
                     self._save()
                 except OrbitFeedbackError as error:  # in force all the same; a full disk, say
                     self._saving.ask()
-                    told = f"in force, but not saved yet, which is tried again: {error}"
+                    told = f"in force, but not saved yet (saving is tried again): {error}"
                     return {**answer, "warning": told}
                 return answer
 

@@ -110,7 +110,7 @@ def read_saved(directory: Path, channels: Channels, largest_gain: float) -> Save
     path = directory / FILE
     if not path.exists():
         return None
-    advice = "it holds what operators had set; repair it, or remove it and set it anew"
+    advice = "it holds what operators had set; repair it, or remove it and set it again"
     saved = read_whole(path, Saved, advice)
     if not fits(saved, channels, largest_gain):
         raise ConfigError(f"{path}: is of another ring or other planes; {advice}")

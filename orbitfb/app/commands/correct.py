@@ -92,12 +92,12 @@ class Corrections:
         if (age := self._clock.monotonic() - preview.made) > oldest:
             raise ControlError(
                 f"{name} refused: it was computed {age:.0f} s ago, longer than {oldest:g} s "
-                "(correction.preview_age); compute it anew"
+                "(correction.preview_age); compute it again"
             )
         if self._sources.runner.adjustments is not preview.wanted:
             raise ControlError(
                 f"{name} refused: reference, gain or devices in use were changed since it was "
-                "computed; compute it anew"
+                "computed; compute it again"
             )
         return self._move(preview.move, None)
 

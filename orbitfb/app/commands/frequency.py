@@ -53,7 +53,7 @@ class FrequencyCommands:
             raise ControlError(f"follow must be true or false, not {follow!r}")
         if self.follower is None:
             raise ControlError(
-                "the loop leaves the RF frequency alone; set rf.enabled = true and start it anew"
+                "the loop leaves the RF frequency alone; set rf.enabled = true and start it again"
             )
         if follow and self.follower.sight.reason:
             self.follower.again()

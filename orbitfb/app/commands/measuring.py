@@ -222,7 +222,7 @@ class Measuring(Teller):
             answer = measure_on(subject, choice, self._stop.is_set, self, self._note)
         except StoppedError:
             stage = Stage.ABORTED
-            told = "aborted; what is done is kept: start goes on with it (fresh=true begins anew)"
+            told = "aborted; what is done is kept: start goes on with it (fresh=true starts again)"
         except OrbitFeedbackError as error:
             told = _as_command(str(error))
         except Exception as error:  # the setpoints are back; the loop goes on

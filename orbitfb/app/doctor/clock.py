@@ -32,7 +32,7 @@ def _synchronised() -> Finding:
     """Ask the kernel (adjtimex with no mode only reads; Linux alone has it)."""
     status = _kernel_status()
     if status is None:
-        return Finding(_PART, "synchronised", Verdict.SKIPPED, "this system does not tell")
+        return Finding(_PART, "synchronised", Verdict.SKIPPED, "this system does not say")
     if not status:
         return Finding(
             _PART,

@@ -44,7 +44,7 @@ def put_back(
     pvs = machine.channels.setpoint_pvs
     if moved.where != where or not set(moved.setpoint_pvs) <= set(pvs):
         raise MeasurementError(
-            f"a measurement at {moved.where} was killed and may have left setpoints astray "
+            f"a measurement at {moved.where} was killed and may not have put setpoints back "
             f"({', '.join(moved.setpoint_pvs[:3])}); first start it there again, in the same "
             f"planes, or put them back by hand and remove {journal.directory / 'moved.json'}"
         )
@@ -65,7 +65,7 @@ def put_back(
     )
     if restore is None and confirm is None:
         raise MeasurementError(
-            f"{found}\nsay --restore to put them back, --leave to leave them as they are now"
+            f"{found}\ngive --restore to put them back, or --leave to leave them as they are now"
         )
     if confirm is not None and restore is None:
         restore = confirm(f"{found}\nPut them back?")
@@ -76,18 +76,17 @@ def put_back(
             first = int(beyond.argmax())
             raise MeasurementError(
                 f"{found}\n{moved.setpoint_pvs[first]} was beyond limits.setpoint or its drive "
-                f"limits ({low[first]:g} to {high[first]:g} A), so that "
-                "nothing is moved; put the setpoints back by hand and say "
-                "--leave"
+                f"limits ({low[first]:g} to {high[first]:g} A), so that nothing is moved; put the "
+                "setpoints back by hand and give --leave"
             )
         step = moved.setpoints - mover.base[mine]
         far = float(np.sqrt(np.mean((nominal[:, mine] @ step) ** 2)))
         if not far <= config.measure.excursion_rms:
             raise MeasurementError(
                 f"{found}\nto put them back would move the orbit by {far * 1e6:.4g} µm rms by the "
-                f"optics, farther than a measurement may (measure.excursion_rms, "
+                "optics, farther than a measurement may (measure.excursion_rms, "
                 f"{config.measure.excursion_rms * 1e6:g} µm), so that nothing is moved; put the "
-                "setpoints back by hand and say --leave"
+                "setpoints back by hand and give --leave"
             )
         say(found)
         mover.base[mine] = moved.setpoints
@@ -111,6 +110,6 @@ def taken_up(
     since = datetime.fromtimestamp(float(np.nanmin(kept.time)), UTC)
     say(
         f"going on with the measurement of {since:%Y-%m-%d %H:%M} UTC: "
-        f"{np.count_nonzero(kept.measured)} correctors are done (--fresh begins anew)"
+        f"{np.count_nonzero(kept.measured)} correctors are done (--fresh starts again)"
     )
     return kept

@@ -74,26 +74,26 @@ class Keeper:
         active = self._store.active()
         stored = self._store.chosen() if new_ring else active
         if stored is None:
-            self.reason = "that of the configuration"
+            self.reason = "the configured policy"
             if active not in (None, nominal.policy_id):
                 self.reason += (
-                    f"; {active} was put in force by a service, for a ring that is no more: "
-                    f"`orbitfb policies activate {active}` puts it in force here"
+                    f"; {active} was in force on an earlier simulated ring: `orbitfb policies "
+                    f"activate {active}` puts it in force here"
                 )
             return self._begin(nominal)
         policy = self._store.load(stored, self._channels)
         other = asked and kind_of(policy)[0] is not kind_of(nominal)[0]
         if other and new_ring:
             self.reason = (
-                f"of the kind that --policy asks for; {stored}, which was activated, is of another "
-                "kind: leave out --policy to run it"
+                f"the kind that --policy asks for; {stored} was activated and is of another kind: "
+                "leave out --policy to run it"
             )
             return self._begin(nominal)
-        self.reason = "as it was activated" if new_ring else "as it was in force before"
+        self.reason = "the activated policy" if new_ring else "the policy that was in force before"
         self.reason += taken_back
         if other:
             self.reason += (
-                f"; --policy asks for another kind, as {nominal.policy_id} is: put one in force "
+                f"; --policy asks for another kind, that of {nominal.policy_id}: put one in force "
                 "with `orbitfb train KIND --activate`"
             )
         self._store.begin(stored)

@@ -242,8 +242,8 @@ def announcement(where: Mapping[str, object], simulated: bool) -> Iterator[str]:
     addresses, port = where["addresses"], where["port"]
     if simulated:
         local = str(addresses).startswith("127.")
-        reach = "this computer alone can reach it" if local else "open to the network"
-        yield f"simulated ring on {addresses}, port {port} ({reach}; production has 5064)"
+        reach = "only this computer can reach it" if local else "open to the network"
+        yield f"simulated ring on {addresses}, port {port} ({reach}; the production port is 5064)"
     else:
         yield f"ring at {addresses or 'every network'}, port {port}"
     if where["metrics"]:

@@ -60,7 +60,8 @@ def train_model(
     if shared:
         raise EstimationError(
             f"{shared} of {len(validation)} transitions of {request.validation} are in "
-            f"{request.archive} too; what was learnt from proves nothing: validate on another run"
+            f"{request.archive} too; data that were used for training prove nothing: validate on "
+            "another run"
         )
     net = fit_forward(
         select_rows(ground.transitions, tolerance),

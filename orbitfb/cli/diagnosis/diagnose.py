@@ -30,9 +30,9 @@ _UNBROKEN = 10_000
 
 diagnose = typer.Typer(
     cls=RecordFirst,
-    help="Find where the gap between simulator and machine lies, which effect causes it, and how "
-    "far it shrinks. `orbitfb diagnose RECORD` is `orbitfb diagnose record RECORD`; a file that is "
-    "called like a command is reached as ./NAME.",
+    help="Find where simulator and machine differ, which effect is the cause, and how much of "
+    "the difference it explains. `orbitfb diagnose RECORD` is short for `orbitfb diagnose "
+    "record RECORD`. If a file has the name of a command, write ./NAME.",
     no_args_is_help=True,
     subcommand_metavar="RECORD [OPTIONS] | COMMAND [ARGS]",
 )
@@ -50,11 +50,11 @@ def diagnose_record(
     ],
     reference: Annotated[
         Path | None,
-        typer.Option(help="Record of a time without a gap; calibrates the floor of the noise."),
+        typer.Option(help="Record of the healthy ring; noise and drift are taken from it."),
     ] = None,
     holdout: Annotated[
         Path | None,
-        typer.Option(help="Later record, to tell how far the gap shrinks [the record itself]."),
+        typer.Option(help="Later record, on which the causes are tested [the record itself]."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -68,49 +68,53 @@ def diagnose_record(
     planes: RecordPlanes = None,
     places: PlacesTable = None,
     ring: RingParameters = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of what intervals are drawn from.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the random numbers behind the intervals.")
+    ] = 0,
     without: Annotated[
         list[str] | None,
-        typer.Option(help="Id of an effect that is not to be considered; may be repeated."),
+        typer.Option(help="Id of an effect to leave out; repeatable."),
     ] = None,
     unit: Annotated[
-        str | None, typer.Option(help="Of a measured response: m/A, mm/A, mm/mrad, … [as it says].")
+        str | None,
+        typer.Option(help="Unit of a measured response: m/A, mm/A, mm/mrad, … [that in the file]."),
     ] = None,
     matrix: Annotated[
         str | None, typer.Option(help="Path of a measured response within its file.")
     ] = None,
     bpm_names: Annotated[
         str | None,
-        typer.Option(help="Where a response has the names of its BPMs: a path, or @FILE."),
+        typer.Option(help="Names of the BPMs of a response: a path in its file, or @FILE."),
     ] = None,
-    corrector_names: Annotated[str | None, typer.Option(help="The same of its correctors.")] = None,
+    corrector_names: Annotated[
+        str | None, typer.Option(help="Names of its correctors, in the same way.")
+    ] = None,
     transpose: Annotated[
         bool, typer.Option("--transpose", help="The rows of the response are correctors.")
     ] = False,
     noise: Annotated[
         str | None,
         typer.Option(
-            help="Noise of an orbit's change in a measured response, as in 0.5um [as the file "
-            "says, or as the fit leaves it]."
+            help="Noise of an orbit change in a measured response, for example 0.5um [that in "
+            "the file, or the residual of the fit]."
         ),
     ] = None,
     kick: Annotated[
-        str, typer.Option(help="Kick that made that change, as in 100urad.")
+        str, typer.Option(help="Kick that made this change, for example 100urad.")
     ] = "100urad",
     dispersion: Annotated[
         Path | None,
         typer.Option(
             parser=path_of,
             metavar="PATH",
-            help="Table of the measured horizontal dispersion, `bpm,dispersion [m]` [as in the "
-            "file of the response, if it is].",
+            help="Table of the measured horizontal dispersion, with the columns `bpm,dispersion "
+            "[m]` [that in the file of the response, if any].",
         ),
     ] = None,
     mask: Annotated[
         list[str] | None,
         typer.Option(
-            help="BPM or corrector of a measured response that is left out, NAME or NAME:x; may be "
-            "repeated."
+            help="BPM or corrector of a measured response to leave out, NAME or NAME:x; repeatable."
         ),
     ] = None,
     model: Annotated[
@@ -118,8 +122,8 @@ def diagnose_record(
         typer.Option(
             parser=path_of,
             metavar="PATH",
-            help="Response by another program that a measured one is compared with, of any of its "
-            "formats [that of the optics of the table].",
+            help="Response of another program to compare the measured one with, in any of the "
+            "same formats [that of the places table].",
         ),
     ] = None,
     config_file: ConfigFile = None,

@@ -17,7 +17,10 @@ from orbitfb.cli.options import (
 
 
 def diagnose_plan(
-    record: Annotated[Path, typer.Argument(help="Record that cannot decide, or shows too little.")],
+    record: Annotated[
+        Path,
+        typer.Argument(help="Record that cannot decide between effects, or shows them too weakly."),
+    ],
     out: Annotated[
         Path,
         typer.Option(
@@ -28,11 +31,11 @@ def diagnose_plan(
     ],
     wanted: Annotated[
         str | None,
-        typer.Option("--for", help="Id of the effect to see better [the best of all]."),
+        typer.Option("--for", help="Id of the effect to see better [the most likely one]."),
     ] = None,
     against: Annotated[
         str | None,
-        typer.Option(help="Id of the effect to tell it from [its being there at all]."),
+        typer.Option(help="Id of the effect to tell it from [no effect]."),
     ] = None,
     orbit_limit: Annotated[
         float | None,
@@ -49,7 +52,7 @@ def diagnose_plan(
 ) -> None:
     """Plan the experiment that tells effects apart, within limits of orbit, current and time.
 
-    Without --for all effects compete, and the best two are to be told apart. Exit code 3: the
+    Without --for, the plan tells the two most likely effects apart. Exit code 3: the
     record is not intact, and nothing is written.
     """
     from orbitfb.cli.diagnosis.diagnose import NOT_INTACT

@@ -21,7 +21,7 @@ class ResponseOptions:
         unit: Of the matrix.
         matrix: Path of the matrix within the file.
         bpm_names: Path of the names of the BPMs, or @FILE.
-        corrector_names: The same of the correctors.
+        corrector_names: Names of the correctors, in the same way.
         transpose: Its rows are correctors.
         noise: Standard deviation of a measured change of an orbit, text with a unit.
         kick: That made it, text with a unit.

@@ -23,16 +23,16 @@ from orbitfb.cli.options import (
 def evaluate_agent_command(
     out: Annotated[Path, typer.Option(help="Directory for agent.safetensors and agent.json.")],
     agent: Annotated[
-        Path | None, typer.Option(help="An agent that is there, instead of training one.")
+        Path | None, typer.Option(help="Stored agent to compare, instead of training one.")
     ] = None,
     algorithm: Annotated[str, typer.Option(help="ppo, sac or td3 of stable-baselines3.")] = "ppo",
-    steps: Annotated[int, typer.Option(help="Ticks that it learns from.")] = 20_000,
+    steps: Annotated[int, typer.Option(help="Ticks of training.")] = 20_000,
     coordinates: Annotated[
-        str, typer.Option(help="What it sees and moves: modes of the known R, or devices.")
+        str, typer.Option(help="What the agent sees and moves: modes of the known R, or devices.")
     ] = "modes",
     modes: Annotated[
         int,
-        typer.Option(help="The strongest modes that it sees and moves; 0: all of them."),
+        typer.Option(help="How many of the strongest modes it sees and moves; 0: all."),
     ] = 8,
     train_seed: Annotated[
         int, typer.Option(help="Seed of its weights, its exploration and its rings.")

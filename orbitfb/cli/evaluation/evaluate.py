@@ -20,7 +20,7 @@ from orbitfb.cli.options import (
     validated,
 )
 
-evaluate = typer.Typer(help="Measure what a method is worth.", no_args_is_help=True)
+evaluate = typer.Typer(help="Compare methods by experiments.", no_args_is_help=True)
 evaluate.command("paper")(evaluate_paper_command)
 
 

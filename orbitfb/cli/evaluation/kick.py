@@ -27,8 +27,8 @@ def evaluate_kick_command(
     error: Annotated[
         str,
         typer.Option(
-            help="The ring is from the beginning where this drift ends, the controllers' response "
-            "is from before it: none, paper, mild or strong."
+            help="The ring starts at the end of this drift, and the controllers have the "
+            "response from before it: none, paper, mild or strong."
         ),
     ] = "mild",
     matrix_error: Annotated[

@@ -60,17 +60,17 @@ class GapProcess:
                 raise EOFError
             connection.send(Look(transitions))
             if not connection.poll(_LONGEST):
-                raise EstimationError(f"the watch over the gap took longer than {_LONGEST:g} s")
+                raise EstimationError(f"the look at the gap took longer than {_LONGEST:g} s")
             answer = connection.recv()
         except (OSError, EOFError, TypeError) as error:
             # TypeError: closed by another thread in the middle of a message.
             self.close()
-            raise EstimationError(f"the watch over the gap died: {error!r}") from error
+            raise EstimationError(f"the process that looks at the gap ended: {error!r}") from error
         except EstimationError:
             self.close()
             raise
         if isinstance(answer, str):
-            raise EstimationError(f"the watch over the gap failed: {answer}")
+            raise EstimationError(f"the look at the gap failed: {answer}")
         return answer
 
     def close(self) -> None:

@@ -153,8 +153,8 @@ def _check(record: Record) -> None:
     spectrum = np.linalg.eigvalsh(moving.T @ moving)
     if len(spectrum) > 1 and spectrum[-1] > 0.0 and spectrum[-2] < _ONE_COURSE * spectrum[-1]:
         raise EstimationError(
-            "all BPMs read the same course, each times a factor: no noise of single BPMs, nothing "
-            "to tell it from motion; give readings as they came, not an orbit that was fitted"
+            "all BPMs read the same course, each times a factor, so noise of single BPMs cannot "
+            "be told from motion; give the readings themselves, not a fitted orbit"
         )
 
 

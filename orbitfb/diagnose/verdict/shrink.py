@@ -64,8 +64,8 @@ def shrunk_by(
     missing = lacking(causes, records.record, later)
     if missing:
         text = (
-            f"The later record has no channel {', '.join(missing)}, which a cause follows: how far "
-            "the gap shrinks is told on the record itself."
+            f"The later record has no channel {', '.join(missing)}, which a cause follows: so the "
+            "causes are tested on the record itself."
         )
         return own, (Finding(check="later-channel", severity="warning", text=text),)
     there = Later.of(later, kinds, its, causes)
@@ -92,7 +92,7 @@ def _quieter(first: StepNoise, second: StepNoise | None) -> StepNoise:
 def _notes(untold: Sequence[str]) -> Iterator[Finding]:
     if untold:
         text = (
-            f"What {' and '.join(untold)} does later follows from nothing in the records: on the "
-            "later record it counts as unexplained."
+            f"What {' and '.join(untold)} does later is not in the records, so on the later "
+            "record it counts as unexplained."
         )
         yield Finding(check="later-course", severity="note", text=text)

@@ -44,7 +44,7 @@ class LeaseSettings(Settings):
     )
     required: bool = Field(
         default=False,
-        description="Whether a machine without that PV is refused; else it is only said.",
+        description="Whether a machine without that PV is refused; else a message says so.",
     )
     time: float = Field(
         default=3.0,

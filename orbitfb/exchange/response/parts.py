@@ -28,7 +28,7 @@ class ResponseRequest:
         out: Where the measured response is to be.
         matrix: Path of the matrix within the file; None: the only place that a CSV file has.
         bpm_names: Path of the names of the BPMs, or @FILE; None: those of the table, if CSV.
-        corrector_names: The same of the correctors.
+        corrector_names: Names of the correctors, in the same way.
         order: `names`, or `table`: rows and columns stand in the order of the places table.
         unit: Of the matrix; None: as the file says.
         sigma: Path of the standard deviations, in the same unit; None: not known.

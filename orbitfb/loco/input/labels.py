@@ -49,6 +49,6 @@ def masked(measured: Measured, names: Sequence[str], ring: Ring) -> Measured:
         its = next((own[name] for own in known if name in own), None)
         if its is None:
             hint = did_you_mean(name, [*known[0], *known[1]], most=2)
-            raise ExchangeError(f"--mask {name}: no BPM or corrector is called so{hint}")
+            raise ExchangeError(f"--mask {name}: no BPM or corrector has this name{hint}")
         measured = measured.without(its[1], PLANES if its[0] is None else (its[0],))
     return measured

@@ -30,7 +30,7 @@ def raw_blocks(
         file: The file.
         matrix: Path within it; None: the usual place of its format.
         bpm_names: Path of the names within it, or @FILE.
-        corrector_names: The same of the correctors.
+        corrector_names: Names of the correctors, in the same way.
 
     Raises:
         ExchangeError: It cannot be read, or says not which of its contents is the matrix.

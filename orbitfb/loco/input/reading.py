@@ -37,7 +37,7 @@ class Request:
         planes: That it is of; None: as its names or its shape say.
         matrix: Path of the matrix within the file; None: the usual one of its format.
         bpm_names: Path of the names of the BPMs, or @FILE.
-        corrector_names: The same of the correctors.
+        corrector_names: Names of the correctors, in the same way.
         transpose: Its rows are correctors.
         noise: Standard deviation of a measured change of an orbit [m]; None: as the file says.
         kick: That made the change [rad].

@@ -60,8 +60,8 @@ DEVICE_FAULTS = (
     Fault(
         "a corrector is off, stuck, disconnected, or its readback is away or beyond the tolerance",
         "left out after some ticks (at once if its setpoint cannot be written) and named, its "
-        "setpoint stays, the law solved for the others, its rows teach nobody; read anew when it "
-        "is back; counts again when the loop is opened and closed",
+        "setpoint stays, the law solved for the others, the learner does not use its rows; read "
+        "again when it is back; counts again when the loop is opened and closed",
         (_CLOSED,),
         (
             "interlocks.readback_tolerance",

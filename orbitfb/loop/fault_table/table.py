@@ -20,7 +20,7 @@ FAULTS = (
     Fault(
         "the policy raises, or asks for something that is not finite or of another shape",
         "the SVD baseline decides from this tick on, until another policy is put in force or the "
-        "loop is closed anew; nothing that is not finite is ever sent",
+        "loop is closed again; nothing that is not finite is ever sent",
         (_CLOSED,),
         (),
         (
@@ -201,7 +201,7 @@ FAULTS = (
         ),
     ),
     Fault(
-        "an error that nobody foresaw",
+        "an unexpected error",
         "setpoints stay; start the program again",
         (LoopState.FAULT,),
         (),

@@ -56,15 +56,15 @@ LEARNING = (
         "counter",
         "",
         ("decision", "stage", "reason"),
-        "Candidates by decision, by stage (judge, shadow, watch) and by reason; figures are taken"
-        " out of the reason, and after 40 of them the rest is `other`.",
+        "Candidates by decision, by stage (judge, shadow, watch) and by reason; figures are taken "
+        "out of the reason, and after 40 of them the rest is `other`.",
     ),
     Metric(
         "orbitfb_last_refit_info",
         "info",
         "",
         ("decision", "stage", "trigger", "reason"),
-        "What the last refit came to; figures are taken out of the reason, the log has them.",
+        "Result of the last refit; figures are taken out of the reason, the log has them.",
     ),
     Metric(
         "orbitfb_response_change_ratio",

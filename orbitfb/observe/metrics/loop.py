@@ -33,7 +33,7 @@ LOOP = (
         "counter",
         "",
         (),
-        "Ticks that wrote nothing, as the last change did not show in the readbacks yet.",
+        "Ticks that wrote nothing, because the readbacks did not yet show the last change.",
     ),
     Metric(
         "orbitfb_answer_asked_ticks_total",
@@ -55,7 +55,7 @@ LOOP = (
         "counter",
         "",
         (),
-        "Ticks that teach nobody, as the ring was not seen to answer later on.",
+        "Ticks that the learner does not use, because the ring was not seen to answer later.",
     ),
     Metric(
         "orbitfb_limited_ticks_total",

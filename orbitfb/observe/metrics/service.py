@@ -126,7 +126,7 @@ SERVICE = (
         "gauge",
         "",
         (),
-        "1 while the disk takes nothing, else 0.",
+        "1 while nothing can be written to disk, else 0.",
     ),
     Metric(
         "orbitfb_clock_steps_total",

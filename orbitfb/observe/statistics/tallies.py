@@ -60,7 +60,13 @@ class Tallies:
         """Count an alarm of the learner."""
         self.alarms[alarm.cause] += 1
         self.last_alarm = alarm
-        self.note("alarm", f"{alarm.cause}: {alarm.statistic:.3g} above {alarm.threshold:.3g}")
+        self.note(
+            "alarm",
+            (
+                f"orbits differ from the predictions ({alarm.cause}): {alarm.statistic:.3g}, limit "
+                f"{alarm.threshold:.3g}"
+            ),
+        )
 
     def gap_seen(self, sight: GapSight) -> None:
         """Keep a look at the gap."""

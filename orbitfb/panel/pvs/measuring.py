@@ -15,20 +15,20 @@ def measuring_pvs() -> tuple[PanelPv, ...]:
     return (
         choice_pv(
             "Measure-Cmd",
-            "Measures the response while the loop is open, or aborts that and puts back.",
+            "Measures the response while the loop is open, or aborts and restores the setpoints.",
             ("-", "start", "start anew", "abort"),
             *orders,
         ),
         PanelPv(
             "MeasureState-I",
             Kind.CHOICE,
-            "What the measurement of the response is at; FAILED is a MINOR alarm.",
+            "Stage of the measurement of the response; FAILED is a MINOR alarm.",
             states=tuple(stage.value for stage in Stage),
             minor=(Stage.FAILED.value,),
         ),
         count_pv("MeasureDone-I", "Correctors that are measured."),
         count_pv("MeasureTotal-I", "Correctors to measure."),
-        number_pv("MeasureShare-I", "Part of the orbits that were taken.", "%", 1),
+        number_pv("MeasureShare-I", "Share of the orbits that are done.", "%", 1),
         number_pv("MeasureLeft-I", "Time that the measurement still takes.", "s", 0),
-        text_pv("MeasureText-I", "What came of the last measurement, or what it is about."),
+        text_pv("MeasureText-I", "Result of the last measurement, or what it does now."),
     )

@@ -15,7 +15,7 @@ _CORRECTOR_VECTORS = (
     ("Applied", "A", 6, "Change that the last tick wrote; zeros: nothing was written."),
     ("Shadow", "A", 6, "Change that a loop in SHADOW would write; NaN in every other state."),
     ("Preview", "A", 6, "Change that the correction computed by hand would make; NaN: none."),
-    ("Room", "A", 4, "From the setpoint to the nearer of the limits in force."),
+    ("Room", "A", 4, "Distance from the setpoint to the nearer limit in force."),
 )
 _MODES = (
     ("SingularValue", "m/A", 6, "Singular values of the response in force, largest first."),

@@ -87,8 +87,8 @@ def test_accepts_what_is_better():
 @pytest.mark.parametrize(
     ("candidate", "nats", "settings", "words"),
     [
-        (GOOD, 0.0, JudgeSettings(margin=0.002), "not better by the 0.2 % that a swap costs"),
-        (0.01 * GOOD, 0.0, JudgeSettings(), "not better"),
+        (GOOD, 0.0, JudgeSettings(margin=0.002), "below the 0.2 % that a swap costs"),
+        (0.01 * GOOD, 0.0, JudgeSettings(), "the gain is below"),
         (-GOOD, 0.0, JudgeSettings(), "would grow"),
         (
             GOOD,

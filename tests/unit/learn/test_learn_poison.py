@@ -81,7 +81,7 @@ def test_r_that_rows_refute_is_given_up():
     for _ in range(END // 5 - 1):
         bench.loop.advance(5)
         bench.thread.step()
-    assert any("begins anew" in report.reason for report in bench.reports)
+    assert any("starts again" in report.reason for report in bench.reports)
     off = bench.learner.model.response - bench.loop.plant.response
     assert np.linalg.norm(off) < 0.05 * np.linalg.norm(bench.loop.plant.response)
 

@@ -43,7 +43,7 @@ def test_the_verdict_tells_both():
         )  # fmt: skip
 
     verdict = told(0.84e-6)
-    assert "besides 0.8400 µm rms that the correctors cannot reach" in verdict.reason
+    assert "and 0.8400 µm rms that the correctors cannot reach" in verdict.reason
     assert verdict.figures["unreachable_rms"] == 0.84e-6
     assert "cannot reach" not in told(1e-9).reason
 

@@ -96,7 +96,7 @@ def test_nothing_is_named_on_a_healthy_ring() -> None:
     assert found.named == ()
     state, headline = verdict(found)
     assert state == "no_gap"
-    assert "everywhere" in headline
+    assert "the whole response is off by" in headline
 
 
 def test_a_table_with_a_tune_that_is_off_is_reached() -> None:

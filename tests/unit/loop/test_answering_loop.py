@@ -195,7 +195,7 @@ def test_devices_in_doubt_have_no_say(ring):
     bench.machine.pattern, bench.machine.blind[60] = 50e-6, True
     reason = bench.steps(1)
     names = bench.machine.channels.bpms[60], bench.machine.channels.correctors[77]
-    assert f"{names[0]}, {names[1]}: not heeded until the orbit has answered" in reason
+    assert f"{names[0]}, {names[1]}: not used until the orbit has answered" in reason
     last = bench.records[-1]
     assert last.requested[77] == last.dither[77]
     feedback = last.requested - last.dither

@@ -272,12 +272,12 @@ def test_who_closed_the_loop_is_told(statistics, clock):
 
 def test_refusals_are_counted_by_reason_without_its_figures(statistics):
     for gain in (0.3, 1.7):
-        text = f"expected beam motion {gain:.4f} µm rms, now 0.1 µm rms: not better by 0.2 %"
+        text = f"expected beam motion {gain:.4f} µm rms, now 0.1 µm rms: the gain is below 0.2 %"
         statistics.refitted(dataclasses.replace(report(), reason=text))
     for number in range(60):
         statistics.refitted(dataclasses.replace(report(), reason="x" * number))
     counts = statistics.snapshot().refit_reasons
-    reason = "expected beam motion … rms, now … rms: not better by …"
+    reason = "expected beam motion … rms, now … rms: the gain is below …"
     assert counts["refused", "judge", reason] == 2
     assert counts["refused", "judge", "other"] == 60 - 39
     assert len(counts) == 41

@@ -95,7 +95,7 @@ def test_what_a_write_asks_for(name: str, value: object, request_: object):
         ("Command-Cmd", "clsoe", "Command-Cmd has no choice 'clsoe'; it has -, open, shadow"),
         ("Command-Cmd", 5, "Command-Cmd has no choice 5"),
         ("Command-Cmd", -1, "Command-Cmd has no choice -1"),
-        ("Activate-Cmd", "a\nb", "Activate-Cmd takes printable ASCII text alone"),
+        ("Activate-Cmd", "a\nb", "Activate-Cmd takes printable ASCII text only"),
     ],
 )
 def test_beyond_its_limits_a_write_is_refused(name: str, value: object, message: str):

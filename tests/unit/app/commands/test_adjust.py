@@ -216,7 +216,7 @@ def test_a_damaged_file_is_not_taken_for_none(bench: Bench, tmp_path: Path, dama
     whole = (tmp_path / FILE).read_text()
     (tmp_path / FILE).write_text(damage(whole))
     assert (tmp_path / FILE).read_text() != whole
-    with pytest.raises(ConfigError, match=f"{FILE}: .* remove it and set it anew"):
+    with pytest.raises(ConfigError, match=f"{FILE}: .* remove it and set it again"):
         Bench(tmp_path).adjuster.restore()
 
 

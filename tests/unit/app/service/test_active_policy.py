@@ -45,13 +45,15 @@ def test_what_was_activated_runs_and_stays(store, keeper, new_ring, nominal, ask
     store.activate(TRAINED.policy_id)
     first = keeper.first(nominal, ALL, new_ring, asked)
     assert first.policy_id == store.active() == store.chosen() == TRAINED.policy_id
-    assert keeper.reason == ("as it was activated" if new_ring else "as it was in force before")
+    assert keeper.reason == (
+        "the activated policy" if new_ring else "the policy that was in force before"
+    )
 
 
 def test_another_kind_begins_a_new_ring_and_the_activation_is_told_and_kept(store, keeper):
     store.activate(TRAINED.policy_id)
     assert keeper.first(SVD, ALL, new_ring=True, asked=True) is SVD
-    assert f"--policy asks for; {TRAINED.policy_id}, which was activated" in keeper.reason
+    assert f"--policy asks for; {TRAINED.policy_id} was activated" in keeper.reason
     assert (store.active(), store.chosen()) == (SVD.policy_id, TRAINED.policy_id)
     again = keeper.first(SVD, ALL, new_ring=True)
     assert again.policy_id == store.active() == TRAINED.policy_id
@@ -61,13 +63,13 @@ def test_another_kind_does_not_displace_what_is_in_force_on_a_ring_that_goes_on(
     store.activate(LEARNT.policy_id, by="service")
     keeper.proved(LEARNT.policy_id)
     assert keeper.first(MODAL, ALL, new_ring=False, asked=True).policy_id == LEARNT.policy_id
-    assert f"--policy asks for another kind, as {MODAL.policy_id} is" in keeper.reason
+    assert f"--policy asks for another kind, that of {MODAL.policy_id}" in keeper.reason
 
 
 def test_what_a_service_identified_is_not_about_a_new_ring(store, keeper):
     store.activate(LEARNT.policy_id, by="service")
     assert keeper.first(SVD, ALL, new_ring=True) is SVD
-    assert f"{LEARNT.policy_id} was put in force by a service" in keeper.reason
+    assert f"{LEARNT.policy_id} was in force on an earlier" in keeper.reason
     assert store.active() == SVD.policy_id
 
 

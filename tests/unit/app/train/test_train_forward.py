@@ -122,7 +122,7 @@ def test_on_a_net_that_failed_its_validation_nothing_is_trained(archives, train,
 
 
 @pytest.mark.parametrize(
-    ("other", "said"), [(0, "are in .* too; what was learnt from proves nothing"),
+    ("other", "said"), [(0, "are in .* too; data that were used for training prove"),
                         (2, "no other excitation")]
 )  # fmt: skip
 def test_a_validation_that_proves_nothing_is_refused(archives, train, tmp_path, other, said):
