@@ -89,8 +89,8 @@ def raw(data: Path, message: bytes) -> bytes:
         (b"\xff\xfe\n", b"the message is not JSON"),
         (b"[" * 100_000 + b"\n", b"the message is not JSON"),
         (b"[1, 2]\n", b"the message is not a JSON object"),
-        (b"{}", b"hung up in the middle of a message"),
-        (b"", b"hung up in the middle of a message"),
+        (b"{}", b"connection closed in the middle of a message"),
+        (b"", b"connection closed in the middle of a message"),
     ],
 )
 def test_a_bad_message_gets_an_answer(served: Path, message: bytes, answer: bytes):

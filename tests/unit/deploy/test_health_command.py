@@ -79,12 +79,12 @@ def test_the_configuration_says_where(answering, tmp_path: Path):
     [
         (503, json.dumps({**GOOD, "good": False, "reason": "FAULT: x"}), "not alive: FAULT: x"),
         (503, json.dumps(GOOD), "not alive: CLOSED"),
-        (200, "<html>hello</html>", "is no orbitfb"),
-        (200, '{"status": "UP"}', "is no orbitfb"),
-        (200, '{"good": "yes"}', "is no orbitfb"),
-        (200, "[" * 30_000, "is no orbitfb"),
-        (302, "", "is no orbitfb"),
-        (200, '{"good": true, "reason": "' + "x" * 100_000, "is no orbitfb"),
+        (200, "<html>hello</html>", "is not orbitfb"),
+        (200, '{"status": "UP"}', "is not orbitfb"),
+        (200, '{"good": "yes"}', "is not orbitfb"),
+        (200, "[" * 30_000, "is not orbitfb"),
+        (302, "", "is not orbitfb"),
+        (200, '{"good": true, "reason": "' + "x" * 100_000, "is not orbitfb"),
     ],
 )
 def test_it_is_not(answering, status: int, content: str, said: str):
