@@ -2,11 +2,11 @@
 
     python -m benchmarks.base_ioc PORT SIZE < JOB
 
-SIZE 0 is the job's own ring. Plain soft `ai` and `ao` records; per tick Python steps the ring and
-calls dbPutField once per reading and dbGetField once per setpoint through ctypes, with addresses
-looked up beforehand. All readings take the time stamp of one record (TSEL). The put of the last
-corrector wakes the ring in lockstep (FLNK to one record with a Python callback); no other record
-runs Python.
+SIZE 0 is the job's own ring. Plain soft `ai` and `ao` records, and `waveform` records for arrays;
+per tick Python steps the ring and calls dbPutField once per record of readings and dbGetField once
+per record of setpoints through ctypes, with addresses looked up beforehand. All readings take the
+time stamp of one record (TSEL). The put of the last corrector wakes the ring in lockstep (FLNK to
+one record with a Python callback); no other record runs Python.
 """
 
 import ctypes
@@ -24,6 +24,7 @@ from epicscorelibs.ioc import dbCore
 from softioc import builder, softioc
 
 from benchmarks.rings import build_ring
+from orbitfb.core.elements import NamedPv, named_pvs
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.layout import Layout, lay_out
 
@@ -34,21 +35,23 @@ _ADDRESS_SIZE = 64  # struct dbAddr has 40 bytes
 
 
 class Fields:
-    """The VAL fields of some records, put or got one after the other without allocating."""
+    """The VAL fields of some records, put or got one after the other without allocating.
+
+    Args:
+        names: PVs, or elements of arrays in their order.
+    """
 
     def __init__(self, names: Sequence[str]) -> None:
         self.values = np.zeros(len(names))
-        one, options = ctypes.c_long(1), ctypes.c_long(0)
+        options = ctypes.c_long(0)
         self._put, self._get = dbCore["dbPutField"], dbCore["dbGetField"]
-        pointers = [
-            ctypes.c_void_p(self.values.ctypes.data + 8 * index) for index in range(len(names))
-        ]
-        pairs = list(zip([_address(name) for name in names], pointers, strict=True))
-        self._puts = [(address, _DOUBLE, pointer, one) for address, pointer in pairs]
-        self._gets = [
-            (address, _DOUBLE, pointer, ctypes.byref(options), ctypes.byref(one), None)
-            for address, pointer in pairs
-        ]
+        self._puts, self._gets = [], []
+        for pv in named_pvs(names):
+            address, count = _address(pv.name), ctypes.c_long(pv.length)
+            pointer = ctypes.c_void_p(self.values.ctypes.data + 8 * int(pv.places[0]))
+            self._puts.append((address, _DOUBLE, pointer, count))
+            its = (address, _DOUBLE, pointer, ctypes.byref(options), ctypes.byref(count), None)
+            self._gets.append(its)
 
     def put(self) -> None:
         put = self._put
@@ -69,19 +72,29 @@ def _address(name: str) -> ctypes.Array:
     return address
 
 
+def _array(pv: NamedPv) -> str:
+    return f'field(FTVL, "DOUBLE") field(NELM, "{pv.length}")'
+
+
 def database(layout: Layout) -> str:
     """Write the records of a ring: every reading is posted at every tick (MDEL -1)."""
     reading = f'field(TSEL, "{STAMP}.TIME") field(MDEL, "-1") field(ADEL, "-1") field(VAL, "0")'
     records = [f'record(ai, "{STAMP}") {{ field(TSE, "0") }}']
-    records += [f'record(ai, "{spec.name}") {{ {reading} }}' for spec in layout.readings]
-    last = layout.setpoints[layout.correctors - 1].name
-    for spec in layout.setpoints:
-        low, high = spec.drive
-        link = f'field(FLNK, "{DONE}")' if spec.name == last else ""
-        records.append(
-            f'record(ao, "{spec.name}") {{ field(DRVH, "{high}") field(DRVL, "{low}") '
-            f'field(VAL, "{spec.initial}") field(PINI, "YES") {link} }}'
-        )
+    specs = {spec.name: spec for spec in (*layout.readings, *layout.setpoints)}
+    correctors = named_pvs([spec.name for spec in layout.setpoints[: layout.correctors]])
+    for pv in named_pvs([spec.name for spec in layout.readings]):
+        kind = "ai" if pv.elements is None else "waveform"
+        fields = reading if pv.elements is None else f'{_array(pv)} field(TSEL, "{STAMP}.TIME")'
+        records.append(f'record({kind}, "{pv.name}") {{ {fields} }}')
+    for pv in named_pvs([spec.name for spec in layout.setpoints]):
+        link = f'field(FLNK, "{DONE}")' if pv.name == correctors[-1].name else ""
+        if pv.elements is None:
+            low, high = specs[pv.name].drive
+            drive = f'field(DRVH, "{high}") field(DRVL, "{low}")'
+            value = f'field(VAL, "{specs[pv.name].initial}") field(PINI, "YES")'
+            records.append(f'record(ao, "{pv.name}") {{ {drive} {value} {link} }}')
+        else:
+            records.append(f'record(waveform, "{pv.name}") {{ {_array(pv)} {link} }}')
     return "\n".join(records)
 
 
@@ -108,6 +121,8 @@ def main() -> None:
     stamp = Fields([STAMP])
     readings = Fields([spec.name for spec in layout.readings])
     setpoints = Fields([spec.name for spec in layout.setpoints])
+    setpoints.values[:] = [spec.initial for spec in layout.setpoints]
+    setpoints.put()  # a waveform that nobody has written to has no values
     gc.collect()
     gc.freeze()
     sys.stdout.write(f"READY port={port} pvs={len(layout)}\n")

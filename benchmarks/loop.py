@@ -19,7 +19,14 @@ from benchmarks.servers import Server
 from benchmarks.summary import summarise
 
 Pair = tuple[Server, Client]
-MAIN: list[Pair] = [("ours", "service"), ("ours", "ours"), ("ours", "plain"), ("base", "ours")]
+MAIN: list[Pair] = [
+    ("ours", "service"),
+    ("ours", "ours"),
+    ("ours", "plain"),
+    ("base", "ours"),
+    ("ours-arrays", "ours"),
+    ("base-arrays", "ours"),
+]
 OTHERS: list[Pair] = [("ours", "lean"), ("base", "plain"), ("plain", "ours"), ("plain", "plain")]
 """These fall behind at more than some 20 Hz: there is nothing to compare."""
 PAIRS: dict[float | None, list[Pair]] = {

@@ -15,7 +15,13 @@ ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "benchmarks/loop.json"
 PAGE = ROOT / "docs/explanations/performance.md"
 
-SERVERS = {"ours": "our soft IOC", "plain": "our soft IOC, `--plain`", "base": "EPICS base"}
+SERVERS = {
+    "ours": "our soft IOC",
+    "plain": "our soft IOC, `--plain`",
+    "base": "EPICS base",
+    "ours-arrays": "our soft IOC, arrays",
+    "base-arrays": "EPICS base, arrays",
+}
 CLIENTS = {
     "service": "orbitfb, whole service",
     "ours": "orbitfb, loop alone",

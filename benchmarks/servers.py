@@ -1,5 +1,6 @@
-"""The three servers: ours, ours by caproto's documented calls alone, EPICS base."""
+"""The servers: ours, ours by caproto's documented calls alone, EPICS base; and with arrays."""
 
+import atexit
 import os
 import selectors
 import subprocess
@@ -9,12 +10,18 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal
 
+from benchmarks.array_places import array_places
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.settings import SimSettings
 
-Server = Literal["ours", "plain", "base"]
+Server = Literal["ours", "plain", "base", "ours-arrays", "base-arrays"]
+ARRAYS = "-arrays"
+"""Of servers whose orbit, setpoints and readbacks are one PV each."""
 LOCKSTEP_PATIENCE = 0.3
 """After so long without a set of setpoints a ring in lockstep ticks by itself [s]."""
 
@@ -30,6 +37,7 @@ class Running:
 def job_of(server: Server, rate_hz: float | None, seed: int) -> SimJob:
     """Say what a server serves; no rate means lockstep."""
     return SimJob(
+        places=_array_table() if server.endswith(ARRAYS) else None,
         seed=seed,
         sim=SimSettings(
             port=0,
@@ -38,6 +46,13 @@ def job_of(server: Server, rate_hz: float | None, seed: int) -> SimJob:
             plain=server == "plain",
         ),
     )
+
+
+@cache
+def _array_table() -> Path:
+    folder = TemporaryDirectory()
+    atexit.register(folder.cleanup)
+    return array_places(Path(folder.name, "places.csv"))
 
 
 @contextmanager
@@ -49,8 +64,9 @@ def serving(server: Server, job: SimJob, size: int | None = None) -> Iterator[Ru
         job: What it serves.
         size: A counting ring of so many BPMs and correctors instead of the job's ring.
     """
-    port = _free_port() if server == "base" else 0
-    if server == "base":
+    base = server.startswith("base")
+    port = _free_port() if base else 0
+    if base:
         command = ["-m", "benchmarks.base_ioc", str(port), str(size or 0)]
     elif size is not None:
         command = ["-m", "benchmarks.counting_ioc", str(size)]

@@ -180,13 +180,16 @@ class Assembler:
         self._left &= ~(agrees & self._agreed)
         self._agreed = agrees
 
-    def arrived(self) -> bool:
+    def arrived(self, values: int = 1) -> bool:
         """Count an event; its record has been written to `records` before.
+
+        Args:
+            values: Records that it has brought, all of one stamp.
 
         Returns:
             True exactly when this event completed a new coherent vector: take `snapshot()` now.
         """
-        self._awaited -= 1
+        self._awaited -= values
         return (self._awaited <= 0 or self._anew is not None) and self._complete()
 
     def snapshot(self) -> Snapshot:

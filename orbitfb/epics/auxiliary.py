@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.epics.channels import ChannelGroup, Monitor
+from orbitfb.epics.channels import ChannelGroup
+from orbitfb.epics.events import Monitor
 from orbitfb.epics.libca import Context
 from orbitfb.epics.records import INVALID, blank_records, stamps_of, usable, wall_time
 from orbitfb.epics.settings import AuxiliarySettings

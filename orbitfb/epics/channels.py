@@ -3,19 +3,19 @@
 import ctypes
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orbitfb.core.elements import NamedPv, named_pvs
 from orbitfb.core.signals import Mask
+from orbitfb.epics.events import Monitor, array_handler, scalar_handler
 from orbitfb.epics.libca import (
     ACCESS_HANDLER,
     CONNECTION_HANDLER,
     DBR_DOUBLE,
     DBR_FLOAT,
     DBR_TIME_DOUBLE,
-    ECA_NORMAL,
     EVENT_HANDLER,
     MONITOR_VALUE_AND_ALARM,
     OPERATION_UP,
@@ -23,9 +23,7 @@ from orbitfb.epics.libca import (
     AccessArguments,
     ConnectionArguments,
     Context,
-    EventArguments,
     keep_thread_state,
-    move_memory,
 )
 from orbitfb.epics.records import RECORD
 
@@ -35,37 +33,27 @@ REAL, WHOLE = (DBR_FLOAT, DBR_DOUBLE), (1, 5)
 """Native types that hold real numbers, and whole ones. An int64 is a real number to Channel
 Access: that its record rounds is not to be seen there."""
 
+NOT_HEARD = -1
+"""Length of an array that has had no event."""
+
 ChangeHandler = Callable[[int, bool], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Monitor:
-    """What to do with the events of a group.
-
-    Args:
-        records: One record per channel, written in place.
-        arrived: Called after each event; True when a vector has become complete. None: not counted.
-        complete: Called when `arrived` said so, before the next event is written.
-        heard: Called with the channel's index after each event; None: nobody.
-    """
-
-    records: NDArray[np.void]
-    arrived: Callable[[], bool] | None = None
-    complete: Callable[[], None] | None = None
-    heard: Callable[[int], None] | None = None
 
 
 class ChannelGroup:
     """Channels of one kind, in the order of their names.
+
+    A name is a PV, or an element of an array (`core.elements`): then it shares a channel with all
+    other elements of that array. `connected` and `writable` are by name, what belongs to a channel
+    is by PV.
 
     Handlers run on libca's threads, one at a time per context. `lock` is held while channels are
     created anew: whoever uses `handles` from another thread must hold it.
 
     Args:
         context: Where they live; the thread that calls `open` and `reopen_away` is attached to it.
-        names: The PVs.
+        names: PVs, or elements of arrays.
         monitor: What to do with their events; None: no subscription.
-        changed: Called with index and state when a channel has come or gone.
+        changed: Called with the place of each name and its state when its channel has come or gone.
     """
 
     def __init__(
@@ -79,10 +67,15 @@ class ChannelGroup:
         self.names = tuple(names)
         self.connected: Mask = np.zeros(size, dtype=np.bool_)
         self.writable: Mask = np.zeros(size, dtype=np.bool_)
-        self.handles = (ctypes.c_void_p * size)()
+        self.pvs: tuple[NamedPv, ...] = named_pvs(self.names)
+        """The channels."""
+        self._first = np.array([pv.places[0] for pv in self.pvs], dtype=np.intp)
+        self.handles = (ctypes.c_void_p * len(self.pvs))()
+        self.lengths: NDArray[np.int64] = np.full(len(self.pvs), NOT_HEARD, dtype=np.int64)
+        """Values of each array at its last event."""
         self.generation = 0
         """Grows when handles have changed."""
-        self.servers = [""] * size
+        self.servers = [""] * len(self.pvs)
         """Where each channel was connected to last, `host:port`."""
         self.arrivals = 0
         """How often a channel came."""
@@ -96,9 +89,9 @@ class ChannelGroup:
         # libca keeps the addresses of these: they must live as long as the context.
         self._connection_handler = CONNECTION_HANDLER(self._on_connection)
         self._access_handler = ACCESS_HANDLER(self._on_access)
-        self._event_handler = (
-            EVENT_HANDLER() if monitor is None else EVENT_HANDLER(_event_handler(monitor))
-        )
+        if monitor is not None:
+            self._scalar_handler = EVENT_HANDLER(scalar_handler(monitor))
+            self._array_handler = EVENT_HANDLER(array_handler(monitor, self.pvs, self.lengths))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -109,14 +102,19 @@ class ChannelGroup:
         return bool(self.connected.all())
 
     @property
+    def present(self) -> list[int]:
+        """Numbers of the PVs that are connected."""
+        return np.flatnonzero(self.connected[self._first]).tolist()
+
+    @property
     def disconnected(self) -> tuple[str, ...]:
         """The PVs that are away."""
-        return self._names_where(~self.connected)
+        return self._pvs_where(~self.connected)
 
     @property
     def read_only(self) -> tuple[str, ...]:
         """The PVs that are connected and may not be written."""
-        return self._names_where(self.connected & ~self.writable)
+        return self._pvs_where(self.connected & ~self.writable)
 
     @property
     def not_real(self) -> tuple[str, ...]:
@@ -129,32 +127,62 @@ class ChannelGroup:
         return self._told_of_other((*REAL, *WHOLE))
 
     @property
+    def too_short(self) -> tuple[str, ...]:
+        """The arrays that are connected and hold fewer values than are named, each with both."""
+        return tuple(
+            f"{self.pvs[number].name} holds {size} values, and element "
+            f"{self.pvs[number].length - 1} is named"
+            for number, size in self._ask_each(self._library.ca_element_count).items()
+            if size < self.pvs[number].length
+        )
+
+    @property
+    def unheard(self) -> bool:
+        """Whether an array is connected and has not told its values yet."""
+        return self._monitor is not None and any(
+            self.lengths[number] == NOT_HEARD
+            for number in self.present
+            if self.pvs[number].elements is not None
+        )
+
+    @property
+    def not_whole(self) -> tuple[str, ...]:
+        """The arrays that are connected and hold values without a name, each with how many."""
+        return tuple(
+            f"{self.pvs[number].name} holds {size} values, of which {len(pv.places)} are named"
+            for number, size in self._ask_each(self._library.ca_element_count).items()
+            if (pv := self.pvs[number]).elements is not None and size != len(pv.places)
+        )
+
+    @property
     def whole(self) -> Mask:
-        """PVs that are connected and hold whole numbers only, shape (k,)."""
+        """Names whose PV is connected and holds whole numbers only, shape (k,)."""
         mask = np.zeros(len(self), dtype=np.bool_)
-        mask[[index for index, kind in self._kinds().items() if kind in WHOLE]] = True
+        for number, kind in self._kinds().items():
+            mask[self.pvs[number].places] = kind in WHOLE
         return mask
 
     def _told_of_other(self, kinds: tuple[int, ...]) -> tuple[str, ...]:
         return tuple(
-            f"{self.names[index]} is {FIELD_TYPES.get(kind, f'of type {kind}')}"
-            for index, kind in self._kinds().items()
+            f"{self.pvs[number].name} is {FIELD_TYPES.get(kind, f'of type {kind}')}"
+            for number, kind in self._kinds().items()
             if kind not in kinds
         )
 
     def _kinds(self) -> dict[int, int]:
-        """Native types of those that are connected, by index."""
+        """Native types of those that are connected, by number of the PV."""
+        return self._ask_each(self._library.ca_field_type)
+
+    def _ask_each(self, what: Callable[[int | None], int]) -> dict[int, int]:
+        """Ask libca for a number of each PV that is connected."""
         with self.lock:
-            return {
-                index: int(self._library.ca_field_type(self.handles[index]))
-                for index in np.flatnonzero(self.connected).tolist()
-            }
+            return {number: int(what(self.handles[number])) for number in self.present}
 
     def open(self) -> None:
         """Create all channels and start to search for them."""
         with self.lock:
-            for index in range(len(self)):
-                self._create(index)
+            for number in range(len(self.pvs)):
+                self._create(number)
             self.generation += 1
         self._context.flush()
 
@@ -167,15 +195,15 @@ class ChannelGroup:
         Returns:
             How many there were.
         """
-        away = np.flatnonzero(~self.connected)
+        away = np.flatnonzero(~self.connected[self._first])
         if not away.size:
             return 0
         with self.lock:
-            for index in away.tolist():
-                self._library.ca_clear_channel(self.handles[index])
-                if self.connected[index]:  # came back by itself just now
-                    self._set_connected(index, False)
-                self._create(index)
+            for number in away.tolist():
+                self._library.ca_clear_channel(self.handles[number])
+                if self.connected[self._first[number]]:  # came back by itself just now
+                    self._set_connected(number, False)
+                self._create(number)
             self.generation += 1
         self._context.flush()
         return int(away.size)
@@ -185,87 +213,68 @@ class ChannelGroup:
         with self.lock:
             self.connected[:] = False
 
-    def _create(self, index: int) -> None:
-        library = self._library
+    def _create(self, number: int) -> None:
+        library, name = self._library, self.pvs[number].name
         handle = ctypes.c_void_p()
         # The handler may be called before the handle is known here: the user word says who it is.
         status = library.ca_create_channel(
-            self.names[index].encode(),
+            name.encode(),
             ctypes.cast(self._connection_handler, ctypes.c_void_p),
-            index + 1,
+            number + 1,
             0,
             ctypes.byref(handle),
         )
-        self._context.check(f"creating the channel {self.names[index]}", status)
-        self.handles[index] = handle.value
+        self._context.check(f"creating the channel {name}", status)
+        self.handles[number] = handle.value
         status = library.ca_replace_access_rights_event(
             handle, ctypes.cast(self._access_handler, ctypes.c_void_p)
         )
-        self._context.check(f"asking for the access rights of {self.names[index]}", status)
+        self._context.check(f"asking for the access rights of {name}", status)
         if self._monitor is not None:
+            # Of an array as many values as it has, so that a short one is not filled up by zeros.
+            is_array = self.pvs[number].elements is not None
+            record = int(self._first[number]) * RECORD.itemsize
             status = library.ca_create_subscription(
                 DBR_TIME_DOUBLE,
-                1,
+                0 if is_array else 1,
                 handle,
                 MONITOR_VALUE_AND_ALARM,
-                ctypes.cast(self._event_handler, ctypes.c_void_p),
-                self._monitor.records.ctypes.data + index * RECORD.itemsize,
+                ctypes.cast(
+                    self._array_handler if is_array else self._scalar_handler, ctypes.c_void_p
+                ),
+                number + 1 if is_array else self._monitor.records.ctypes.data + record,
                 None,
             )
-            self._context.check(f"subscribing to {self.names[index]}", status)
+            self._context.check(f"subscribing to {name}", status)
 
     def _on_connection(self, arguments: ConnectionArguments) -> None:
         up = arguments.operation == OPERATION_UP
-        index = self._library.ca_puser(arguments.channel) - 1
+        number = self._library.ca_puser(arguments.channel) - 1
+        pv = self.pvs[number]
         if up:
             keep_thread_state()
             # A circuit that answers again after a silence brings its channels back without an
             # access event, though it took their rights away by one.
-            self.writable[index] = bool(self._library.ca_write_access(arguments.channel))
-            self.servers[index] = self._context.host_of(arguments.channel)
+            self.writable[pv.places] = bool(self._library.ca_write_access(arguments.channel))
+            self.servers[number] = self._context.host_of(arguments.channel)
             self.arrivals += 1
-        self._set_connected(index, up)
+            if pv.elements is not None and self._monitor is not None:
+                # What it held before it went away may be another value of nobody's doing.
+                self._monitor.records["value"][pv.places] = np.nan
+        self._set_connected(number, up)
 
     def _on_access(self, arguments: AccessArguments) -> None:
-        index = self._library.ca_puser(arguments.channel) - 1
-        self.writable[index] = bool(arguments.rights & WRITE_ACCESS)
+        number = self._library.ca_puser(arguments.channel) - 1
+        self.writable[self.pvs[number].places] = bool(arguments.rights & WRITE_ACCESS)
 
-    def _set_connected(self, index: int, up: bool) -> None:
-        self.losses += bool(self.connected[index]) and not up
-        self.connected[index] = up
+    def _set_connected(self, number: int, up: bool) -> None:
+        places = self.pvs[number].places
+        self.losses += bool(self.connected[places[0]]) and not up
+        self.connected[places] = up
         if self._changed is not None:
-            self._changed(index, up)
+            for place in places.tolist():
+                self._changed(place, up)
 
-    def _names_where(self, mask: Mask) -> tuple[str, ...]:
-        return tuple(self.names[index] for index in np.flatnonzero(mask))
-
-
-def _event_handler(monitor: Monitor) -> Callable[[EventArguments], None]:
-    """Return the handler of events: it runs once per scalar, so it does next to nothing."""
-    size, arrived, complete = RECORD.itemsize, monitor.arrived, monitor.complete
-    move = move_memory
-
-    def keep(arguments: EventArguments) -> None:
-        if arguments.status == ECA_NORMAL:
-            move(arguments.user, arguments.data, size)
-
-    if (heard := monitor.heard) is not None:
-        begin = monitor.records.ctypes.data
-
-        def keep_and_tell(arguments: EventArguments) -> None:
-            if arguments.status == ECA_NORMAL:
-                move(arguments.user, arguments.data, size)
-                heard((arguments.user - begin) // size)
-
-        return keep_and_tell
-
-    if arrived is None or complete is None:
-        return keep
-
-    def keep_and_count(arguments: EventArguments) -> None:
-        if arguments.status == ECA_NORMAL:
-            move(arguments.user, arguments.data, size)
-            if arrived():
-                complete()
-
-    return keep_and_count
+    def _pvs_where(self, mask: Mask) -> tuple[str, ...]:
+        here = mask[self._first]
+        return tuple(self.pvs[number].name for number in np.flatnonzero(here))

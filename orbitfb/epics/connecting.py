@@ -42,13 +42,13 @@ def wait_for_channels(
         MachineError: Setpoints that may not be written or hold no real number, all of them.
     """
     deadline = clock.monotonic() + settings.connect_timeout
-    while _missing(groups, setpoints, waived):
+    while _missing(groups, setpoints, waived) or any(group.unheard for group in groups):
         if clock.monotonic() >= deadline:
             break
         time.sleep(LOOK_EVERY)
     missing = _missing(groups, setpoints, waived)
     if missing:
-        total = sum(len(group) for group in groups)
+        total = sum(len(group.pvs) for group in groups)
         advice = (
             f"Is the IOC running, and reachable at '{settings.searched}' port "
             f"{settings.server_port}? "
@@ -58,13 +58,24 @@ def wait_for_channels(
         raise ConnectError(missing, total, settings.connect_timeout, advice)
     if read_only := [name for name in setpoints.read_only if name not in waived]:
         raise MachineError(
-            f"{len(read_only)} of {len(setpoints)} setpoints may not be written:\n"
+            f"{len(read_only)} of {len(setpoints.pvs)} setpoints may not be written:\n"
             f"{few(read_only)}\n"
             "Ask for write access for this host and user."
         )
+    if short := [told for group in groups for told in group.too_short]:
+        raise MachineError(
+            f"{len(short)} array PVs are too short:\n{few(short)}\nCount elements from 0 in the "
+            "places table, and see how many values the record holds (NELM)."
+        )
+    if unnamed := setpoints.not_whole:
+        raise MachineError(
+            f"{len(unnamed)} array PVs of setpoints can only be written as a whole:\n"
+            f"{few(unnamed)}\nName each element in the places table, with a corrector that is "
+            "disabled where nothing is to be moved."
+        )
     if wrong := setpoints.not_numbers:
         raise MachineError(
-            f"{len(wrong)} of {len(setpoints)} setpoints cannot hold a current:\n"
+            f"{len(wrong)} of {len(setpoints.pvs)} setpoints cannot hold a current:\n"
             f"{few(wrong)}\n"
             "Name the PV of the current [A] in the places table: a record of type ao."
         )

@@ -144,6 +144,8 @@ def bind(path: str) -> ctypes.CDLL:
     library.ca_puser.argtypes = [pointer]
     library.ca_puser.restype = pointer
     library.ca_write_access.argtypes = [pointer]
+    library.ca_element_count.argtypes = [pointer]
+    library.ca_element_count.restype = ctypes.c_ulong
     library.ca_field_type.argtypes = [pointer]
     library.ca_field_type.restype = ctypes.c_short
     library.ca_replace_access_rights_event.argtypes = [pointer, pointer]

@@ -15,7 +15,7 @@ from orbitfb.core.ports import Clock
 from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
 from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.auxiliary import AuxiliaryChannels
-from orbitfb.epics.channels import ChannelGroup, Monitor
+from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.connecting import (
     UnitWatch,
     check_oscillator,
@@ -23,6 +23,7 @@ from orbitfb.epics.connecting import (
     wait_for_channels,
     waived,
 )
+from orbitfb.epics.events import Monitor
 from orbitfb.epics.inbox import Inbox
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
@@ -146,7 +147,7 @@ class EpicsMachine:
     def channel_counts(self) -> tuple[ChannelCounts, ...]:
         """Count the channels of each kind, those that are connected, and those that were lost."""
         return tuple(
-            ChannelCounts(kind, len(group), int(np.count_nonzero(group.connected)), group.losses)
+            ChannelCounts(kind, len(group.pvs), len(group.present), group.losses)
             for kind, group in zip(KINDS, self._groups, strict=False)
         )
 
@@ -307,7 +308,7 @@ class EpicsMachine:
             raise error("the machine is closed")
 
     def _describe(self) -> str:
-        total = sum(len(group) for group in self._groups)
+        total = sum(len(group.pvs) for group in self._groups)
         if self._closed:
             return "the machine is closed"
         if len(self.disconnected) == total:

@@ -8,8 +8,9 @@ import numpy as np
 
 from orbitfb.core.clock import SystemClock
 from orbitfb.epics.assembler import Assembler, Snapshot
-from orbitfb.epics.channels import ChannelGroup, Monitor
+from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.connecting import wait_for_channels
+from orbitfb.epics.events import Monitor
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.requests import Putter

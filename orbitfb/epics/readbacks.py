@@ -6,7 +6,8 @@ import numpy as np
 
 from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.epics.assembler import Assembler
-from orbitfb.epics.channels import ChannelGroup, Monitor
+from orbitfb.epics.channels import ChannelGroup
+from orbitfb.epics.events import Monitor
 from orbitfb.epics.inbox import Frame
 from orbitfb.epics.libca import Context
 

@@ -2,14 +2,16 @@
 
 import ctypes
 from collections.abc import Callable
+from itertools import compress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orbitfb.core.elements import NamedPv
 from orbitfb.core.errors import WriteError
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.epics.channels import ChannelGroup
+from orbitfb.epics.channels import NOT_HEARD, ChannelGroup
 from orbitfb.epics.libca import DBR_CTRL_DOUBLE, DBR_DOUBLE, ECA_NORMAL, ECA_TIMEOUT, Context
 from orbitfb.safety.verdict import name_some
 
@@ -71,27 +73,44 @@ class Getter:
 
     def _fetch(self, kind: int, answers: NDArray[Any]) -> NDArray[Any]:
         group, get = self._group, self._context.library.ca_array_get
+        arrays: list[tuple[NamedPv, NDArray[Any]]] = []
         with group.lock:
-            present = np.flatnonzero(group.connected).tolist()
+            present = group.present
             if not present:
                 return answers
             self._context.attach()
             addresses = _addresses(answers)
-            for index in present:
+            for number in present:
                 # One that goes away just now is refused; its answer stays as it was.
-                get(kind, 1, group.handles[index], addresses[index])
+                pv, count = group.pvs[number], 1
+                if pv.elements is None:
+                    address = addresses[pv.places[0]]
+                else:
+                    told = int(group.lengths[number])
+                    if kind == DBR_DOUBLE:  # no more than it has told, or zeros would fill it up
+                        count = pv.length if told == NOT_HEARD else min(pv.length, told)
+                    answer = np.full(pv.length, answers[pv.places[0]], dtype=answers.dtype)
+                    arrays.append((pv, answer))
+                    address = answer.ctypes.data
+                if count:
+                    get(kind, count, group.handles[number], address)
             status = self._context.library.ca_pend_io(self._timeout)
+        for pv, answer in arrays:
+            elements = pv.elements if kind == DBR_DOUBLE else 0
+            answers[pv.places] = answer[elements]
         if status == ECA_NORMAL:
             return answers
         # An answer that comes after all is still written there by libca: it must not be freed.
-        self._context.abandoned.append(answers)
+        self._context.abandoned += [answers, *(answer for _, answer in arrays)]
         if status != ECA_TIMEOUT:
             self._context.check("ca_pend_io", status)
         return answers.copy()
 
 
 class Putter:
-    """Puts one double to some or all channels of a group and flushes once.
+    """Puts one double to some or all names of a group and flushes once.
+
+    An array is put as a whole, if one of its elements is to be put.
 
     Args:
         context: Context of the group.
@@ -103,6 +122,7 @@ class Putter:
         self._group = group
         self._values = np.zeros(len(group))
         self._calls: list[tuple[Any, ...]] = []
+        self._arrays: list[tuple[NamedPv, Vector]] = []
         self._generation = -1
         # A function object of its own, without prototype: its arguments are converted beforehand.
         self._put: Callable[..., int] = context.library["ca_array_put"]
@@ -111,8 +131,8 @@ class Putter:
         """Send values, shape (m,), in the unit of the PVs: all that are asked for, or none.
 
         Args:
-            values: To send.
-            which: Channels to send to, shape (m,).
+            values: To send; also those of an array that is put for the sake of its others.
+            which: Names to send to, shape (m,).
 
         Raises:
             WriteError: A channel is away, read-only or refuses; then nothing was sent, unless
@@ -126,21 +146,35 @@ class Putter:
             if self._generation != group.generation:
                 self._prepare()
             self._values[:] = values
+            for pv, array in self._arrays:
+                array[pv.elements] = self._values[pv.places]
             self._context.attach()
             put, calls = self._put, self._calls
             if not which.all():
-                calls = [call for call, wanted in zip(calls, which, strict=True) if wanted]
+                wanted = [bool(which[pv.places].any()) for pv in group.pvs]
+                calls = list(compress(calls, wanted))
             for sent, call in enumerate(calls):
                 if (status := put(*call)) != ECA_NORMAL:
                     self._refused(call, status, sent)
             self._context.flush()
 
     def _prepare(self) -> None:
-        kind, count = ctypes.c_long(DBR_DOUBLE), ctypes.c_ulong(1)
-        self._calls = [
-            (kind, count, ctypes.c_void_p(self._group.handles[index]), ctypes.c_void_p(address))
-            for index, address in enumerate(_addresses(self._values))
+        kind, one = ctypes.c_long(DBR_DOUBLE), ctypes.c_ulong(1)
+        addresses = _addresses(self._values)
+        self._arrays = [
+            (pv, np.zeros(pv.length)) for pv in self._group.pvs if pv.elements is not None
         ]
+        arrays = iter(self._arrays)
+        self._calls = []
+        for number, pv in enumerate(self._group.pvs):
+            handle = ctypes.c_void_p(self._group.handles[number])
+            if pv.elements is None:
+                address = ctypes.c_void_p(addresses[pv.places[0]])
+                self._calls.append((kind, one, handle, address))
+            else:
+                _, array = next(arrays)
+                address = ctypes.c_void_p(array.ctypes.data)
+                self._calls.append((kind, ctypes.c_ulong(len(array)), handle, address))
         self._generation = self._group.generation
 
     def _refusal(self, which: Mask) -> str:
@@ -163,7 +197,7 @@ class Putter:
             else f"{before} setpoints before it may have been sent: read them back"
         )
         raise WriteError(
-            f"{self._group.names[index]} refused: {self._context.message(status)}; {sent}"
+            f"{self._group.pvs[index].name} refused: {self._context.message(status)}; {sent}"
         )
 
 

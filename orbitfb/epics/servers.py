@@ -95,7 +95,7 @@ class ServerWatch:
         look_up: Callable[[str], frozenset[str]] = spellings_of,
     ) -> None:
         self._groups, self.hosts = tuple(groups), Hosts(look_up)
-        self._known = [[""] * len(group) for group in groups]
+        self._known = [[""] * len(group.servers) for group in groups]
         self._arrivals = [-1] * len(self._groups)
         self.changes = 0
         """How often a PV came back from another server."""

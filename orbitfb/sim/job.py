@@ -9,6 +9,7 @@ from orbitfb.effects.build import plant_with
 from orbitfb.effects.settings import EffectSettings
 from orbitfb.physics.places import Planes, Ring
 from orbitfb.physics.plant import Plant, PlantSettings
+from orbitfb.sim.layout import check_served
 from orbitfb.sim.measured import MeasuredRing
 from orbitfb.sim.settings import SimSettings
 
@@ -49,6 +50,7 @@ class SimJob(Settings):
         """
         ring = Ring.load(self.places, self.parameters)
         settings = self.sim
+        check_served(ring.channels(self.planes), settings)
         if settings.rf_frequency is None:
             settings = settings.model_copy(update={"rf_frequency": ring.rf_frequency})
         period = self.period or 1.0 / settings.rate_hz

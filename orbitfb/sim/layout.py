@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.elements import named_pvs
+from orbitfb.core.errors import RingError
 from orbitfb.core.names import CURRENT_PV, RF_PV, RF_READBACK_PV
 from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.epics.units import LENGTHS
@@ -78,7 +80,8 @@ class Layout:
     metres: Vector
 
     def __len__(self) -> int:
-        return len(self.readings) + len(self.setpoints) + len(self.knobs)
+        names = [spec.name for spec in (*self.readings, *self.setpoints, *self.knobs)]
+        return len(named_pvs(names))
 
     @property
     def correctors(self) -> int:
@@ -128,6 +131,37 @@ def _reading(name: str, unit: str, settings: SimSettings) -> PvSpec:
         warning=both(settings.orbit_warning),
         alarm=both(settings.orbit_alarm),
     )
+
+
+def check_served(channels: Channels, settings: SimSettings) -> None:
+    """Refuse arrays that cannot be served.
+
+    Args:
+        channels: Names of the PVs.
+        settings: Of the soft IOC.
+
+    Raises:
+        RingError: An array has elements without a name, or of several kinds; or arrays are to be
+            served by `sim.plain`.
+    """
+    kinds = (channels.orbit_pvs, channels.setpoint_pvs, tuple(filter(None, channels.readback_pvs)))
+    arrays = [pv for names in kinds for pv in named_pvs(names) if pv.elements is not None]
+    names = [pv.name for pv in arrays]
+    for pv in arrays:
+        if not pv.is_whole:
+            raise RingError(
+                f"{pv.name} has {pv.length} elements, of which {len(pv.places)} stand in the "
+                "places table; name each of them, counted from 0"
+            )
+        if names.count(pv.name) > 1:
+            raise RingError(
+                f"{pv.name} stands for several of readings, setpoints and readbacks in the places "
+                "table; give each an array of its own"
+            )
+    if arrays and settings.plain:
+        raise RingError(
+            f"sim.plain serves no array, and {names[0]} is one; leave sim.plain out (--plain)"
+        )
 
 
 def lay_out(channels: Channels, settings: SimSettings) -> Layout:

@@ -6,12 +6,12 @@ JOB is `{orbit_pvs, setpoint_pvs, readback_pvs, auxiliary: {pv: value}, rate_hz,
 plant_seed, setpoint_record, bpm_unit}`. All readings of a tick carry the stamp of one record
 (TSEL). Without a plant BPM i reads `(tick % 1000) * 1e-3 + i * 1e-6` mm, so that a torn orbit is
 seen in the values alone; with a `plant_seed` the BPMs see the default ring of that seed, which
-answers the setpoints. Faults are switched on by PVs: TEST:SKIP, TEST:NAN, TEST:INVALID hold the
+answers the setpoints. A PV that is an element of an array (`PV.[3]`) makes a waveform record.
+Faults are switched on by PVs: TEST:SKIP, TEST:NAN, TEST:INVALID hold the
 index of a BPM or -1.
 Prints READY when it serves.
 """
 
-import ctypes
 import json
 import sys
 import tempfile
@@ -22,6 +22,7 @@ import numpy as np
 from epicscorelibs.ioc import dbCore
 from softioc import imports, softioc
 
+from orbitfb.core.elements import named_pvs
 from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import Plant
 
@@ -44,15 +45,23 @@ def database(job: dict) -> str:
     alarm = f'field(HIHI, "{INVALID_ABOVE}") field(HHSV, "INVALID")'
     group = "READONLY" if job["read_only"] else "DEFAULT"
     drive = f'field(DRVH, "{DRIVE_LIMIT}") field(DRVL, "-{DRIVE_LIMIT}") field(ASG, "{group}")'
+    zero = 'field(VAL, "0") field(PINI, "YES")'
     records = [f'record(ai, "{STAMP}") {{ field(TSE, "0") }}']
     records += [f'record(ao, "{pv}") {{ field(VAL, "-1") field(PINI, "YES") }}' for pv in FAULTS]
     unit = f'field(EGU, "{job["bpm_unit"]}")'
-    records += [f'record(ai, "{pv}") {{ {reading} {alarm} {unit} }}' for pv in job["orbit_pvs"]]
-    records += [f'record(ai, "{pv}") {{ {reading} }}' for pv in job["readback_pvs"]]
-    records += [
-        f'record({job["setpoint_record"]}, "{pv}") {{ {drive} field(VAL, "0") field(PINI, "YES") }}'
-        for pv in job["setpoint_pvs"]
-    ]
+    limits = f'field(HOPR, "{DRIVE_LIMIT}") field(LOPR, "-{DRIVE_LIMIT}") field(ASG, "{group}")'
+    for pvs, kind, fields, of_array in (
+        (job["orbit_pvs"], "ai", f"{reading} {alarm} {unit}", unit),
+        (job["readback_pvs"], "ai", reading, ""),
+        (job["setpoint_pvs"], job["setpoint_record"], f"{drive} {zero}", limits),
+    ):
+        for pv in named_pvs(pvs):
+            if pv.elements is None:
+                records.append(f'record({kind}, "{pv.name}") {{ {fields} }}')
+                continue
+            size = f'field(FTVL, "DOUBLE") field(NELM, "{pv.length}")'
+            stamp = "" if pvs is job["setpoint_pvs"] else f'field(TSEL, "{STAMP}.TIME")'
+            records.append(f'record(waveform, "{pv.name}") {{ {size} {stamp} {of_array} }}')
     records += [
         f'record(ai, "{pv}") {{ field(VAL, "{value}") field(PINI, "YES") field(MDEL, "-1") }}'
         for pv, value in job["auxiliary"].items()
@@ -61,20 +70,43 @@ def database(job: dict) -> str:
 
 
 class Field:
-    """One VAL field that is put or got by dbPutField and dbGetField."""
+    """The VAL field of one record, put and got by dbPutField and dbGetField."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, length: int = 1) -> None:
         self._name = name
-        self._value = ctypes.c_double()
-        self._pointer = ctypes.addressof(self._value)
+        self.values = np.zeros(length)
+        self._pointer = self.values.ctypes.data
 
-    def put(self, value: float) -> None:
-        self._value.value = value
-        imports.db_put_field_process(self._name, DBF_DOUBLE, self._pointer, 1, True)
+    def put(self, value: float | np.ndarray) -> None:
+        self.values[:] = value
+        imports.db_put_field_process(self._name, DBF_DOUBLE, self._pointer, len(self.values), True)
 
     def get(self) -> float:
-        imports.db_get_field(self._name, DBF_DOUBLE, self._pointer, 1)
-        return self._value.value
+        imports.db_get_field(self._name, DBF_DOUBLE, self._pointer, len(self.values))
+        return float(self.values[0])
+
+
+class Vector:
+    """The values of some PVs, which may be elements of arrays."""
+
+    def __init__(self, names: list[str]) -> None:
+        self._size = len(names)
+        self._fields = [(pv, Field(pv.name, pv.length)) for pv in named_pvs(names)]
+
+    def put(self, values: np.ndarray, skipped: int = -1) -> None:
+        for pv, field in self._fields:
+            if skipped in pv.places:
+                continue
+            whole = np.zeros(pv.length)
+            whole[[0] if pv.elements is None else pv.elements] = values[pv.places]
+            field.put(whole)
+
+    def get(self) -> np.ndarray:
+        values = np.zeros(self._size)
+        for pv, field in self._fields:
+            field.get()
+            values[pv.places] = field.values[[0] if pv.elements is None else pv.elements]
+        return values
 
 
 def start(job: dict) -> None:
@@ -90,11 +122,9 @@ def start(job: dict) -> None:
 
 def run(job: dict) -> None:
     """Tick for ever."""
-    bpms = [Field(pv) for pv in job["orbit_pvs"]]
-    pairs = [
-        (Field(readback), Field(setpoint))
-        for readback, setpoint in zip(job["readback_pvs"], job["setpoint_pvs"], strict=True)
-    ]
+    bpms, readbacks = Vector(job["orbit_pvs"]), Vector(job["readback_pvs"])
+    correctors, size = Vector(job["setpoint_pvs"]), len(job["orbit_pvs"])
+    correctors.put(np.zeros(len(job["setpoint_pvs"])))
     slow = [(Field(pv), value) for pv, value in job["auxiliary"].items()]
     stamp, faults = Field(STAMP), [Field(pv) for pv in FAULTS]
     plant = None if job["plant_seed"] is None else Plant(Ring.load(), seed=job["plant_seed"])
@@ -107,9 +137,9 @@ def run(job: dict) -> None:
         time.sleep(max(0.0, due - time.monotonic()))
         tick += 1
         skip, nan, invalid = (int(fault.get()) for fault in faults)
-        setpoints = [setpoint.get() for _, setpoint in pairs]
+        setpoints = correctors.get()
         if plant is None:
-            orbit = (tick % 1000) * 1e-3 + np.arange(len(bpms)) * 1e-6
+            orbit = (tick % 1000) * 1e-3 + np.arange(size) * 1e-6
         else:
             kicks = np.zeros(len(ring))  # those that another IOC has stay as they were
             kicks[here] = setpoints
@@ -117,12 +147,12 @@ def run(job: dict) -> None:
         for field, value in slow if tick % 20 == 0 else ():
             field.put(value)
         stamp.put(tick)
-        for index, (bpm, value) in enumerate(zip(bpms, orbit, strict=True)):
-            if index == skip:
-                continue
-            bpm.put(float("nan") if index == nan else 1e9 if index == invalid else value)
-        for (readback, _), value in zip(pairs, setpoints, strict=True):
-            readback.put(value)
+        orbit = np.array(orbit, dtype=np.float64)
+        for index, value in ((nan, np.nan), (invalid, 1e9)):
+            if index >= 0:
+                orbit[index] = value
+        bpms.put(orbit, skip)
+        readbacks.put(setpoints)
 
 
 def main() -> None:

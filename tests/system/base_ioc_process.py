@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,17 @@ def small_ring(size: int) -> Channels:
         orbit_pvs=tuple(f"SR:C{c:02d}-BI{{BPM:{i}}}Pos:X-I" for c, i in cells),
         setpoint_pvs=tuple(f"SR:C{c:02d}-MG{{PS:CH{i}A}}I:Sp1-SP" for c, i in cells),
         readback_pvs=tuple(f"SR:C{c:02d}-MG{{PS:CH{i}A}}I:Ps1DCCT1-I" for c, i in cells),
+    )
+
+
+def as_arrays(channels: Channels) -> Channels:
+    """The same devices as elements of three arrays."""
+    n, m = len(channels.orbit_pvs), len(channels.setpoint_pvs)
+    return replace(
+        channels,
+        orbit_pvs=tuple(f"SR:Orbit-I.[{index}]" for index in range(n)),
+        setpoint_pvs=tuple(f"SR:Currents-SP.[{index}]" for index in range(m)),
+        readback_pvs=tuple(f"SR:Currents-I.[{index}]" for index in range(m)),
     )
 
 

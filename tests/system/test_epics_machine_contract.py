@@ -3,11 +3,14 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
-from base_ioc_process import BaseIoc, small_ring
+from base_ioc_process import BaseIoc, as_arrays, small_ring
 from machine_contract import CHECKS, Bench
 
+from benchmarks.array_places import array_places
 from orbitfb.core.clock import ManualClock
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import EpicsSettings
@@ -37,6 +40,15 @@ def base_bench(stack: ExitStack) -> Bench:
     return Bench(machine, 1 / RATE_HZ, time.sleep)
 
 
+def array_bench(stack: ExitStack) -> Bench:
+    """Orbit, setpoints and readbacks are one waveform record each."""
+    ring = as_arrays(small_ring(12))
+    ioc = stack.enter_context(BaseIoc(ring, RATE_HZ))
+    machine = EpicsMachine(ring, EpicsSettings(server_port=ioc.port))
+    stack.enter_context(machine)
+    return Bench(machine, 1 / RATE_HZ, time.sleep)
+
+
 def sim_bench(stack: ExitStack) -> Bench:
     child = stack.enter_context(SimChild(SimJob(sim=SimSettings(rate_hz=RATE_HZ, port=0))))
     settings = EpicsSettings(server_port=child.port)
@@ -45,7 +57,21 @@ def sim_bench(stack: ExitStack) -> Bench:
     return Bench(machine, 1 / RATE_HZ, time.sleep)
 
 
-@pytest.fixture(scope="module", params=[plant_bench, base_bench, sim_bench])
+def sim_array_bench(stack: ExitStack) -> Bench:
+    """The same ring, three arrays instead of 540 scalars."""
+    folder = stack.enter_context(TemporaryDirectory())
+    places = array_places(Path(folder, "places.csv"))
+    job = SimJob(places=places, sim=SimSettings(rate_hz=RATE_HZ, port=0))
+    child = stack.enter_context(SimChild(job))
+    settings = EpicsSettings(server_port=child.port)
+    machine = EpicsMachine(Ring.load(places).channels("x"), settings)
+    stack.enter_context(machine)
+    return Bench(machine, 1 / RATE_HZ, time.sleep)
+
+
+@pytest.fixture(
+    scope="module", params=[plant_bench, base_bench, array_bench, sim_bench, sim_array_bench]
+)
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     build: Callable[[ExitStack], Bench] = request.param
     with ExitStack() as stack:

@@ -40,14 +40,14 @@ class Listener:
         self._last: NDArray[np.int64] = np.zeros(size, dtype=np.int64)
         self._heard: list[list[tuple[int, float]]] = [[] for _ in range(size)]
 
-    def arrived(self) -> bool:
-        """Note a reading; called on libca's thread."""
+    def arrived(self, values: int = 1) -> bool:
+        """Note readings that have come together; called on libca's thread."""
         records = self.assembler.records
         stamps = stamps_of(records)
         for index in np.flatnonzero(stamps != self._last).tolist():
             self._heard[index].append((int(stamps[index]), float(records["value"][index])))
         self._last = stamps
-        return self.assembler.arrived()
+        return self.assembler.arrived(values)
 
     def complete(self) -> None:
         """Count an orbit; called on libca's thread."""

@@ -12,8 +12,9 @@ from orbitfb.app.setup.startup import SIMULATED, find_ring, servers_of
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError, MachineError
 from orbitfb.core.signals import Vector
-from orbitfb.epics.channels import ChannelGroup, Monitor
+from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.connecting import UnitWatch, steps_of
+from orbitfb.epics.events import Monitor
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.records import stamps_of, usable, wall_time
@@ -181,7 +182,7 @@ def _units(
 
 
 def _reached(kind: str, group: ChannelGroup, where: str, slow: Mapping[str, str]) -> Finding:
-    away, total = group.disconnected, len(group)
+    away, total = group.disconnected, len(group.pvs)
     names = ", ".join(away[:_MOST_NAMED]) + (" …" if len(away) > _MOST_NAMED else "")
     told = f"{total - len(away)} of {total} answer ({where})" + (f"; not {names}" if away else "")
     keys = " and ".join(f"epics.auxiliary.{slow[name]}" for name in away if name in slow)
@@ -239,14 +240,14 @@ def _writable(group: ChannelGroup) -> Finding:
 
 def _real(group: ChannelGroup, matrix: Vector, settings: EpicsSettings) -> Finding:
     """Tell whether the setpoints can hold a current, and what rounding does to the orbit."""
-    wrong = group.not_numbers
+    wrong = (*group.not_numbers, *group.too_short, *group.not_whole)
     told = rounding_told(steps_of(group, settings), matrix, group.names)
     verdict = Verdict.WARNING if told else Verdict.OK
     return Finding(
         _PART,
         "setpoint records",
         Verdict.FAILED if wrong else verdict if group.connected.any() else Verdict.SKIPPED,
-        f"{len(wrong)} cannot hold a current: {', '.join(wrong[:_MOST_NAMED])}"
+        f"{len(wrong)} cannot hold the currents: {', '.join(wrong[:_MOST_NAMED])}"
         if wrong
         else told or "all that answer hold real numbers",
         "name the PVs of the currents [A] in the places table, records of type ao"

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from orbitfb.core.errors import AwayError, MachineError, WriteError
 from orbitfb.core.signals import Channels, Mask, Vector
-from orbitfb.epics.channels import ChannelGroup, Monitor
+from orbitfb.epics.channels import ChannelGroup
+from orbitfb.epics.events import Monitor
 from orbitfb.epics.libca import Context
 from orbitfb.epics.requests import Getter, Putter
 from orbitfb.epics.setpoints.put_errors import PutErrors
@@ -46,6 +47,8 @@ class Setpoints:
         self.errors = PutErrors(context, self.group)
         self._getter = Getter(context, self.group, settings.answer_timeout)
         self._putter = Putter(context, self.group)
+        self._arrays = [pv for pv in self.group.pvs if pv.elements is not None]
+        self._posted_at_put = np.full(size, np.nan)
         self._limits_due = True
         self._limits_lock = threading.Lock()
         self._drive_limits = np.full((size, 2), np.nan)
@@ -123,6 +126,7 @@ class Setpoints:
         Raises:
             WriteError: A channel is away or read-only, or was away and has not been asked since.
         """
+        values, which = self._with_neighbours(values, which)
         if (unread := which & self.group.connected & self._unread).any():
             raise WriteError(
                 f"{np.count_nonzero(unread)} of {len(values)} setpoints were away and have not "
@@ -131,6 +135,31 @@ class Setpoints:
         self.watch.sends(values, which)  # beforehand: the answer may be quicker than we
         self._putter.put(values, which)
         self._last = np.where(which, values, self._last)
+
+    def _with_neighbours(self, values: Vector, which: Mask) -> tuple[Vector, Mask]:
+        """Add to what is put the other elements of its arrays, as they are in force.
+
+        What was posted last is in force if it is neither as old as our last put nor one of ours:
+        then somebody else has put it. Else what we sent or were told last is.
+        """
+        if not self._arrays or which.all() or not which.any():
+            if self._arrays:
+                self._posted_at_put[:] = self.watch.records["value"]
+            return values, which
+        touched = which.copy()
+        for pv in self._arrays:
+            touched[pv.places] = which[pv.places].any()
+        posted = self.watch.records["value"].copy()
+        new = np.isfinite(posted) & (posted != self._posted_at_put)
+        in_force = np.where(new & ~self.watch.was_sent(posted), posted, self._last)
+        self._posted_at_put = posted
+        sent = np.where(which, values, in_force)
+        if (unknown := touched & ~np.isfinite(sent)).any():
+            raise WriteError(
+                f"{np.count_nonzero(unknown)} setpoints are not known, but belong to an array that "
+                f"is put as a whole: {name_some(unknown, self.group.names)}; nothing was sent"
+            )
+        return sent, touched
 
     def refresh_limits(self) -> None:
         """Ask for the drive limits if a setpoint was away since, or is not what was sent."""

@@ -31,10 +31,12 @@ class PutErrors:
         """
         if arguments.operation != OPERATION_PUT or not arguments.channel:
             return
-        index = self._context.library.ca_puser(arguments.channel) - 1
-        if 0 <= index < len(self._group) and self._group.handles[index] == arguments.channel:
+        number = self._context.library.ca_puser(arguments.channel) - 1
+        pvs, handles = self._group.pvs, self._group.handles
+        if 0 <= number < len(pvs) and handles[number] == arguments.channel:
+            told = f"refuses puts: {self._context.message(arguments.status)}"
             with self._lock:
-                self._heard[index] = f"refuses puts: {self._context.message(arguments.status)}"
+                self._heard.update(dict.fromkeys(pvs[number].places.tolist(), told))
 
     def take(self) -> dict[int, str]:
         """Return the refusals that came since the last call, by index, with those read-only now."""

@@ -61,6 +61,11 @@ class PutWatch:
         """
         self._sent.append(np.where(which, values, np.nan))
 
+    def was_sent(self, values: Vector) -> Mask:
+        """Tell which values were sent from here a short while ago, shape (m,)."""
+        sent = np.array([np.full(len(self.records), np.nan), *self._sent])
+        return np.any(np.abs(sent - values) <= ROUNDING, axis=0, keepdims=True)[0]
+
     def take(self) -> Mask | None:
         """Give the setpoints that others have put since the last call, shape (m,); None: none."""
         count = len(self._heard)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
+import numpy as np
 from caproto import (
     AccessRights,
     AlarmSeverity,
@@ -15,8 +16,10 @@ from caproto import (
     ChannelType,
     TimeStamp,
 )
+from numpy.typing import NDArray
 
 from orbitfb.core.names import LEASE_PV
+from orbitfb.core.signals import Vector
 from orbitfb.sim.access.board import Board, Entry
 from orbitfb.sim.access.stamp import Stamp
 from orbitfb.sim.layout import Layout, PvSpec
@@ -122,11 +125,28 @@ def lease_channels(planes: str) -> dict[str, TextChannel]:
     return {LEASE_PV.replace("%", plane.upper()): TextChannel() for plane in planes}
 
 
+class Watched(Protocol):
+    """A channel of the board."""
+
+    @property
+    def places(self) -> NDArray[np.intp]:
+        """Indices on the board of its values, shape (k,)."""
+        ...
+
+    async def pull(self, events: int | None = None) -> None:
+        """Take values and stamp from the board, and tell subscriptions of these kinds."""
+        ...
+
+
 class Watcher(Protocol):
     """Who is told what happens to the channels of a board."""
 
-    def watch(self, channel: "BoardChannel", watched: bool) -> None:
+    def watch(self, channel: Watched, watched: bool) -> None:
         """Learn whether caproto itself has to be told of this channel's updates."""
+        ...
+
+    def put(self, which: NDArray[np.intp], values: Vector) -> None:
+        """Put setpoints in force that are within their limits, and tell all clients."""
         ...
 
     def changed(self, index: int, accepted: bool) -> None:
@@ -148,6 +168,7 @@ class BoardChannel(ScalarChannel):
     def __init__(self, spec: PvSpec, board: Board, index: int, watcher: Watcher) -> None:
         super().__init__(spec, backlog=BACKLOG)
         self.index = index
+        self.pv, self.places = spec.name, np.array([index])
         self._board = board
         self._watcher = watcher
         self._kinds: set[Any] = set()

@@ -11,13 +11,21 @@ from caproto.asyncio.server import VirtualCircuit
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
+from orbitfb.sim.access.arrays import BoardArray, BoardArraySetpoint
 from orbitfb.sim.access.board import Board
 from orbitfb.sim.access.channels import BoardChannel, BoardSetpoint
 from orbitfb.sim.access.context import ClaimedContext
 from orbitfb.sim.access.feed import Feed
-from orbitfb.sim.access.frames import DOUBLE, TIME_DOUBLE, Monitor
+from orbitfb.sim.access.frames import DOUBLE, LONGEST, TIME_DOUBLE, Monitor
 from orbitfb.sim.access.listening import Sockets
-from orbitfb.sim.access.puts import PUT, PUT_COMMAND, WRITES, leading_puts, message_end
+from orbitfb.sim.access.puts import (
+    PUT,
+    PUT_COMMAND,
+    WRITES,
+    array_put,
+    leading_puts,
+    message_end,
+)
 from orbitfb.sim.access.reads import READ, READ_COMMAND, answers, leading_reads
 from orbitfb.sim.access.under_way import WritesUnderWay
 
@@ -95,6 +103,7 @@ class FastCircuit(VirtualCircuit):
         self._front.feeds.add(self.feed)
         self._rest = b""
         self._setpoint_of = np.full(1024, -1, dtype=np.intp)
+        self._arrays: dict[int, NDArray[np.intp]] = {}
         self._queued: set[int] = set()
 
     async def recv(self) -> None:
@@ -106,7 +115,9 @@ class FastCircuit(VirtualCircuit):
         start = slow_from = 0
         while (end := message_end(data, start)) is not None:
             if not self._behind and (
-                fast := self._take_puts(data, start) or self._answer_reads(data, start)
+                fast := self._take_puts(data, start)
+                or self._answer_reads(data, start)
+                or self._take_array(data, start, end)
             ):
                 await self._hand_over(data[slow_from:start])
                 start = slow_from = start + fast
@@ -151,6 +162,20 @@ class FastCircuit(VirtualCircuit):
             transport.write(answers(run["request"][:count], values))
         return count * READ.itemsize
 
+    def _take_array(self, data: bytes, start: int, end: int) -> int:
+        """Apply an acceptable put of a whole array; give its length in bytes."""
+        if data[start + 1] != PUT_COMMAND:
+            return 0
+        put = array_put(data, start, end)
+        which = None if put is None else self._arrays.get(put[0])
+        if put is None or which is None:
+            return 0
+        values = put[1]
+        if values.shape != which.shape or not self._board.allowed(which, values).all():
+            return 0
+        self._front.take(which, values)
+        return end - start
+
     def _setpoints_of(self, run: NDArray[np.void]) -> NDArray[np.intp]:
         """Give the setpoint that each message is about; -1 where it is about something else."""
         channels = np.minimum(run["channel"].astype(np.intp), len(self._setpoint_of) - 1)
@@ -184,14 +209,15 @@ class FastCircuit(VirtualCircuit):
         return False
 
     def _monitors(self, command: Any) -> bool:
-        """Add a subscription if the feed can serve it: a plain scalar of the usual types."""
+        """Add a subscription if the feed can serve it: whole values of the usual types."""
         channel = self.circuit.channels_sid.get(command.sid)
         entry = None if channel is None else self.context[channel.name]
         if (
             channel is None
-            or not isinstance(entry, BoardChannel)
+            or not isinstance(entry, BoardChannel | BoardArray)
             or command.data_type not in (DOUBLE, TIME_DOUBLE)
-            or command.data_count > 1
+            or command.data_count not in (0, len(entry.places))
+            or len(entry.places) > LONGEST
             or not command.mask & _VALUE_MASKS
             or any(channel.channel_filter)
         ):
@@ -200,7 +226,7 @@ class FastCircuit(VirtualCircuit):
             self.circuit.process_command(command)
         except ca.CaprotoError:
             return False  # caproto answers what breaks the protocol
-        what = (entry.index, command.subscriptionid, command.sid, int(command.data_type))
+        what = (entry.places, command.subscriptionid, command.sid, int(command.data_type))
         self.feed.add(Monitor(*what))
         return True
 
@@ -210,13 +236,13 @@ class FastCircuit(VirtualCircuit):
             if isinstance(answer, ca.CreateChanResponse):
                 name = self.circuit.channels[answer.cid].name
                 entry = self.context[name]
-                if isinstance(entry, BoardSetpoint) and self._is_plain(name, entry):
+                if name.removesuffix(".VAL") != getattr(entry, "pv", ""):
+                    continue  # it was asked for with a filter, or is no value of the board
+                if isinstance(entry, BoardSetpoint):
                     self._know(answer.sid, entry.index - self._board.readings)
+                elif isinstance(entry, BoardArraySetpoint):
+                    self._arrays[answer.sid] = entry.places - self._board.readings
         await super().send(*commands)
-
-    def _is_plain(self, name: str, entry: BoardSetpoint) -> bool:
-        """Whether a channel was asked for without a filter."""
-        return name.removesuffix(".VAL") == self._board.names[entry.index]
 
     def _know(self, channel: int, setpoint: int) -> None:
         """Remember which setpoint a channel is; the last place of the table stays unknown."""
@@ -231,6 +257,7 @@ class FastCircuit(VirtualCircuit):
         """Drop what a channel had; caproto compares the wrong things and drops nothing."""
         self.feed.remove_channel(channel)
         self._know(channel, -1)
+        self._arrays.pop(channel, None)
         everybody = self.context.subscriptions
         for spec, subscribed in self.subscriptions.items():
             gone = [one for one in subscribed if one.channel.sid == channel]

@@ -8,12 +8,15 @@ import numpy as np
 from caproto import SubscriptionType
 from numpy.typing import NDArray
 
+from orbitfb.core.elements import named_pvs
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.sim.access.arrays import BoardArray, BoardArraySetpoint
 from orbitfb.sim.access.board import Board
 from orbitfb.sim.access.channels import (
     BoardChannel,
     BoardReading,
     BoardSetpoint,
+    Watched,
     knob_channels,
     lease_channels,
 )
@@ -21,7 +24,7 @@ from orbitfb.sim.access.circuit import FastContext
 from orbitfb.sim.access.feed import Feed
 from orbitfb.sim.access.listening import Sockets
 from orbitfb.sim.access.stamp import Stamp, now
-from orbitfb.sim.layout import Layout
+from orbitfb.sim.layout import Layout, PvSpec
 
 _ALL_EVENTS = SubscriptionType.DBE_VALUE | SubscriptionType.DBE_LOG | SubscriptionType.DBE_ALARM
 
@@ -43,18 +46,12 @@ class FastFront:
         self.board = Board(layout, now())
         self.feeds: set[Feed] = set()
         self.on_written: Callable[[], None] = lambda: None
-        specs = (*layout.readings, *layout.setpoints)
-        self._channels: list[BoardChannel] = [
-            (BoardReading if index < self.board.readings else BoardSetpoint)(
-                spec, self.board, index, self
-            )
-            for index, spec in enumerate(specs)
-        ]
+        self._channels = self._make_channels((*layout.readings, *layout.setpoints))
         self._knobs = knob_channels(layout, turned)
         self._leases = lease_channels(layout.planes)
         self._taken = False
-        self._watched: set[BoardChannel] = set()
-        self._stale: set[BoardChannel] = set()
+        self._watched: set[Watched] = set()
+        self._stale: set[Watched] = set()
         self._publishing: asyncio.Task[None] | None = None
 
     @property
@@ -79,7 +76,7 @@ class FastFront:
         for feed in self.feeds:
             feed.send_readings()
             feed.send_setpoints()
-        self._publish({c for c in self._watched if c.index < self.board.readings})
+        self._publish({c for c in self._watched if c.places[0] < self.board.readings})
 
     def take(self, which: NDArray[np.intp], values: Vector) -> None:
         """Put setpoints in force that are within their limits."""
@@ -87,7 +84,7 @@ class FastFront:
         at = which + self.board.readings
         for feed in self.feeds:
             feed.mark(at)
-        self._publish({c for c in self._watched if c.index in at})
+        self._publish({c for c in self._watched if np.isin(c.places, at).any()})
         self._taken = True
 
     def puts_taken(self) -> None:
@@ -96,7 +93,12 @@ class FastFront:
             self._taken = False
             self._tell_setpoints()
 
-    def watch(self, channel: BoardChannel, watched: bool) -> None:
+    def put(self, which: NDArray[np.intp], values: Vector) -> None:
+        """Put setpoints in force that are within their limits, and tell all clients."""
+        self.take(which, values)
+        self.puts_taken()
+
+    def watch(self, channel: Watched, watched: bool) -> None:
         """Learn whether caproto itself has to be told of this channel's updates."""
         if watched:
             self._watched.add(channel)
@@ -113,15 +115,30 @@ class FastFront:
 
     def context(self, sockets: Sockets) -> FastContext:
         """Make the caproto server that serves it."""
-        pvdb: dict[str, Any] = dict(zip(self.board.names, self._channels, strict=True))
+        pvdb: dict[str, Any] = {channel.pv: channel for channel in self._channels}
         return FastContext(pvdb | self._knobs | self._leases, sockets, self)
+
+    def _make_channels(self, specs: tuple[PvSpec, ...]) -> list[BoardChannel | BoardArray]:
+        board = self.board
+        channels: list[BoardChannel | BoardArray] = []
+        for pv in named_pvs(board.names):
+            first = int(pv.places[0])
+            is_reading, spec = first < board.readings, specs[first]
+            if pv.elements is None:
+                scalar = BoardReading if is_reading else BoardSetpoint
+                channels.append(scalar(spec, board, first, self))
+            else:
+                array = BoardArray if is_reading else BoardArraySetpoint
+                places = pv.places[np.argsort(pv.elements)]
+                channels.append(array(pv.name, spec, board, places, self))
+        return channels
 
     def _tell_setpoints(self) -> None:
         for feed in self.feeds:
             feed.send_setpoints()
         self.on_written()
 
-    def _publish(self, channels: set[BoardChannel]) -> None:
+    def _publish(self, channels: set[Watched]) -> None:
         """Tell caproto of what it serves itself; updates that it is late for are merged."""
         if not channels:
             return

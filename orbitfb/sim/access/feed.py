@@ -43,7 +43,7 @@ class Feed:
         if self._transport.is_closing():
             return
         if not self._wanted():
-            self._pending[monitor.index] = True
+            self._pending[monitor.places] = True
             return
         first = Frames((monitor,))
         first.fill(self._board)
@@ -76,7 +76,7 @@ class Feed:
         if not self._monitors or not self._pending.any():
             return
         self._rebuild()
-        rows = np.flatnonzero(self._pending[self._setpoints.index])
+        rows = self._setpoints.rows(self._pending)
         if not len(rows):
             self._pending[:] = False
         elif self._ready():
@@ -95,6 +95,6 @@ class Feed:
             return
         border = self._board.readings
         monitors = self._monitors.values()
-        self._readings = Frames([m for m in monitors if m.index < border])
-        self._setpoints = Frames([m for m in monitors if m.index >= border])
+        self._readings = Frames([m for m in monitors if m.places[0] < border])
+        self._setpoints = Frames([m for m in monitors if m.places[0] >= border])
         self._outdated = False

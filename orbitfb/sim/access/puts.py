@@ -9,6 +9,8 @@ import numpy as np
 from caproto import RemoteProtocolError
 from numpy.typing import NDArray
 
+from orbitfb.core.signals import Vector
+
 PUT = np.dtype(
     [
         ("kind", ">u8"),  # command, payload size, type and count
@@ -19,6 +21,7 @@ PUT = np.dtype(
 )
 PUT_COMMAND = 4
 PUT_KIND = PUT_COMMAND << 48 | 8 << 32 | 6 << 16 | 1
+DOUBLE = 6
 WRITES = frozenset({4, 19})
 """Commands that write: without and with an answer."""
 LARGEST_MESSAGE = 1 << 20
@@ -31,6 +34,22 @@ def leading_puts(data: bytes, start: int) -> NDArray[np.void]:
     run = np.frombuffer(data, dtype=PUT, count=(len(data) - start) // PUT.itemsize, offset=start)
     other = run["kind"] != PUT_KIND
     return run[: int(other.argmax())] if other.any() else run
+
+
+def array_put(data: bytes, start: int, end: int) -> tuple[int, Vector] | None:
+    """Give channel and values of a put of doubles, or None if it is another one.
+
+    Args:
+        data: Bytes of a client.
+        start: Where its message begins.
+        end: Where it ends.
+    """
+    size, kind, count = (int.from_bytes(data[start + at : start + at + 2]) for at in (2, 4, 6))
+    if kind != DOUBLE or size != 8 * count or end - start != _HEADER + size:
+        return None
+    channel = int.from_bytes(data[start + 8 : start + 12])
+    values = np.frombuffer(data, dtype=">f8", count=count, offset=start + _HEADER)
+    return channel, values.astype(np.float64)
 
 
 def message_end(data: bytes, start: int) -> int | None:

@@ -125,8 +125,8 @@ class NoKeeper:
 class Bench:
     """A machine of a few devices whose PVs all answer."""
 
-    def __init__(self, monkeypatch, count=3) -> None:
-        names = tuple(f"COR{index}" for index in range(count))
+    def __init__(self, monkeypatch, count=3, names=()) -> None:
+        names = names or tuple(f"COR{index}" for index in range(count))
         bpms = tuple(f"BPM{index}" for index in range(count))
         readbacks = tuple(f"{name}:RB" for name in names)
         channels = Channels("x", bpms, names, bpms, names, readbacks)
@@ -142,7 +142,7 @@ class Bench:
     @staticmethod
     def _connect(groups, *_rest) -> None:
         for group in groups:
-            for index in range(len(group)):
+            for index in range(len(group.pvs)):
                 group._on_connection(ConnectionArguments(group.handles[index], OPERATION_UP))
 
     def link(self, index, up) -> None:

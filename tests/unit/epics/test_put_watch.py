@@ -108,7 +108,7 @@ def test_the_machine_hears_its_setpoints(monkeypatch):
         record["value"] = value
         begin = watch.records.ctypes.data + index * record.itemsize
         arguments = EventArguments(user=begin, status=ECA_NORMAL, data=record.ctypes.data)
-        group._event_handler(arguments)
+        group._scalar_handler(arguments)
 
     for index in range(3):
         event(index, 0.0)

@@ -9,12 +9,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from orbitfb.core.elements import named_pvs
 from orbitfb.core.errors import MachineError
+from orbitfb.epics.channels import NOT_HEARD
 from orbitfb.epics.lease.pvs import LeasePvs
 from orbitfb.epics.libca import ECA_NORMAL, ECA_TIMEOUT
 from orbitfb.epics.requests import Getter
 
-NAMES = ("A", "B", "C")
+NAMES = ("A", "B", "C.[0]", "C.[2]")
 
 
 class Late:
@@ -32,10 +34,11 @@ class Late:
 
 
 class Group:
-    """As much of a group of channels as is asked."""
+    """As much of a group of channels as is asked: two scalars, and two elements of an array."""
 
-    names, lock, handles = NAMES, nullcontext(), tuple(range(len(NAMES)))
+    names, lock, pvs, handles = NAMES, nullcontext(), named_pvs(NAMES), tuple(range(4))
     connected = np.ones(len(NAMES), dtype=bool)
+    lengths, present = np.full(3, NOT_HEARD), [0, 1, 2]
 
     def __len__(self) -> int:
         return len(NAMES)
@@ -67,7 +70,7 @@ def test_answers_that_come_late_are_written_to_memory_that_outlives_who_asked(
 ):
     context, group = late_context(), cast(Any, Group())
     ask(Getter(context, group, 0.1))  # and nobody keeps the getter
-    assert len(context.library.addresses) == len(NAMES)
+    assert len(context.library.addresses) == 3
     assert all(owned(context.abandoned, address) for address in context.library.addresses)
 
 

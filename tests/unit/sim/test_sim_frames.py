@@ -10,7 +10,7 @@ from test_sim_board import LATE, LAYOUT
 from orbitfb.sim.access.board import Board, Entry
 from orbitfb.sim.access.feed import Feed
 from orbitfb.sim.access.frames import DOUBLE, TIME_DOUBLE, Frames, Monitor
-from orbitfb.sim.access.puts import LARGEST_MESSAGE, leading_puts, message_end
+from orbitfb.sim.access.puts import LARGEST_MESSAGE, array_put, leading_puts, message_end
 
 COUNT = len(LAYOUT.readings) + len(LAYOUT.setpoints)
 
@@ -32,7 +32,10 @@ def parse(data):
 
 @given(
     st.lists(
-        st.tuples(st.integers(0, COUNT - 1), st.sampled_from([DOUBLE, TIME_DOUBLE])),
+        st.tuples(
+            st.lists(st.integers(0, COUNT - 1), min_size=1, max_size=4, unique=True),
+            st.sampled_from([DOUBLE, TIME_DOUBLE]),
+        ),
         min_size=1,
         max_size=30,
     )
@@ -40,27 +43,33 @@ def parse(data):
 def test_a_frame_is_what_caproto_reads_as_updates(wanted):
     board = Board(LAYOUT, LATE)
     board.show(np.linspace(-4.0, 4.0, len(LAYOUT.readings)), LATE)
-    monitors = [Monitor(index, 77 + n, 1, kind) for n, (index, kind) in enumerate(wanted)]
+    monitors = [
+        Monitor(np.array(places), 77 + n, 1, kind) for n, (places, kind) in enumerate(wanted)
+    ]
     frames = Frames(monitors)
     frames.fill(board)
     commands = parse(frames.whole())
     assert len(commands) == len(monitors)
     for command, monitor in zip(
-        commands, sorted(monitors, key=lambda monitor: monitor.index), strict=True
+        commands, sorted(monitors, key=lambda monitor: int(monitor.places[0])), strict=True
     ):
-        entry = board.get(monitor.index)
+        entries = [board.get(int(place)) for place in monitor.places]
         assert isinstance(command, ca.EventAddResponse)
         assert command.subscriptionid == monitor.subscription
-        assert (command.data_type, command.data_count) == (monitor.data_type, 1)
+        assert (command.data_type, command.data_count) == (
+            monitor.data_type,
+            len(entries),
+        )
         assert command.status.code_with_severity == 1
-        assert command.data[0] == entry.value
+        assert list(command.data) == [entry.value for entry in entries]
         if monitor.data_type == TIME_DOUBLE:
-            assert tuple(command.metadata.stamp) == entry.stamp
-            assert (command.metadata.status, command.metadata.severity) == entry[2:]
+            assert tuple(command.metadata.stamp) == entries[0].stamp
+            alarm = entries[0][2:] if len(entries) == 1 else (0, 0)
+            assert (command.metadata.status, command.metadata.severity) == alarm
 
 
 def test_a_part_of_a_frame_is_those_updates(board):
-    frames = Frames([Monitor(index, index, 1, TIME_DOUBLE) for index in range(COUNT)])
+    frames = Frames([Monitor(np.array([index]), index, 1, TIME_DOUBLE) for index in range(COUNT)])
     frames.fill(board)
     commands = parse(frames.part(np.array([1, 4])))
     assert [command.subscriptionid for command in commands] == [1, 4]
@@ -96,7 +105,7 @@ def feed(board, transport):
     transport.wanted = True
     feed = Feed(board, transport, lambda: transport.wanted)
     for index in (8, 0, 9, 10):  # two readings, both setpoints
-        feed.add(Monitor(index, index, index, TIME_DOUBLE))
+        feed.add(Monitor(np.array([index]), index, index, TIME_DOUBLE))
     assert transport.taken() == [8, 0, 9, 10]  # the present values, at once
     return feed
 
@@ -150,7 +159,7 @@ def test_nothing_is_sent_for_what_is_gone(feed, transport):
 def test_a_closed_connection_is_left_alone(feed, transport):
     transport.closing = True
     feed.send_readings()
-    feed.add(Monitor(1, 1, 1, DOUBLE))
+    feed.add(Monitor(np.array([1]), 1, 1, DOUBLE))
     assert transport.taken() == []
 
 
@@ -172,6 +181,26 @@ def test_puts_are_what_caproto_writes(before, values, after):
     np.testing.assert_array_equal(run["value"], values)
 
 
+def test_the_put_of_an_array_is_what_caproto_writes_and_nothing_else_is():
+    values = [1.0, -2.5, 3e-7]
+    command = ca.WriteRequest(values, ca.ChannelType.DOUBLE, 3, 44, 5)
+    data = bytes(ca.EchoRequest().header) + b"".join([bytes(command.header), *command.buffers])
+    channel, got = array_put(data, 16, len(data))
+    assert (channel, got.tolist()) == (44, values)
+    other = ca.WriteRequest(values, ca.ChannelType.FLOAT, 3, 44, 5)
+    data = b"".join([bytes(other.header), *other.buffers])
+    assert array_put(data, 0, len(data)) is None
+
+
+def test_setpoints_that_changed_are_told_by_the_arrays_that_show_them(board):
+    arrays = [np.array([7, 8]), np.array([9])]
+    frames = Frames([Monitor(places, n, 1, TIME_DOUBLE) for n, places in enumerate(arrays)])
+    which = np.zeros(len(board.names), dtype=bool)
+    assert frames.rows(which).tolist() == []
+    which[8] = True
+    assert frames.rows(which).tolist() == [0]
+
+
 def test_messages_end_where_their_headers_say():
     data = put(1, 1.0) + bytes(ca.EchoRequest().header)
     assert message_end(data, 0) == 24
@@ -187,7 +216,7 @@ def test_messages_end_where_their_headers_say():
 
 def test_a_refused_setpoint_shows_its_alarm_with_the_old_value(board):
     board.set(9, Entry(1.0, LATE, 2, 2))
-    frames = Frames([Monitor(9, 1, 1, TIME_DOUBLE)])
+    frames = Frames([Monitor(np.array([9]), 1, 1, TIME_DOUBLE)])
     frames.fill(board)
     (command,) = parse(frames.whole())
     assert (command.data[0], command.metadata.status, command.metadata.severity) == (1.0, 2, 2)
