@@ -125,7 +125,7 @@ chaos: venv
 	$(BIN)/python -m tests.chaos --seed $(or $(SEED),1) --faults $(or $(FAULTS),500) $(if $(OUT),--out $(OUT))
 
 soak: venv
-	$(BIN)/python -m tests.soak --hours $(or $(HOURS),12) --minutes $(or $(MINUTES),30) $(if $(OUT),--out $(OUT)/soak.json)
+	$(BIN)/python -m tests.soak --hours $(or $(HOURS),12) --days $(or $(DAYS),7) --minutes $(or $(MINUTES),30) $(if $(OUT),--out $(OUT)/soak.json)
 
 clean:
 	rm -rf .venv build dist
