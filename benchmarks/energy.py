@@ -28,7 +28,8 @@ from orbitfb.safety.frequency import RfSettings
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 
-PERIOD, SETTLED = 0.1, 50
+SETTLED = 5.0
+"""Time after closing that is not looked at [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ class Outcome:
     largest_step: float
 
 
-def run(follows: bool, seconds: float, rate: float, seed: int) -> Outcome:
+def run(follows: bool, seconds: float, rate: float, seed: int, hertz: float = 10.0) -> Outcome:
     """Run a closed loop under an energy ramp.
 
     Args:
@@ -64,14 +65,16 @@ def run(follows: bool, seconds: float, rate: float, seed: int) -> Outcome:
         seconds: How long [s].
         rate: Of the relative energy deviation [1/s].
         seed: Of the ring.
+        hertz: Ticks per second [Hz].
     """
+    period, settled = 1.0 / hertz, round(SETTLED * hertz)
     ring = Ring.load()
     model, matrix = frequency_model(ring, "x"), response(ring, "x")
     ramp = EffectSettings.model_validate({"id": "energy-ramp", "values": {"rate": rate}})
-    plant = plant_with(ring, "x", PlantSettings(initial_orbit_rms=0.0), seed, (ramp,), PERIOD)
+    plant = plant_with(ring, "x", PlantSettings(initial_orbit_rms=0.0), seed, (ramp,), period)
     clock = ManualClock()
-    machine = PlantMachine(plant, clock, PERIOD)
-    noise, loop = PlantSettings().bpm_noise_rms, LoopSettings()
+    machine = PlantMachine(plant, clock, period)
+    noise, loop = PlantSettings().bpm_noise_rms, LoopSettings(rate_hz=hertz)
     runner = Runner(
         machine,
         PolicySlot(SvdPolicy(matrix, SvdSettings())),
@@ -86,21 +89,21 @@ def run(follows: bool, seconds: float, rate: float, seed: int) -> Outcome:
         else None,
     )
     energy, orbit, frequency = [], [], []
-    for tick in range(round(seconds / PERIOD)):
+    for tick in range(round(seconds * hertz)):
         record = runner.step()
         orbit.append(machine.true_orbit_rms)
         frequency.append(machine.oscillator.frequency)
         made = float(model.energy @ (record.setpoints + record.applied))
         moved = model.per_hertz * (frequency[-1] - ring.rf_frequency)
-        energy.append(made + moved + rate * PERIOD * tick)
+        energy.append(made + moved + rate * period * tick)
     steps = np.diff(frequency)
     return Outcome(
         follows,
         str(runner.state),
         energy[-1],
-        float(np.abs(energy[SETTLED:]).max()),
+        float(np.abs(energy[settled:]).max()),
         float(np.sqrt(np.mean(machine.setpoints() ** 2))),
-        float(np.sqrt(np.mean(np.square(orbit[SETTLED:])))),
+        float(np.sqrt(np.mean(np.square(orbit[settled:])))),
         int(np.count_nonzero(steps)),
         float(np.abs(steps).max()),
     )
@@ -111,10 +114,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help="how long [s]")
     parser.add_argument("--rate", type=float, default=8e-7, help="of the energy [1/s]")
+    parser.add_argument("--hertz", type=float, default=10.0, help="of the loop [Hz]")
     parser.add_argument("--seed", type=int, default=1, help="of the ring")
     its = parser.parse_args()
     for follows in (False, True):
-        print(json.dumps(asdict(run(follows, its.seconds, its.rate, its.seed))))
+        print(json.dumps(asdict(run(follows, its.seconds, its.rate, its.seed, its.hertz))))
 
 
 if __name__ == "__main__":

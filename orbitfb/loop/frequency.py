@@ -24,6 +24,7 @@ from orbitfb.safety.frequency import (
     closed,
     compare,
     next_step,
+    noted,
     stepped,
 )
 
@@ -128,16 +129,17 @@ class Follower:
             known = math.isfinite(setpoint)
             rf = replace(closed(rf), home=setpoint, waits="" if known else UNKNOWN)
         if memory.state is not LoopState.CLOSED:
-            rf = replace(rf, sent=None)
+            rf = replace(rf, sent=None, energies=())
         else:
             if rf.base is None and reading.received - memory.since >= self._settled_after:
                 known = bool(np.isfinite(memory.setpoints).all())
                 rf = replace(rf, base=memory.setpoints.copy()) if known else rf
-            rf = answer(rf, orbit.position, orbit.valid, self._model.response, self._noise)
+            if self._pattern is not None:
+                rf = answer(rf, orbit.position, orbit.valid, self._pattern[2], self._noise)
             rf = compare(rf, setpoint, readback, reading.received, self._settings)
             if rf.base is not None:
                 energy = float(self._model.energy @ (memory.setpoints - rf.base))
-                rf = replace(rf, energy=energy)
+                rf = noted(rf, energy)
         self._show(rf)
         return replace(memory, frequency=rf)
 
@@ -195,7 +197,8 @@ class Follower:
         except WriteError as error:
             return False, replace(memory, frequency=replace(rf, waits=str(error)))
         self._last = step.hertz
-        return True, replace(memory, frequency=stepped(rf, step.hertz, now))
+        taken = float(self._model.energy @ step.change)
+        return True, replace(memory, frequency=stepped(rf, step.hertz, now, taken))
 
     def sent(self, step: Step, memory: LoopMemory, reading: Reading, moved: Vector) -> LoopMemory:
         """Await the answer to a step, now that the setpoints that go with it are sent too.

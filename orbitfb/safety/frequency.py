@@ -32,6 +32,9 @@ LEAST_ANSWER, MOST_ANSWER = 0.5, 1.5
 The response of a drifted ring and its dispersion are right within 0.2."""
 TELLING = 6.0
 """Standard deviations of its noise that the answer to a step on trial has."""
+DRIFT_TICKS = 10
+"""Ticks over which the drift of the energy is measured, before there is a step: what a step that
+does not arrive makes of the correctors' energy is then a tenth of the step for each tick."""
 TO_AND_FRO = 4
 """Steps of alternating signs in a row that are no drift: 1 in 8 is chance, if each is."""
 
@@ -118,6 +121,7 @@ class Frequency:
         stopped: Why the loop has let go of the frequency; empty: it has not.
         waits: Why there is no step just now; empty: nothing stands in the way.
         energy: Relative energy that the correctors make [1]; NaN: not known.
+        energies: The same at the last ticks, as if the steps since then had been made before [1].
         count: Steps since the loop was built.
     """
 
@@ -131,12 +135,30 @@ class Frequency:
     stopped: str = ""
     waits: str = ""
     energy: float = math.nan
+    energies: tuple[float, ...] = ()
     count: int = 0
+
+    @property
+    def drift(self) -> float:
+        """Relative energy per tick that the correctors follow [1]; 0: not known."""
+        here = self.energies
+        return (here[-1] - here[0]) / (len(here) - 1) if len(here) > DRIFT_TICKS else 0.0
 
     @property
     def aim(self) -> float:
         """Where the frequency is to be [Hz]; NaN: not known."""
         return self.asked if math.isfinite(self.asked) else self.home
+
+
+def noted(memory: Frequency, energy: float) -> Frequency:
+    """Note the energy that the correctors make at a tick.
+
+    Args:
+        memory: So far.
+        energy: [1].
+    """
+    energies = (*memory.energies, energy)[-DRIFT_TICKS - 1 :]
+    return replace(memory, energy=energy, energies=energies)
 
 
 def closed(memory: Frequency) -> Frequency:
@@ -181,15 +203,15 @@ def compare(
 
 
 def answer(
-    memory: Frequency, position: Vector, valid: Mask, orbit: Vector, noise: float
+    memory: Frequency, position: Vector, valid: Mask, pattern: Pattern, noise: float
 ) -> Frequency:
-    """See whether the orbit has answered the step before it.
+    """See whether the orbit has answered the step before it, beside the energy that drifts.
 
     Args:
         memory: So far.
         position: The orbit, shape (n,) [m].
         valid: BPMs that count, shape (n,).
-        orbit: What a step does to it, shape (n,) [m/Hz].
+        pattern: What takes a step over.
         noise: Of one BPM reading, rms [m].
     """
     sent = memory.sent
@@ -197,12 +219,13 @@ def answer(
         return memory
     memory = replace(memory, sent=None)
     counts = valid & sent.valid
-    column = orbit[counts]
+    column = pattern.orbit[counts]
     power = float(column @ column)
     if power * sent.hertz**2 < 2.0 * (0.5 * TELLING * noise) ** 2:
         return memory  # too short to tell
     moved = (position - sent.position - sent.moved)[counts]
-    share = float(column @ moved) / (power * sent.hertz)
+    drifted = memory.drift / pattern.energy  # [Hz per tick]
+    share = (float(column @ moved) / power - drifted) / sent.hertz
     shares = (*memory.shares, share)[-ANSWERS:]
     memory = replace(memory, shares=shares)
     if len(shares) < ANSWERS or LEAST_ANSWER <= median(shares) <= MOST_ANSWER:
@@ -239,6 +262,7 @@ def next_step(
         The step [Hz], 0: none, and the memory.
     """
     still = memory.stopped or memory.waits or math.isnan(memory.home)
+    still = still or len(memory.energies) <= DRIFT_TICKS
     if still or not abs(memory.energy) >= settings.dead_band:
         return 0.0, memory
     if now - memory.since < settings.interval:
@@ -265,18 +289,20 @@ def next_step(
     return step, memory
 
 
-def stepped(memory: Frequency, hertz: float, now: float) -> Frequency:
+def stepped(memory: Frequency, hertz: float, now: float, taken: float) -> Frequency:
     """Note a step that was put.
 
     Args:
         memory: So far.
         hertz: The step [Hz].
         now: Monotonic [s].
+        taken: What the change of setpoints with it changes of the correctors' energy [1].
     """
     return replace(
         memory,
         asked=memory.aim + hertz,
         since=now,
+        energies=tuple(energy + taken for energy in memory.energies),
         steps=(*memory.steps, hertz)[1 - TO_AND_FRO :],
         count=memory.count + 1,
     )

@@ -34,18 +34,18 @@ M = RESPONSE.shape[1]
 class Bench:
     """A closed loop under an energy ramp, on virtual time."""
 
-    def __init__(self, model=MODEL, settings=None, follows=True) -> None:
+    def __init__(self, model=MODEL, settings=None, follows=True, period=0.1) -> None:
         ramp = EffectSettings.model_validate({"id": "energy-ramp", "values": {"rate": RATE}})
-        plant = plant_with(RING, "x", PlantSettings(initial_orbit_rms=0.0), 1, (ramp,), 0.1)
-        clock = ManualClock()
-        self.machine = PlantMachine(plant, clock)
+        plant = plant_with(RING, "x", PlantSettings(initial_orbit_rms=0.0), 1, (ramp,), period)
+        clock, self.period = ManualClock(), period
+        self.machine = PlantMachine(plant, clock, period)
         self.oscillator = self.machine.oscillator
         its = settings or RfSettings()
         self.follower = Follower(self.oscillator, model, its, NOISE, 1.0) if follows else None
         self.runner = Runner(
             self.machine,
             PolicySlot(SvdPolicy(RESPONSE, SvdSettings())),
-            LoopSettings(),
+            LoopSettings(rate_hz=1.0 / period),
             LimitSettings(),
             InterlockSettings(answer_question=0.0),  # whose questions are drawn without a seed
             np.zeros(len(RESPONSE)),
@@ -59,7 +59,7 @@ class Bench:
         for _ in range(ticks):
             record = self.runner.step()
             moved = self.oscillator.frequency - RING.rf_frequency
-            drifted = RATE * 0.1 * self.machine.plant.tick
+            drifted = RATE * self.period * self.machine.plant.tick
             energy = float(MODEL.energy @ (record.setpoints + record.applied))
             self.energies.append(energy + MODEL.per_hertz * moved + drifted)
             self.steps.append(record.reading.auxiliary.get("rf_step", 0.0))
@@ -77,6 +77,14 @@ def test_the_energy_stays_and_the_orbit_with_it():
     assert np.count_nonzero(follows.steps) > 10 and np.abs(follows.steps).max() <= 1.0
     assert np.mean(np.square(follows.true)) < 1.03**2 * np.mean(np.square(alone.true))
     assert follows.runner.state is LoopState.CLOSED
+
+
+def test_at_one_orbit_a_second_what_drifts_meanwhile_is_no_answer():
+    """The energy moves further from orbit to orbit than by the first steps of the frequency."""
+    bench = Bench(period=1.0)
+    bench.run(100)
+    assert bench.follower.sight.following, bench.follower.sight.reason
+    assert np.abs(bench.energies[40:]).max() < 5e-6
 
 
 def test_by_command_it_is_left_alone_and_follows_from_there_again():

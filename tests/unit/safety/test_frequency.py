@@ -8,6 +8,7 @@ import pytest
 
 from orbitfb.safety.frequency import (
     ANSWERS,
+    DRIFT_TICKS,
     Frequency,
     Pattern,
     RfSettings,
@@ -16,6 +17,7 @@ from orbitfb.safety.frequency import (
     closed,
     compare,
     next_step,
+    noted,
     stepped,
 )
 
@@ -25,7 +27,8 @@ ORBIT = np.full(N, 1e-6)
 PATTERN = Pattern(ORBIT, np.ones(4), energy=8e-6)
 VALID = np.ones(N, dtype=bool)
 NONE = (math.nan, math.nan)
-PROVED = Frequency(np.zeros(4), HOME, energy=0.0, shares=(1.0,) * ANSWERS)
+QUIET = (0.0,) * (DRIFT_TICKS + 1)
+PROVED = Frequency(np.zeros(4), HOME, energy=0.0, energies=QUIET, shares=(1.0,) * ANSWERS)
 
 
 def step(memory: Frequency, energy: float, now: float = 100.0, limits=NONE, settings=SETTINGS):
@@ -42,7 +45,7 @@ def test_within_the_dead_band_nothing_moves_and_beyond_it_all_is_taken_over():
 
 def test_a_step_is_no_larger_than_allowed_and_comes_no_sooner():
     assert step(PROVED, -8e-5)[0] == SETTINGS.largest_step
-    just = stepped(PROVED, 0.5, now=99.5)
+    just = stepped(PROVED, 0.5, 99.5, 4e-6)
     assert step(just, -8e-5)[0] == 0.0
     assert step(just, -8e-5, now=100.6)[0] == SETTINGS.largest_step
     assert just.asked == HOME + 0.5 and just.count == 1
@@ -58,7 +61,7 @@ def test_until_three_answers_are_in_a_step_is_as_long_as_can_be_told():
     ("memory", "limits", "settings", "words"),
     [
         (PROVED, (HOME - 1.0, HOME + 0.2), SETTINGS, "beyond the drive limits"),
-        (stepped(PROVED, 4.9, 0.0), NONE, RfSettings(range=5.0), "rf.range is 5 Hz"),
+        (stepped(PROVED, 4.9, 0.0, 4e-5), NONE, RfSettings(range=5.0), "rf.range is 5 Hz"),
         (replace(PROVED, steps=(0.5, -0.5, 0.5, -0.5)[1:]), NONE, SETTINGS, "to and fro"),
     ],
 )
@@ -74,7 +77,7 @@ def answered(share: float, hertz: float = 0.5, memory: Frequency = PROVED) -> Fr
     before, moved = 1e-4 * random.standard_normal(N), 1e-5 * random.standard_normal(N)
     after = before + moved + share * hertz * ORBIT + NOISE * random.standard_normal(N)
     memory = replace(memory, sent=SentStep(hertz, before, VALID, moved))
-    return answer(memory, after, VALID, ORBIT, NOISE)
+    return answer(memory, after, VALID, PATTERN, NOISE)
 
 
 def test_the_orbit_must_answer_beyond_what_the_correctors_do():
@@ -97,12 +100,34 @@ def test_one_kick_of_the_beam_does_not_decide():
     assert not memory.stopped and len(memory.shares) == ANSWERS
 
 
+def drifting(per_tick: float, memory: Frequency = PROVED) -> Frequency:
+    for tick in range(DRIFT_TICKS + 1):
+        memory = noted(memory, per_tick * tick)
+    return memory
+
+
+@pytest.mark.parametrize("hertz", [0.5, -0.5])
+def test_what_drifts_meanwhile_is_no_answer(hertz: float):
+    """0.4 Hz of energy a tick: the orbit moves by 0.8 or -0.8 of a right answer besides."""
+    memory = drifting(0.4 * PATTERN.energy)
+    assert memory.drift == pytest.approx(0.4 * PATTERN.energy)
+    assert answered(1.0 + 0.4 / hertz, hertz, memory).shares[-1] == pytest.approx(1.0, abs=0.3)
+    assert answered(0.4 / hertz, hertz, memory).shares[-1] == pytest.approx(0.0, abs=0.3)
+
+
+def test_a_step_is_no_drift_and_none_is_made_before_the_drift_is_known():
+    memory = stepped(drifting(1e-7), 0.5, 10.0, 4e-6)
+    assert noted(memory, 1e-7 * (DRIFT_TICKS + 1) + 4e-6).drift == pytest.approx(1e-7)
+    early = replace(PROVED, energies=QUIET[1:])
+    assert step(early, -8e-5)[0] == 0.0
+
+
 def test_a_step_that_is_too_short_says_nothing():
     assert answered(-1.0, hertz=0.01).shares == PROVED.shares
 
 
 def test_the_frequency_is_where_it_was_put_or_the_loop_lets_go():
-    memory = stepped(PROVED, 0.5, now=10.0)
+    memory = stepped(PROVED, 0.5, 10.0, 4e-6)
     aim = HOME + 0.5
     assert compare(memory, aim, aim, 13.0, SETTINGS).stopped == ""
     under_way = compare(memory, HOME, HOME, 11.0, SETTINGS)
@@ -114,7 +139,7 @@ def test_the_frequency_is_where_it_was_put_or_the_loop_lets_go():
 
 
 def test_what_is_not_known_is_waited_for():
-    memory = stepped(PROVED, 0.5, now=10.0)
+    memory = stepped(PROVED, 0.5, 10.0, 4e-6)
     for setpoint, readback in ((math.nan, HOME), (HOME + 0.5, math.nan)):
         waits = compare(memory, setpoint, readback, 13.0, SETTINGS)
         assert waits.waits and not waits.stopped and step(waits, -8e-5)[0] == 0.0
