@@ -24,7 +24,7 @@ from epicscorelibs.ioc import dbCore
 from softioc import builder, softioc
 
 from benchmarks.rings import build_ring
-from orbitfb.core.elements import NamedPv, named_pvs
+from orbitfb.core.names import NamedPv, named_pvs
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.layout import Layout, lay_out
 

@@ -1,4 +1,16 @@
-"""Names of PVs that no table holds: the slow channels of the machine that the loop watches."""
+"""Names of PVs: those that all layers share, and elements of arrays.
+
+`PV.[17]` is element 17 of the array in `PV`, counted from 0: so EPICS base spells one element of an
+array (`caget 'PV.[17]'`). Here all elements of one array that are named are read and written
+together, by one channel: they have one time stamp.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 CURRENT_PV = "SR:C03-BI{DCCT:1}I:Real-I"
 """Stored current [mA]."""
@@ -14,3 +26,52 @@ LEASE_PV = "SR:FB{Lease:%}Owner-SP"
 RF_FREQUENCY, RF_READBACK, RF_STEP = "rf_frequency", "rf_readback", "rf_step"
 """Slow channels of the RF: its setpoint and its readback, and by how much the loop changed it since
 the orbit before [Hz]."""
+
+_ELEMENT = re.compile(r"(?P<pv>.+?)(?:\.VAL|\.)\[(?P<index>\d{1,6})\]")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedPv:
+    """A PV, and which names are its values.
+
+    Args:
+        name: Of the PV.
+        places: Which of the names they are, shape (k,); of a scalar one.
+        elements: Which element each of them is, shape (k,); None: the PV is a scalar.
+    """
+
+    name: str
+    places: NDArray[np.intp]
+    elements: NDArray[np.intp] | None = None
+
+    @property
+    def length(self) -> int:
+        """Values that it must have at least."""
+        return 1 if self.elements is None else int(self.elements.max()) + 1
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether each of the first `length` values has a name, as whoever writes it must know."""
+        return len(self.places) == self.length
+
+
+def named_pvs(names: Sequence[str]) -> tuple[NamedPv, ...]:
+    """Gather names into PVs, in the order in which they come first.
+
+    Args:
+        names: PVs, or elements of arrays; each of them once.
+    """
+    found: dict[tuple[str, bool], tuple[list[int], list[int]]] = {}
+    for place, name in enumerate(names):
+        match = _ELEMENT.fullmatch(name)
+        key = (name, False) if match is None else (match["pv"], True)
+        places, elements = found.setdefault(key, ([], []))
+        places.append(place)
+        elements.append(0 if match is None else int(match["index"]))
+    pvs: list[NamedPv] = []
+    for (name, is_array), (places, elements) in found.items():
+        if is_array:
+            pvs.append(NamedPv(name, np.array(places), np.array(elements)))
+        else:
+            pvs += [NamedPv(name, np.array([place])) for place in places]
+    return tuple(pvs)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.elements import NamedPv, named_pvs
+from orbitfb.core.names import NamedPv, named_pvs
 from orbitfb.core.signals import Mask
 from orbitfb.epics.events import Monitor, array_handler, scalar_handler
 from orbitfb.epics.libca import (
@@ -42,7 +42,7 @@ ChangeHandler = Callable[[int, bool], None]
 class ChannelGroup:
     """Channels of one kind, in the order of their names.
 
-    A name is a PV, or an element of an array (`core.elements`): then it shares a channel with all
+    A name is a PV, or an element of an array (`core.names`): then it shares a channel with all
     other elements of that array. `connected` and `writable` are by name, what belongs to a channel
     is by PV.
 

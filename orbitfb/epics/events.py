@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.elements import NamedPv
+from orbitfb.core.names import NamedPv
 from orbitfb.epics.libca import ECA_NORMAL, EventArguments, move_memory
 from orbitfb.epics.records import RECORD
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.elements import NamedPv
 from orbitfb.core.errors import WriteError
+from orbitfb.core.names import NamedPv
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.epics.channels import NOT_HEARD, ChannelGroup
 from orbitfb.epics.libca import DBR_CTRL_DOUBLE, DBR_DOUBLE, ECA_NORMAL, ECA_TIMEOUT, Context

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbitfb.core.elements import named_pvs
 from orbitfb.core.errors import RingError
-from orbitfb.core.names import CURRENT_PV, RF_PV, RF_READBACK_PV
+from orbitfb.core.names import CURRENT_PV, RF_PV, RF_READBACK_PV, named_pvs
 from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.epics.units import LENGTHS
 from orbitfb.sim.ring import RingState

@@ -22,7 +22,7 @@ import numpy as np
 from epicscorelibs.ioc import dbCore
 from softioc import imports, softioc
 
-from orbitfb.core.elements import named_pvs
+from orbitfb.core.names import named_pvs
 from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import Plant
 

@@ -8,7 +8,7 @@ import numpy as np
 from caproto import SubscriptionType
 from numpy.typing import NDArray
 
-from orbitfb.core.elements import named_pvs
+from orbitfb.core.names import named_pvs
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.sim.access.arrays import BoardArray, BoardArraySetpoint
 from orbitfb.sim.access.board import Board

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orbitfb.core.elements import named_pvs
+from orbitfb.core.names import named_pvs
 from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.events import BEFORE_VALUES, Monitor, array_handler
 from orbitfb.epics.libca import ECA_NORMAL, EventArguments

@@ -9,8 +9,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from orbitfb.core.elements import named_pvs
 from orbitfb.core.errors import MachineError
+from orbitfb.core.names import named_pvs
 from orbitfb.epics.channels import NOT_HEARD
 from orbitfb.epics.lease.pvs import LeasePvs
 from orbitfb.epics.libca import ECA_NORMAL, ECA_TIMEOUT

@@ -2,7 +2,7 @@
 
 import pytest
 
-from orbitfb.core.elements import named_pvs
+from orbitfb.core.names import named_pvs
 
 
 def told(names):
