@@ -4,20 +4,14 @@ Each is checked as a whole, put in force between two ticks, then saved for the n
 """
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import structlog
 
-from orbitfb.app.commands.arguments import (
-    number,
-    plane_of,
-    reference_of,
-    switches,
-    whole_number,
-)
+from orbitfb.app.commands.arguments import number, plane_of, switches, whole_number
 from orbitfb.app.commands.autosave import (
     FILE,
     Saved,
@@ -29,7 +23,7 @@ from orbitfb.app.commands.autosave import (
 from orbitfb.app.commands.base import Base
 from orbitfb.app.commands.bumps import Bumps
 from orbitfb.app.commands.references import load_reference, reference_file, save_reference
-from orbitfb.core.errors import ControlError, OrbitFeedbackError
+from orbitfb.core.errors import OrbitFeedbackError
 from orbitfb.core.retry import EVERY, Retry
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.learn.builders import remasked
@@ -138,9 +132,9 @@ class Adjuster:
         self._correctors = all_but(
             channels.correctors, channels.corrector_planes, saved.disabled_correctors
         )
-        reference = self._checked(saved.reference)
+        reference = self._base.reference(saved.reference)
         enabled = all_but(channels.bpms, channels.bpm_planes, saved.disabled_bpms)
-        self._check_left(enabled, self._correctors)
+        self._base.check_enabled(enabled, self._correctors)
         self._bumps.restore(saved.bumps, reference)
         self._average, self._dead_band = saved.average, saved.dead_band
         more: dict[str, Any] = {} if saved.average is None else {"average": saved.average}
@@ -177,7 +171,7 @@ class Adjuster:
 
     def _set_reference(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         values = request.get("values")
-        reference = self._checked(values if isinstance(values, list) else ())
+        reference = self._base.reference(values if isinstance(values, list) else ())
         self._reference_name = ""
         self._apply(reference=reference)
         rms = float(np.sqrt(np.mean(reference**2)) * 1e6)
@@ -191,7 +185,7 @@ class Adjuster:
 
     def _load_reference(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         path = reference_file(self._base.directory, request.get("name"))
-        self._apply(reference=self._checked(load_reference(path, self._base.channels)))
+        self._apply(reference=self._base.reference(load_reference(path, self._base.channels)))
         self._reference_name = path.stem
         return {"loaded": str(path), **self._without_bumps()}
 
@@ -204,21 +198,21 @@ class Adjuster:
         change = self._bumps.asked(request, before)
         if change is None:
             return {"place": self._bumps.place}
-        self._apply(reference=self._checked(change.reference.tolist()))
+        self._apply(reference=self._base.reference(change.reference.tolist()))
         self._bumps.take(change)
         self._reference_name = ""
         return change.told(before)
 
     def _enable_bpms(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         enabled = switches(request, len(self._base.channels.bpms))
-        self._check_left(enabled, self._correctors)
+        self._base.check_enabled(enabled, self._correctors)
         self._solve(enabled)
         self._apply(enabled=enabled)
         return {"bpms": int(np.count_nonzero(enabled & self._base.counting))}
 
     def _enable_correctors(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         enabled = switches(request, len(self._base.channels.correctors))
-        self._check_left(self._runner.adjustments.enabled, enabled)
+        self._base.check_enabled(self._runner.adjustments.enabled, enabled)
         self._correctors = enabled
         self._redress()
         return {"correctors": int(np.count_nonzero(self.movable))}
@@ -272,15 +266,6 @@ class Adjuster:
         policy = self._slot.acting
         nothing = np.zeros(len(enabled))
         policy.act(nothing, enabled & self._base.counting, policy.initial_state())
-
-    def _check_left(self, bpms: Mask, correctors: Mask) -> None:
-        left = bpms & self._base.counting, correctors & self._base.movable
-        if not left[0].any() or not left[1].any():
-            raise ControlError("at least one BPM and one corrector must stay enabled")
-
-    def _checked(self, values: Sequence[Any]) -> Vector:
-        size, limit = len(self._base.channels.bpms), self._base.limits.reference_limit
-        return reference_of(values, size, limit)
 
     def _save_all(self) -> None:
         """Save what is in force, from another thread than the commands'."""

@@ -3,8 +3,8 @@
 from orbitfb.diagnose.report import evidence_pictures
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.quantities import interval
+from orbitfb.html.axis import known
 from orbitfb.html.page import folded, missing, paragraph, section, table, text
-from orbitfb.html.svg import known
 
 _MOST = 12
 """Effects that are drawn; the table has all."""

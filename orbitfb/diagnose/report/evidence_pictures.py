@@ -13,19 +13,8 @@ from orbitfb.diagnose.result.blocks import (
     WaterfallStep,
 )
 from orbitfb.diagnose.result.parts import Gap
-from orbitfb.html.svg import (
-    BLUE,
-    GREY,
-    INK,
-    RED,
-    STAGES,
-    Axis,
-    Panel,
-    known,
-    picture,
-    shorten,
-    values,
-)
+from orbitfb.html.axis import Axis, known, values
+from orbitfb.html.svg import BLUE, GREY, INK, RED, STAGES, Panel, picture, shorten
 
 _ROW = 19
 """Height of a row of bars that lie."""

@@ -4,7 +4,8 @@ import numpy as np
 from scipy.stats import norm
 
 from orbitfb.diagnose.result.blocks import Audit
-from orbitfb.html.svg import BLUE, GREY, RED, Axis, Panel, known, picture, values
+from orbitfb.html.axis import Axis, known, values
+from orbitfb.html.svg import BLUE, GREY, RED, Panel, picture
 
 
 def audit(its: Audit) -> str:

@@ -6,8 +6,8 @@ from orbitfb.diagnose.result.blocks import ClosedLoop
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.result.parts import Shrink
 from orbitfb.diagnose.result.quantities import percent
+from orbitfb.html.axis import known
 from orbitfb.html.page import missing, paragraph, section, table, text
-from orbitfb.html.svg import known
 
 
 def orbit(its: Diagnosis) -> str:

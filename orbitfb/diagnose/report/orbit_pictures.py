@@ -6,19 +6,8 @@ import numpy as np
 
 from orbitfb.diagnose.result.blocks import ClosedLoop, Geometry, KStep
 from orbitfb.diagnose.result.parts import Gap
-from orbitfb.html.svg import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    RED,
-    Axis,
-    Panel,
-    along,
-    known,
-    picture,
-    values,
-)
+from orbitfb.html.axis import Axis, known, values
+from orbitfb.html.svg import BLUE, GREEN, GREY, INK, RED, Panel, along, picture
 
 _SHARE = "nats a row"
 
