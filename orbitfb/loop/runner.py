@@ -14,7 +14,7 @@ from orbitfb.core.errors import ConfigError, ControlError
 from orbitfb.core.ports import Clock, Machine, Subscriber
 from orbitfb.core.signals import LoopState, Mask, TickRecord, Vector
 from orbitfb.loop.adjustments import Adjustments
-from orbitfb.loop.commands import ClosingOrders, CommandQueue
+from orbitfb.loop.commands import Commands
 from orbitfb.loop.correction.hand import Hand
 from orbitfb.loop.correction.settings import USUAL, CorrectionSettings
 from orbitfb.loop.engine import Engine
@@ -26,12 +26,11 @@ from orbitfb.loop.lending.lent import LentMachine
 from orbitfb.loop.memory import Rules
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.loop.states import Event, as_command, next_state
+from orbitfb.loop.states import Event
 from orbitfb.loop.work import Work
 from orbitfb.safety.believed import Believed
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
-from orbitfb.safety.verdict import Verdict
 
 
 class Runner:
@@ -110,8 +109,7 @@ class Runner:
         self._subscribers = tuple(subscribers)
         self._nothing = np.zeros(m)
         self._nothing.flags.writeable = False
-        self._commands = CommandQueue()
-        self._closing = ClosingOrders(clock.monotonic)
+        self._commands = Commands(self._engine, clock.monotonic)
         self._stop = threading.Event()
         self._ticks = 0
         self.believed = Believed()
@@ -201,16 +199,7 @@ class Runner:
         Raises:
             ControlError: No such command, not legal in the present state, or the loop ended.
         """
-        event = as_command(name)
-        self._after(event)
-        return self._commands.put(event)
-
-    def _after(self, event: Event) -> LoopState:
-        """Look up the state after a command; a loop whose machine is lent stays open."""
-        after = next_state(self.state, event)
-        if after is not LoopState.OPEN and (lent := self._engine.lending.under_way):
-            raise ControlError(f"{event} refused: {lent}")
-        return after
+        return self._commands.give(name)
 
     def run(self, stop: threading.Event) -> None:
         """Tick until told to stop, or FAULT; setpoints stay where they are.
@@ -245,9 +234,9 @@ class Runner:
                 self.failure = error
                 engine.move(Event.FAULT, f"{type(error).__name__}: {error}")
         if self.state is LoopState.FAULT:
-            self._closing.refuse(self.reason)
+            self._commands.closing.refuse(self.reason)
             self._end(f"the loop has failed: {self.reason}")
-        record = self._record(work)
+        record = work.record(self._ticks, engine.memory, engine.reference, engine.policy.policy_id)
         self.believed = self.believed.follow(self._ticks, engine.memory.answering)
         self._ticks += 1
         for subscriber in self._subscribers:
@@ -264,21 +253,21 @@ class Runner:
         work.done("read")
         engine.take_policy()
         engine.take_adjustments()
-        self._obey()
+        self._commands.obey()
         if intake.reading is None:
             if not intake.absence:  # told to stop while it waited: nothing is wrong
                 return False
             work.missed = engine.without_orbit(intake)
             engine.lend(work, intake.absence, None)
-            if self.state is LoopState.TRIPPED or self._closing.overdue:
-                self._closing.refuse(intake.absence)
+            if self.state is LoopState.TRIPPED or self._commands.closing.overdue:
+                self._commands.closing.refuse(intake.absence)
             return False
         reading = work.reading = engine.believed(intake.reading)
         checked, work.missed = engine.check(
-            reading, intake.pace, bool(self._closing) or engine.by_hand
+            reading, intake.pace, bool(self._commands.closing) or engine.by_hand
         )
         work.setpoints = engine.memory.setpoints
-        self._close(checked.verdict)
+        self._commands.close(checked.verdict)
         engine.supervise(reading, checked.verdict)
         work.done("check")
         if self.state is LoopState.TRIPPED or engine.hand.busy:
@@ -294,49 +283,3 @@ class Runner:
         """Refuse what is ordered and whatever comes later."""
         self._commands.end(reason)
         self._engine.end(reason)
-
-    def _obey(self) -> None:
-        """Carry out the commands that came; those to close wait for the interlocks."""
-        for event, future in self._commands.take():
-            try:
-                after = self._after(event)
-                if after is LoopState.CLOSED and after is not self.state:
-                    self._closing.wait((event, future))
-                    continue
-                self._engine.move(event, "")
-            except ControlError as error:
-                future.set_exception(error)
-            else:
-                future.set_result(self.state)
-                self._closing.refuse(f"the command {event} came right after it")
-
-    def _close(self, verdict: Verdict) -> None:
-        if not self._closing:
-            return
-        lent = self._engine.lending.under_way
-        if lent or not verdict.may_act:
-            self._closing.refuse(lent or verdict.reason)
-            return
-        self._engine.move(Event.CLOSE, "")
-        self._closing.done(self.state)
-
-    def _record(self, work: Work) -> TickRecord:
-        memory = self._engine.memory
-        return TickRecord(
-            tick=self._ticks,
-            state=memory.state,
-            reason=memory.reason,
-            reading=work.reading,
-            reference=self._engine.reference,
-            setpoints=work.setpoints,
-            requested=work.requested,
-            dither=work.dither,
-            applied=work.applied,
-            scale=work.scale,
-            written=work.written,
-            policy_id=self._engine.policy.policy_id,
-            phases=work.phases(),
-            latency=work.latency,
-            missed=work.missed,
-            held_back=work.held_back,
-        )

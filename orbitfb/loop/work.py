@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from orbitfb.core.ports import Clock
-from orbitfb.core.signals import Applied, Phases, Reading, Vector
+from orbitfb.core.signals import Applied, Phases, Reading, TickRecord, Vector
 from orbitfb.loop.memory import LoopMemory
 
 
@@ -85,4 +85,34 @@ class Work:
             get("decide", 0.0),
             get("limit", 0.0),
             get("act", 0.0),
+        )
+
+    def record(
+        self, tick: int, memory: LoopMemory, reference: Vector, policy_id: str
+    ) -> TickRecord:
+        """Freeze it into a record.
+
+        Args:
+            tick: Number of the tick.
+            memory: After it.
+            reference: In force, shape (n,) [m].
+            policy_id: In force.
+        """
+        return TickRecord(
+            tick=tick,
+            state=memory.state,
+            reason=memory.reason,
+            reading=self.reading,
+            reference=reference,
+            setpoints=self.setpoints,
+            requested=self.requested,
+            dither=self.dither,
+            applied=self.applied,
+            scale=self.scale,
+            written=self.written,
+            policy_id=policy_id,
+            phases=self.phases(),
+            latency=self.latency,
+            missed=self.missed,
+            held_back=self.held_back,
         )
