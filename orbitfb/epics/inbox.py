@@ -16,7 +16,8 @@ import numpy as np
 from orbitfb.core.errors import NoOrbitError
 from orbitfb.core.ports import Clock
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.epics.assembler import Assembler, Snapshot
+from orbitfb.epics.orbit.assembler import Assembler
+from orbitfb.epics.orbit.snapshot import Snapshot
 from orbitfb.epics.records import NANOSECONDS, stamps_of, usable
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.epics.timekeeper import Timekeeper

@@ -13,7 +13,6 @@ from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
 from orbitfb.core.link import ChannelCounts
 from orbitfb.core.ports import Clock
 from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
-from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.connecting import (
@@ -27,6 +26,7 @@ from orbitfb.epics.events import Monitor
 from orbitfb.epics.inbox import Inbox
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
+from orbitfb.epics.orbit.assembler import Assembler
 from orbitfb.epics.oscillator import EpicsOscillator
 from orbitfb.epics.readbacks import Readbacks
 from orbitfb.epics.reconnecting import Keeper

@@ -7,12 +7,13 @@ from typing import Self
 import numpy as np
 
 from orbitfb.core.clock import SystemClock
-from orbitfb.epics.assembler import Assembler, Snapshot
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.connecting import wait_for_channels
 from orbitfb.epics.events import Monitor
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
+from orbitfb.epics.orbit.assembler import Assembler
+from orbitfb.epics.orbit.snapshot import Snapshot
 from orbitfb.epics.requests import Putter
 from orbitfb.epics.settings import EpicsSettings
 

@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 
 from orbitfb.core.signals import Channels, Mask, Vector
-from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.events import Monitor
 from orbitfb.epics.inbox import Frame
 from orbitfb.epics.libca import Context
+from orbitfb.epics.orbit.assembler import Assembler
 
 
 class Readbacks:

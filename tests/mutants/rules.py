@@ -310,7 +310,7 @@ MUTANTS = (
     ),
     Mutant(
         "what a BPM said before it went away is not taken for what it says now",
-        "orbitfb.epics.assembler",
+        "orbitfb.epics.orbit.assembler",
         "            self.records[index] = (0, INVALID, 0, 0, np.nan)\n",
         "            pass\n",
         ("epics/test_assembler.py",),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from orbitfb.app.doctor.finding import Finding, Verdict
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.epics.assembler import Assembler
+from orbitfb.epics.orbit.assembler import Assembler
 from orbitfb.epics.records import NANOSECONDS, stamps_of
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.loop.settings import LoopSettings

@@ -14,7 +14,7 @@ import numpy as np
 
 from orbitfb.core.refit import Decision, RefitReport
 from orbitfb.core.signals import LoopState, TickRecord, Vector
-from orbitfb.epics.assembler import Snapshot
+from orbitfb.epics.orbit.snapshot import Snapshot
 from orbitfb.epics.probe import Probe
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.evaluate.closed import accelerated, closed_loop

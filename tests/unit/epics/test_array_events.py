@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from orbitfb.core.names import named_pvs
-from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.events import BEFORE_VALUES, Monitor, array_handler
 from orbitfb.epics.libca import ECA_NORMAL, EventArguments
+from orbitfb.epics.orbit.assembler import Assembler
 from orbitfb.epics.records import stamps_of
 from orbitfb.epics.setpoints.put_watch import PutWatch
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orbitfb.epics.assembler import Assembler
+from orbitfb.epics.orbit.assembler import Assembler
 from orbitfb.epics.records import INVALID, NANOSECONDS, usable
 
 SIZE = 5

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orbitfb.core.errors import NoOrbitError
-from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.inbox import Inbox
+from orbitfb.epics.orbit.assembler import Assembler
 from orbitfb.epics.records import EPICS_EPOCH
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 from orbitfb.epics.timekeeper import Timekeeper

@@ -5,8 +5,8 @@ import pytest
 
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.errors import NoOrbitError
-from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.inbox import MISSES_UNTIL_NOT_WAITED_FOR, Inbox
+from orbitfb.epics.orbit.assembler import Assembler
 from orbitfb.epics.records import EPICS_EPOCH
 from orbitfb.epics.settings import EpicsSettings
 

@@ -9,8 +9,8 @@ import pytest
 
 from orbitfb.core.clock import ManualClock
 from orbitfb.core.signals import Orbit, Reading
-from orbitfb.epics.assembler import Assembler
 from orbitfb.epics.inbox import Inbox
+from orbitfb.epics.orbit.assembler import Assembler
 from orbitfb.epics.records import EPICS_EPOCH, NANOSECONDS
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.loop.intake import await_orbit

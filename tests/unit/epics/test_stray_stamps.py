@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from orbitfb.epics.assembler import Assembler
+from orbitfb.epics.orbit.assembler import Assembler
+from orbitfb.epics.orbit.stray_stamps import common_stamp, difference
 from orbitfb.epics.records import NANOSECONDS
-from orbitfb.epics.stray_stamps import common_stamp, difference
 
 SIZE, PERIOD = 12, NANOSECONDS // 10
 START = 1_000_000 * NANOSECONDS

@@ -14,14 +14,15 @@ those that do not count for the loop, as they are masked or disabled, are not wa
 """
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.signals import Mask
+from orbitfb.epics.orbit.snapshot import Snapshot
+from orbitfb.epics.orbit.stray_stamps import StrayStamps, common_stamp, difference, outside
+from orbitfb.epics.orbit.waiting import Waiting, fresh
 from orbitfb.epics.records import (
     INVALID,
     NANOSECONDS,
@@ -30,7 +31,6 @@ from orbitfb.epics.records import (
     usable,
     wall_time,
 )
-from orbitfb.epics.stray_stamps import StrayStamps, common_stamp, difference, outside
 
 NEVER = 0
 """Stamp of a record that nothing has been written to: less than any that comes."""
@@ -41,28 +41,6 @@ PATIENCE = 2
 FOLLOWED = 2
 """Vectors in a row right after which one that is left out must have come to be waited for again: as
 many as it was outside of to be left out."""
-
-
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    """One coherent vector.
-
-    Args:
-        values: Shape (n,), in the unit of the PVs; NaN where not valid.
-        valid: Shape (n,); False where disconnected, INVALID or not finite.
-        stamp: Newest stamp in it [ns since the EPICS epoch].
-        left_out: Why connected channels are not in it, by index.
-    """
-
-    values: Vector
-    valid: Mask
-    stamp: int
-    left_out: Mapping[int, str] = field(default_factory=dict[int, str])
-
-    @property
-    def time(self) -> float:
-        """The stamp [s since the epoch]."""
-        return wall_time(self.stamp)
 
 
 class Assembler:
@@ -204,48 +182,17 @@ class Assembler:
         Args:
             names: The n PVs.
         """
-        connected = self.connected.copy()
-        total, present = connected.size, int(np.count_nonzero(connected))
-        if not present:
-            return f"all {total} BPM channels are disconnected"
-        away = f"; {total - present} disconnected" if present < total else ""
-        if self._returning:
-            return (
-                f"{present} of {total} BPMs are back after an outage of all; waiting for the rest"
-            )
-        stamps = stamps_of(self.records)
-        newest = int(stamps[connected].max())
-        if newest <= 0:
-            return f"none of {present} connected BPMs has sent a reading{away}"
-        if newest < self._published:
-            return (
-                f"stamps went back from {_clock(self._published)} to {_clock(newest)}: "
-                f"the IOC's clock was set{away}"
-            )
-        late = connected & ~self._fresh(stamps, newest)
-        common = common_stamp(stamps[connected], self._window)
-        odd = connected & outside(stamps, common, self._window)
-        if newest > common > self._published and 2 * np.count_nonzero(odd) < present:
-            others = present - np.count_nonzero(odd)
-            shown = ", ".join(
-                f"{names[i]} {difference(int(stamps[i]) - common)}" for i in np.flatnonzero(odd)[:5]
-            )
-            return f"{others} of {total} BPMs carry stamp {_clock(common)}, {shown}{away}"
-        count = int(np.count_nonzero(late))
-        if count == present or newest == self._published:
-            return (
-                f"{present} of {total} BPMs still carry stamp {_clock(newest)}, read before{away}"
-            )
-        shown = ", ".join(
-            f"{names[i]} still at {_clock(int(stamps[i]))}" for i in np.flatnonzero(late)[:5]
-        )
-        more = f" and {count - 5} more" if count > 5 else ""
-        return (
-            f"{present - count} of {total} BPMs carry stamp {_clock(newest)}, {shown}{more}{away}"
-        )
+        return Waiting(
+            stamps_of(self.records),
+            self.connected.copy(),
+            self._used,
+            self._published,
+            self._window,
+            self._returning,
+        ).describe(names)
 
     def _fresh(self, stamps: NDArray[np.int64], newest: int) -> Mask:
-        return (stamps >= newest - self._window) & (stamps > self._used)
+        return fresh(stamps, newest, self._used, self._window)
 
     def _complete(self) -> bool:
         self.checks += 1
@@ -341,9 +288,3 @@ class Assembler:
             for index, offset in enumerate(self._strays.offsets)
             if left[index]
         }
-
-
-def _clock(stamp: int) -> str:
-    if stamp <= 0:
-        return "none"
-    return datetime.fromtimestamp(wall_time(stamp), UTC).isoformat(timespec="milliseconds")

@@ -1,0 +1,1 @@
+"""One coherent orbit out of single events."""
