@@ -16,13 +16,16 @@ from orbitfb.epics.libca import (
     DBR_DOUBLE,
     DBR_FLOAT,
     DBR_TIME_DOUBLE,
+    ECA_NORMAL,
     EVENT_HANDLER,
+    MONITOR_PROPERTY,
     MONITOR_VALUE_AND_ALARM,
     OPERATION_UP,
     WRITE_ACCESS,
     AccessArguments,
     ConnectionArguments,
     Context,
+    EventArguments,
     keep_thread_state,
 )
 from orbitfb.epics.records import RECORD
@@ -54,6 +57,7 @@ class ChannelGroup:
         names: PVs, or elements of arrays.
         monitor: What to do with their events; None: no subscription.
         changed: Called with the place of each name and its state when its channel has come or gone.
+        properties: Whether to be told when units or limits change.
     """
 
     def __init__(
@@ -62,6 +66,7 @@ class ChannelGroup:
         names: Sequence[str],
         monitor: Monitor | None = None,
         changed: ChangeHandler | None = None,
+        properties: bool = False,
     ) -> None:
         size = len(names)
         self.names = tuple(names)
@@ -81,14 +86,17 @@ class ChannelGroup:
         """How often a channel came."""
         self.losses = 0
         """How often a channel went away."""
+        self.restated = 0
+        """How often a PV may have stated another unit or other limits."""
         self.lock = threading.Lock()
         self._context = context
         self._library = context.library
         self._monitor = monitor
-        self._changed = changed
+        self._changed, self._properties = changed, properties
         # libca keeps the addresses of these: they must live as long as the context.
         self._connection_handler = CONNECTION_HANDLER(self._on_connection)
         self._access_handler = ACCESS_HANDLER(self._on_access)
+        self._property_handler = EVENT_HANDLER(self._on_property)
         if monitor is not None:
             self._scalar_handler = EVENT_HANDLER(scalar_handler(monitor))
             self._array_handler = EVENT_HANDLER(array_handler(monitor, self.pvs, self.lengths))
@@ -246,6 +254,17 @@ class ChannelGroup:
                 None,
             )
             self._context.check(f"subscribing to {name}", status)
+        if self._properties:
+            status = library.ca_create_subscription(
+                DBR_TIME_DOUBLE,
+                0 if self.pvs[number].elements is not None else 1,
+                handle,
+                MONITOR_PROPERTY,
+                ctypes.cast(self._property_handler, ctypes.c_void_p),
+                number + 1,
+                None,
+            )
+            self._context.check(f"subscribing to the properties of {name}", status)
 
     def _on_connection(self, arguments: ConnectionArguments) -> None:
         up = arguments.operation == OPERATION_UP
@@ -262,6 +281,9 @@ class ChannelGroup:
                 # What it held before it went away may be another value of nobody's doing.
                 self._monitor.records["value"][pv.places] = np.nan
         self._set_connected(number, up)
+
+    def _on_property(self, arguments: EventArguments) -> None:
+        self.restated += arguments.status == ECA_NORMAL
 
     def _on_access(self, arguments: AccessArguments) -> None:
         number = self._library.ca_puser(arguments.channel) - 1

@@ -139,10 +139,10 @@ def _missing(
 
 
 class UnitWatch:
-    """Knows the units that PVs stated at the start, and sees when one comes back with another.
+    """Knows the units that PVs stated at the start, and sees when one states another.
 
-    A record that is loaded anew may state another unit: its numbers mean something else from then
-    on, by powers of ten. Whoever repaired it has to say so by a new start.
+    A record that is loaded anew or edited may state another unit: its numbers mean something else
+    from then on, by powers of ten. Whoever repaired it has to say so by a new start.
 
     Args:
         context: Of the groups.
@@ -175,7 +175,8 @@ class UnitWatch:
     def look(self) -> str:
         """Say which PVs state another unit than at the start; empty: none does.
 
-        PVs are asked once they have come, in the reader's thread.
+        PVs are asked once they have come, or say that something of theirs has changed, in the
+        reader's thread.
         """
         if (arrivals := self._count()) == self._arrivals:
             return self.told
@@ -193,9 +194,9 @@ class UnitWatch:
             if changed.any():
                 first = int(changed.argmax())
                 told.append(
-                    f"{np.count_nonzero(changed)} PVs have come back with another unit (EGU), as "
-                    f"{group.names[first]}: {stated[first]}, at the start {before[first]}; repair "
-                    "the records, or start again with that unit"
+                    f"{np.count_nonzero(changed)} PVs state another unit (EGU) than at the start, "
+                    f"as {group.names[first]}: {stated[first]}, before {before[first]}; repair the "
+                    "records, or start again with that unit"
                 )
         self.told = "; ".join(told)
         if not silent:  # else they are asked again
@@ -203,7 +204,7 @@ class UnitWatch:
         return self.told
 
     def _count(self) -> int:
-        return sum(group.arrivals for group in self._groups)
+        return sum(group.arrivals + group.restated for group in self._groups)
 
     def _ask(self) -> list[list[str]]:
         wait = self._settings.answer_timeout

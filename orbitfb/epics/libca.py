@@ -26,6 +26,8 @@ DBR_DOUBLE = 6
 DBR_TIME_DOUBLE = 20
 DBR_CTRL_DOUBLE = 34
 MONITOR_VALUE_AND_ALARM = 1 | 4
+MONITOR_PROPERTY = 8
+"""Unit or limits have changed; servers before EPICS 3.14.11 do not tell."""
 WRITE_ACCESS = 2
 
 

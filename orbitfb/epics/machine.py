@@ -273,6 +273,7 @@ class EpicsMachine:
                 channels.orbit_pvs,
                 Monitor(bpms.records, bpms.arrived, inbox.orbit_complete),
                 bpms.set_connected,
+                properties=True,
             ),
             self._setpoints.group,
             self._readbacks.group(context, inbox.readbacks_complete),

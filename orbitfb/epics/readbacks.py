@@ -41,6 +41,7 @@ class Readbacks:
             tuple(filter(None, self._names)),
             Monitor(assembler.records, assembler.arrived, complete),
             assembler.set_connected,
+            properties=True,
         )
 
     def complete(self, frame: Frame, posted: Vector) -> tuple[Vector, Mask | None]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from base_ioc_process import BaseIoc, is_coherent, small_ring
 from free_ports import free_port
+from ioc_clients import run_client
 
 from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
 from orbitfb.epics.machine import EpicsMachine
@@ -157,24 +158,70 @@ def test_back_soon_however_long_it_was_away(away: float, record_property):
         assert took < 3.0
 
 
+def read_again(machine: EpicsMachine, words: str) -> str:
+    """Read until the message is there; empty words: until an orbit comes."""
+    for _ in range(600):
+        try:
+            machine.read(0.2)
+        except NoOrbitError as error:
+            if words and words in str(error):
+                return str(error)
+        else:
+            if not words:
+                return ""
+    raise AssertionError(words)
+
+
+def put_field(ioc: BaseIoc, name: str, value: object) -> None:
+    """Set a field of a record of the IOC, as an expert does."""
+    run_client(
+        ioc.port,
+        f"""
+        from caproto.threading.client import Context
+        context = Context()
+        [pv] = context.get_pvs({name!r})
+        pv.write([{value!r}], wait=True)
+        context.disconnect()
+        print("true")
+        """,
+    )
+
+
+def test_a_unit_that_is_edited_without_an_outage_holds_and_is_told():
+    with (
+        BaseIoc(RING, RATE_HZ, bpm_unit="mm") as ioc,
+        EpicsMachine(RING, EpicsSettings(server_port=ioc.port)) as machine,
+    ):
+        machine.read(5.0)
+        put_field(ioc, f"{RING.orbit_pvs[3]}.EGU", "um")
+        assert f"{RING.orbit_pvs[3]}: um, before mm" in read_again(machine, "another unit")
+        with pytest.raises(WriteError, match=r"another unit .* nothing was sent"):
+            machine.write(np.zeros(SIZE))
+        put_field(ioc, f"{RING.orbit_pvs[3]}.EGU", "mm")
+        read_again(machine, "")
+        machine.write(np.zeros(SIZE))
+        assert not machine.disconnected
+
+
+def test_drive_limits_that_are_edited_without_an_outage_are_known():
+    with (
+        BaseIoc(RING, RATE_HZ) as ioc,
+        EpicsMachine(RING, EpicsSettings(server_port=ioc.port)) as machine,
+    ):
+        assert machine.drive_limits[2].tolist() == [-18.0, 18.0]
+        put_field(ioc, f"{RING.setpoint_pvs[2]}.DRVH", 5.0)
+        for _ in range(200):
+            machine.read(1.0)
+            if machine.drive_limits[2].tolist() == [-18.0, 5.0]:
+                return
+        raise AssertionError(machine.drive_limits)
+
+
 def test_bpms_that_come_back_with_another_unit_hold_and_are_told():
     port = free_port()
 
     def served(unit: str) -> BaseIoc:
         return BaseIoc(RING, RATE_HZ, port=port, bpm_unit=unit)
-
-    def read_again(machine: EpicsMachine, words: str) -> str:
-        """Read until the message is there; empty words: until an orbit comes."""
-        for _ in range(600):
-            try:
-                machine.read(0.2)
-            except NoOrbitError as error:
-                if words and words in str(error):
-                    return str(error)
-            else:
-                if not words:
-                    return ""
-        raise AssertionError(words)
 
     with served("mm") as ioc, EpicsMachine(RING, EpicsSettings(server_port=port)) as machine:
         machine.read(5.0)
@@ -182,7 +229,7 @@ def test_bpms_that_come_back_with_another_unit_hold_and_are_told():
         read_again(machine, "disconnected")
         with served("um"):
             told = read_again(machine, "another unit")
-            assert f"{RING.orbit_pvs[0]}: um, at the start mm" in told
+            assert f"{RING.orbit_pvs[0]}: um, before mm" in told
             machine.setpoints()
             with pytest.raises(WriteError, match=r"another unit .* nothing was sent"):
                 machine.write(np.zeros(SIZE))

@@ -43,6 +43,7 @@ class Setpoints:
             channels.setpoint_pvs,
             Monitor(self.watch.records, heard=self.watch.heard),
             self._changed,
+            properties=True,
         )
         self.errors = PutErrors(context, self.group)
         self._getter = Getter(context, self.group, settings.answer_timeout)
@@ -50,6 +51,7 @@ class Setpoints:
         self._arrays = [pv for pv in self.group.pvs if pv.elements is not None]
         self._posted_at_put = np.full(size, np.nan)
         self._limits_due = True
+        self._restated = 0
         self._limits_lock = threading.Lock()
         self._drive_limits = np.full((size, 2), np.nan)
         self._last = np.full(size, np.nan)
@@ -162,8 +164,13 @@ class Setpoints:
         return sent, touched
 
     def refresh_limits(self) -> None:
-        """Ask for the drive limits if a setpoint was away since, or is not what was sent."""
+        """Ask for the drive limits if they may have changed.
+
+        They may if a setpoint was away since, is not what was sent, or says so.
+        """
         with self._limits_lock:  # nobody goes on with old ones while another thread asks
+            if self._restated != self.group.restated:
+                self._restated, self._limits_due = self.group.restated, True
             if not self._limits_due or not self.group.connected.any():
                 return
             self._limits_due = False

@@ -30,6 +30,7 @@ from orbitfb.sim.access.reads import READ, READ_COMMAND, answers, leading_reads
 from orbitfb.sim.access.under_way import WritesUnderWay
 
 _CHUNK = 65536
+PROPERTY = int(ca.SubscriptionType.DBE_PROPERTY)
 _VALUE_MASKS = ca.SubscriptionType.DBE_VALUE | ca.SubscriptionType.DBE_LOG
 
 
@@ -209,7 +210,10 @@ class FastCircuit(VirtualCircuit):
         return False
 
     def _monitors(self, command: Any) -> bool:
-        """Add a subscription if the feed can serve it: whole values of the usual types."""
+        """Add a subscription if the feed can serve it: whole values of the usual types.
+
+        Units and limits never change, so that of a subscription to them only the first is sent.
+        """
         channel = self.circuit.channels_sid.get(command.sid)
         entry = None if channel is None else self.context[channel.name]
         if (
@@ -218,7 +222,7 @@ class FastCircuit(VirtualCircuit):
             or command.data_type not in (DOUBLE, TIME_DOUBLE)
             or command.data_count not in (0, len(entry.places))
             or len(entry.places) > LONGEST
-            or not command.mask & _VALUE_MASKS
+            or not (command.mask & _VALUE_MASKS or command.mask == PROPERTY)
             or any(channel.channel_filter)
         ):
             return False
@@ -227,7 +231,7 @@ class FastCircuit(VirtualCircuit):
         except ca.CaprotoError:
             return False  # caproto answers what breaks the protocol
         what = (entry.places, command.subscriptionid, command.sid, int(command.data_type))
-        self.feed.add(Monitor(*what))
+        self.feed.add(Monitor(*what), once=command.mask == PROPERTY)
         return True
 
     async def send(self, *commands: Any) -> None:
