@@ -11,7 +11,7 @@ LATENCY_FACTOR, LATENCY_FLOOR = 1.25, 2e-3
 
 @dataclass(frozen=True)
 class Soak:
-    """Figures of one soak, first part and last part."""
+    """Figures of one soak, first part and last part; `lost`: orbits missed, or not archived."""
 
     what: str
     ticks: int
@@ -42,6 +42,8 @@ class Soak:
         first, last = self.p99_ms
         if not (last <= first * LATENCY_FACTOR or last - first <= LATENCY_FLOOR * 1e3):
             found.append(f"{self.what}: p99 {first:.2f} -> {last:.2f} ms")
+        if self.lost:
+            found.append(f"{self.what}: {self.lost} orbits lost")
         return found
 
     def row(self) -> dict[str, Any]:
@@ -60,7 +62,8 @@ class Soak:
         head = (
             f"{self.what}: {self.ticks} ticks, {self.hours:.2f} h of the ring, {self.seconds:.0f} s"
         )
-        return [head, *(f"  {n:18} {a:9.3f} -> {b:9.3f}" for n, (a, b) in pairs.items())]
+        figures = (f"  {n:18} {a:9.3f} -> {b:9.3f}" for n, (a, b) in pairs.items())
+        return [head, *figures, f"  {'orbits lost':18} {self.lost:9d}"]
 
 
 def first_and_last(values: np.ndarray, part: int, which: Any) -> tuple[float, float]:

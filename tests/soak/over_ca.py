@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -30,6 +31,10 @@ FILLED = 0.1
 """Part of the time in which the history in memory is full, at most 2000 ticks."""
 SETTLED = 0.2
 """Part of the time that is not looked at: buffers fill, modules are loaded, the learner starts."""
+START = 20.0
+"""After it no orbit is missed: the learner and the live diagnosis have started [s]."""
+SAMPLE = 5.0
+"""Between two samples of the process [s]."""
 
 
 @contextlib.contextmanager
@@ -81,23 +86,27 @@ def over_ca(
         words = ["run", "--ioc", f"127.0.0.1:{port}", "--config", str(directory / "c.toml")]
         words += ["--data", str(data), "--metrics-port", "0", "--start", "closed"]
         with _process(words, directory, "run") as service:
-            _until(lambda: _state(data), "CLOSED", service)
-            rows, end = [], time.monotonic() + minutes * 60
+            _until(lambda: str(_status(data).get("state")), "CLOSED", service)
+            rows, missed, end = [], [], time.monotonic() + minutes * 60
             while time.monotonic() < end:
                 rows.append(_sample(service.pid))
+                status = _status(data)
+                missed.append(int(status.get("missed_ticks", missed[-1] if missed else 0)))
                 if len(rows) % 60 == 0:
-                    say(f"{len(rows) * 5 / 60:.0f} min: {rows[-1][0]:.1f} MB, {_state(data)}")
-                time.sleep(min(5.0, max(0.0, end - time.monotonic())))
-            if (state := _state(data)) != "CLOSED":
+                    say(
+                        f"{len(rows) * SAMPLE / 60:.0f} min: {rows[-1][0]:.1f} MB, "
+                        f"{status.get('state')}, {missed[-1]} missed"
+                    )
+                time.sleep(min(SAMPLE, max(0.0, end - time.monotonic())))
+            if (state := _status(data).get("state")) != "CLOSED":
                 raise RuntimeError(f"the loop is {state} after {minutes} min")
     archive = read_archive(data / "archive")
     latency = (archive.written - archive.time) * 1e3
     latency = latency[np.isfinite(latency)]
-    latency = latency[round(20 * rate) :]  # the start
+    latency = latency[round(START * rate) :]
     kept = np.array(rows)[int(SETTLED * len(rows)) :]
     part, window = max(1, len(kept) // 4), min(round(600 * rate), len(latency) // 3)
     memory, files, threads, children = (first_and_last(c, part, np.median) for c in kept.T)
-    missed = int(round(minutes * 60 * rate) - len(latency) - 20 * rate)
     return Soak(
         "over Channel Access",
         len(latency),
@@ -108,7 +117,7 @@ def over_ca(
         threads,
         first_and_last(latency, window, lambda part: np.percentile(part, 99)),
         first_and_last(latency, window, np.median),
-        max(0, missed),
+        missed[-1] - missed[min(len(missed) - 1, round(START / SAMPLE))],
         f"its other processes: {children[0]:.0f} -> {children[1]:.0f} MB",
     )
 
@@ -122,11 +131,11 @@ def _until(look: Callable[[], str], word: str, process: "subprocess.Popen[str]")
     return text
 
 
-def _state(data: Path) -> str:
+def _status(data: Path) -> dict[str, Any]:
     try:
-        return str(ask(data, {"command": "status"})["state"])
+        return ask(data, {"command": "status"})
     except (ControlError, json.JSONDecodeError):
-        return ""
+        return {}
 
 
 def _sample(pid: int) -> tuple[float, int, int, float]:
