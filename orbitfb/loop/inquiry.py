@@ -70,10 +70,11 @@ class Inquiry:
         if response is None:
             return FINE, memory
         orbit, closed = reading.orbit, memory.state is LoopState.CLOSED
+        held = memory.state is LoopState.HELD
         self._early = closed and too_early(memory, reading, mine)
         if self._early:
             return FINE, memory
-        seen = Seen(orbit.position, orbit.valid, response, mine, closed, reading.received)
+        seen = Seen(orbit.position, orbit.valid, response, mine, closed, reading.received, held)
         found, answering = look(seen, memory.answering, self._settings)
         memory = replace(memory, answering=answering)
         return self._heed(found, memory)

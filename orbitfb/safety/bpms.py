@@ -48,6 +48,9 @@ WORDS = {
     Flaw.SILENT: "does not answer the correctors",
 }
 
+LATCHED = "; those that jumped or do not answer count again after open and close"
+"""Said when the loop is held by BPMs that an operator has to look at."""
+
 
 @dataclass(frozen=True, slots=True)
 class BpmMemory:
@@ -224,15 +227,19 @@ def bpm_quota(
     reason = f"{invalid} of {wanted} BPMs are invalid: {_name_flaws(bad, names, flaws, told or {})}"
     if flaws is not None and (flaws[bad] == Flaw.FROZEN).any():
         reason += "; frozen: longer than usual at one reading (interlocks.bpm_frozen_ticks)"
+    latched = flaws is not None and np.isin(flaws[bad], (Flaw.JUMP, Flaw.SILENT)).any()
+    remedy = LATCHED if latched else ""
     if invalid > settings.max_invalid_bpms or invalid == wanted:
-        return Verdict(Action.HOLD, "bpm_quota", f"{reason}; allowed: {settings.max_invalid_bpms}")
+        allowed = f"; allowed: {settings.max_invalid_bpms}{remedy}"
+        return Verdict(Action.HOLD, "bpm_quota", reason + allowed)
     parts = [part for part in parts_of(planes, len(bad)) if counted[part].any()]
     run = max(longest_run(bad[part][counted[part]]) for part in parts)
     if run > settings.max_adjacent_bpms:
         return Verdict(
             Action.HOLD,
             "bpm_quota",
-            f"{reason}; {run} of them next to each other, allowed: {settings.max_adjacent_bpms}",
+            f"{reason}; {run} of them next to each other, allowed: {settings.max_adjacent_bpms}"
+            f"{remedy}",
         )
     return Verdict(Action.WARN, "bpm_quota", reason)
 

@@ -4,10 +4,11 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
+from orbitfb.safety.bpms import LATCHED
 from tests.chaos.growth import Life
 from tests.chaos.naive_side import Naive
 from tests.chaos.ours import Ours
@@ -52,24 +53,19 @@ class Campaign:
         self._looked = 0.0
         self._stack = ExitStack()
         with ExitStack() as undo:
-            self.rings = [self._start_ring(undo, directory / "ring", seed, rate)]
+            self.rings = [undo.enter_context(closing(Ring(directory / "ring", seed, rate)))]
             self.ours = Ours(directory / "ours", self.rings[0], rate)
             undo.callback(self.ours.close)
             self.naive: Naive | None = None
             if beside:
-                self.rings.append(self._start_ring(undo, directory / "twin", seed, rate))
+                twin = undo.enter_context(closing(Ring(directory / "twin", seed, rate)))
+                self.rings.append(twin)
                 self.naive = Naive(directory / "naive", self.rings[1], rate)
                 undo.callback(self.naive.side.kill)
             if not self.ours.come_up():
                 raise LostError(f"the service does not come up: {self.ours.side.errors()[-500:]}")
             self._stack = undo.pop_all()
         self._new_life()
-
-    @staticmethod
-    def _start_ring(undo: ExitStack, directory: Path, seed: int, rate: float) -> Ring:
-        ring = Ring(directory, seed, rate)
-        undo.callback(ring.close)
-        return ring
 
     def run(self, episodes: list[Episode]) -> None:
         """Live through all of them."""
@@ -224,7 +220,7 @@ class Campaign:
                 if refused:
                     self.rings[0].tell(restore=True)
                 quiet = time.monotonic()
-            elif state == "CLOSED" and time.monotonic() - quiet > SHORT:
+            elif (state == "CLOSED" or LATCHED in reason) and time.monotonic() - quiet > SHORT:
                 self.counts["opened and closed by hand"] += 1
                 self.ours.command("open")
                 time.sleep(4 * self._period)

@@ -53,6 +53,7 @@ LIMITS, BOUNDS, INTERLOCKS, WATCH = (
     "orbitfb.safety.watch",
 )
 BPMS, CORRECTORS = "orbitfb.safety.bpms", "orbitfb.safety.correctors"
+ANSWERING = "orbitfb.safety.answers.answering"
 ENGINE, TICK = "orbitfb.loop.engine", "orbitfb.loop.tick"
 
 MUTANTS = (
@@ -370,5 +371,26 @@ MUTANTS = (
         "zero = known & (position == 0.0) & ~habit.is_coarse & settings.bpm_zero",
         "zero = np.zeros_like(known)",
         ("safety/test_bpms.py",),
+    ),
+    Mutant(
+        "what a held loop has asked for is still owed",
+        ANSWERING,
+        "waits = seen.held and memory.owed is not None",
+        "waits = False",
+        ("safety/answers/test_answering.py",),
+    ),
+    Mutant(
+        "nothing is corrected once a BPM owes twice the reach, until it has answered",
+        ANSWERING,
+        "stopped=memory.overdue(owed) > least",
+        "stopped=False",
+        ("safety/answers/test_answering.py",),
+    ),
+    Mutant(
+        "a large change that a blind BPM does not see says nothing for it",
+        "orbitfb.safety.answers.evidence",
+        "_over(MUCH * self.asked[0], self.much_power[0])",
+        "_over(1.5 * (self.little[0] - self.much[0]), self.much_power[0])",
+        ("safety/answers/test_questions.py",),
     ),
 )

@@ -8,14 +8,14 @@ out by name. While the ring as a whole owes as much the loop corrects nothing; a
 owe too much have no say, it corrects without them.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.safety.answers.evidence import Test, ask_at_any, ask_devices, ask_ring
 from orbitfb.safety.answers.expectation import Expectation, Owed, shown
-from orbitfb.safety.answers.owing import HALF, LAGS, Answering, Sent, Session, rms
+from orbitfb.safety.answers.owing import HALF, LAGS, MOST, Answering, Sent, Session, rms
 from orbitfb.safety.answers.questions import Ring, Sight
 from orbitfb.safety.interlocks import InterlockSettings
 
@@ -39,7 +39,7 @@ SETTLED = 20
 
 PATIENCE = 300
 """Orbits of only asking after which no answer counts as none: a hundred times what a ring needs
-whose noise is as large as the question."""
+whose noise is as large as the question, and twice what one device needs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +53,7 @@ class Seen:
         movable: Correctors that the loop moves, shape (m,).
         closed: Whether the loop is CLOSED.
         time: When it was complete, monotonic [s].
+        held: Whether it is HELD: it asks for nothing, and what it had asked for is still owed.
     """
 
     position: Vector
@@ -61,6 +62,7 @@ class Seen:
     movable: Mask
     closed: bool
     time: float
+    held: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +77,7 @@ class Found:
 
     ring: str = ""
     bpms: tuple[int, ...] = ()
-    correctors: tuple[int, ...] = field(default=())
+    correctors: tuple[int, ...] = ()
 
 
 NOTHING = Found()
@@ -101,17 +103,20 @@ def look(seen: Seen, memory: Answering, settings: InterlockSettings) -> tuple[Fo
     moved, change = (came or nothing).moved, (came or nothing).change
     position = np.where(valid, seen.position, expected.model + moved)
     after = expected.follow(position, moved, change, valid)
-    if not seen.closed or settings.answer_reach is None:
+    waits = seen.held and memory.owed is not None
+    if not (seen.closed or waits) or settings.answer_reach is None:
         idle = replace(memory, expected=after, sent=(), heard=(), owed=None, session=None)
         return NOTHING, replace(idle, since=float("nan"))
     owed = memory.owed
-    if owed is None:
-        owed = Owed.nothing(n, m)
+    owed = owed or Owed.nothing(n, m)
     counts = np.concatenate((valid, ring.movable))
     since = seen.time if np.isnan(memory.since) else memory.since
     memory = replace(memory, expected=after, owed=owed.paid(False, ~counts), since=since)
     step = position - expected.before
     memory = replace(_heed_steps(step, valid, memory, expected, ring, settings), gap=0)
+    if waits:
+        sent = (Sent(np.zeros(m), np.zeros(n)), *memory.sent[:LAGS])
+        return NOTHING, replace(memory, sent=sent, heard=())
     session = memory.session
     if session is None:
         return NOTHING, _begin(memory, ring, valid, seen.time, settings)
@@ -238,9 +243,10 @@ def _judge(
     owed, reach = memory.owed, settings.answer_reach
     if owed is None or reach is None:
         return NOTHING, memory
-    whole = session.whole.first(LAGS)
+    whole, nobody = session.whole.first(LAGS), np.zeros(n + m, dtype=np.bool_)
     waited = session.waited + 1 if memory.waits(settings) else 0
-    if session.silence >= SILENT or waited > PATIENCE:
+    late = _doubted(owed, ring, valid, reach) & session.answered & (waited > PATIENCE)
+    if session.silence >= SILENT or (waited > PATIENCE and not late.any()):
         asked = rms(owed.ring)
         reason = (
             f"the orbit does not answer the setpoints: {asked * 1e6:.3g} µm rms were asked for "
@@ -250,8 +256,7 @@ def _judge(
         )
         after = replace(memory, session=None, owed=Owed.nothing(n, m), found=memory.found + 1)
         return Found(ring=reason), after
-    lag, since, answered = memory.lag, memory.since, session.answered
-    devices, nobody = session.devices, np.zeros(n + m, dtype=np.bool_)
+    lag, since, answered, devices = memory.lag, memory.since, session.answered, session.devices
     if float(session.whole.sure[0]) >= ANSWERED:
         owed, since = owed.paid(True, nobody), seen.time
         session = replace(session, whole=session.whole.forget(LAGS))
@@ -262,12 +267,13 @@ def _judge(
     told = devices.told
     sure = (devices.sure >= ANSWERED) | ((told >= TOLD) & (devices.doubt < 0.5 * told))
     owed, devices = owed.paid(False, sure), devices.anew(sure)
-    session = replace(
-        session, devices=devices, answered=answered, waited=waited, orbits=session.orbits + 1
-    )
+    waited, orbits = 0 if late.any() else waited, session.orbits + 1
+    session = replace(session, devices=devices, answered=answered, waited=waited, orbits=orbits)
+    least = reach if session.stopped else MOST * reach
+    session = replace(session, stopped=memory.overdue(owed) > least)
     after = replace(memory, session=session, owed=owed, lag=lag, since=since)
     counts = np.concatenate((valid, ring.movable))
-    silent = counts & (devices.doubt >= SILENT) & answered
+    silent = late | (counts & (devices.doubt >= SILENT) & answered)
     correctors, bpms = np.flatnonzero(silent[n:]), np.flatnonzero(silent[:n])
     if correctors.size or (bpms.size and float(devices.doubt[n:].max(initial=0.0)) >= SUSPECT):
         bpms = bpms[:0]
@@ -276,12 +282,13 @@ def _judge(
         if bpms.size:
             left = np.zeros(n, dtype=np.bool_) if left is None else left.copy()
             left[bpms] = True
-        after = replace(after, session=session.anew(n, m), left=left, found=memory.found + 1)
+        after = replace(
+            after, session=session.without(silent, n), left=left, found=memory.found + 1
+        )
         return Found("", tuple(bpms.tolist()), tuple(correctors.tolist())), after
     enough = HALF * reach if session.doubted else reach
-    if answered and not _doubted(owed, ring, valid, enough).any():
-        after = replace(after, session=None)
-    return NOTHING, after
+    over = answered and not _doubted(owed, ring, valid, enough).any()
+    return NOTHING, replace(after, session=None) if over else after
 
 
 def _doubted(owed: Owed, ring: Ring, valid: Mask, reach: float) -> Mask:

@@ -19,7 +19,8 @@ Sources: Hoeffding, J. Amer. Statist. Assoc. 58 (1963) 13; that only a watermark
 readings from a ring that answers: Mo and Sinopoli, Allerton Conf. (2009) 911.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -43,25 +44,33 @@ class Test:
         little_power: V of it.
         much: M for c = `MUCH`.
         much_power: V of it.
+        asked: Σ x², what M is in the mean for c = 0 and an answer of 1, shape (lags, devices).
     """
 
     little: Vector
     little_power: Vector
     much: Vector
     much_power: Vector
+    asked: Vector
 
     @classmethod
     def none(cls, lags: int, devices: int) -> "Test":
         """Begin without a word."""
         zero = np.zeros((lags, devices))
-        return cls(zero, zero, zero, zero)
+        return cls(zero, zero, zero, zero, zero)
 
     def add(
-        self, lag: int, little: Vector, little_power: Vector, much: Vector, much_power: Vector
+        self,
+        lag: int,
+        little: Vector,
+        little_power: Vector,
+        much: Vector,
+        much_power: Vector,
+        asked: Vector | float = 0.0,
     ) -> "Test":
         """Add what one orbit says at one lag, each of shape (devices,)."""
 
-        def plus(total: Vector, value: Vector) -> Vector:
+        def plus(total: Vector, value: Vector | float) -> Vector:
             total = total.copy()
             total[lag] += value
             return total
@@ -71,45 +80,31 @@ class Test:
             plus(self.little_power, little_power),
             plus(self.much, much),
             plus(self.much_power, much_power),
+            plus(self.asked, asked),
         )
+
+    def _each(self, change: Callable[[Vector], Vector]) -> "Test":
+        return Test(*(change(getattr(self, item.name)) for item in fields(self)))
 
     def anew(self, which: Mask) -> "Test":
         """Forget what was said of some, shape (devices,)."""
         if not which.any():
             return self
-        keep = ~which
-        return Test(
-            self.little * keep,
-            self.little_power * keep,
-            self.much * keep,
-            self.much_power * keep,
-        )
+        return self._each(lambda sums: sums * ~which)
 
     def forget(self, row: int) -> "Test":
         """Begin one row anew."""
         keep = np.ones((len(self.little), 1))
         keep[row] = 0.0
-        return Test(
-            keep * self.little,
-            keep * self.little_power,
-            keep * self.much,
-            keep * self.much_power,
-        )
+        return self._each(lambda sums: keep * sums)
 
     def first(self, rows: int) -> "Test":
         """Take the first rows alone."""
-        return Test(
-            self.little[:rows], self.little_power[:rows], self.much[:rows], self.much_power[:rows]
-        )
+        return self._each(lambda sums: sums[:rows])
 
     def last(self, rows: int) -> "Test":
         """Take the last rows alone."""
-        return Test(
-            self.little[-rows:],
-            self.little_power[-rows:],
-            self.much[-rows:],
-            self.much_power[-rows:],
-        )
+        return self._each(lambda sums: sums[-rows:])
 
     @property
     def sure(self) -> Vector:
@@ -124,8 +119,7 @@ class Test:
     @property
     def told(self) -> Vector:
         """Evidence z that there would be against one that does not answer, (devices,) [1]."""
-        asked = MUCH / (MUCH - LITTLE) * (self.little[0] - self.much[0])
-        return _over(asked, self.much_power[0])
+        return _over(MUCH * self.asked[0], self.much_power[0])
 
     @property
     def silence(self) -> Vector:
@@ -217,7 +211,7 @@ def ask_devices(
         left = np.clip(besides - MUCH * asked, -most, most)
         usual, reach = asked**2 * sight.noise, question.size**2 * ring.reach * left**2
         nothing: Vector = np.zeros(m)
-        share, doubt, power = nothing, nothing, nothing
+        share, doubt, power, answer = nothing, nothing, nothing, nothing
         if not late:
             clipped = np.where(sight.valid, np.clip(sight.surprise, -most, most), 0.0)
             alone = ring.apart @ (question.excursion * (clipped @ ring.response))
@@ -226,14 +220,17 @@ def ask_devices(
             unsure: Vector = np.diag(ring.apart) * noise
             # What else was just changed only blurs the answer: such orbits count less.
             weight: Vector = unsure / (unsure + others**2 * ring.swing)
-            share = weight * (alone + (1.0 - LITTLE) * own) / question.size**2
-            doubt = weight * (alone + (1.0 - MUCH) * own) / question.size**2
-            power = weight**2 * unsure / question.size**2
+            weight = weight / question.size**2
+            share = weight * (alone + (1.0 - LITTLE) * own)
+            doubt = weight * (alone + (1.0 - MUCH) * own)
+            power = weight**2 * unsure * question.size**2
+            answer = weight * own
         test = test.add(
             late,
             np.concatenate((little, share)),
             np.concatenate((usual, power)),
             np.concatenate((asked * left, doubt)),
             np.concatenate((np.where(sight.valid, reach, 0.0), doubt**2)),
+            np.concatenate((asked**2, answer)),
         )
     return test

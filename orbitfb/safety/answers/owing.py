@@ -74,6 +74,7 @@ class Session:
         waited: Orbits in a row at which the loop only asked.
         orbits: Orbits since it began.
         doubted: Whether a device was in doubt at its beginning; else the ring is asked alone.
+        stopped: Whether one has owed so much that nothing is corrected until all have answered.
     """
 
     whole: Test
@@ -82,6 +83,7 @@ class Session:
     waited: int = 0
     orbits: int = 0
     doubted: bool = True
+    stopped: bool = False
 
     @classmethod
     def begin(cls, n: int, m: int, doubted: bool = True) -> "Session":
@@ -97,8 +99,18 @@ class Session:
 
     def anew(self, n: int, m: int) -> "Session":
         """Hear everybody anew, as others are asked; how long the loop has asked still counts."""
-        begun = Session.begin(n, m, self.doubted)
-        return replace(begun, answered=self.answered, waited=self.waited, orbits=self.orbits)
+        fresh = Session.begin(n, m)
+        return replace(self, whole=fresh.whole, devices=fresh.devices)
+
+    def without(self, silent: Mask, n: int) -> "Session":
+        """Go on without some of n BPMs and some correctors, shape (n + m,), that do not answer.
+
+        What a BPM has said of itself still holds. What was said of the ring and the correctors
+        does not: it rests on all BPMs that count.
+        """
+        forgotten = silent.copy()
+        forgotten[n:] = True
+        return replace(self, whole=Test.none(LAGS + 2, 1), devices=self.devices.anew(forgotten))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,6 +194,16 @@ class Answering:
         owing = self.owed.sizes(self.ring) > STAKE * reach
         return owing if owing.any() else None
 
+    def overdue(self, owed: Owed) -> float:
+        """Give the most that a BPM owes whose answer is due [m].
+
+        Args:
+            owed: By all.
+        """
+        due = owed.bpms - sum(item.moved for item in self.sent[: self.lag])
+        sizes = np.minimum(np.abs(owed.bpms), np.abs(due))  # what is not due may be paid
+        return float(sizes.max(initial=0.0))
+
     def waits(self, settings: InterlockSettings) -> bool:
         """Say whether the loop only asks: the ring owes too much."""
         reach = settings.answer_reach
@@ -193,12 +215,15 @@ class Answering:
         owes = rms(arrived) > reach
         if owes and not self.session.answered:
             return True
-        if self.ring is None or self.session.orbits < GRACE:
+        if self.ring is None:
+            return False
+        if self.session.stopped or self.overdue(self.owed) > MOST * reach:
+            return True
+        if self.session.orbits < GRACE:
             return False
         others, owing = self.owed.correctors, self._owing(settings)
         if owing is not None:
-            most = float(self.owed.sizes(self.ring).max())
-            if owing.mean() > FEW or most > MOST * reach:
+            if owing.mean() > FEW:
                 return True
             others = np.where(owing[-len(others) :], 0.0, others)  # those in doubt rest
         return owes or rms(self.ring.response @ others) > STAKE * reach

@@ -110,6 +110,21 @@ def test_a_cell_of_blind_bpms_does_not_wind_up(ring):
     assert set(named.tolist()) <= set(range(60, 66))
 
 
+@pytest.mark.parametrize("lost", [0, 4])
+def test_a_cell_that_is_blind_at_a_bad_orbit_stops_the_loop_though_it_is_held_meanwhile(ring, lost):
+    bench = Bench(ring, seed=0)
+    bench.machine.pattern, bench.machine.blind[148:154] = 10e-6, True
+    for _ in range(8):  # the loop is held for a moment every 25 orbits, and closes again
+        bench.steps(25)
+        bench.machine.machine.fail_next_reads(lost)
+    bench.steps(20)
+    assert bench.peak < 1.5 * FAR
+    named = np.flatnonzero(bench.runner._engine.memory.answering.left)
+    assert set(named.tolist()) <= set(range(148, 154))
+    assert bench.runner.state is LoopState.HELD
+    assert "count again after open and close" in bench.runner.reason
+
+
 def test_a_healthy_ring_that_is_kicked_goes_on(ring):
     bench = Bench(ring, seed=6)
     for kick in (30e-6, 100e-6):

@@ -129,3 +129,12 @@ def test_nothing_that_is_not_finite_or_nought_is_ever_believed(orbits):
         assert np.isfinite(position[flaws == 0]).all()
         assert (position[(flaws == 0) & ~coarse] != 0).all()
         assert ((memory.good >= 0) & (memory.good <= S.bpm_proving)).all()
+
+
+@pytest.mark.parametrize("flaw", [Flaw.JUMP, Flaw.SILENT])
+def test_a_hold_that_only_an_operator_ends_says_so(flaw):
+    valid, flaws = np.ones(180, bool), np.zeros(180, np.int8)
+    valid[3:6], flaws[3:6] = False, flaw
+    assert "count again after open and close" in bpm_quota(valid, S, flaws=flaws).reason
+    flaws[3:6] = Flaw.ZERO
+    assert "open and close" not in bpm_quota(valid, S, flaws=flaws).reason

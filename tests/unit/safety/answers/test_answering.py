@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orbitfb.safety.answers.answering import PATIENCE, interrupted, look, note
 from orbitfb.safety.answers.answering import Seen as Orbit
-from orbitfb.safety.answers.answering import interrupted, look, note
 from orbitfb.safety.answers.expectation import Expectation, Owed
 from orbitfb.safety.answers.owing import FEW, GRACE, Answering, Sent, Session
 from orbitfb.safety.answers.questions import Question, Ring
@@ -81,3 +81,47 @@ def test_a_step_that_shows_after_missed_orbits_is_an_answer(memory):
     seen = Orbit(step, np.ones(N, bool), memory.ring.response, memory.ring.movable, True, 1.0)
     _, after = look(seen, interrupted(memory, 1), SETTINGS)
     assert not after.owed.ring.any()
+
+
+def seen(memory, **state):
+    valid, ring = np.ones(N, bool), memory.ring
+    return Orbit(
+        np.zeros(N), valid, ring.response, ring.movable, state["closed"], 1.0, state["held"]
+    )
+
+
+def test_what_a_loop_has_asked_for_is_owed_while_it_is_held(memory):
+    memory = owing(memory, [3])
+    _, held = look(seen(memory, closed=False, held=True), memory, SETTINGS)
+    assert held.owed.bpms[3] == MUCH
+    assert held.session is memory.session  # what was heard so far still counts
+    _, after = look(seen(memory, closed=False, held=False), memory, SETTINGS)
+    assert after.owed is None
+
+
+def test_a_change_whose_answer_comes_while_the_loop_is_held_is_answered(memory):
+    step = np.full(N, 50e-6)
+    memory = replace(note(memory, Sent(np.ones(M), step)), session=None)
+    _, after = look(replace(seen(memory, closed=False, held=True), position=step), memory, SETTINGS)
+    assert not after.owed.ring.any()
+    assert not after.sent[0].moved.any()  # a held loop sends nothing
+
+
+def test_once_it_waits_for_one_it_waits_until_that_has_answered(memory):
+    memory = owing(memory, [3])
+    owed = replace(memory.owed, bpms=1.2 * memory.owed.bpms)
+    _, after = look(seen(memory, closed=True, held=False), replace(memory, owed=owed), SETTINGS)
+    less = replace(after, owed=replace(owed, bpms=0.7 * memory.owed.bpms))
+    assert less.waits(SETTINGS)
+    assert not replace(less, session=replace(less.session, stopped=False)).waits(SETTINGS)
+
+
+def test_who_cannot_be_heard_for_long_is_left_out_if_the_ring_answers(memory):
+    owed = Owed.nothing(N, M)
+    owed.bpms[3] = 2.5 * SETTINGS.answer_reach
+    session = replace(memory.session, stopped=True, waited=PATIENCE)
+    memory = replace(memory, owed=owed, session=session)
+    found, after = look(seen(memory, closed=True, held=False), memory, SETTINGS)
+    assert found.bpms == (3,)
+    assert not found.ring
+    assert after.session.waited == 0

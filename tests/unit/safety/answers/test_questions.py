@@ -125,6 +125,17 @@ def test_one_bpm_that_is_blind_is_the_one_that_is_told(ring):
     assert np.flatnonzero(bench.devices.sure < SURE).tolist() == [11]
 
 
+def test_a_large_change_that_a_blind_bpm_does_not_see_says_nothing_for_it(ring):
+    sight = Bench(ring).ask(1).sight
+    surprise = sight.surprise.copy()
+    surprise[11] = -100.0 * NOISE  # what the change should have done there
+    sight, asked = replace(sight, surprise=surprise), np.where(np.arange(N) == 11, SIZE, 0.0)
+    question = Question(SIZE, np.zeros(M), asked, np.zeros(N))
+    none = Sums.none(2, N + M)
+    plain = ask_devices(none, replace(sight, surprise=np.zeros(N)), question, None, ring)
+    assert ask_devices(none, sight, question, None, ring).told[11] == plain.told[11] > 0.0
+
+
 def test_one_corrector_that_is_deaf_is_the_one_that_is_told(ring):
     bench = Bench(ring, takes=np.where(np.arange(M) == 5, 0.0, 1.0)).ask(150)
     doubt = bench.devices.doubt[N:]
