@@ -8,10 +8,9 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
-from orbitfb.safety.bpms import LATCHED
 from tests.chaos.growth import Life
 from tests.chaos.naive_side import Naive
-from tests.chaos.ours import Ours
+from tests.chaos.ours import Ours, needs_hand
 from tests.chaos.rings import DRIVE, LostError, Ring, wait
 from tests.chaos.schedule import Episode, Fault
 
@@ -47,14 +46,16 @@ class Campaign:
         self.trouble: list[dict[str, Any]] = []
         self.recoveries: list[float] = []
         self.lives: list[Life] = []
-        self.unlogged: list[tuple[float, float]] = []
+        self.unanswered: list[tuple[float, float]] = []
         self._limits_until_restart = self._stopped = False
         self._later: list[dict[str, Any]] = []
         self._looked = 0.0
         self._stack = ExitStack()
         with ExitStack() as undo:
             self.rings = [undo.enter_context(closing(Ring(directory / "ring", seed, rate)))]
-            self.ours = Ours(directory / "ours", self.rings[0], rate)
+            self.other = undo.enter_context(closing(Ring(directory / "other", seed + 1, rate)))
+            self.other.kill()
+            self.ours = Ours(directory / "ours", self.rings[0], self.other, rate)
             undo.callback(self.ours.close)
             self.naive: Naive | None = None
             if beside:
@@ -84,7 +85,7 @@ class Campaign:
                 )
 
     def _live(self, episode: Episode) -> None:
-        began, on = time.monotonic(), {}
+        began, wall, on = time.monotonic(), time.time(), {}
         for at, begins, index in episode.changes():
             self._wait_until(began + at)
             fault = episode.faults[index]
@@ -103,6 +104,8 @@ class Campaign:
                 self._tell_all(faults=list(on.values()))
             else:
                 self._process(fault, begins)
+        if all("blind" in f.what or "deaf" in f.what for f in episode.faults):
+            self.unanswered.append((wall, time.time()))
         self.counts["episodes"] += 1
         self.counts[f"pattern: {episode.pattern}"] += 1
 
@@ -120,8 +123,8 @@ class Campaign:
             self.ours.mode(fault.what["mode"] if begins else "")
         elif fault.where == "ioc":
             self._ioc(do, begins, fault.what.get("corrector_limit", DRIVE))
-        elif do == "kill":
-            self._kill_controller(begins)
+        elif do in ("kill", "hangup"):
+            self._end_controller(begins, do)
         elif do == "stop":
             number = signal.SIGSTOP if begins else signal.SIGCONT
             self.ours.side.signal(number)
@@ -129,18 +132,10 @@ class Campaign:
                 self.naive.side.signal(number)
         elif do == "second" and begins:
             self.ours.second.start()
-        elif do == "full":
-            self.ours.fill_disk(begins)
-            self._unlogged(begins)
+        elif do in ("full", "descriptors"):
+            (self.ours.fill_disk if do == "full" else self.ours.take_descriptors)(begins)
         elif do == "gone":
             self.ours.hide_archive(begins)
-
-    def _unlogged(self, begins: bool) -> None:
-        """Remember when the log cannot say what happened."""
-        if begins:
-            self.unlogged.append((time.time() - 0.5, float("inf")))
-        else:
-            self.unlogged[-1] = self.unlogged[-1][0], time.time() + 0.5
 
     def _ioc(self, do: str, begins: bool, drive: float) -> None:
         if do == "stop":
@@ -152,6 +147,8 @@ class Campaign:
                 for what in later:
                     self._tell_all(**what)
             return
+        if do == "other":
+            self.other.start() if begins else self.other.kill()
         for ring in self.rings:
             if begins:
                 ring.kill()
@@ -164,10 +161,11 @@ class Campaign:
                 ring.tell(faults=ring.faults)
             self._limits_until_restart = drive != DRIVE
 
-    def _kill_controller(self, begins: bool) -> None:
+    def _end_controller(self, begins: bool, do: str) -> None:
         if begins:
-            self.unlogged.append((time.time() - 2.0, time.time() + 0.5))
-            self.ours.side.kill()
+            if do == "hangup" and not self.ours.hang_up():
+                self._note("a closed terminal does not end the service in order", None)
+            self.ours.kill()
             if self.naive is not None:
                 self.naive.side.kill()
             return
@@ -180,7 +178,7 @@ class Campaign:
         began = time.monotonic()
         states: set[str] = set()
         quiet = began
-        killed = any(fault.what.get("do") == "kill" for fault in episode.faults)
+        killed = any(fault.what.get("do") in ("kill", "hangup") for fault in episode.faults)
         patience = STARTING if killed else PATIENCE
         while True:
             self._look()
@@ -220,7 +218,7 @@ class Campaign:
                 if refused:
                     self.rings[0].tell(restore=True)
                 quiet = time.monotonic()
-            elif (state == "CLOSED" or LATCHED in reason) and time.monotonic() - quiet > SHORT:
+            elif (state == "CLOSED" or needs_hand(reason)) and time.monotonic() - quiet > SHORT:
                 self.counts["opened and closed by hand"] += 1
                 self.ours.command("open")
                 time.sleep(4 * self._period)

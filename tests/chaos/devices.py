@@ -10,7 +10,7 @@ QUOTA, IN_A_ROW = 9, 2
 """BPMs that may be bad, and next to each other: the rule, told here a second time."""
 CURRENT_LEAST, CURRENT_AGE = 10.0, 0.5
 """Stored current [mA] and the age of its stamp [s] beyond which nothing may be written."""
-ABSENT = ("nan", "zero", "invalid", "stamp", "gone")
+ABSENT = ("nan", "zero", "invalid", "stamp", "apart", "gone")
 """What the loop must see at once; a jump or a repeat it has to find out."""
 
 
@@ -31,7 +31,7 @@ class FaultyRing:
 
     Attributes:
         faults: Those that are on; each with an `id` of its own.
-        board_faults: What to do to each BPM on the board: `invalid`, `stamp`.
+        board_faults: What to do to each BPM on the board: `invalid`, `stamp`, `apart`.
         good: Whether the orbit shown last may be acted on.
     """
 
@@ -53,6 +53,14 @@ class FaultyRing:
     def orbit_fault(self) -> dict[str, Any] | None:
         """What the whole orbit suffers from."""
         return next((fault for fault in self.faults if "orbit" in fault), None)
+
+    def slowness(self) -> int:
+        """Ticks of which one is shown."""
+        return max((fault["slow"] for fault in self.faults if "slow" in fault), default=1)
+
+    def refusing(self) -> list[int]:
+        """Correctors whose setpoint takes no puts."""
+        return [index for fault in self.faults for index in fault.get("refuse", ())]
 
     def current_faults(self) -> list[dict[str, Any]]:
         """What the current suffers from."""

@@ -33,6 +33,8 @@ DISCONNECTED = 27
 """Message of a server that lets go of a channel."""
 WELL = 10e-6
 """Rms of an orbit whose setpoints are worth keeping [m]."""
+APART = 1_500_000
+"""By which a BPM that stamps itself is ahead of the others [ns]."""
 
 
 class Desk:
@@ -75,13 +77,13 @@ class Desk:
         known = currents[0] if currents else 400.0
         server._stored = float("nan") if known is None else known
 
-    def after_tick(self, server: RingServer) -> None:
-        """Note the orbit; keep the setpoints of a good one."""
+    def after_tick(self, server: RingServer, shown: bool) -> None:
+        """Note the orbit, and whether it was shown; keep the setpoints of a good one."""
         ring = self.faulty
         rms = float(np.sqrt(np.mean(ring.last.true_orbit**2)))
         if not ring.faults and rms < WELL:
             self._kept = server.front.setpoints
-        self.notes.tick(int(ring.tick), ring.good, ring.last.true_orbit, len(ring.faults))
+        self.notes.tick(int(ring.tick), ring.good and shown, ring.last.true_orbit, len(ring.faults))
         if ring.gone - self._away:
             self._let_go(ring.gone - self._away)
         self._away = set(ring.gone)
@@ -141,28 +143,38 @@ class Desk:
                 entry = board.get(self._first + index)
                 bad = entry._replace(status=UNDEFINED, severity=INVALID)
                 board.set(self._first + index, bad)
+            elif told == "apart":
+                entry = board.get(self._first + index)
+                ahead = Stamp(*divmod(nanoseconds + APART, 10**9))
+                board.set(self._first + index, entry._replace(stamp=ahead))
 
 
 def hang_on(desk: Desk) -> None:
     """Put the desk between the server and the world."""
-    show, tick, write = Board.show, RingServer.tick, Board.write
+    show, tick, write, allow = Board.show, RingServer.tick, Board.write, Board.allowed
     slow, find, begin = BoardSetpoint.write, FastContext.__getitem__, FastContext.__init__
 
     def ticked(server: RingServer) -> None:
         desk.before_tick(server)
         orbit = desk.faulty.orbit_fault()
-        if orbit and orbit["orbit"] == "silent":
+        slow = bool(desk.faulty.tick % desk.faulty.slowness())
+        if slow or (orbit and orbit["orbit"] == "silent"):
             desk.faulty.step(server.front.setpoints)  # time goes by, nobody is told
         else:
             tick(server)
-        desk.after_tick(server)
+        desk.after_tick(server, not slow)
 
     def written(board: Board, which: Any, values: Any, stamp: Stamp) -> None:
         desk.note_fast(board, which, values)
         write(board, which, values, stamp)
 
+    def allowed(board: Board, which: Any, values: Any) -> Any:
+        return allow(board, which, values) & ~np.isin(which, desk.faulty.refusing())
+
     async def written_slowly(channel: BoardSetpoint, value: Any, **options: Any) -> None:
         desk.note_slow(channel, value)
+        if channel.index - channel._board.readings in desk.faulty.refusing():
+            raise ValueError("puts are disabled")
         await slow(channel, value, **options)
 
     def found(context: FastContext, name: str) -> Any:
@@ -177,7 +189,7 @@ def hang_on(desk: Desk) -> None:
     def shown(board: Board, values: Any, stamp: Stamp) -> None:
         desk.show(board, values, stamp, show)
 
-    replace(Board, show=shown, write=written)
+    replace(Board, show=shown, write=written, allowed=allowed)
     replace(RingServer, tick=ticked)
     replace(BoardSetpoint, write=written_slowly)
     replace(FastContext, __getitem__=found, __init__=begun)

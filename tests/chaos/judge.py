@@ -50,6 +50,27 @@ def put_figures(rows: np.ndarray, rate: float) -> dict[str, Any]:
     }
 
 
+WANDERS = 40e-6
+"""|orbit| [m] by which one may grow because of devices that look well and do not answer: twice
+what a BPM may owe before the loop waits (`answer_reach`, `MOST`), as its neighbours owe too."""
+
+
+def wandered(rows: np.ndarray, spans: list[tuple[float, float]]) -> list[str]:
+    """Say where the beam was moved far by devices that do not answer.
+
+    Args:
+        rows: Records of a journal.
+        spans: Beginning and end of such faults [s].
+    """
+    found = []
+    for begin, end in spans:
+        peaks = rows["peak"][(rows["wall"] >= begin) & (rows["wall"] <= end + 0.2)]
+        rise = float(peaks.max() - peaks[0]) if len(peaks) else 0.0
+        if rise > WANDERS:
+            found.append(f"|orbit| grew by {rise * 1e6:.0f} um while devices did not answer")
+    return found
+
+
 OVERLAP = 1.0
 """Time by which the post-mortem of a trip may come after the next trip [s]."""
 

@@ -119,6 +119,10 @@ def _moved(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
+def _refusing(rng: np.random.Generator) -> dict[str, Any]:
+    return {"refuse": [int(rng.integers(CORRECTORS))]}
+
+
 def _limits(rng: np.random.Generator) -> dict[str, Any]:
     return {"do": "restart", "corrector_limit": float(rng.choice([0.3, 0.6, 2.0]))}
 
@@ -129,6 +133,7 @@ KINDS = (
     Kind("BPM frozen", "ring", _bpms("frozen"), weight=2),
     Kind("BPM keeps its stamp", "ring", _bpms("stamp"), weight=2),
     Kind("BPM jumps", "ring", _bpms(_offset, 2), weight=2),
+    Kind("BPM stamped 1.5 ms ahead", "ring", _bpms("apart"), weight=2),
     Kind("BPM INVALID", "ring", _bpms("invalid"), weight=2),
     Kind("BPM disconnected", "ring", _bpms("gone", 3), weight=2),
     Kind("BPMs in a row bad", "ring", _row, weight=2),
@@ -138,11 +143,13 @@ KINDS = (
     Kind("orbit stale", "ring", _orbit("old", 1.5, 4.0), weight=2),
     Kind("orbit incomplete", "ring", _torn, weight=2),
     Kind("orbit of zeros", "ring", _orbit("zero"), weight=2),
+    Kind("orbits at a third of the rate", "ring", _plain(slow=3)),
     Kind("clock of the IOC ahead", "ring", _orbit("ahead", 1.5, 3.0)),
     Kind("corrector off", "ring", _correctors("off"), weight=2),
     Kind("corrector stuck", "ring", _correctors("stuck"), weight=2),
     Kind("corrector readback away", "ring", _correctors("away", strong=False)),
     Kind("corrector readback wrong", "ring", _correctors(_error, strong=False)),
+    Kind("corrector refuses puts", "ring", _refusing),
     Kind("correctors beyond the quota", "ring", _correctors("off", 5, 8)),
     Kind("setpoint moved by somebody", "ring", _moved),
     Kind("beam kicked", "ring", _kick(30e-6, 300e-6), (0.3, 0.6), weight=2),
@@ -161,8 +168,18 @@ KINDS = (
     Kind("supply deaf", "ring", _unanswered("deaf", 1), (2.0, 5.0)),
     Kind("IOC killed", "ioc", _plain(do="restart"), (0.1, 1.5), 0.5),
     Kind("IOC back with other limits", "ioc", _limits, (0.1, 1.0), 0.3),
+    Kind("another server has the PVs", "ioc", _plain(do="other"), (2.0, 4.0), 0.3),
     Kind("IOC stands still", "ioc", _plain(do="stop"), (0.1, 2.0)),
     Kind("controller killed", "controller", _plain(do="kill"), (0.1, 0.5), 0.5, early=True),
+    Kind(
+        "terminal of the controller closed",
+        "controller",
+        _plain(do="hangup"),
+        (0.1, 0.5),
+        0.3,
+        True,
+    ),
+    Kind("controller out of descriptors", "controller", _plain(do="descriptors"), (0.5, 2.0)),
     Kind("controller stands still", "controller", _plain(do="stop"), (0.1, 2.0)),
     Kind("second controller", "controller", _plain(do="second")),
     Kind("disk full", "controller", _plain(do="full"), (0.5, 1.5)),

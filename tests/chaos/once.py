@@ -52,11 +52,14 @@ def run_once(
     figures = judge.put_figures(rings[0], rate)
     longest = max(campaign.lives, key=lambda life: life.seconds)
     growth = longest.figures(settled)
-    unexplained = judge.trips(changes, written, campaign.unlogged)
+    unexplained = judge.trips(changes, written, ours.unlogged)
+    elsewhere = int(journal.read(campaign.other.journal)["puts"].sum())
     broken = [
         *judge.broken_rules(figures),
         *(f"episode {t['episode']}: {t['what']}" for t in campaign.trouble),
         *unexplained,
+        *judge.wandered(rings[0], campaign.unanswered),
+        *([f"puts at another server: {elsewhere}"] if elsewhere else []),
         *(f"archive: {problem}" for problem in unreadable),
         *grown(growth),
     ]

@@ -4,6 +4,7 @@ import json
 import os
 import resource
 import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from orbitfb.control.client import ask
 from orbitfb.core.errors import ArchiveError, ControlError
 from orbitfb.history.archive import read_archive
 from orbitfb.history.reader import segment_paths
+from orbitfb.safety.bpms import LATCHED
 from tests.chaos.rings import LIMIT, STEP, Ring, Side, wait
 from tests.chaos.second import Second
 
@@ -45,6 +47,7 @@ port = 0
 time = 1.0
 required = true
 [epics]
+address_list = "{ports}"
 connect_timeout = 60.0
 reconnect_period = 0.5
 [epics.auxiliary.current]
@@ -61,19 +64,22 @@ class Ours:
     Args:
         directory: For its data and what it prints.
         ring: Its ring.
+        other: Another server, where it also looks for PVs.
         rate: Of the loop [Hz].
     """
 
-    def __init__(self, directory: Path, ring: Ring, rate: float) -> None:
+    def __init__(self, directory: Path, ring: Ring, other: Ring, rate: float) -> None:
         self.data = directory / "data"
         directory.mkdir(parents=True)
         config, self._mode = directory / "c.toml", directory / "mode"
-        text = CONFIG.format(rate=rate, ramp=3.0 / rate, limit=LIMIT, step=STEP)
+        ports = f"127.0.0.1:{ring.port} 127.0.0.1:{other.port}"
+        text = CONFIG.format(rate=rate, ramp=3.0 / rate, limit=LIMIT, step=STEP, ports=ports)
         config.write_text(text)
         self._mode.write_text(".")
         command = ["-m", "tests.chaos.controller", self._mode, "run", "--config", config]
-        command += ["--ioc", f"127.0.0.1:{ring.port}", "--data", self.data]
+        command += ["--ioc", "config", "--data", self.data]
         command += ["--metrics-port", 0, "--start", "closed"]
+        self.unlogged: list[tuple[float, float]] = []
         self.side = Side([str(word) for word in command], directory, ring.port)
         self.second = Second(command, directory / "second", ring.port)
 
@@ -122,6 +128,26 @@ class Ours:
         process = psutil.Process(self.side.popen.pid)
         _, hard = process.rlimit(psutil.RLIMIT_FSIZE)
         process.rlimit(psutil.RLIMIT_FSIZE, (most, hard))
+        self._log_stops(full)
+
+    def take_descriptors(self, taken: bool) -> None:
+        """Let it open no file and take no connection beyond those that it has."""
+        process = psutil.Process(self.side.popen.pid)
+        _, hard = process.rlimit(psutil.RLIMIT_NOFILE)
+        process.rlimit(psutil.RLIMIT_NOFILE, (process.num_fds() if taken else hard, hard))
+        self._log_stops(taken)
+
+    def _log_stops(self, begins: bool) -> None:
+        """Remember when the log cannot say what happened."""
+        if begins:
+            self.unlogged.append((time.time() - 0.5, float("inf")))
+        else:
+            self.unlogged[-1] = self.unlogged[-1][0], time.time() + 0.5
+
+    def kill(self) -> None:
+        """kill -9; what the last seconds were it cannot say any more."""
+        self.unlogged.append((time.time() - 2.0, time.time() + 0.5))
+        self.side.kill()
 
     def hide_archive(self, hidden: bool) -> None:
         """Take the directory of the archive away, or bring it back."""
@@ -154,6 +180,13 @@ class Ours:
             return f"{type(error).__name__}: {error}"
         return ""
 
+    def hang_up(self, timeout: float = 10.0) -> bool:
+        """Close its terminal; says whether it ended as when it is told to stop."""
+        before = len(self.events("service_stopped"))
+        self.side.signal(signal.SIGHUP)
+        wait(lambda: not self.side.alive, timeout)
+        return not self.side.alive and len(self.events("service_stopped")) > before
+
     def close(self, timeout: float = 10.0) -> None:
         """Stop it as its user does."""
         self.second.end()
@@ -166,3 +199,8 @@ class Ours:
     def come_up(self, timeout: float = 120.0) -> bool:
         """Wait until it is well after a start."""
         return wait(lambda: not self.side.alive or self.is_well(), timeout, 0.2) and self.side.alive
+
+
+def needs_hand(reason: str) -> bool:
+    """Say whether a loop is held by something that only an operator ends."""
+    return LATCHED in reason or "another server than before" in reason

@@ -47,3 +47,23 @@ def test_deaf_supplies_echo_their_setpoint_and_jump_when_they_are_back(ring, nam
     assert np.abs(shown.true_orbit).max() < 1e-9
     wrapped.faults = []
     assert np.abs(wrapped.step(setpoints).true_orbit).max() > 10e-6
+
+
+def test_a_bpm_that_stamps_itself_may_not_be_acted_on_with_many_others(ring):
+    wrapped, fault = faulty(ring, "BPM stamped 1.5 ms ahead")
+    wrapped.faults = [fault]
+    wrapped.step(np.zeros(180))
+    assert {int(index): told for index, told in fault["bpms"].items()} == wrapped.board_faults
+    wrapped.faults = [{"id": "1", "bpms": dict.fromkeys(map(str, range(0, 60, 3)), "apart")}]
+    wrapped.step(np.zeros(180))
+    assert not wrapped.good
+
+
+def test_what_is_slow_and_who_refuses_is_known_while_it_lasts(ring):
+    wrapped, slow = faulty(ring, "orbits at a third of the rate")
+    _, refusing = faulty(ring, "corrector refuses puts")
+    wrapped.faults = [slow, refusing]
+    assert wrapped.slowness() == 3
+    assert wrapped.refusing() == refusing["refuse"]
+    wrapped.faults = []
+    assert (wrapped.slowness(), wrapped.refusing()) == (1, [])

@@ -6,7 +6,7 @@ import pytest
 from tests.chaos.devices import FaultyRing
 from tests.chaos.growth import Life, grown
 from tests.chaos.journal import RECORD, Journal, read
-from tests.chaos.judge import broken_rules, put_figures, trips
+from tests.chaos.judge import broken_rules, put_figures, trips, wandered
 from tests.chaos.kinds import KINDS
 from tests.chaos.notes import FORGIVEN, Notes
 from tests.chaos.schedule import schedule
@@ -180,3 +180,11 @@ def test_a_torn_record_is_left_out(tmp_path):
     journal.write(tick=4)
     (tmp_path / "j").write_bytes((tmp_path / "j").read_bytes()[:-1])
     assert read(tmp_path / "j")["tick"].tolist() == [3] and RECORD.itemsize < 100
+
+
+def test_a_beam_that_blind_devices_move_far_is_found():
+    rows = np.zeros(10, dtype=RECORD)
+    rows["wall"], rows["peak"] = np.arange(10), 30e-6
+    rows["peak"][5:] = 90e-6
+    assert wandered(rows, [(0.0, 4.0), (6.0, 9.0)]) == []
+    assert "60 um" in wandered(rows, [(2.0, 5.0)])[0]
