@@ -15,7 +15,7 @@ import numpy as np
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.safety.answers.evidence import Test, ask_at_any, ask_devices, ask_ring
 from orbitfb.safety.answers.expectation import Expectation, Owed, shown
-from orbitfb.safety.answers.owing import HALF, LAGS, MOST, Answering, Sent, Session, rms
+from orbitfb.safety.answers.owing import HALF, LAGS, MOST, STAKE, Answering, Sent, Session, rms
 from orbitfb.safety.answers.questions import Ring, Sight
 from orbitfb.safety.interlocks import InterlockSettings
 
@@ -269,7 +269,7 @@ def _judge(
     owed, devices = owed.paid(False, sure), devices.anew(sure)
     waited, orbits = 0 if late.any() else waited, session.orbits + 1
     session = replace(session, devices=devices, answered=answered, waited=waited, orbits=orbits)
-    least = reach if session.stopped else MOST * reach
+    least = (STAKE if session.stopped else MOST) * reach
     session = replace(session, stopped=memory.overdue(owed) > least)
     after = replace(memory, session=session, owed=owed, lag=lag, since=since)
     counts = np.concatenate((valid, ring.movable))

@@ -111,7 +111,7 @@ def test_once_it_waits_for_one_it_waits_until_that_has_answered(memory):
     memory = owing(memory, [3])
     owed = replace(memory.owed, bpms=1.2 * memory.owed.bpms)
     _, after = look(seen(memory, closed=True, held=False), replace(memory, owed=owed), SETTINGS)
-    less = replace(after, owed=replace(owed, bpms=0.7 * memory.owed.bpms))
+    less = replace(after, owed=replace(owed, bpms=0.9 * memory.owed.bpms))
     assert less.waits(SETTINGS)
     assert not replace(less, session=replace(less.session, stopped=False)).waits(SETTINGS)
 
