@@ -1,1 +1,1 @@
-"""The watch over the gap of the running service: a look at its last ticks, now and then."""
+"""The gap while the loop runs: a look at the last ticks, once a period."""

@@ -1,4 +1,4 @@
-"""The process of the watch, which `GapProcess` starts as `python -m orbitfb.diagnose.live N`."""
+"""The process that looks; `GapProcess` starts it as `python -m orbitfb.diagnose.live N`."""
 
 import contextlib
 import os
@@ -17,7 +17,7 @@ _NICE = 19
 
 
 def main(descriptor: int) -> None:
-    """Look when asked, until the parent lets go.
+    """Look when asked, until the parent closes the connection.
 
     Args:
         descriptor: The child's end of the pair of sockets.
@@ -30,20 +30,20 @@ def main(descriptor: int) -> None:
             asked: Look = connection.recv()
             try:
                 answer = seen(asked.transitions, layout)
-            except Exception as error:  # the outermost guard: told to the parent, never lost
+            except Exception as error:  # the outermost guard: the parent gets the message
                 connection.send(repr(error))
                 continue
             connection.send(answer)
 
 
 def seen(transitions: Transitions, layout: Layout) -> GapSight | None:
-    """Look at transitions; None when too few can be used."""
+    """Look at transitions; None if too few of them can be used."""
     record = record_of(transitions, layout)
     return None if record is None else look(record, float(transitions.next_time[-1]))
 
 
 def _end_with_parent() -> None:
-    """End at once when the parent is gone, also in the middle of a look."""
+    """End at once if the parent has ended, even in the middle of a look."""
     while sys.stdin.buffer.read(4096):
         pass
     os._exit(0)

@@ -1,8 +1,8 @@
-"""Devices that a diagnosis calls broken, and the rows that they spoil for the learner.
+"""Broken devices, and the rows that the learner must leave out because of them.
 
-A corrector that is stuck or turned round is not a drift of R, and a refit must not make one of
-it. A broken BPM does not count; where a broken corrector was moved, nothing is known of what
-happened: the row does not teach.
+A corrector that is stuck or has the wrong sign is not a drift of R, and a refit must not fit it as
+one. Readings of a broken BPM do not count. If a broken corrector was moved, its true kick is
+unknown, and the learner leaves the row out.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,8 +29,9 @@ BREAKING = frozenset(
         "corrector-saturation",
     }
 )
-"""Effects that make a device useless for the learner, not merely inexact."""
+"""Effects after which the learner cannot use a device at all."""
 SURE = 0.9
+"""Probability from which a device counts as broken [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +39,10 @@ class Broken:
     """A device that is broken.
 
     Args:
-        effect: In which way.
-        name: The device.
-        planes: In which planes.
-        since: From when on [s since the epoch]; −inf: always.
+        effect: Id of the effect.
+        name: Name of the device.
+        planes: Planes that are affected.
+        since: Onset [s since the epoch]; −inf: always.
     """
 
     effect: str
@@ -51,7 +52,7 @@ class Broken:
 
 
 class Source(Protocol):
-    """Where the last transitions are kept."""
+    """A store of the last transitions."""
 
     def snapshot(self, last: int | None = None, since_tick: int | None = None) -> Transitions:
         """Copy the transitions: the last ones, or those since a tick."""
@@ -59,11 +60,11 @@ class Source(Protocol):
 
 
 def broken_devices(diagnosis: Diagnosis, begin: float = -np.inf) -> tuple[Broken, ...]:
-    """List what a diagnosis calls broken.
+    """List the broken devices in a diagnosis.
 
     Args:
         diagnosis: The answer.
-        begin: First reading of its record [s since the epoch].
+        begin: Time of the first reading of its record [s since the epoch].
     """
     return tuple(
         Broken(cause.effect, name, cause.planes, begin + (cause.onset_s or 0.0))
@@ -74,7 +75,7 @@ def broken_devices(diagnosis: Diagnosis, begin: float = -np.inf) -> tuple[Broken
 
 
 def broken_at_sight(sight: GapSight) -> tuple[Broken, ...]:
-    """List what a look at the last ticks calls broken."""
+    """List the broken devices that a look at the last ticks found."""
     if not sight.resolved or sight.effect not in BREAKING or sight.probability < SURE:
         return ()
     return tuple(
@@ -86,15 +87,15 @@ def broken_at_sight(sight: GapSight) -> tuple[Broken, ...]:
 def broken_rows(
     broken: Diagnosis | Sequence[Broken], transitions: Transitions, channels: Channels
 ) -> Mask:
-    """Tell which rows must not teach.
+    """Find the rows that the learner must leave out.
 
     Args:
-        broken: A diagnosis, or what it calls broken.
+        broken: A diagnosis, or its broken devices.
         transitions: T transitions.
-        channels: Of the ring.
+        channels: Channels of the ring.
 
     Returns:
-        Shape (T,): a broken corrector was moved, or stood elsewhere than before.
+        Shape (T,): true where a broken corrector was moved.
     """
     devices = broken_devices(broken) if isinstance(broken, Diagnosis) else broken
     refused = np.zeros(len(transitions), dtype=np.bool_)
@@ -106,7 +107,7 @@ def broken_rows(
 
 
 def screened(transitions: Transitions, broken: Sequence[Broken], channels: Channels) -> Transitions:
-    """Mark rows of broken correctors as unusable, and readings of broken BPMs as not valid."""
+    """Mark rows of broken correctors unusable, and readings of broken BPMs invalid."""
     if not broken:
         return transitions
     valid = transitions.valid.copy()
@@ -119,13 +120,13 @@ def screened(transitions: Transitions, broken: Sequence[Broken], channels: Chann
 
 
 class Screen:
-    """The history as the learner sees it: without what broken devices spoil.
+    """The history without the rows and readings of broken devices, for the learner.
 
     Args:
         history: The last transitions.
-        channels: Of the ring.
-        broken: Tells what is broken now.
-        interlocks: Tell when a corrector does not follow its setpoint; None: do not look.
+        channels: Channels of the ring.
+        broken: Returns the devices that are broken now.
+        interlocks: Limits beyond which a corrector does not follow its setpoint; None: not checked.
     """
 
     def __init__(

@@ -1,7 +1,8 @@
-"""A quick look at the gap of the last ticks: one round of the tournament among a few laws.
+"""A quick look at the gap of the last ticks: one round of the tournament with a few laws.
 
-It says whether there is a gap, how large, and what is suspected. It is no diagnosis: one cause
-only, no classes, nothing added to the model and looked at again.
+It says whether there is a gap, how large it is, and which effect is suspected. It is not a
+diagnosis: it finds one cause only, without alternatives, and does not search again with the cause
+in the model.
 """
 
 import time
@@ -27,23 +28,23 @@ from orbitfb.estimation.priors import MISFIT, SURE
 from orbitfb.records.record import Record
 
 _NINETY = 1.645
-"""Standard deviations of a normal number beyond which it is in one of ten cases, either side."""
+"""Half-width of a 90 % interval, in standard deviations of a normal number."""
 
 _AS_GOOD = 5.0
-"""Lead by which the better of two is named alone [nats]. It grows with what the better one explains
-as in `impact.named.probabilities`, because all models are a little wrong."""
+"""Lead in evidence with which the better of two candidates is named alone [nats]. It grows with
+that evidence as in `impact.named.probabilities`, because all models are a little wrong."""
 
 _SAME = 0.1
-"""Rms by which what two laws make of a device may differ, of what one makes: nobody would act
-otherwise because of it [1]."""
+"""Relative rms difference between the orbits of two laws below which they count as the same [1]:
+an operator would do the same for both."""
 
 _FEW_VALUES = 3
-"""Values of a law that are weighed at every look. Laws with more are tried where something is
-seen: an unknown law of one device, or a memory of all of them."""
+"""Laws with at most so many values are tested at every look. Laws with more values are tested only
+if the record shows something: an unknown law of one device, or a delay of all devices."""
 
 _OF_THE_MODEL = ("sensor", "actuator", "optics", "timing")
-"""Stages of which the model says something. What disturbs the orbit, and how readings are noisy, is
-the ring's weather: a feedback is there for it, and no model is wrong because of it."""
+"""Stages that the model describes. Disturbances and noise are not errors of the model: the feedback
+is there to correct them."""
 
 
 def look(record: Record, stamp: float, kinds: Sequence[EffectKind] | None = None) -> GapSight:
@@ -51,8 +52,8 @@ def look(record: Record, stamp: float, kinds: Sequence[EffectKind] | None = None
 
     Args:
         record: The last ticks.
-        stamp: Of its last row [s since the epoch].
-        kinds: That may be suspected, as far as they are quick; all of the model when None.
+        stamp: Time of its last row [s since the epoch].
+        kinds: Effects to test, as far as they are quick; None: all effects of the model.
 
     Raises:
         EstimationError: The record does not move.
@@ -78,7 +79,7 @@ def look(record: Record, stamp: float, kinds: Sequence[EffectKind] | None = None
 
 
 def _sight(record: Record, stamp: float, best: Candidate, found: Sequence[Candidate]) -> GapSight:
-    """Tell the gap by what explains it best."""
+    """Describe the gap by the candidate that explains it best."""
     ticks = len(record)
     chances = probabilities(found)
     alike = {best.kind.id, *(one.kind.id for one in found if _does_the_same(best, one))}
@@ -100,7 +101,7 @@ def _sight(record: Record, stamp: float, best: Candidate, found: Sequence[Candid
 
 
 def of_the_model(record: Record) -> list[EffectKind]:
-    """Effects on what the model says that a record can show."""
+    """List the effects of the model that a record can show."""
     return [
         kind
         for kind in all_effects().values()
@@ -111,7 +112,7 @@ def of_the_model(record: Record) -> list[EffectKind]:
 def _parted(
     kinds: Sequence[EffectKind], space: Workspace
 ) -> tuple[list[EffectKind], list[EffectKind]]:
-    """Those that devices or pairs of them have: at a few values, and at many."""
+    """Select effects of single devices and pairs: those with few values, and those with many."""
     of_devices = [
         kind
         for kind in kinds
@@ -122,9 +123,9 @@ def _parted(
 
 
 def _foremost(found: Sequence[Candidate]) -> Candidate | None:
-    """The best candidate; of those that say as well what is wrong with its devices the simplest.
+    """Choose the best candidate; of equally good ones about the same devices the simplest.
 
-    A limit of all correctors that one of them reaches is a limit of that one.
+    If only one corrector reaches a limit of all correctors, the limit is of that one.
     """
     if not found or found[0].evidence <= 0.0:
         return None
@@ -139,12 +140,12 @@ def _foremost(found: Sequence[Candidate]) -> Candidate | None:
 
 
 def _needed(kind: EffectKind) -> int:
-    """How many values a law cannot do without."""
+    """Count the parameters that a law must have."""
     return sum(not parameter.optional for parameter in kind.parameters)
 
 
 def _does_the_same(best: Candidate, other: Candidate) -> bool:
-    """Whether both say that the same is done to the orbit."""
+    """Say whether both candidates change the orbit in the same way."""
     if best.field is None or other.field is None:
         return best is other
     apart = float(np.sum((best.field - other.field) ** 2))
@@ -152,7 +153,7 @@ def _does_the_same(best: Candidate, other: Candidate) -> bool:
 
 
 def _makes_sense(one: Candidate) -> bool:
-    """Whether every value is within the bounds of its parameter."""
+    """Say whether every value is within the bounds of its parameter."""
     return all(
         parameter.low <= one.values.get(parameter.name, parameter.nominal) <= parameter.high
         for parameter in one.kind.parameters
@@ -160,7 +161,7 @@ def _makes_sense(one: Candidate) -> bool:
 
 
 def _places(one: Candidate) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Devices of a candidate, and the plane of each; empty for the whole ring."""
+    """Give the devices of a candidate, and the plane of each; empty for the whole ring."""
     parted = [devices_and_planes([name]) for name in one.names]
     named = [(devices[0], planes) for devices, planes in parted]
     struck = one.kind.target in ("bpm", "corrector")

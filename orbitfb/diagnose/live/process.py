@@ -1,8 +1,8 @@
 """A process of low priority that looks at the gap.
 
-The arithmetic of a look takes seconds and would hold the interpreter's lock in the middle of a
-tick, so it has a process of its own, `python -m orbitfb.diagnose.live`, which is started when the
-first look is due and ends with its parent.
+A look computes for seconds and would hold the interpreter's lock in the middle of a tick. So it
+runs in a process of its own, `python -m orbitfb.diagnose.live`, which starts with the first look
+and ends with its parent.
 """
 
 import os
@@ -26,7 +26,7 @@ _TO_END = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """What is to be looked at."""
+    """A request for a look at transitions."""
 
     transitions: Transitions
 
@@ -35,7 +35,7 @@ class GapProcess:
     """The process that looks.
 
     Args:
-        layout: Of all channels, with the model that is questioned.
+        layout: Layout of all channels, with the model that is tested.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -47,7 +47,7 @@ class GapProcess:
         """Look at transitions; wait for the answer.
 
         Returns:
-            None when there are too few that can be used.
+            None if too few of them can be used.
 
         Raises:
             EstimationError: The process died, did not answer in time, or failed.
@@ -84,7 +84,7 @@ class GapProcess:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-        # Last: who waits for an answer is woken by the end of the process, not by this.
+        # Last: a thread that waits for an answer is woken by the end of the process.
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()

@@ -1,4 +1,4 @@
-"""A workspace that is estimated in a second: the floor once, from few shapes and few bands."""
+"""A workspace estimated in a second: noise and drift once, from few shapes and few bands."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,17 +23,17 @@ _BANDS = 8
 then right to a tenth within a band."""
 
 _SHARES = (1.0, 10.0)
-"""Sizes of a late answer that are tried, over the healthy scatter: 1 % and 10 % of a step."""
+"""Sizes of a late response that are tested, over the healthy scatter: 1 % and 10 % of a step."""
 
 
 def quick_workspace(record: Record, kinds: Sequence[EffectKind]) -> Workspace:
-    """Estimate the floor of a record as a diagnosis begins to.
+    """Estimate noise and drift of a record as a diagnosis does at first.
 
-    Of the shapes that the ground may have only the families are fitted, not single girders, and the
-    floor is estimated once. What is unlike the families is left to the free part of the walk.
+    Of the shapes of ground motion only the families are fitted, not single girders. The free part
+    of the drift takes what these families cannot describe.
 
     Args:
-        record: In question.
+        record: The record.
         kinds: Effects that are tested.
 
     Raises:
@@ -69,10 +69,10 @@ def quick_workspace(record: Record, kinds: Sequence[EffectKind]) -> Workspace:
 
 
 def memory(space: Workspace) -> float:
-    """Log evidence that devices answer late, each of them by a little and freely [nats].
+    """Compute the evidence that all devices respond a little late, each in its own way [nats].
 
     Args:
-        space: Whose healthy errors have the same courses some rows late.
+        space: A workspace whose healthy errors include courses that are some rows late.
     """
     terms = space.saturable().errors
     base = terms.evidence()

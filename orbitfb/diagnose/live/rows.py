@@ -1,4 +1,4 @@
-"""The record of a running loop: its last ticks, cut where the orbit jumped."""
+"""The record of a running loop: its last ticks, cut at jumps of the orbit."""
 
 from dataclasses import replace
 
@@ -11,28 +11,27 @@ from orbitfb.records.reading.stretches import Transition, join
 from orbitfb.records.record import Record
 
 FEWEST = 200
-"""Ticks below which nothing is said."""
+"""Fewest ticks for a look."""
 
 _JUMP = 10.0
-"""How far a step of the orbit must lie above the median one to be a jump, in distances from the
-median to the upper quartile: of the sum of squares of one normal number one in 400 does, of that of
-180 of them none of 10¹⁰."""
+"""Distance of a jump above the median step, in units of the distance from the median to the upper
+quartile. Of squares of one normal number one in 400 lies beyond; of sums of 180 squares, less than
+one in 10¹⁰."""
 
 _BY_NOBODY = 4.0
-"""How many times as large as what the correctors do at that row, or did at the one before, a step
-must be that they did not make: one that kicks the wrong way leaves twice what it should do."""
+"""Smallest ratio of a jump to the motion by the correctors in this row or the one before. A
+corrector with the wrong sign makes a step of twice its motion, which is not a jump."""
 
 _MOST_JUMPS = 0.01
-"""Share of the ticks that may be jumps: more of them are no single events, but how this ring
-moves [1]."""
+"""Largest share of ticks that may be jumps [1]. If there are more, jumps are usual on this ring."""
 
 
 def record_of(transitions: Transitions, layout: Layout) -> Record | None:
-    """Make a record of the closed, usable transitions; None when there are too few.
+    """Make a record of the closed, usable transitions; None if there are too few.
 
     Args:
-        transitions: Of the loop.
-        layout: Of all its channels.
+        transitions: Transitions of the loop.
+        layout: Layout of all its channels.
     """
     usable = transitions.usable & transitions.closed & np.isfinite(transitions.time)
     usable &= np.isfinite(transitions.setpoints).all(axis=1)
@@ -59,18 +58,18 @@ def record_of(transitions: Transitions, layout: Layout) -> Record | None:
 
 
 def cut_at_jumps(record: Record) -> Record:
-    """Begin a stretch wherever the whole orbit jumps by what no corrector did.
+    """Begin a new stretch where the orbit jumps and no corrector was the reason.
 
-    A kick by an operator, a magnet that steps, a glitch of all BPMs: each is one event of the
-    machine, and says nothing against the model. A stretch knows the orbit only from its own first
-    row on, so the step is not judged; what the feedback does about it is.
+    A kick by an operator, a magnet that steps or a glitch of all BPMs is a single event, and not an
+    error of the model. A stretch starts from its own first row, so the step itself is not tested;
+    the response of the feedback to it is.
     """
     jumps = _jumps(record)
     return replace(record, starts=record.starts | jumps) if np.any(jumps) else record
 
 
 def _jumps(record: Record) -> Mask:
-    """Rows whose step is far larger than usual, shape (N,)."""
+    """Find the rows whose step is far larger than usual, shape (N,)."""
     made = record.setpoints @ record.layout.response.T
     left = record.readings - made
     inside = np.flatnonzero(~record.starts)

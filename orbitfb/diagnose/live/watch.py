@@ -1,4 +1,4 @@
-"""The service's watch over its own gap: a thread that asks for a look once a period."""
+"""A thread of the service that asks for a look at the gap once a period."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -10,18 +10,18 @@ from orbitfb.diagnose.live.broken import Broken, Source, broken_at_sight
 from orbitfb.diagnose.settings import LiveSettings
 
 FEWEST = 250
-"""Closed ticks before the first look."""
+"""Fewest closed ticks before the first look."""
 
 
 class GapWatch(threading.Thread):
     """Looks at the gap once a period.
 
     Args:
-        settings: When, and at how much.
+        settings: Period and number of ticks.
         history: The last transitions.
-        look: Looks at transitions; None as an answer: too few.
-        publish: Gets every sight, in this thread; it must not raise.
-        failed: Gets the reason when a look failed; it must not raise.
+        look: Looks at transitions; it returns None if there are too few.
+        publish: Receives every result, in this thread; it must not raise.
+        failed: Receives the reason of a failed look; it must not raise.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class GapWatch(threading.Thread):
         self._broken: tuple[Broken, ...] = ()
 
     def broken(self) -> Sequence[Broken]:
-        """What the last look called broken; from any thread."""
+        """List the devices that the last look found broken; may be called from any thread."""
         return self._broken if self._settings.screen else ()
 
     def run(self) -> None:
@@ -49,7 +49,7 @@ class GapWatch(threading.Thread):
             self.step()
 
     def step(self) -> None:
-        """Look once, if there is anything new."""
+        """Look once, if there are new ticks."""
         transitions = self._history.snapshot(last=self._settings.window)
         usable = int((transitions.closed & transitions.usable).sum())
         if usable < FEWEST or int(transitions.tick[-1]) == self._last_tick:
@@ -66,10 +66,10 @@ class GapWatch(threading.Thread):
             self._publish(sight)
 
     def stop(self, end: Callable[[], None] = lambda: None) -> None:
-        """Let the thread end.
+        """End the thread.
 
         Args:
-            end: Ends what it may be waiting for.
+            end: Ends the process for which the thread may wait.
         """
         self._stop_event.set()
         end()
