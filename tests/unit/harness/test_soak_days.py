@@ -52,8 +52,10 @@ def test_gaps_move_and_kick(monkeypatch):
 
 @pytest.mark.parametrize("follows", [True, False])
 def test_the_frequency_keeps_the_energy_that_the_tide_takes(monkeypatch, follows):
-    """A tide fifty times as quick, so that five minutes are enough: at a hundred times the loop asks
-    so often whether the orbit answers a drift that cancels its steps that the energy goes meanwhile."""
+    """A tide fifty times as quick, so that five minutes are enough.
+
+    At a hundred times the drift cancels what the loop asks for: it waits, and the energy goes.
+    """
     monkeypatch.setattr(surroundings, "TIDE_PERIOD", surroundings.TIDE_PERIOD / 50)
     _, energy = live(300 / 86400, rate=1.0, follows=follows)
     told = energy.problems()
