@@ -8,6 +8,7 @@ touched.
 """
 
 import os
+import signal
 import sys
 import time
 from typing import Any
@@ -49,6 +50,7 @@ def misbehaving(policy: Any, file: int) -> Any:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whoever started the campaign may have had nohup
     told = os.open(sys.argv[1], os.O_RDONLY | os.O_CLOEXEC)
     first = Keeper.first
     Keeper.first = lambda *a, **k: misbehaving(first(*a, **k), told)
