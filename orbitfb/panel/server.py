@@ -52,6 +52,7 @@ class Panel:
         self._looking = asyncio.Lock()
         self._beats = 0
         self._unset = {pv.name for pv in self.pvs if pv.name.endswith("-SP")}
+        self._unsure: set[str] = set()
         self._telling: set[asyncio.Task[None]] = set()
         self._refusals = Bursts(SystemClock())
 
@@ -65,13 +66,19 @@ class Panel:
         return self._access.may_write(pv.name, origin.user, origin.address)
 
     async def obey(self, pv: PanelPv, value: Any, origin: Origin) -> None:
-        """Have the service do what was written."""
+        """Have the service do what was written.
+
+        Where it does not say in time that it has, it may do so later: until the next write that
+        it acknowledges, the PV shows what is in force.
+        """
         request = request_of(pv, value)
         if request is None:
             return
         self._unset.discard(pv.name)
         told = {"user": origin.user, "host": origin.address, "pv": self._prefix + pv.name}
+        self._unsure.add(pv.name)
         await self._in_thread({**request, "origin": told}, ANSWER_TIMEOUT)
+        self._unsure.discard(pv.name)
         await self.look()  # what is acknowledged shows in the readbacks
 
     def refused(self, pv: PanelPv, value: Any, origin: Origin, reason: str) -> None:
@@ -125,8 +132,9 @@ class Panel:
             if name in self._channels:
                 await show(self._channels[name], value)
             wish = name.removesuffix("-RB") + "-SP"
-            if name.endswith("-RB") and wish in self._unset and value is not None:
-                await show(self._channels[wish], value)  # before anybody has written it
+            follows = wish in self._unset or wish in self._unsure
+            if name.endswith("-RB") and follows and value is not None:
+                await show(self._channels[wish], value)  # nobody has written it, or in doubt
                 self._unset.discard(wish)
 
     def close(self) -> None:
