@@ -213,12 +213,12 @@ def _show(answer: "Diagnosis", written: tuple[Path, ...]) -> None:
         if number:  # the headline says it of the first one
             say(f"  {to_do(cause)}")
         if cause.alternatives:
-            say(f"  It may also be called {', '.join(cause.alternatives)}.")
+            say(f"  It may also be {', '.join(cause.alternatives)}.")
     shrink = answer.shrink
     if shrink is not None and shrink.resolved and shrink.before_um is not None:
         before = quantity(1e-6 * shrink.before_um, "m")
         after = quantity(1e-6 * (shrink.after_um or 0.0), "m")
-        say(f"error of a prediction beyond noise: {before}, with the causes {after}")
+        say(f"prediction error in addition to noise: {before}, with the causes {after}")
     if answer.experiment is not None:
         say(f"experiment: {answer.experiment.text}")
     for path in written:

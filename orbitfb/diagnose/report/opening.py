@@ -107,7 +107,7 @@ def _cause(cause: Cause) -> str:
     rows = [(text(name), text(parameter(v))) for name, v in cause.parameters.items()]
     head = "rms over all devices" if cause.scatter else "value, 90 % interval"
     others = (
-        paragraph(f"May also be called: {listed(cause.alternatives)}.", "note")
+        paragraph(f"May also be: {listed(cause.alternatives)}.", "note")
         if cause.alternatives
         else ""
     )

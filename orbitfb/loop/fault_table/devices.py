@@ -7,12 +7,12 @@ _CLOSED, _HELD, _TRIPPED = LoopState.CLOSED, LoopState.HELD, LoopState.TRIPPED
 
 DEVICE_FAULTS = (
     Fault(
-        "a BPM is disconnected, INVALID, NaN or exactly 0, keeps its stamp or repeats its reading "
-        "while others change, carries another stamp than they, or jumps alone",
-        "left out within the tick (one whose stamp is not that of the others: after one lost "
-        "orbit) and named with the reason, the law solved for the rest; counts "
-        "again after a row of good readings; one that jumped, once it reads what it did, or after "
-        "the loop was opened",
+        "a BPM is disconnected, INVALID, NaN or exactly 0; it repeats its time stamp or its "
+        "reading while others change; its time stamp is not that of the others; or it jumps alone",
+        "The BPM is left out in the same tick and named with the reason; the policy acts on the "
+        "others. If its time stamp is not that of the others, one orbit is lost first. It counts "
+        "again after several good readings in a row. A BPM that jumped counts again when it "
+        "reads its former value, or after the loop was opened.",
         (_CLOSED,),
         (
             "epics.stuck_bpms",
@@ -30,9 +30,9 @@ DEVICE_FAULTS = (
         ),
     ),
     Fault(
-        "more such BPMs than may be, or too many next to each other; those of `masks.bpms` and "
-        "disabled ones are not counted",
-        "nothing is written until they are back",
+        "more such BPMs than allowed, or too many next to each other; BPMs of `masks.bpms` and "
+        "disabled ones do not count",
+        "Nothing is written until they are back.",
         (_HELD, _TRIPPED),
         (
             "interlocks.max_invalid_bpms",
@@ -48,7 +48,7 @@ DEVICE_FAULTS = (
     ),
     Fault(
         "no coherent orbit, an old one, or the same one again",
-        "nothing is written: an old orbit is never acted on",
+        "Nothing is written. The loop never acts on an old orbit.",
         (_HELD, _TRIPPED),
         ("loop.hold_after", "interlocks.frozen_ticks", "epics.stale_after", "loop.trip_after"),
         (
@@ -58,10 +58,12 @@ DEVICE_FAULTS = (
         ),
     ),
     Fault(
-        "a corrector is off, stuck, disconnected, or its readback is away or beyond the tolerance",
-        "left out after some ticks (at once if its setpoint cannot be written) and named, its "
-        "setpoint stays, the law solved for the others, the learner does not use its rows; read "
-        "again when it is back; counts again when the loop is opened and closed",
+        "a corrector is off, stuck or disconnected, or its readback is missing or beyond the "
+        "tolerance",
+        "The corrector is left out after some ticks, at once if its setpoint cannot be written, "
+        "and named. Its setpoint stays, the policy uses the others, and the learner leaves out "
+        "its rows. When it is back, its setpoint is read again. It moves again after the loop "
+        "was opened and closed.",
         (_CLOSED,),
         (
             "interlocks.readback_tolerance",
@@ -77,11 +79,12 @@ DEVICE_FAULTS = (
         ),
     ),
     Fault(
-        "a corrector does not take puts: refused by its server, without write access, or taken "
-        "back again and again",
-        "refusals are heard, setpoints asked for when readbacks tell otherwise and before the "
-        "response is called wrong; left out with its cause, the others take over; what is not as "
-        "it was sent for the first time, without a cause, holds the loop as somebody's hand",
+        "a corrector does not accept puts: its server refuses them, write access is missing, or "
+        "the setpoint returns to its old value again and again",
+        "The loop notices refusals. It asks for the setpoints if readbacks differ from them, and "
+        "before it calls the response wrong. The corrector is left out with the cause, and the "
+        "others take over. A setpoint that differs for the first time, without a known cause, "
+        "counts as moved by somebody and holds the loop.",
         (_CLOSED, _HELD),
         ("interlocks.readback_tolerance", "interlocks.max_lost_correctors"),
         (
@@ -92,11 +95,12 @@ DEVICE_FAULTS = (
         ),
     ),
     Fault(
-        "readings with fresh stamps and noise that do not answer the correctors (blind, repeated, "
-        "late), or supplies that echo the setpoint and do not move the beam: of the whole ring",
-        "once setpoints have wandered, or no answer was seen for long, the loop asks by small "
-        "random excursions and corrects nothing until the ring has answered; TRIPPED if it does "
-        "not; such ticks teach nobody",
+        "the whole ring does not respond: readings have new time stamps and noise, but do not "
+        "follow the correctors (blind, repeated, late), or power supplies repeat the setpoint "
+        "and do not move the beam",
+        "If the setpoints have moved far, or no response was seen for long, the loop makes small "
+        "random excursions and corrects nothing until the ring has answered. If it does not "
+        "answer, the loop trips. The learner does not use such ticks.",
         (_TRIPPED,),
         ("interlocks.answer_reach", "interlocks.answer_question", "interlocks.answer_after"),
         (
@@ -107,9 +111,10 @@ DEVICE_FAULTS = (
         ),
     ),
     Fault(
-        "the same of a BPM, a corrector or a few of them",
-        "left out and named, until the loop is opened; while one of them owes too much of an "
-        "answer the loop corrects nothing; more than may be left out hold (BPMs) or trip it",
+        "one BPM or corrector, or a few of them, do not respond",
+        "They are left out and named until the loop is opened. While it is not yet certain, the "
+        "loop corrects nothing. More BPMs than may be left out hold the loop; more correctors "
+        "trip it.",
         (_CLOSED, _HELD, _TRIPPED),
         (
             "interlocks.answer_reach",
@@ -123,9 +128,10 @@ DEVICE_FAULTS = (
         ),
     ),
     Fault(
-        "drive limits of a corrector are narrower than ours, or become so",
-        "they hold for that corrector, which leaves the solution when it is there; a setpoint "
-        "beyond them is not put, as it would jump",
+        "the drive limits of a corrector are narrower than those of the configuration, or become "
+        "so",
+        "The narrower limits hold for this corrector. At its limit the others take over. A "
+        "setpoint beyond the limits is not sent, because it would jump.",
         (_CLOSED,),
         ("limits.setpoint",),
         (
@@ -136,8 +142,8 @@ DEVICE_FAULTS = (
     ),
     Fault(
         "somebody sets a corrector that is disabled, masked or left out",
-        "nothing is put there, so that it stays; when it is given to the loop, that reads its "
-        "setpoint first and goes on from there in limited steps",
+        "The loop sends nothing to it. When the corrector is enabled, the loop first reads its "
+        "setpoint, and continues from there in limited steps.",
         (_CLOSED,),
         ("limits.change_per_tick", "interlocks.readback_tolerance"),
         (
@@ -147,10 +153,10 @@ DEVICE_FAULTS = (
         ),
     ),
     Fault(
-        "a change that was sent does not show in the readbacks of the next orbit, though it does "
-        "as a rule: puts or orbits are late",
-        "that tick is held back, named and counted, so that no error is corrected twice; after as "
-        "many ticks as readbacks may lag the setpoints are read again before it goes on",
+        "a change that was sent does not show in the readbacks of the next orbit, as it usually "
+        "does: puts or orbits are late",
+        "This tick writes nothing and is counted, so that no error is corrected twice. After as "
+        "many ticks as readbacks may lag, the setpoints are read again before the loop goes on.",
         (_CLOSED,),
         ("interlocks.readback_lag",),
         (
@@ -160,9 +166,9 @@ DEVICE_FAULTS = (
         ),
     ),
     Fault(
-        "more correctors than may be lost",
-        "TRIPPED; HELD while a readback is away, as its IOC may come back, and until it has "
-        "had its ticks to follow",
+        "more lost correctors than allowed",
+        "The loop trips. While a readback is missing it is HELD, because the IOC may come back, "
+        "and until the readback has had its ticks to follow.",
         (_HELD, _TRIPPED),
         ("interlocks.max_lost_correctors", "interlocks.readback_ticks"),
         (
@@ -172,7 +178,8 @@ DEVICE_FAULTS = (
     ),
     Fault(
         "a corrector would go beyond its limit",
-        "it leaves the solution of this tick and the others take over; named, and warned of before",
+        "At its limit the others take over in the same tick. The corrector is named; a warning "
+        "comes before.",
         (_CLOSED,),
         ("limits.setpoint", "limits.warning"),
         (
@@ -183,7 +190,7 @@ DEVICE_FAULTS = (
     ),
     Fault(
         "a step larger than allowed",
-        "the whole vector is shortened, its direction kept",
+        "The whole change is scaled down; its direction stays.",
         (_CLOSED,),
         ("limits.change_per_tick",),
         ("test_limits_hold_for_any_finite_input",),

@@ -18,9 +18,9 @@ _OPEN, _CLOSED, _HELD, _TRIPPED = (
 FAULTS = (
     *DEVICE_FAULTS,
     Fault(
-        "the policy raises, or asks for something that is not finite or of another shape",
-        "the SVD baseline decides from this tick on, until another policy is put in force or the "
-        "loop is closed again; nothing that is not finite is ever sent",
+        "the policy fails, or its change is not finite or has the wrong shape",
+        "The SVD baseline decides from this tick on, until another policy is put in force or the "
+        "loop is closed again. A value that is not finite is never sent.",
         (_CLOSED,),
         (),
         (
@@ -32,15 +32,15 @@ FAULTS = (
     ),
     Fault(
         "the policy decides too late",
-        "the baseline decides at this tick; after three in a row from then on",
+        "The baseline decides at this tick. After three late decisions in a row it keeps deciding.",
         (_CLOSED,),
         ("loop.policy_deadline",),
         ("test_a_slow_policy_is_put_aside_after_three_strikes",),
     ),
     Fault(
         "PVs come from another server than before, such as a test IOC with the same names",
-        "nothing is written; another server is another machine, so HELD does not end by itself: "
-        "an operator closes the loop. PVs that two servers have are told at start",
+        "Nothing is written. Another server is another machine, so HELD does not end by itself: "
+        "an operator closes the loop. PVs that two servers have are named at the start.",
         (_HELD,),
         ("epics.address_list", "epics.name_servers"),
         (
@@ -51,7 +51,8 @@ FAULTS = (
     ),
     Fault(
         "the stored current is too low, drops, is not known or old",
-        "TRIPPED in the same tick, setpoints stay, post-mortem; a drop trips while HELD too",
+        "The loop trips in the same tick, setpoints stay, and a post-mortem is written. A drop "
+        "also trips a HELD loop.",
         (_TRIPPED,),
         (
             "interlocks.current_min",
@@ -62,15 +63,15 @@ FAULTS = (
     ),
     Fault(
         "a fast orbit feedback is closed, or its status is not known",
-        "close is refused; a closed loop is HELD until the fast one is open",
+        "The command close is refused. A closed loop is HELD until the fast one is open.",
         (_HELD,),
         ("interlocks.fast_feedback_channel", "epics.auxiliary"),
         ("test_beside_a_fast_feedback_that_is_closed_nothing_is_written",),
     ),
     Fault(
         "the orbit error is too large (rms, largest) or grows too fast",
-        "TRIPPED; setpoints stay, or go back to the last good ones in limited steps if so "
-        "configured: no further once anything is wrong",
+        "The loop trips. Setpoints stay; or, if so configured, they return to the last good ones "
+        "in limited steps, which stop as soon as anything is wrong.",
         (_TRIPPED,),
         (
             "interlocks.distortion_rms",
@@ -90,8 +91,8 @@ FAULTS = (
     ),
     Fault(
         "the response is wrong: sign, exchanged BPMs or correctors",
-        "TRIPPED after a few ticks: the orbit does not answer as predicted nor get better, "
-        "or it grows tick by tick",
+        "The loop trips after a few ticks: the orbit does not respond as predicted and does not "
+        "get better, or it grows from tick to tick.",
         (_TRIPPED,),
         (
             "interlocks.prediction_ticks",
@@ -107,7 +108,7 @@ FAULTS = (
     ),
     Fault(
         "somebody else moves a setpoint, a write fails, or the setpoints are not known",
-        "nothing is written until they are read again",
+        "Nothing is written until they are read again.",
         (_HELD, _TRIPPED),
         ("loop.trip_after",),
         (
@@ -117,8 +118,8 @@ FAULTS = (
     ),
     Fault(
         "the IOC or the network is gone and comes back",
-        "nothing is written meanwhile, setpoints and drive limits are read again before closing; "
-        "drive limits that are narrower now hold for their corrector",
+        "Nothing is written in the meantime. Setpoints and drive limits are read again before "
+        "the loop closes; drive limits that are narrower now hold for their corrector.",
         (_HELD, _TRIPPED),
         ("loop.proving", "loop.reclose", "loop.trip_after", "limits.setpoint"),
         (
@@ -128,8 +129,8 @@ FAULTS = (
     ),
     Fault(
         "the disk is full, the directory of archive or log is gone",
-        "the loop goes on and says so; ticks and lines wait, the newest ticks are dropped and "
-        "counted when too many do; written again when there is room",
+        "The loop goes on and says so. Ticks and log lines wait until there is room. If too many "
+        "wait, the newest ticks are dropped and counted.",
         (_CLOSED,),
         (),
         (
@@ -141,8 +142,8 @@ FAULTS = (
     ),
     Fault(
         "a clock is set: that of this computer, or that of both it and the IOC",
-        "the loop goes on and says so, after a few lost orbits if the stamps went back; rules "
-        "count by a clock that cannot be set",
+        "The loop goes on and says so; if the time stamps went back, a few orbits are lost "
+        "first. All rules use a clock that cannot be set.",
         (_CLOSED,),
         (),
         (
@@ -152,16 +153,16 @@ FAULTS = (
         ),
     ),
     Fault(
-        "the clock of the IOC alone is set, by more than an orbit may be old",
-        "nothing is written until it is right: its orbits might be old",
+        "only the clock of the IOC is set, by more than the largest age of an orbit",
+        "Nothing is written until it is right again: its orbits might be old.",
         (_HELD, _TRIPPED),
         ("epics.stale_after", "loop.trip_after"),
         ("test_the_clock_of_the_ioc_is_set_and_the_loop_goes_on_once_it_is_right",),
     ),
     Fault(
         "a refit is poisoned: bad rows, no excitation, an operator's bump, another reference",
-        "such rows are left out and counted by reason; too few are left: refused with the reason; "
-        "a policy that makes the loop worse is taken back by itself",
+        "Such rows are left out and counted by reason. If too few are left, the refit is refused "
+        "with the reason. A policy that makes the loop worse is rolled back automatically.",
         (_CLOSED,),
         (),
         (
@@ -172,7 +173,7 @@ FAULTS = (
     ),
     Fault(
         "the controller is killed",
-        "setpoints stay; it starts OPEN, or closes again if so told",
+        "Setpoints stay. The next start begins OPEN, or closes if so configured.",
         (_OPEN,),
         (),
         (
@@ -182,15 +183,15 @@ FAULTS = (
     ),
     Fault(
         "another controller writes",
-        "the second refuses to start; a lease that was lost opens the loop",
+        "The second controller refuses to start. A lost lease opens the loop.",
         (_OPEN,),
         ("lease.pv", "lease.time"),
         ("test_one_of_two_controllers_writes_and_a_stale_lease_is_taken_over",),
     ),
     Fault(
-        "another controller writes, and no lease keeps it apart",
-        "close is refused, a loop that waits to close trips; of two that closed at once one trips "
-        "and says which setpoints the other moves",
+        "another controller writes, and there is no lease",
+        "The command close is refused, and a loop that waits to close trips. If two loops closed "
+        "at once, one trips and says which setpoints the other moves.",
         (_TRIPPED,),
         ("interlocks.second_controller_ticks",),
         (
@@ -202,7 +203,7 @@ FAULTS = (
     ),
     Fault(
         "an unexpected error",
-        "setpoints stay; start the program again",
+        "Setpoints stay. Start the program again.",
         (LoopState.FAULT,),
         (),
         ("test_a_policy_that_raises_is_a_fault_and_writes_nothing",),

@@ -207,9 +207,8 @@ def _gap_findings(rows: Transition, position: Indices, jumps: Mask) -> list[Find
                 "warning",
                 (),
                 (first, int(position[at[-1]]) + 1),
-                f"the time jumps at "
-                f"{counted(len(at), 'row')}, first after row {int(at[0])} of the file, at "
-                f"most by {longest:.3g} s; the record is taken in pieces",
+                f"the time jumps at {counted(len(at), 'row')}, first after row {int(at[0])} of "
+                f"the file, at most by {longest:.3g} s; the record is split there",
             )
         )
     lost = ~rows.follows & ~jumps
@@ -223,8 +222,8 @@ def _gap_findings(rows: Transition, position: Indices, jumps: Mask) -> list[Find
                 (),
                 (first, int(position[at[-1]]) + 1),
                 f"at {counted(len(at), 'row')}, first row {int(at[0])} of the file, next_orbit is "
-                "not the orbit of the row after it although the time goes on; rows are missing "
-                "there, and the record is taken in pieces",
+                "not the orbit of the row after it although the time is continuous; rows are "
+                "missing, and the record is split there",
             )
         )
     return found

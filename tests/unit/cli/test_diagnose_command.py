@@ -99,7 +99,7 @@ def test_a_cause_stands_in_one_line_where_there_is_no_terminal(engine, record):
     (row,) = (line for line in lines if line.startswith("cause: "))
     assert "tau 93 [88, 98] ms" in row
     assert row.endswith("(corrector-lag)")
-    assert "  It may also be called corrector-slew." in lines
+    assert "  It may also be corrector-slew." in lines
 
 
 def test_the_word_record_may_be_typed_and_options_may_come_first(engine, record, tmp_path):

@@ -181,4 +181,4 @@ def test_the_page_has_one_probability(rich):
 def test_other_names_of_a_cause_are_told():
     cause = examples.lag_cause().model_copy(update={"alternatives": ("corrector-slew",)})
     said = opening.causes(examples.named(causes=(cause,)))
-    assert "May also be called: corrector-slew." in said
+    assert "May also be: corrector-slew." in said
