@@ -25,7 +25,7 @@ from orbitfb.core.errors import ConfigError
 from orbitfb.core.files.bounded import LARGEST_TEXT, parse_toml, read_text
 from orbitfb.core.settings import without
 from orbitfb.loop.timing.timeouts import RULES
-from orbitfb.policies.blocks import sized
+from orbitfb.policies.blocks import damped, sized
 
 OPTIONS = {
     "data_directory": "--data",
@@ -98,13 +98,18 @@ def load_config(
 
 
 def _planned(config: AppConfig) -> AppConfig:
-    """Give the SVD law of each plane the sizes of that plane, if there are laws by plane."""
-    if not config.policy.svd.planes:
+    """Give the law of each plane the sizes of that plane, if there are laws by plane."""
+    svd, modal = config.policy.svd, config.policy.modal
+    if not svd.planes and not modal.planes:
         return config
     channels = config.ring.load().channels(config.ring.planes)
-    laws = sized(config.policy.svd.planes, channels)
-    svd = config.policy.svd.model_copy(update={"planes": laws})
-    return config.model_copy(update={"policy": config.policy.model_copy(update={"svd": svd})})
+    if svd.planes:
+        svd = svd.model_copy(update={"planes": sized(svd.planes, channels)})
+    if modal.planes:
+        planes = damped(modal.planes, modal.regularisation, channels)
+        modal = modal.model_copy(update={"planes": planes})
+    policy = config.policy.model_copy(update={"svd": svd, "modal": modal})
+    return config.model_copy(update={"policy": policy})
 
 
 def _fitted(config: AppConfig) -> tuple[AppConfig, list[str]]:

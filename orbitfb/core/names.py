@@ -27,6 +27,9 @@ RF_FREQUENCY, RF_READBACK, RF_STEP = "rf_frequency", "rf_readback", "rf_step"
 """Slow channels of the RF: its setpoint and its readback, and by how much the loop changed it since
 the orbit before [Hz]."""
 
+FAST_FEEDBACK = "fast_feedback_closed"
+"""Slow channel that the loop adds beside a fast feedback: 0 while that is open, else 1."""
+
 _ELEMENT = re.compile(r"(?P<pv>.+?)(?:\.VAL|\.)\[(?P<index>\d{1,6})\]")
 
 

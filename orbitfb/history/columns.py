@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.names import RF_STEP
+from orbitfb.core.names import FAST_FEEDBACK, RF_STEP
 from orbitfb.core.signals import Channels, LoopState, TickRecord
 from orbitfb.core.transitions import Transitions
 
@@ -127,8 +127,9 @@ def transitions_of(columns: Columns) -> Transitions:
     """Pair each row with the next one; the last row has none and gives no transition.
 
     A transition is usable if both ticks have a reading, follow each other with no orbit missed
-    between, a_n had left before the stamp of s_{n+1} (or nothing was written), and the loop did not
-    step the RF frequency: what that does to the orbit is no answer to the correctors.
+    between, a_n had left before the stamp of s_{n+1} (or nothing was written), the loop did not
+    step the RF frequency, and no fast feedback was closed: what these do to the orbit is no answer
+    to our changes.
 
     Args:
         columns: One unbroken run of one loop, in order. The result may share its memory.
@@ -140,6 +141,8 @@ def transitions_of(columns: Columns) -> Transitions:
     in_force = np.isnan(written[first]) | (written[first] <= time[second])
     if (steps := columns.get(AUXILIARY + RF_STEP)) is not None:
         in_force &= ~(np.abs(steps[second]) > 0.0)
+    if (beside := columns.get(AUXILIARY + FAST_FEEDBACK)) is not None:
+        in_force &= ~((beside[first] > 0.0) | (beside[second] > 0.0))
     auxiliary = {
         name[len(AUXILIARY) :]: column[first]
         for name, column in columns.items()

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from orbitfb.core.names import FAST_FEEDBACK
 from orbitfb.core.ports import Clock, Machine, Policy
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
 from orbitfb.loop import comeback
@@ -137,6 +138,9 @@ class Supervisor:
         reading, self._flaws, self.memory = screened(reading, self.memory, self._rules)
         if self._follower is not None:
             reading = self._follower.tell(reading)
+        if channel := self._rules.interlocks.fast_feedback_channel:
+            closed = float(reading.auxiliary.get(channel, np.nan) != 0.0)
+            reading = replace(reading, auxiliary={**reading.auxiliary, FAST_FEEDBACK: closed})
         enabled = self._adjustments.enabled
         if enabled.all():
             return reading

@@ -36,6 +36,15 @@ class PlaneLaw(Settings):
     )
 
 
+class PlaneDamping(Settings):
+    """What the noise-aware law of one plane has of its own."""
+
+    regularisation: float = Field(ge=0.0, description="Tikhonov λ [m/A].")
+    correctors: int = Field(
+        default=0, ge=0, description="Correctors of the plane [1]; the places table says it."
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Block:
     """A part of R that is solved by itself.
@@ -76,6 +85,54 @@ def sized(laws: Mapping[Plane, PlaneLaw], channels: Channels) -> dict[Plane, Pla
         for plane in planes
         if plane in channels.planes
     }
+
+
+def damped(
+    planes: Mapping[Plane, PlaneDamping], usual: float, channels: Channels
+) -> dict[Plane, PlaneDamping]:
+    """Give the damping of each plane of a loop, with its correctors.
+
+    Args:
+        planes: As configured.
+        usual: λ of planes that are not named [m/A].
+        channels: Of the loop.
+
+    Raises:
+        ConfigError: The loop has no such plane.
+    """
+    if unknown := [plane for plane in planes if plane not in channels.planes]:
+        raise ConfigError(
+            f"policy.modal.planes.{unknown[0]}: the loop has {channels.planes} only (ring.planes)"
+        )
+    both: tuple[Plane, ...] = ("x", "y")
+    parts, usually = channels.corrector_parts, PlaneDamping(regularisation=usual)
+    return {
+        plane: planes.get(plane, usually).model_copy(update={"correctors": _size(parts[plane])})
+        for plane in both
+        if plane in channels.planes
+    }
+
+
+def damping_of(planes: Mapping[Plane, PlaneDamping], usual: float, columns: int) -> Vector:
+    """Give λ of each corrector, shape (m,) [m/A].
+
+    Args:
+        planes: By plane, with their correctors; empty: all have the usual one.
+        usual: λ [m/A].
+        columns: Number of correctors m.
+
+    Raises:
+        ConfigError: The planes have another number of correctors.
+    """
+    if not planes:
+        return np.full(columns, usual)
+    told = sum(its.correctors for its in planes.values())
+    if told != columns:
+        raise ConfigError(
+            f"policy.modal.planes is for {told} correctors, but the response matrix has {columns}: "
+            "the policy is of another ring, or of other planes"
+        )
+    return np.concatenate([np.full(its.correctors, its.regularisation) for its in planes.values()])
 
 
 def blocks_of(

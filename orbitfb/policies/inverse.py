@@ -28,7 +28,7 @@ about the inverse of their condition number, so that at least 5 digits remain.""
 
 def regularised_inverse(
     response: Vector,
-    regularisation: float,
+    regularisation: float | Vector,
     covariance: Vector | None = None,
     singular_values: int | None = None,
 ) -> Vector:
@@ -36,7 +36,7 @@ def regularised_inverse(
 
     Args:
         response: R, shape (n, m) [m/A]; n may be 0.
-        regularisation: λ [m/A].
+        regularisation: λ [m/A], or one for each corrector, shape (m,), without a cut.
         covariance: P of every row of R, shape (m, m) [(m/A)²]; None: R is exact.
         singular_values: How many modes are kept; None: all that are not lost to rounding.
 
@@ -46,6 +46,10 @@ def regularised_inverse(
     rows, columns = response.shape
     if rows == 0:
         return frozen(np.zeros((columns, 0)))
+    if isinstance(regularisation, np.ndarray):
+        if np.ptp(regularisation) > 0.0:
+            return _damped_by_corrector(response, regularisation, covariance)
+        regularisation = float(regularisation[0])
     if covariance is not None and singular_values is None:
         quick = _cautious(response, regularisation, covariance)
         if quick is not None:
@@ -60,6 +64,18 @@ def regularised_inverse(
         return frozen((vt.T * (sigma / damping)) @ u.T)
     doubt = rows * (vt @ covariance @ vt.T)
     return frozen(vt.T @ np.linalg.solve(np.diag(damping) + doubt, sigma[:, None] * u.T))
+
+
+def _damped_by_corrector(response: Vector, damping: Vector, covariance: Vector | None) -> Vector:
+    """Solve as least squares of R, λ of each corrector and a root of n P below each other."""
+    rows = len(response)
+    below = [np.diag(damping)]
+    if covariance is not None:
+        values, vectors = np.linalg.eigh(rows * covariance)
+        below.append(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
+    stacked = np.vstack([response, *below])
+    whole: Vector = np.linalg.pinv(stacked, rcond=float(_SMALLEST) * max(stacked.shape))
+    return frozen(whole[:, :rows])
 
 
 def _cautious(response: Vector, regularisation: float, covariance: Vector) -> Vector | None:

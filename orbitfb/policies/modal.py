@@ -35,6 +35,7 @@ from pydantic import Field
 from orbitfb.core.errors import ConfigError, RingError
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.policies.blocks import Plane, PlaneDamping, damping_of
 from orbitfb.policies.inverse import (
     checked_covariance,
     checked_response,
@@ -52,6 +53,11 @@ class ModalSettings(Settings):
 
     regularisation: float = Field(
         default=0.0, ge=0.0, description="Tikhonov λ, compared with the singular values [m/A]."
+    )
+    planes: dict[Plane, PlaneDamping] = Field(
+        default={},
+        description="λ of each plane by itself, tables `planes.x` and `planes.y`; none: one for "
+        "all correctors.",
     )
     reading_noise: float = Field(
         default=0.2e-6, gt=0.0, description="BPM noise that the gains are made for, rms [m]."
@@ -96,6 +102,7 @@ class ModalPolicy:
 
     Attributes:
         response, modes, gains, thresholds, covariance, settings: As given or made.
+        damping: λ of each corrector, shape (m,) [m/A].
         inverse: K, shape (m, n) [A/m].
         near_inverse: K_near, shape (m, n) [A/m].
         gain_matrix: Slope at zero, K_near U diag(L) Uᵀ, shape (m, n) [A/m].
@@ -127,9 +134,16 @@ class ModalPolicy:
             thresholds = units * settings.reading_noise
         self.thresholds = _per_mode(thresholds, n, "thresholds", np.inf)
         self._policy_id = policy_id or "modal-" + content_hash(
-            settings, self.response, self.modes, self.gains, self.thresholds, self.covariance
+            settings,
+            self.response,
+            self.modes,
+            self.gains,
+            self.thresholds,
+            self.covariance,
+            exclude=() if settings.planes else ("planes",),  # the names of old laws stay
         )
-        self.inverse = regularised_inverse(self.response, settings.regularisation, self.covariance)
+        self.damping = frozen(damping_of(settings.planes, settings.regularisation, m))
+        self.inverse = regularised_inverse(self.response, self.damping, self.covariance)
         self.near_inverse = self._near_inverse()
         two_scales = self.near_inverse is not self.inverse
         # In units of its threshold, y = z / δ, a bent mode is δ (y − (1 − L) tanh y): the units
@@ -198,8 +212,8 @@ class ModalPolicy:
         return amplitudes @ self._outward.T
 
     def _near_inverse(self) -> Vector:
-        share, strength = self.settings.near_caution, self.settings.regularisation
-        if share == 1.0 or (strength == 0.0 and self.covariance is None):
+        share, strength = self.settings.near_caution, self.damping
+        if share == 1.0 or (not strength.any() and self.covariance is None):
             return self.inverse
         doubt = None if self.covariance is None else share * self.covariance
         return regularised_inverse(self.response, np.sqrt(share) * strength, doubt)

@@ -189,7 +189,7 @@ class StructuredLaw(torch.nn.Module):
         super().__init__()
         self._response, self._law, self._settings = response, law, settings
         n, m = response.shape
-        damped = response.T @ response + law.settings.regularisation**2 * np.eye(m)
+        damped = response.T @ response + np.diag(law.damping**2)
         if law.covariance is not None:
             damped += n * law.covariance
         values, self._directions = np.linalg.eigh(damped)

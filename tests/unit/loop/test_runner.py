@@ -18,6 +18,7 @@ from scripted import (
 
 from orbitfb.core.errors import ConfigError, ConnectError, ControlError
 from orbitfb.core.signals import LoopState
+from orbitfb.history.buffer import History
 from orbitfb.loop.commands import ORBIT_TO_CLOSE_ON
 from orbitfb.loop.excitation.dither import Dither, DitherSettings
 from orbitfb.loop.runner import Runner
@@ -481,3 +482,19 @@ def test_beside_a_fast_feedback_that_is_closed_nothing_is_written():
     assert written == len(bench.machine.writes)
     status["fofb"] = 0.0
     assert bench.step(*["good"] * 5).state is LoopState.CLOSED
+
+
+def test_ticks_in_which_a_fast_feedback_was_closed_do_not_teach():
+    bench = Bench(interlocks={"fast_feedback_channel": "fofb"})
+    read, status = bench.machine.read, iter([1.0] * 3 + [0.0] * 3 + [np.nan] * 2 + [0.0] * 3)
+
+    def reading(timeout):
+        its = read(timeout)
+        return replace(its, auxiliary={**its.auxiliary, "fofb": next(status)})
+
+    bench.machine.read = reading
+    history = History(bench.machine.channels, 100)
+    bench.runner.subscribe(history)
+    bench.step(*["good"] * 11)
+    rows = history.snapshot()
+    assert rows.usable.tolist() == [False] * 3 + [True] * 2 + [False] * 3 + [True] * 2
