@@ -14,6 +14,7 @@ from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.core.signals import Channels, LoopState, Mask, Orbit, Phases, TickRecord, Vector
 from orbitfb.observe.statistics.averages import Averages, worst
 from orbitfb.observe.statistics.devices import largest_error, nearest_limit
+from orbitfb.observe.statistics.planes import PlaneErrors
 from orbitfb.observe.statistics.snapshot import (
     LatencyFigures,
     LoopSnapshot,
@@ -78,7 +79,6 @@ class LoopStatistics:
         self.enabled: Callable[[], Mask] = lambda: all_bpms
         self.unsaved: Callable[[], bool] = lambda: False
         self._counting = all_bpms if counting is None else counting.copy()
-        self._planes = channels.bpm_parts
         self._lock = threading.Lock()
 
         self._started = clock.monotonic()
@@ -94,8 +94,7 @@ class LoopStatistics:
         self._first_rms = math.nan
         self._observed = Window(ORBIT_WINDOW)
         self._true = Window(ORBIT_WINDOW)
-        self._by_plane = {plane: Window(ORBIT_WINDOW) for plane in self._planes}
-        self._now_by_plane = dict.fromkeys(self._planes, math.nan)
+        self._by_plane = PlaneErrors(channels.bpm_parts, ORBIT_WINDOW)
         self._now = self._true_now = math.nan
         self._stamp = self._received = math.nan
         self._intervals = Window(ORBIT_WINDOW)
@@ -180,10 +179,7 @@ class LoopStatistics:
             entries, tallies = dict(self._entries), self._tallies
             refits, reasons = dict(tallies.refits), dict(tallies.reasons)
             observed, true = self._observed.copy(), self._true.copy()
-            planes = {
-                plane: (self._now_by_plane[plane], window.copy())
-                for plane, window in self._by_plane.items()
-            }
+            planes = self._by_plane.copy()
             now, true_now = self._now, self._true_now
             intervals, latencies = self._intervals.copy(), self._latencies.copy()
             buckets = self._histogram.cumulative()
@@ -276,10 +272,10 @@ class LoopStatistics:
         reading = record.reading
         if reading is None:
             self._now = self._true_now = self._received = math.nan
-            self._now_by_plane = dict.fromkeys(self._planes, math.nan)
+            self._by_plane.forget_last()
             return
         stamp = reading.orbit.time
-        mean_square = self._mean_squares(reading.orbit, record.reference, stamp)
+        mean_square = self._by_plane.add(reading.orbit, record.reference, stamp)
         self._now = math.sqrt(mean_square)
         if math.isnan(self._first_rms):
             self._first_rms = self._now
@@ -293,17 +289,3 @@ class LoopStatistics:
         self._received = reading.received
         self._stamp = stamp
         self._last_orbit = reading.orbit
-
-    def _mean_squares(self, orbit: Orbit, reference: Vector, stamp: float) -> float:
-        """Note the mean square of each plane and return that of all valid BPMs [m²]."""
-        error = orbit.position - reference
-        total, count = 0.0, 0
-        for plane, part in self._planes.items():
-            valid = error[part][orbit.valid[part]]
-            squares = float(valid @ valid)
-            mean = squares / valid.size if valid.size else math.nan
-            self._now_by_plane[plane] = math.sqrt(mean)
-            self._by_plane[plane].add(stamp, mean)
-            total += squares
-            count += valid.size
-        return total / count if count else math.nan
