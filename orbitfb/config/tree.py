@@ -115,7 +115,7 @@ class AppConfig(Settings):
     seed: int = Field(
         default=1,
         ge=0,
-        description="Seed of the simulated ring, of what is asked of it, and of the dither.",
+        description="Seed of the simulated ring, of test excitations and of the dither.",
     )
     policies_kept: int = Field(
         default=100,

@@ -67,7 +67,9 @@ class LoopSettings(Settings):
     dead_band: float = Field(
         default=0.0,
         ge=0,
-        description="Rms orbit error of a plane up to which it is left alone [m]; 0: none.",
+        description=(
+            "Rms orbit error of a plane below which the plane is not corrected [m]; 0: none."
+        ),
     )
 
     @property

@@ -11,7 +11,7 @@ class MeasureSettings(Settings):
     amplitude: float | None = Field(
         default=None,
         gt=0,
-        description="Largest step of every corrector, either sign [A]; none: as orbit_rms says.",
+        description="Largest step of every corrector, of either sign [A]; none: by orbit_rms.",
     )
     orbit_rms: float = Field(
         default=50e-6,
@@ -60,10 +60,12 @@ class MeasureSettings(Settings):
     excursion_rms: float = Field(
         default=300e-6,
         gt=0,
-        description="Orbit away from that at the start at which all is given up, rms [m].",
+        description=(
+            "Rms difference from the orbit at the start beyond which the measurement stops [m]."
+        ),
     )
     excursion_max: float = Field(
-        default=1e-3, gt=0, description="The same at a single BPM, either sign [m]."
+        default=1e-3, gt=0, description="The same limit at a single BPM, of either sign [m]."
     )
     rejected_most: int = Field(
         default=20, ge=1, description="Orbits in a row that may be missing or unusable."

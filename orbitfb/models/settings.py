@@ -51,8 +51,8 @@ class IdentifySettings(Settings):
         default=50,
         ge=1,
         le=511,
-        description="Rows that are predicted before R̂ is made anew, while R drifts quickly or "
-        "there are few; else as many as half of those before [1].",
+        description="Rows that are predicted before R̂ is computed again, while R drifts quickly "
+        "or rows are few; else half as many as came before [1].",
     )
     kick_chi2: float = Field(
         default=25.0,

@@ -65,8 +65,8 @@ class ObserveSettings(Settings):
     port: int = Field(default=9180, ge=0, le=65535, description="TCP port; 0 takes any free one")
     names: tuple[str, ...] = Field(
         default=(),
-        description="Host names by which it may be asked, besides localhost, this computer's own "
-        "name and plain addresses; a name that is not here is refused",
+        description="Host names by which it may be asked, in addition to localhost, this "
+        "computer's own name and plain addresses; a name that is not here is refused",
     )
     stale_after: float = Field(
         default=5.0,

@@ -23,7 +23,7 @@ class WebSettings(Settings):
     port: int = Field(default=PORT, ge=0, le=65535, description="TCP port; 0 takes any free one.")
     names: tuple[str, ...] = Field(
         default=(),
-        description="Host names by which browsers may ask for it, besides localhost, this "
+        description="Host names by which browsers may ask for it, in addition to localhost, this "
         "computer's own name and plain addresses; a name that is not here is refused.",
     )
     viewers: int = Field(

@@ -44,14 +44,14 @@ class RfSettings(Settings):
 
     enabled: bool | None = Field(
         default=None,
-        description="Let the frequency follow; left out: with `--ioc sim` and plane x alone.",
+        description="Whether the frequency follows; by default only with `--ioc sim` and plane x.",
     )
     setpoint_pv: str = Field(
         default=RF_PV, min_length=1, description="PV of the setpoint of the frequency [Hz]."
     )
     readback_pv: str = Field(
         default=RF_READBACK_PV,
-        description="PV of its readback [Hz]; empty: there is none, the setpoint is compared.",
+        description="PV of its readback [Hz]; empty: there is none, and the setpoint is used.",
     )
     tolerance: float = Field(
         default=0.1, gt=0, description="Largest difference of a frequency that follows [Hz]."

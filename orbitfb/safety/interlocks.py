@@ -16,14 +16,14 @@ class InterlockSettings(Settings):
     current_min: float | None = Field(
         default=0.01,
         ge=0,
-        description="Least stored current [A]; false = do not look at the current.",
+        description="Lowest stored current [A]; false = not checked.",
     )
     current_drop: float = Field(
         default=0.2,
         gt=0,
         le=1,
-        description="Part of the stored current whose loss from one orbit to the next trips; 1 = "
-        "never.",
+        description="Share of the stored current whose loss from one orbit to the next trips the "
+        "loop; 1 = never.",
     )
     current_channel: str = Field(
         default="current", description="Auxiliary channel that carries the stored current."
@@ -40,55 +40,61 @@ class InterlockSettings(Settings):
     distortion_rate: float | None = Field(
         default=5e-4,
         gt=0,
-        description="Fastest growth of the rms orbit error while the loop is closed, over about a "
-        "second [m/s]; false = do not look at it.",
+        description="Fastest growth of the rms orbit error while the loop is closed, over about "
+        "a second [m/s]; false = not checked.",
     )
     max_invalid_bpms: int = Field(
         default=9,
         ge=0,
-        description="BPMs that may be invalid (they are left out), besides those of `masks.bpms`; "
-        "more hold the loop.",
+        description="Most invalid BPMs that are left out, in addition to `masks.bpms`; more hold "
+        "the loop.",
     )
     max_adjacent_bpms: int = Field(
-        default=2, ge=1, description="Invalid BPMs in a row along the ring; more hold the loop."
+        default=2,
+        ge=1,
+        description=("Most invalid BPMs next to each other along the ring; more hold the loop."),
     )
     bpm_zero: bool = Field(
         default=True,
-        description="Whether a reading of exactly 0 is no reading (a dead channel); of a BPM whose "
-        "last digit is as large as its noise only if it stays 0.",
+        description="Whether a reading of exactly 0 is invalid (a dead channel). If the last "
+        "digit of a BPM is as large as its noise, only a reading that stays 0 is "
+        "invalid.",
     )
     bpm_frozen_ticks: int = Field(
         default=2,
         ge=0,
-        description="Repeats of one BPM's reading in a row, while others change, from which that "
-        "BPM is left out; more for a BPM that often repeats itself, its last digit being as "
-        "large as its noise; 0 = never. Looked at only if `frozen_ticks` is not 0.",
+        description="Number of equal readings in a row, while others change, after which a BPM "
+        "is left out; 0 = never. A BPM that often repeats itself, because its last "
+        "digit is as large as its noise, may repeat more often. Used only if "
+        "`frozen_ticks` is not 0.",
     )
     bpm_jump: float = Field(
         default=250e-6,
         gt=0,
-        description="Step [m] of one BPM's orbit error, ten times that of the others, from which "
-        "it is left out until it reads again what it did.",
+        description="Step of the orbit error at one BPM, ten times that of the others, from "
+        "which it is left out until it reads its former value again [m].",
     )
     bpm_proving: int = Field(
         default=5,
         ge=1,
-        description="Good readings in a row before a BPM that was left out counts again.",
+        description="Good readings in a row after which a BPM that was left out counts again.",
     )
     max_lost_correctors: int = Field(
         default=3,
         ge=0,
-        description="Correctors that may be left out because they do not follow; more trip.",
+        description=(
+            "Most correctors that are left out because they do not follow; more trip the loop."
+        ),
     )
     readback_tolerance: float | None = Field(
         default=0.1,
         gt=0,
-        description="Largest |readback − setpoint| [A]; false = do not look at it.",
+        description="Largest |readback − setpoint| [A]; false = not checked.",
     )
     readback_ticks: int = Field(
         default=3,
         ge=1,
-        description="Ticks in a row that a corrector may not follow before it is left out.",
+        description="Ticks in a row without following after which a corrector is left out.",
     )
     readback_lag: int = Field(
         default=2,
@@ -99,50 +105,52 @@ class InterlockSettings(Settings):
     prediction_ticks: int = Field(
         default=3,
         ge=0,
-        description="Changes in a row that the orbit does not answer as the response matrix says, "
-        "while it gets no better, that trip; 0 = never.",
+        description="Number of changes in a row to which the orbit does not respond as the "
+        "response matrix predicts, while the orbit error does not shrink, that trips "
+        "the loop; 0 = never.",
     )
     prediction_least: float = Field(
         default=0.3,
         gt=-1,
         lt=1,
-        description="Least part of the predicted answer that must be seen.",
+        description="Smallest share of the predicted response that must be seen.",
     )
     prediction_floor: float = Field(
         default=2e-6,
         gt=0,
-        description="Rms of a predicted answer [m] below which nothing can be told from it.",
+        description="Rms of a predicted response below which it is not tested [m].",
     )
     divergence_ticks: int = Field(
-        default=5, ge=2, description="Ticks in a row that the rms must grow to count as divergence."
+        default=5, ge=2, description="Ticks in a row with growing rms that count as divergence."
     )
     divergence_factor: float = Field(
         default=2.0,
         ge=1,
-        description="Growth of the rms over that stretch from which the loop trips.",
+        description="Growth of the rms over these ticks that trips the loop.",
     )
     divergence_floor: float = Field(
         default=5e-6,
         ge=0,
-        description="Rms [m] below which growth is taken for noise: nothing trips, and only ticks "
-        "that grow by their share of the factor count.",
+        description="Rms below which growth may be noise [m]: the loop does not trip, and only "
+        "ticks count that grow by their share of the factor.",
     )
     answer_reach: float | None = Field(
         default=10e-6,
         gt=0,
-        description="Orbit that the loop may ask for, at a BPM or by a corrector, without seeing a "
-        "response, before it asks by random excursions [m]; false = never check the response.",
+        description="Orbit that the loop may make at a BPM or by a corrector without a visible "
+        "response, before it tests the response by random excursions [m]; false = "
+        "never test it.",
     )
     answer_question: float = Field(
         default=0.5e-6,
         ge=0,
-        description="Largest orbit that such excursions may cause, rms over the BPMs [m]; "
-        "0 = none: only large steps of the loop then show a response.",
+        description="Largest orbit by such excursions, rms over the BPMs [m]; 0 = no excursions: "
+        "then only large steps of the loop show a response.",
     )
     answer_after: float = Field(
         default=60.0,
         gt=0,
-        description="Time without a response after which the loop asks as well [s].",
+        description="Time without a visible response after which the loop also tests it [s].",
     )
     second_controller_ticks: int = Field(
         default=10,

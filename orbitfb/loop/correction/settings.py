@@ -11,8 +11,8 @@ class CorrectionSettings(Settings):
     step: float = Field(
         default=0.5,
         gt=0,
-        description="Largest change of a setpoint in one tick [A]; limits.change_per_tick holds "
-        "besides.",
+        description="Largest change of a setpoint in one tick [A]; limits.change_per_tick also "
+        "holds.",
     )
     preview_age: float = Field(
         default=60.0,

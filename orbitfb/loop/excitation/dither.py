@@ -35,7 +35,7 @@ class DitherSettings(Settings):
         description="Orbit motion that it may cause, rms over the BPMs [m]; 0 = off.",
     )
     kind: DitherKind = Field(default=DitherKind.PRBS, description="`white` or `prbs`.")
-    seed: int = Field(default=1, ge=0, description="Seed of its random numbers.")
+    seed: int = Field(default=1, ge=0, description="Seed of the random numbers of the dither.")
 
 
 class Dither:

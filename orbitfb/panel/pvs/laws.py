@@ -27,7 +27,7 @@ def restraint_pvs(settings: PanelSettings, planes: str) -> tuple[PanelPv, ...]:
         PanelPv(
             f"DeadBand{plane.upper()}",
             Kind.DOUBLE,
-            f"Rms orbit error up to which plane {plane} is left alone; 0: none.",
+            f"Rms orbit error below which plane {plane} is not corrected; 0: none.",
             "um",
             3,
             limits=(0.0, settings.dead_band_limit / MICRO),
