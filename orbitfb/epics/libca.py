@@ -180,6 +180,10 @@ class Context:
         self.library.ca_replace_printf_handler(_print_nothing)
         # A circuit that breaks is told past that handler, to the terminal; the loop says it itself.
         self.library.eltc(0)
+        self.asking = threading.Lock()
+        """Held from the first get of a request to the end of `ca_pend_io`: libca counts the answers
+        of all threads together, and the end of one wait would end the other's, whose answers would
+        then be written to memory that nobody keeps any more."""
         self.abandoned: list[object] = []
         """Memory that libca may still write an answer to, after nobody waits for it any more: it
         must outlive whoever asked, and is freed with the context."""

@@ -74,7 +74,7 @@ class Getter:
     def _fetch(self, kind: int, answers: NDArray[Any]) -> NDArray[Any]:
         group, get = self._group, self._context.library.ca_array_get
         arrays: list[tuple[NamedPv, NDArray[Any]]] = []
-        with group.lock:
+        with self._context.asking, group.lock:
             present = group.present
             if not present:
                 return answers

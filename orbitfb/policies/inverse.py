@@ -74,8 +74,8 @@ def _damped_by_corrector(response: Vector, damping: Vector, covariance: Vector |
         values, vectors = np.linalg.eigh(rows * covariance)
         below.append(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
     stacked = np.vstack([response, *below])
-    whole: Vector = np.linalg.pinv(stacked, rcond=float(_SMALLEST) * max(stacked.shape))
-    return frozen(whole[:, :rows])
+    whole = np.linalg.pinv(stacked, rcond=float(_SMALLEST) * max(stacked.shape))
+    return frozen(np.asarray(whole[:, :rows], dtype=np.float64))
 
 
 def _cautious(response: Vector, regularisation: float, covariance: Vector) -> Vector | None:

@@ -1,6 +1,7 @@
 """As much of libca as a machine needs, without sockets: every PV is a number in a dictionary."""
 
 import ctypes
+import threading
 
 import numpy as np
 
@@ -84,6 +85,7 @@ class FakeContext:
 
     def __init__(self) -> None:
         self.library, self.listeners = FakeLibrary(), []
+        self.asking = threading.Lock()
 
     def attach(self) -> None:
         pass

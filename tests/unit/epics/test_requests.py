@@ -1,6 +1,8 @@
 """Memory of answers that come after nobody waits for them any more."""
 
 import ctypes
+import threading
+import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from types import SimpleNamespace
@@ -50,7 +52,9 @@ def check(call: str, status: int) -> None:
 
 
 def late_context() -> Any:
-    return SimpleNamespace(library=Late(), abandoned=[], attach=lambda: None, check=check)
+    return SimpleNamespace(
+        library=Late(), abandoned=[], asking=nullcontext(), attach=lambda: None, check=check
+    )
 
 
 def owned(kept: list[Any], address: int) -> bool:
@@ -82,3 +86,46 @@ def test_so_are_those_of_the_lease():
     with pytest.raises(MachineError):
         lease.read()
     assert all(owned(context.abandoned, address) for address in context.library.addresses)
+
+
+class Counting:
+    """A libca that counts the answers that are awaited, those of all threads together."""
+
+    def __init__(self) -> None:
+        self.askers: set[int] = set()
+        self.mixed = False
+
+    def ca_array_get(self, _kind: int, _count: int, _handle: int, _address: int) -> int:
+        self.askers.add(threading.get_ident())
+        self.mixed |= len(self.askers) > 1
+        return ECA_NORMAL
+
+    def ca_pend_io(self, _timeout: float) -> int:
+        time.sleep(0.01)
+        self.askers.clear()
+        return ECA_NORMAL
+
+
+def test_two_threads_never_await_answers_at_once():
+    """The end of one wait would be taken for that of the other, whose memory is then written to."""
+    context = late_context()
+    context.library, context.asking = Counting(), threading.Lock()
+
+    def ask() -> None:
+        getter = Getter(context, cast(Any, OwnGroup()), 0.1)
+        for _ in range(5):
+            getter.limits()
+
+    threads = [threading.Thread(target=ask) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not context.library.mixed
+
+
+class OwnGroup(Group):
+    """A group with a lock of its own."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
