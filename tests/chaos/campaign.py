@@ -218,7 +218,7 @@ class Campaign:
                 if refused:
                     self.rings[0].tell(restore=True)
                 quiet = time.monotonic()
-            elif (state == "CLOSED" or needs_hand(reason)) and time.monotonic() - quiet > SHORT:
+            elif needs_hand(state, reason) and time.monotonic() - quiet > SHORT:
                 self.counts["opened and closed by hand"] += 1
                 self.ours.command("open")
                 time.sleep(4 * self._period)

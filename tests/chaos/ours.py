@@ -14,6 +14,7 @@ from orbitfb.control.client import ask
 from orbitfb.core.errors import ArchiveError, ControlError
 from orbitfb.history.archive import read_archive
 from orbitfb.history.reader import segment_paths
+from orbitfb.loop.inquiry import WAITS
 from orbitfb.safety.bpms import LATCHED
 from tests.chaos.rings import LIMIT, STEP, Ring, Side, wait
 from tests.chaos.second import Second
@@ -201,6 +202,8 @@ class Ours:
         return wait(lambda: not self.side.alive or self.is_well(), timeout, 0.2) and self.side.alive
 
 
-def needs_hand(reason: str) -> bool:
-    """Say whether a loop is held by something that only an operator ends."""
+def needs_hand(state: str, reason: str) -> bool:
+    """Say whether only an operator helps, who opens and closes; a loop that asks is let alone."""
+    if state == "CLOSED":
+        return WAITS not in reason
     return LATCHED in reason or "another server than before" in reason
