@@ -186,7 +186,7 @@ def shown(
         moved: What it should be, shape (n,) [m].
         change: Of the setpoints, shape (m,) [A].
         seen: BPMs that count in both orbits, shape (n,).
-        noise: Of each BPM, shape (n,) [m].
+        noise: Of each BPM as it was of late, shape (n,) [m].
         least: Rms of a step that is large [m].
         ring: The response.
 
@@ -197,11 +197,14 @@ def shown(
     asked = np.where(seen, moved, 0.0)
     power = float(asked @ asked)
     nobody = np.zeros(len(moved) + len(change), dtype=np.bool_)
-    floor = max(least, PLAIN * float(np.median(noise)))
-    if power < max(count, 1) * floor**2:
-        return False, nobody
     missing = np.where(seen, step - moved, 0.0)
-    if float(missing @ missing) > NEAR**2 * power:
+    if count == 0 or float(missing @ missing) > NEAR**2 * power:
+        return False, nobody
+    # What the whole orbit misses bounds its noise: what was usual may still be that of a kick.
+    usual = max(float(np.median(noise[seen])), LEAST)
+    noise = noise * min(1.0, float(np.median(np.abs(missing[seen]))) / (np.sqrt(MEDIAN) * usual))
+    floor = max(least, PLAIN * float(np.median(noise)))
+    if power < count * floor**2:
         return False, nobody
     large = np.maximum(least, PLAIN * noise)
     bpms = seen & (np.abs(moved) >= large) & (np.abs(missing) <= NEAR * np.abs(moved))

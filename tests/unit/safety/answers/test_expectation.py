@@ -87,6 +87,20 @@ def test_a_large_step_tells_of_the_one_bpm_that_did_not_see_it_and_of_the_one_de
     assert devices[N:].sum() >= M // 2
 
 
+def test_a_step_shows_though_the_orbit_was_unquiet_of_late_but_not_for_a_bpm_that_is_noisy(ring):
+    change = np.zeros(len(ring.sizes))
+    change[3] = 50e-6 / ring.sizes[3]
+    moved, seen = ring.response @ change, np.ones(len(ring.response), dtype=bool)
+    step = moved + 0.2e-6 * np.random.default_rng(1).standard_normal(len(moved))
+    unquiet = np.full(len(moved), 30e-6)
+    unquiet[5] = 30e-3
+    whole, devices = shown(step, moved, change, seen, unquiet, 2e-6, ring)
+    assert whole
+    assert devices[: len(moved)].mean() > 0.8
+    assert not devices[5]
+    assert not shown(step - moved, moved, change, seen, unquiet, 2e-6, ring)[0]
+
+
 def test_a_small_step_shows_nothing(ring):
     change = 1e-4 * np.ones(M)
     moved = ring.response @ change
