@@ -17,14 +17,14 @@ from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 
+from orbitfb.estimation.recursive.estimate import RecursiveResponse  # noqa: E402
+from orbitfb.estimation.recursive.settings import RecursiveSettings  # noqa: E402
 from orbitfb.evaluate.simulate import ClosedLoop  # noqa: E402
 from orbitfb.learn.builders import builder, first_policy  # noqa: E402
 from orbitfb.learn.learner import Learner  # noqa: E402
 from orbitfb.learn.settings import LearnSettings  # noqa: E402
 from orbitfb.models.identify import Identifier  # noqa: E402
 from orbitfb.models.naive import naive_least_squares  # noqa: E402
-from orbitfb.models.recursive.estimate import RecursiveResponse  # noqa: E402
-from orbitfb.models.recursive.settings import RecursiveSettings  # noqa: E402
 from orbitfb.models.rows import select_rows  # noqa: E402
 from orbitfb.physics.places import Ring  # noqa: E402
 from orbitfb.physics.plant import Plant, PlantSettings  # noqa: E402

@@ -29,12 +29,13 @@ def config_check(path: Annotated[Path, typer.Argument(help="Configuration file (
     from orbitfb.app.setup.stored_policies import baseline, check_policy
     from orbitfb.measure.response_file import nominal_response
     from orbitfb.policies.masking import mask_of
+    from orbitfb.policies.settings import LINEAR
 
     settings = configure(path)
     ring, planes = settings.ring.load(), settings.ring.planes
     mask_of(ring.channels(planes), settings.masks)
     nominal_response(ring, planes, settings.ring.response, settings.masks)
-    if settings.policy.kind in ("svd", "modal"):  # the others are trained, which takes long
+    if settings.policy.kind in LINEAR:  # the others are trained, which takes long
         check_policy(baseline(settings, ring), settings)
     check_panel(settings, ring.channels(planes))
     print(f"{path}: good")

@@ -32,7 +32,8 @@ Port = Annotated[int | None, typer.Option(help="Port of the soft IOC; 0: any fre
 PolicyKind = Annotated[
     str | None,
     typer.Option(
-        "--policy", help="Kind of policy: svd, modal, network, supervised or trajectory [svd]."
+        "--policy",
+        help="Kind of policy: svd, modal, adaptive, network, supervised or trajectory [svd].",
     ),
 ]
 Drift = Annotated[

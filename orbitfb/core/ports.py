@@ -94,6 +94,34 @@ class Policy(Protocol):
         ...
 
 
+class Learning(Policy, Protocol):
+    """A policy that learns from what was read and sent; optional, the loop asks whether it is."""
+
+    def inform(self, error: Vector, valid: Mask, applied: Vector, state: Any) -> Any:
+        """Take in what came of a decision, after the write.
+
+        Args:
+            error: Orbit − reference that was decided on, shape (n,) [m].
+            valid: BPMs that count, shape (n,).
+            applied: Change of setpoints as it was sent, shape (m,) [A].
+            state: What `act` was given.
+
+        Returns:
+            The state for the next call.
+        """
+        ...
+
+
+def inform(policy: Policy, error: Vector, valid: Mask, applied: Vector, state: Any) -> Any:
+    """Tell a policy that learns what came of its decision, see `Learning.inform`.
+
+    Returns:
+        The state for the next decision; as it was, where the policy does not learn.
+    """
+    learning = getattr(policy, "inform", None)
+    return state if learning is None else learning(error, valid, applied, state)
+
+
 class SystemModel(Protocol):
     """A model of the ring: s' = f(s, a)."""
 

@@ -1,10 +1,11 @@
 """The loop without its runner: a policy against the plant in process, as fast as it goes."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from orbitfb.core.ports import Policy
+from orbitfb.core.ports import Policy, inform
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.transitions import Transitions
 from orbitfb.physics.plant import Plant
@@ -42,7 +43,7 @@ class ClosedLoop:
         valid: Mask | None = None,
     ) -> None:
         n, m = plant.nominal_response.shape
-        self.plant, self.policy, self.tick, self.lost = plant, policy, 0, False
+        self.plant, self.tick, self.lost = plant, 0, False
         self.true_rms = np.full(ticks, _LOST)
         self.observed_rms = np.full(ticks, _LOST)
         self._ramp = ramp
@@ -51,7 +52,22 @@ class ClosedLoop:
         self._applied = np.zeros((ticks, m))
         self._policy_id = np.zeros(ticks, dtype="U64")
         self._valid = np.ones(n, dtype=np.bool_) if valid is None else valid
-        self._state = policy.initial_state()
+        self._policy, self._state = policy, policy.initial_state()
+
+    @property
+    def policy(self) -> Policy:
+        """The one in force; another one begins with a state of its own."""
+        return self._policy
+
+    @policy.setter
+    def policy(self, policy: Policy) -> None:
+        if policy is not self._policy:
+            self._policy, self._state = policy, policy.initial_state()
+
+    @property
+    def policy_state(self) -> Any:
+        """What the policy carries from tick to tick."""
+        return self._state
 
     def run(self, supervisor: Supervisor | None = None, every: int = 20) -> "ClosedLoop":
         """Step to the end, or until the orbit is lost.
@@ -65,7 +81,7 @@ class ClosedLoop:
             if supervisor is not None and self.tick % every == 0:
                 policy = supervisor(self)
                 if policy is not None:
-                    self.policy, self._state = policy, policy.initial_state()
+                    self.policy = policy
         return self
 
     def advance(self, ticks: int) -> None:
@@ -108,11 +124,12 @@ class ClosedLoop:
     def _step(self) -> None:
         tick, setpoints = self.tick, self._setpoints[self.tick]
         state = self.plant.step(setpoints)
-        change, self._state = self.policy.act(state.reading, self._valid, self._state)
+        change, self._state = self._policy.act(state.reading, self._valid, self._state)
         change = change * min(1.0, (tick + 1) / self._ramp)
         self._orbit[tick], self._applied[tick] = state.reading, change
+        self._state = inform(self._policy, state.reading, self._valid, change, self._state)
         self._setpoints[tick + 1] = setpoints + change
-        self._policy_id[tick] = self.policy.policy_id
+        self._policy_id[tick] = self._policy.policy_id
         rms = float(np.sqrt(np.mean(state.true_orbit**2)))
         self.lost = rms > _LOST
         self.true_rms[tick] = min(rms, _LOST)

@@ -2,6 +2,7 @@
 
 - svd: Tikhonov's inverse of R̂, cautious where R̂ is not known;
 - modal: the same inverse with the Kalman gain that the innovations show for every mode;
+- adaptive: a cautious gain on the filtered orbit, both tracked at every tick;
 - network: that law in the paper's network, only the last matrix new where the modes stay;
 - supervised: the network, trained anew on the answers of the modal law;
 - a kind of another package: what it makes of R̂;
@@ -20,6 +21,7 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.learn.judge import gain_of
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.noise import LADDER
+from orbitfb.policies.adaptive import AdaptivePolicy
 from orbitfb.policies.embedding import embed, reembed
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.modal import ModalPolicy
@@ -62,6 +64,8 @@ def first_policy(
         return masked(_added(response, settings), movable)
     if settings.kind == "svd":
         return masked(SvdPolicy(response, settings.svd), movable)
+    if settings.kind == "adaptive":
+        return masked(AdaptivePolicy(response, settings.adaptive), movable)
     law = ModalPolicy(response, settings.modal)
     if settings.kind == "modal":
         return masked(law, movable)
@@ -118,6 +122,7 @@ def builder(settings: PolicySettings, movable: Mask | None = None, seed: int = 0
     kinds = {
         "svd": _svd,
         "modal": modal_law,
+        "adaptive": _adaptive,
         "network": _network,
         "supervised": _supervised,
         "trajectory": _Trajectory(seed),
@@ -167,6 +172,13 @@ def modal_law(model: LinearModel, incumbent: Policy, settings: PolicySettings) -
         thresholds=thresholds,
         covariance=_doubt(model, settings),
     )
+
+
+def _adaptive(model: LinearModel, incumbent: Policy, settings: PolicySettings) -> AdaptivePolicy:
+    """Begin anew with what the rows of the record say, all groups alike."""
+    own = settings.adaptive
+    covariances = [model.row_covariance] * own.tracking.groups
+    return AdaptivePolicy(model.response, own, covariances)
 
 
 def _network(model: LinearModel, incumbent: Policy, settings: PolicySettings) -> NetworkPolicy:

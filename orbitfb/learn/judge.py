@@ -10,9 +10,11 @@ rows, before they were used, were likelier under R̂ than under the incumbent's 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import TypeGuard
 
 import numpy as np
 
+from orbitfb.core.errors import ConfigError
 from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.learn.forecast import WORST_RMS, Gain, Prediction, paired_gain, predict_pairs
@@ -75,6 +77,9 @@ def judge(
     Two proportional laws a = −K e are compared by the recursion of covariances. If one of them
     is not linear, both are simulated; their gain at zero still tells the growth.
 
+    A law that learns while it acts is compared by its gain at rest, which is less than it does. So
+    it is followed by another one only when the rows refute the response that it has learnt.
+
     Args:
         candidate: The law that may act.
         incumbent: The law to beat.
@@ -92,6 +97,7 @@ def judge(
     least = cost if settings.margin is None else settings.margin
     at = settings.change_orbit
     linear = is_linear(candidate, ours_gain, at) and is_linear(incumbent, theirs_gain, at)
+    learning = bool(getattr(incumbent, "learns", False))
     must_be_resolved = settings.resolved and evidence.page < settings.evidence
     responses, ours, theirs = predict_pairs(
         ours_gain,
@@ -148,7 +154,7 @@ def judge(
                 f"{needed:.3g} A, limit {settings.change_limit:.3g} A)"
             )
             return Verdict(False, reason, figures)
-    accepted, reason = _decide(ours, theirs, gain, evidence, settings, least, unreachable)
+    accepted, reason = _decide(ours, theirs, gain, evidence, settings, least, unreachable, learning)
     return Verdict(accepted, reason, figures)
 
 
@@ -160,7 +166,7 @@ def is_linear(policy: Policy, gain: Vector, amplitude: float) -> bool:
         gain: Its gain at zero, shape (m, n) [A/m].
         amplitude: White orbit error at which it is asked, rms [m].
     """
-    if not isinstance(policy, BatchPolicy):
+    if not _decides_at_once(policy, gain.shape[1]):
         return True
     errors = amplitude * np.random.default_rng(0).standard_normal((_PROBES, gain.shape[1]))
     expected = -(errors @ gain.T)
@@ -168,8 +174,19 @@ def is_linear(policy: Policy, gain: Vector, amplitude: float) -> bool:
     return off <= _ROUNDING * float(np.linalg.norm(expected))
 
 
+def _decides_at_once(policy: Policy, readings: int) -> TypeGuard[BatchPolicy]:
+    """Say whether a policy decides in batches; one that has a memory refuses to."""
+    if not isinstance(policy, BatchPolicy):
+        return False
+    try:
+        policy.changes(np.zeros((1, readings)))
+    except ConfigError:
+        return False
+    return True
+
+
 def _in_batches(policy: Policy, gain: Vector) -> BatchPolicy:
-    return policy if isinstance(policy, BatchPolicy) else _Proportional(gain)
+    return policy if _decides_at_once(policy, gain.shape[1]) else _Proportional(gain)
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +199,7 @@ class _Proportional:
 
 def _change_rms(policy: Policy, gain: Vector, settings: JudgeSettings) -> float:
     """Give the change that a white orbit error of `change_orbit` makes, rms [A]."""
-    if not isinstance(policy, BatchPolicy):
+    if not _decides_at_once(policy, gain.shape[1]):
         return settings.change_orbit * float(np.linalg.norm(gain) / np.sqrt(len(gain)))
     draws = np.random.default_rng(0).standard_normal((_PROBES, gain.shape[1]))
     errors = settings.change_orbit * draws
@@ -234,6 +251,7 @@ def _decide(
     settings: JudgeSettings,
     cost: float,
     unreachable: float,
+    learning: bool,
 ) -> tuple[bool, str]:
     if ours.growth > settings.slowest_growth and ours.growth >= theirs.growth:
         return False, (
@@ -256,6 +274,11 @@ def _decide(
         return False, f"{compared}: the gain is below the {100 * cost:.2g} % that a swap costs"
     better = f"{compared}: better by {100 * gain.mean:.1f} %, {interval}"
     refuted = evidence.page >= settings.evidence
+    if learning and not refuted:
+        return False, (
+            f"{compared}: the running policy learns by itself, and the rows do not refute what it "
+            f"knows ({evidence.page:.1f} of {settings.evidence:.1f} nats)"
+        )
     if settings.resolved and not (gain.low >= cost or refuted):
         return False, (
             f"{better}: not resolved, and the rows do not refute the incumbent's response "

@@ -13,7 +13,7 @@ the dither.
 
 import numpy as np
 
-from orbitfb.core.ports import Policy
+from orbitfb.core.ports import Policy, inform
 from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
 from orbitfb.learn.judge import Verdict
@@ -115,7 +115,9 @@ class Shadow:
         reference = transitions.reference[row]
         error = np.where(valid, transitions.orbit[row] - reference, 0.0)
         change, self._state = self.candidate.act(error, valid, self._state)
-        acted = transitions.applied[row] - transitions.dither[row]
+        applied = transitions.applied[row]
+        self._state = inform(self.candidate, error, valid, applied, self._state)
+        acted = applied - transitions.dither[row]
         tick = int(transitions.tick[row])
         if not np.isfinite(change).all():
             self._refusal = f"in shadow it asked for a change that is not finite (tick {tick})"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.ports import Clock, Policy
+from orbitfb.core.ports import Clock, Policy, inform
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.tick import Checked, decide
@@ -179,6 +179,29 @@ class Guard:
             return Decision(change, policy_state, alarm)  # once more, then it is put aside
         self._use(fallback, alarm)
         return Decision(change, after, alarm)
+
+    def inform(self, checked: Checked, applied: Vector, policy_state: Any) -> Any:
+        """Tell a policy that learns what was sent; one that fails at it decides no more.
+
+        Args:
+            checked: The orbit error that was decided on.
+            applied: Change of setpoints as it was sent, shape (m,) [A].
+            policy_state: Of the policy in force.
+
+        Returns:
+            The state for the next decision.
+        """
+        policy, fallback = self.policy, self._fallback
+        try:
+            return inform(policy, checked.error, checked.valid, applied, policy_state)
+        except Exception as error:  # a policy may raise anything: the baseline decides instead
+            if fallback is None or policy is fallback:
+                raise
+            trouble = f"could not learn, {type(error).__name__}: {error}"
+            self._use(
+                fallback, f"policy {policy.policy_id} {trouble}: {fallback.policy_id} decides"
+            )
+            return fallback.initial_state()
 
     def _use(self, policy: Policy, alarm: str) -> None:
         self.policy, self.alarm, self._late = policy, alarm, 0

@@ -32,7 +32,7 @@ from pydantic import Field
 
 from orbitfb.core.errors import ConfigError, RingError
 from orbitfb.core.near_names import did_you_mean
-from orbitfb.core.ports import Policy
+from orbitfb.core.ports import Policy, inform
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.policies.inverse import frozen
@@ -138,6 +138,11 @@ class MaskedPolicy:
         """Name of the policy inside."""
         return self.policy.policy_id
 
+    @property
+    def learns(self) -> bool:
+        """Whether the policy inside learns while it acts."""
+        return bool(getattr(self.policy, "learns", False))
+
     def initial_state(self) -> Any:
         """State of the policy inside."""
         return self.policy.initial_state()
@@ -156,6 +161,10 @@ class MaskedPolicy:
         change, after = self.policy.act(error, valid, state)
         share = self._share if valid.all() else self._shares.get(valid)
         return share @ change, after
+
+    def inform(self, error: Vector, valid: Mask, applied: Vector, state: Any) -> Any:
+        """Tell the policy inside what was read and sent, if it learns."""
+        return inform(self.policy, error, valid, applied, state)
 
     def changes(self, errors: Vector) -> Vector:
         """Decide on many orbits at once, (..., n) [m], if the policy inside can: (..., m) [A]."""

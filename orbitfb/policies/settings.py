@@ -6,6 +6,7 @@ from pydantic import Field, JsonValue, field_validator, model_validator
 
 from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.settings import Settings
+from orbitfb.policies.adaptive import AdaptiveSettings
 from orbitfb.policies.modal import ModalSettings
 from orbitfb.policies.network import NetworkSettings
 from orbitfb.policies.store.kinds import TAKEN, Kind, added_kinds
@@ -13,8 +14,11 @@ from orbitfb.policies.svd import SvdSettings
 from orbitfb.policies.training.supervised_settings import SupervisedSettings
 from orbitfb.policies.training.trajectory_settings import FineTuneSettings
 
-PolicyKind = Literal["svd", "modal", "network", "supervised", "trajectory"]
+PolicyKind = Literal["svd", "modal", "adaptive", "network", "supervised", "trajectory"]
 """Kinds of this package."""
+
+LINEAR = ("svd", "modal", "adaptive")
+"""Kinds that are made of a matrix at once; others are trained, which takes minutes."""
 
 
 class LiveModalSettings(ModalSettings):
@@ -45,6 +49,7 @@ class PolicySettings(Settings):
     kind: str = Field(
         default="svd",
         description="svd: the linear baseline; modal: a gain for every mode from its noise; "
+        "adaptive: the response tracked at every tick, and a cautious gain of it; "
         "network: the same law in the paper's network; supervised: the network, trained on the "
         "answers of that law; trajectory: the network, improved by trajectory optimisation; or "
         "one that another package adds.",
@@ -60,6 +65,9 @@ class PolicySettings(Settings):
     modal: LiveModalSettings = Field(
         default=LiveModalSettings(),
         description="The noise-aware law, which the networks hold as well.",
+    )
+    adaptive: AdaptiveSettings = Field(
+        default=AdaptiveSettings(), description="The law that learns while it acts."
     )
     network: NetworkSettings = Field(default=NetworkSettings(), description="The network.")
     supervised: SupervisedSettings = Field(

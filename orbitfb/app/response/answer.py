@@ -16,9 +16,7 @@ from orbitfb.measure.judging import Judgement
 from orbitfb.measure.measurement import Result
 from orbitfb.measure.response_file import adopted, read_response
 from orbitfb.policies.masking import mask_of
-
-LINEAR = ("svd", "modal")
-"""Kinds of policy that are made of a matrix at once; others are trained, which takes minutes."""
+from orbitfb.policies.settings import LINEAR
 
 
 def about_of(

@@ -27,6 +27,7 @@ from orbitfb.observe.plain import plain
 from orbitfb.physics.places import Ring
 from orbitfb.policies.failures import Failure
 from orbitfb.policies.masking import mask_of, without
+from orbitfb.policies.settings import LINEAR
 from orbitfb.policies.stability import is_unstable, warning_of
 from orbitfb.policies.store.directory import PolicyStore
 from orbitfb.policies.svd import SvdPolicy
@@ -93,7 +94,7 @@ def check_policy(nominal: ResponsePolicy, config: AppConfig) -> None:
         ConfigError: The loop would run away.
     """
     kind = config.policy.kind
-    if kind in ("svd", "modal") and is_unstable(warning := warning_of(nominal)):
+    if kind in LINEAR and is_unstable(warning := warning_of(nominal)):
         raise ConfigError(f"policy.{kind}: {warning}; set smaller gains")
 
 

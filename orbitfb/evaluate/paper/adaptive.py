@@ -20,11 +20,11 @@ from pydantic import Field
 
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Vector
+from orbitfb.estimation.recursive.caution import CautiousGain
+from orbitfb.estimation.recursive.estimate import RecursiveResponse
+from orbitfb.estimation.recursive.settings import CautionSettings, RecursiveSettings
 from orbitfb.evaluate.paper.environment import Environment
 from orbitfb.evaluate.paper.scenarios import Scenario
-from orbitfb.models.recursive.caution import CautiousGain
-from orbitfb.models.recursive.estimate import RecursiveResponse
-from orbitfb.models.recursive.settings import CautionSettings, RecursiveSettings
 from orbitfb.policies.network import NetworkPolicy
 from orbitfb.policies.two_scale import TwoScaleNetwork
 

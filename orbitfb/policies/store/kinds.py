@@ -16,16 +16,18 @@ from orbitfb.core.errors import ConfigError, StoreError
 from orbitfb.core.plugins import POLICIES, added
 from orbitfb.core.ports import Policy
 from orbitfb.core.settings import Settings
+from orbitfb.estimation.recursive.settings import MOST_GROUPS
+from orbitfb.policies.adaptive import AdaptivePolicy, AdaptiveSettings
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.modal import ModalPolicy, ModalSettings
 from orbitfb.policies.network import LAYERS, NetworkPolicy, NetworkSettings, hidden_width
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 Tensors = Mapping[str, NDArray[Any]]
-StoredPolicy = SvdPolicy | ModalPolicy | NetworkPolicy
+StoredPolicy = SvdPolicy | ModalPolicy | AdaptivePolicy | NetworkPolicy
 """What the store takes and gives."""
 
-TAKEN = ("svd", "modal", "network", "supervised", "trajectory")
+TAKEN = ("svd", "modal", "adaptive", "network", "supervised", "trajectory")
 """Words by which `policy.kind` knows what this package makes; some are stored as networks."""
 _WIDEST = 4
 """How many times wider than the paper's a network may be."""
@@ -37,7 +39,8 @@ class Tensor:
 
     Args:
         dtype: Its numbers.
-        shape: `n` BPMs, `m` correctors, `h` hidden units (as many as the first one says).
+        shape: `n` BPMs, `m` correctors, `h` hidden units and `g` groups of modes (as many as the
+            first one says).
         optional: Whether it may be absent.
     """
 
@@ -76,7 +79,7 @@ class Kind:
             n: BPMs.
             m: Correctors.
         """
-        widths = {"n": n, "m": m, "h": _WIDEST * hidden_width(n)}
+        widths = {"n": n, "m": m, "h": _WIDEST * hidden_width(n), "g": MOST_GROUPS}
         return sum(
             np.dtype(tensor.dtype).itemsize * int(np.prod([widths[c] for c in tensor.shape]))
             for tensor in self.layout.values()
@@ -97,9 +100,10 @@ class Kind:
                     continue
                 return f"no {name!r}"
             tensor = tensors[name]
-            if "h" not in widths and "h" in expected.shape and tensor.ndim == len(expected.shape):
-                width = tensor.shape[expected.shape.index("h")]
-                widths["h"] = min(width, _WIDEST * hidden_width(n))
+            for letter, most in (("h", _WIDEST * hidden_width(n)), ("g", MOST_GROUPS)):
+                known = letter in widths or letter not in expected.shape
+                if not known and tensor.ndim == len(expected.shape):
+                    widths[letter] = min(tensor.shape[expected.shape.index(letter)], most)
             shape = tuple(widths.get(letter, -1) for letter in expected.shape)
             if tensor.dtype != expected.dtype or tensor.shape != shape:
                 return (
@@ -142,6 +146,18 @@ def _modal(tensors: Tensors, settings: ModalSettings, name: str) -> ModalPolicy:
     )
 
 
+def _adaptive_tensors(policy: AdaptivePolicy) -> dict[str, NDArray[Any] | None]:
+    known = policy.known  # once, for it may learn meanwhile
+    parts = known.covariances
+    return {"response": known.response, "covariances": None if parts is None else np.stack(parts)}
+
+
+def _adaptive(tensors: Tensors, settings: AdaptiveSettings, name: str) -> AdaptivePolicy:
+    covariances = tensors.get("covariances")
+    parts = None if covariances is None else tuple(covariances)
+    return AdaptivePolicy(tensors["response"], settings, parts, name)
+
+
 def _network_tensors(policy: NetworkPolicy) -> dict[str, NDArray[Any] | None]:
     weights = {f"weight_{number}": weight for number, weight in enumerate(policy.weights, 1)}
     return {"response": policy.response, **weights}
@@ -170,6 +186,14 @@ KINDS = (
         | _COVARIANCE,
         _modal_tensors,
         _modal,
+    ),
+    Kind(
+        "adaptive",
+        AdaptivePolicy,
+        AdaptiveSettings,
+        _RESPONSE | {"covariances": Tensor(np.float64, "gmm", optional=True)},
+        _adaptive_tensors,
+        _adaptive,
     ),
     Kind(
         "network",

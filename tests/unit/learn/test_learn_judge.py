@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from orbitfb.core.errors import ConfigError
 from orbitfb.learn.forecast import Prediction, paired_gain, predict_loop, predict_pairs, student
 from orbitfb.learn.judge import Evidence, gain_of, judge, needed_change
 from orbitfb.learn.settings import JudgeSettings
@@ -201,3 +202,39 @@ def test_one_response_on_which_a_gain_does_not_pay_decides_where_it_must_be_reso
     assert len(every) == 4
     assert len(few) < 4
     assert paired_gain(mine, others).low < 0.03
+
+
+class Learning(Proportional):
+    learns = True
+
+
+@pytest.mark.parametrize(("page", "accepted"), [(0.0, False), (12.0, True)])
+def test_a_policy_that_learns_is_left_when_the_rows_refute_what_it_knows(page, accepted):
+    said = judge(
+        Proportional(GOOD),
+        Learning(0.01 * GOOD),
+        model(RESPONSE),
+        Evidence(0.0, page),
+        JudgeSettings(),
+        np.random.default_rng(1),
+    )
+    assert said.accepted is accepted
+    assert ("learns by itself" in said.reason) is not accepted
+
+
+class Remembering(Proportional):
+    """Has a memory, so that it does not decide on many orbits at once."""
+
+    def changes(self, errors):
+        raise ConfigError("it decides by earlier orbits")
+
+
+def test_a_law_with_a_memory_is_judged_by_its_gain():
+    said = [
+        judge(
+            law(GOOD), Proportional(0.01 * GOOD), model(RESPONSE), Evidence(0.0, 0.0),
+            JudgeSettings(), np.random.default_rng(1),
+        ).figures
+        for law in (Proportional, Remembering)
+    ]  # fmt: skip
+    assert said[0] == said[1]

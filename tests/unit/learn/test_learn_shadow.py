@@ -139,3 +139,15 @@ def test_masked_bpms_do_not_count():
     verdict = trial.verdict(1.0)
     assert verdict.accepted and np.isfinite(verdict.figures["shadow_rms_candidate"])
     assert all(np.isfinite(error).all() for error, _, _ in trial.candidate.asked)
+
+
+def test_a_candidate_that_learns_is_told_what_the_incumbent_sent():
+    class Learning(Law):
+        def inform(self, error, valid, applied, state):
+            told.append(applied)
+            return state
+
+    told, rows = [], loop(0.2, 20, dither=1e-3)
+    trial = shadow(Learning(1.0))
+    trial.take(rows, 1.0)
+    np.testing.assert_array_equal(told, rows.applied)

@@ -98,6 +98,50 @@ def test_the_baseline_decides_in_the_very_tick_in_which_a_policy_fails(kind):
     assert (record.policy_id, record.reason) == ("another", "")
 
 
+class Pupil(Bad):
+    """A policy that is told what was sent, and may fail at it."""
+
+    policy_id = "pupil"
+
+    def __init__(self, clock):
+        super().__init__(clock)
+        self.told = []
+
+    def inform(self, error, valid, applied, state):
+        if self.kind == "deaf":
+            raise FloatingPointError("no number")
+        self.told.append((error, valid, applied))
+        return state
+
+
+def test_a_policy_that_learns_is_told_what_was_sent_in_every_tick_that_sends():
+    bench = Bench()
+    pupil = Pupil(bench.clock)
+    bench.slot.swap(pupil)
+    bench.steps(40)
+    sent = [record for record in bench.records if np.isfinite(record.written)]
+    assert len(pupil.told) == len(sent) > 20
+    for (error, valid, applied), record in zip(pupil.told, sent, strict=True):
+        np.testing.assert_array_equal(applied, record.applied)
+        np.testing.assert_array_equal(error[valid], record.reading.orbit.position[valid])
+    bench.runner.command("open")
+    bench.steps(3)
+    assert len(pupil.told) == len(sent)
+
+
+def test_the_baseline_goes_on_when_a_policy_cannot_learn():
+    bench = Bench()
+    pupil = Pupil(bench.clock)
+    bench.slot.swap(pupil)
+    bench.steps(30)
+    pupil.kind = "deaf"
+    assert bench.steps(2).state is LoopState.CLOSED
+    record = bench.steps(1)
+    assert record.policy_id == "baseline"
+    assert "policy pupil could not learn, FloatingPointError: no number" in record.reason
+    assert bench.steps(20).state is LoopState.CLOSED
+
+
 def test_a_slow_policy_is_put_aside_after_three_strikes():
     bench = Bench(hold_after=3.0)
     bench.steps(30)

@@ -9,6 +9,7 @@ import numpy as np
 
 import orbitfb.policies
 from orbitfb.core.ports import Policy
+from orbitfb.policies.adaptive import AdaptivePolicy, AdaptiveSettings
 from orbitfb.policies.embedding import embed
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.modal import ModalPolicy, ModalSettings
@@ -61,6 +62,10 @@ def _masked(make):
     return lambda response: MaskedPolicy(make(response), response, movable)
 
 
+def _adaptive(response):
+    return AdaptivePolicy(response, AdaptiveSettings())
+
+
 def _network(response):
     return embed(_modal()(response))
 
@@ -82,11 +87,13 @@ EXAMPLES = (
     Example("svd weighted", "SvdPolicy", _svd(bpm_weights=_weights())),
     Example("modal", "ModalPolicy", _modal()),
     Example("modal linear", "ModalPolicy", _modal(threshold=None)),
+    Example("adaptive", "AdaptivePolicy", _adaptive, memoryless=False),
     Example("network", "NetworkPolicy", _network, exact=1e-4),
     Example("svd P, masked", "MaskedPolicy", _masked(_svd())),
     Example("svd weighted, masked", "MaskedPolicy", _masked(_svd(bpm_weights=_weights()))),
     Example("svd PID, masked", "MaskedPolicy", _masked(_svd(derivative_gain=0.1)), False),
     Example("modal, masked", "MaskedPolicy", _masked(_modal())),
+    Example("adaptive, masked", "MaskedPolicy", _masked(_adaptive), memoryless=False),
     Example("network, masked", "MaskedPolicy", _masked(_network), exact=1e-4),
 )
 

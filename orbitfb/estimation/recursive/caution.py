@@ -21,8 +21,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from orbitfb.core.signals import Vector
-from orbitfb.models.recursive.estimate import Innovation, RecursiveResponse
-from orbitfb.models.recursive.settings import CautionSettings
+from orbitfb.estimation.recursive.estimate import Innovation, RecursiveResponse
+from orbitfb.estimation.recursive.settings import CautionSettings
 
 _FIRST_ROUNDS = 3
 

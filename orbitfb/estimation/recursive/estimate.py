@@ -27,20 +27,37 @@ Source: the Kalman filter of the augmented state, e.g. Ljung and Söderström, T
 of Recursive Identification (1983), ch. 3.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
-from orbitfb.models.recursive.group import make_groups
-from orbitfb.models.recursive.settings import RecursiveSettings
+from orbitfb.estimation.recursive.group import make_groups
+from orbitfb.estimation.recursive.settings import RecursiveSettings
 
 _DIFFUSE = 1e8
 """Variance of an orbit of which nothing is known, over that of the reading noise."""
 _KICKS = 2.0
 _KICK_FADES = 0.1
 _WIDENING = 4.0
+_WIDEST = 4.0**4
+"""Variance that readings which nothing explains may give R, over that of the beginning: where they
+never end, not R but the noise is another one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Filtered:
+    """Where a reading says that the orbit is; R as it was known before.
+
+    Args:
+        expected: The orbit at the next tick if nothing is changed, in modes, shape (n,) [m].
+        deviation: Its norm over what noise alone makes expect [1].
+    """
+
+    expected: Vector
+    deviation: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +82,8 @@ class RecursiveResponse:
     Args:
         response: R̂ to begin with, shape (n, m) [m/A, or m/rad where changes are kicks].
         settings: Noise, prior and drift, in the same units.
+        covariances: Covariance of a row of UᵀR in every group, each of shape (m, m); None: that of
+            the settings.
 
     Attributes:
         modes: U, the left singular vectors of the first R̂, shape (n, n).
@@ -75,7 +94,12 @@ class RecursiveResponse:
         EstimationError: The response is not a finite matrix that is not zero.
     """
 
-    def __init__(self, response: Vector, settings: RecursiveSettings) -> None:
+    def __init__(
+        self,
+        response: Vector,
+        settings: RecursiveSettings,
+        covariances: Sequence[Vector] | None = None,
+    ) -> None:
         if response.ndim != 2 or not np.isfinite(response).all() or not np.any(response):
             raise EstimationError(
                 f"the first response matrix (shape {response.shape}) must be a finite matrix "
@@ -88,7 +112,10 @@ class RecursiveResponse:
         self._noise = settings.reading_noise**2
         self._steps = _steps(rows, settings)
         self.groups, self._drift = make_groups(rows, response, self._steps, settings)
+        for group, covariance in zip(self.groups, covariances or (), strict=False):
+            group.covariance[:m, :m] = covariance
         self._size = m
+        self._widest = [_WIDEST * float(np.trace(group.covariance)) for group in self.groups]
         self._regressor = np.ones(len(self._drift))
         self._orbit = np.zeros(n)
         self._known = np.zeros(n)
@@ -117,6 +144,12 @@ class RecursiveResponse:
     def orbit(self) -> Vector:
         """The filtered orbit x̂, shape (n,) [m]."""
         return self.modes @ self._orbit
+
+    @property
+    def covariances(self) -> tuple[Vector, ...]:
+        """Covariance of a row of UᵀR in every group, copied, each of shape (m, m)."""
+        self._add_drift()
+        return tuple(group.whole_covariance(self._size) for group in self.groups)
 
     @property
     def expected(self) -> Vector:
@@ -153,6 +186,22 @@ class RecursiveResponse:
         self._add_drift()
         return self.groups[-1].whole_covariance(self._size)
 
+    def normalised_errors(self, response: Vector) -> Vector:
+        """Errors against a known response in units of the stated uncertainty.
+
+        Args:
+            response: The true R, shape (n, m).
+
+        Returns:
+            Shape (n, m), by mode and by principal direction of the covariance of its group;
+            independent standard normal numbers when the stated uncertainty is right.
+        """
+        error = self.rows.T - self.modes.T @ response
+        for group, covariance in zip(self.groups, self.covariances, strict=True):
+            values, directions = np.linalg.eigh(covariance)
+            error[group.members] = (error[group.members] @ directions) / np.sqrt(values)
+        return error
+
     def reset(self) -> None:
         """Forget the orbit, not R: before the first reading, after a gap or a kick."""
         variance = _DIFFUSE * self._noise
@@ -169,6 +218,21 @@ class RecursiveResponse:
         for group in self.groups:
             self._orbit[group.members] += group.predict(self._regressor)
         self._known += self._steps
+
+    def filtered(self, reading: Vector) -> Filtered:
+        """Say where a reading, shape (n,) [m], puts the orbit; nothing is taken in."""
+        noise, orbit = self._noise, reading @ self.modes
+        innovations = orbit - self._orbit
+        predicted = self._predicted()
+        variances = predicted + noise
+        known = self._known
+        if float(np.mean(innovations**2 / variances)) > self.settings.kick_chi2:
+            known = np.full(len(orbit), noise)
+        else:
+            orbit = self._orbit + predicted / variances * innovations
+            known = known * (noise / (known + noise))
+        usual = float(np.sum(known + self._steps))
+        return Filtered(orbit + self.creep, float(np.sqrt(orbit @ orbit / usual)))
 
     def read(self, reading: Vector) -> Innovation:
         """Take in a reading, shape (n,) [m]."""
@@ -215,8 +279,9 @@ class RecursiveResponse:
     def _surprise(self) -> None:
         self._kicks += 1.0
         if self._kicks > _KICKS:
-            for group in self.groups:
-                group.covariance *= _WIDENING
+            for group, most in zip(self.groups, self._widest, strict=True):
+                size = float(np.trace(group.covariance))
+                group.covariance *= min(_WIDENING, max(most / size, 1.0))
         self.reset()
 
     def _add_drift(self) -> None:

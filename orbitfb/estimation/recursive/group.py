@@ -1,4 +1,4 @@
-"""Modes that share the covariance of their rows of R, for `orbitfb.models.recursive.estimate`."""
+"""Modes that share the covariance of their rows of R, for the estimate beside this module."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import get_blas_funcs
 
 from orbitfb.core.signals import Vector
-from orbitfb.models.recursive.settings import RecursiveSettings
+from orbitfb.estimation.recursive.settings import RecursiveSettings
 
 _SYMV, _GEMV, _GER, _SYR = get_blas_funcs(("symv", "gemv", "ger", "syr"), dtype=np.float64)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from orbitfb.core.errors import EstimationError
-from orbitfb.models.recursive.caution import CautiousGain
-from orbitfb.models.recursive.estimate import RecursiveResponse
-from orbitfb.models.recursive.settings import CautionSettings, RecursiveSettings
+from orbitfb.estimation.recursive.caution import CautiousGain
+from orbitfb.estimation.recursive.estimate import RecursiveResponse
+from orbitfb.estimation.recursive.settings import CautionSettings, RecursiveSettings
 
 NOISE = 0.2e-6
 PRIOR = 1.0

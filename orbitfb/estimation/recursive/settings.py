@@ -4,6 +4,8 @@ from pydantic import Field
 
 from orbitfb.core.settings import Settings
 
+MOST_GROUPS = 20
+
 
 class RecursiveSettings(Settings):
     """What is known beforehand. [R] is the unit of R: m/A, or m/rad where changes are kicks."""
@@ -52,7 +54,10 @@ class RecursiveSettings(Settings):
         default=10_000.0, gt=0.0, description="Ticks in which the creep is renewed [ticks]."
     )
     groups: int = Field(
-        default=4, ge=1, le=20, description="Groups of modes with a covariance of their own [1]."
+        default=4,
+        ge=1,
+        le=MOST_GROUPS,
+        description="Groups of modes with a covariance of their own [1].",
     )
     kick_chi2: float = Field(
         default=25.0,

@@ -1,0 +1,249 @@
+"""The law that learns while it acts: the response tracked at every tick, a cautious gain of it.
+
+Reading and change of every tick go into the Kalman filter of orbit and response
+(`orbitfb.estimation.recursive.estimate`), and the change is a cautious gain on the filtered orbit
+and the creep that is expected (`orbitfb.estimation.recursive.caution`):
+
+    a = −K (x̂ + b̂).
+
+The tick waits for none of the learning. `act` only filters the reading; what was read and what was
+sent are taken in by `inform`, after the write, and there the gain is made anew when the readings
+call for it. What is known of R outlives the state: a loop that closes again begins with it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from orbitfb.core.errors import ConfigError
+from orbitfb.core.settings import Settings
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.estimation.recursive.caution import CautiousGain
+from orbitfb.estimation.recursive.estimate import RecursiveResponse
+from orbitfb.estimation.recursive.settings import CautionSettings, RecursiveSettings
+from orbitfb.policies.inverse import checked_covariance, checked_response, content_hash, frozen
+from orbitfb.policies.masking import Infill
+
+
+class TrackingSettings(RecursiveSettings):
+    """What a loop knows of a ring beforehand. [R] is m/A.
+
+    The drift is what moves the response of the preset `strong` from one end to the other in
+    10,000 ticks, as a random walk; a ring at rest does not suffer from it.
+    """
+
+    ground: float = Field(
+        default=0.04e-6,
+        ge=0.0,
+        description="Motion of the orbit per tick, as kicks along the ring make it, rms [m].",
+    )
+    prior_entry: float = Field(
+        default=1e-6, ge=0.0, description="Error of an element of the first R̂, rms [R]."
+    )
+    prior_relative: float = Field(
+        default=0.02,
+        ge=0.0,
+        description="Errors of the gains of BPMs and correctors in the first R̂, rms [1].",
+    )
+    drift_entry: float = Field(
+        default=2.5e-8, ge=0.0, description="Drift of an element of R in √tick, rms [R]."
+    )
+    drift_relative: float = Field(
+        default=2e-4,
+        ge=0.0,
+        description="Drift of the gains of BPMs and correctors in √tick, rms [1].",
+    )
+    creep: float = Field(
+        default=0.02e-6,
+        ge=0.0,
+        description="Creep of the orbit that a drift of R makes of setpoints that stay, rms over "
+        "the modes, each in proportion to its singular value [m/tick]; 0: no such coefficient.",
+    )
+
+
+class AdaptiveSettings(Settings):
+    """Configuration of the law that learns while it acts."""
+
+    tracking: TrackingSettings = Field(
+        default=TrackingSettings(), description="The estimate of R at every tick."
+    )
+    caution: CautionSettings = Field(
+        default=CautionSettings(period=10), description="How the gain is made of it, and when."
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What is known of R, and the gain made of it; nobody changes it.
+
+    Args:
+        response: R̂, shape (n, m) [m/A].
+        covariances: Of a row of UᵀR in every group of modes, each of shape (m, m) [(m/A)²]; None:
+            those of the settings.
+    """
+
+    response: Vector
+    covariances: tuple[Vector, ...] | None
+
+
+class Track:
+    """The running filter of one loop.
+
+    Args:
+        known: What is known at first.
+        settings: Of the law.
+    """
+
+    def __init__(self, known: Known, settings: AdaptiveSettings) -> None:
+        self.estimate = RecursiveResponse(known.response, settings.tracking, known.covariances)
+        self.gain = CautiousGain(self.estimate, settings.caution)
+        self._take_gains()
+
+    def change(self, reading: Vector) -> Vector:
+        """Give the change for a reading, shape (n,) [m]: shape (m,) [A]. Nothing is taken in."""
+        filtered = self.estimate.filtered(reading)
+        far = filtered.deviation > self.gain.far_from_floor
+        return -((self._far if far else self._near) @ filtered.expected)
+
+    def learn(self, reading: Vector, applied: Vector) -> bool:
+        """Take in a reading, shape (n,) [m], and the change that answered it, shape (m,) [A].
+
+        Returns:
+            Whether there is a new gain.
+        """
+        renewed = self.gain.follow(self.estimate.read(reading), both=True)
+        self.estimate.predict(applied)
+        if renewed:
+            self._take_gains()
+        return renewed
+
+    def at_rest(self) -> Vector:
+        """Give the gain on a raw reading that stands still, shape (m, n) [A/m].
+
+        The filter of a steady reading e settles at x̂ = (I − (I − L)(I − R̂K))⁻¹ L e.
+        """
+        estimate = self.estimate
+        floor = estimate.floor
+        gains = floor / (floor + estimate.settings.reading_noise**2)
+        unit = np.eye(len(gains))
+        left = unit - estimate.rows.T @ self._near
+        settled = np.linalg.solve(unit - (1.0 - gains)[:, None] * left, np.diag(gains))
+        return self._near @ settled @ estimate.modes.T
+
+    def _take_gains(self) -> None:
+        modes = self.estimate.modes
+        self._near, self._far = self.gain.near @ modes, self.gain.far @ modes
+
+
+class AdaptivePolicy:
+    """Track the response while the loop runs, and correct with what is known of it.
+
+    Masked BPMs read what the valid ones let expect beside what the filter expects of all.
+
+    Args:
+        response: R to begin with, shape (n, m) [m/A].
+        settings: What is known beforehand, and how the gain is made.
+        covariances: Of a row of UᵀR in every group of modes, strongest first, each of shape
+            (m, m) [(m/A)²]; None: those of the settings.
+        policy_id: Its name; by default `adaptive-` and a hash of what it begins with.
+
+    Attributes:
+        settings: As given.
+        learns: That what it knows changes while it acts.
+        known: What was known of R when the gain was last made; replaced as a whole.
+
+    Raises:
+        RingError: A matrix is not finite or has the wrong shape.
+    """
+
+    learns = True
+
+    def __init__(
+        self,
+        response: Vector,
+        settings: AdaptiveSettings,
+        covariances: Sequence[Vector] | None = None,
+        policy_id: str | None = None,
+    ) -> None:
+        matrix = checked_response(response)
+        parts = None
+        if covariances is not None:
+            parts = tuple(checked_covariance(part, matrix.shape[1]) for part in covariances)
+        self.settings = settings
+        self._policy_id = policy_id or "adaptive-" + content_hash(settings, matrix, *(parts or ()))
+        self.known = Known(matrix, parts)
+        self._infill = Infill(matrix)
+        self._rest: tuple[Known, Vector] | None = None
+
+    @property
+    def policy_id(self) -> str:
+        """Name under which the store and every record know it; learning does not change it."""
+        return self._policy_id
+
+    @property
+    def response(self) -> Vector:
+        """R̂ as known, shape (n, m) [m/A]."""
+        return self.known.response
+
+    @property
+    def covariances(self) -> tuple[Vector, ...] | None:
+        """Covariance of a row of UᵀR̂ in every group, as known; None: those of the settings."""
+        return self.known.covariances
+
+    @property
+    def gain_matrix(self) -> Vector:
+        """Gain on a raw reading at rest, shape (m, n) [A/m]."""
+        known = self.known
+        if self._rest is None or self._rest[0] is not known:
+            self._rest = known, frozen(Track(known, self.settings).at_rest())
+        return self._rest[1]
+
+    def initial_state(self) -> Track:
+        """Begin with what is known of R by now, and nothing known of the orbit."""
+        return Track(self.known, self.settings)
+
+    def changes(self, errors: Vector) -> Vector:
+        """Refuse: a decision depends on what was learnt.
+
+        Raises:
+            ConfigError: Always.
+        """
+        raise ConfigError("an adaptive policy decides by earlier orbits, so not on many at once")
+
+    def act(self, error: Vector, valid: Mask, state: Track) -> tuple[Vector, Track]:
+        """Decide.
+
+        Args:
+            error: Orbit − reference, shape (n,) [m]; elements that are not valid are ignored.
+            valid: BPMs that count, shape (n,).
+            state: The running filter; it is left as it is.
+
+        Returns:
+            The change of setpoints, shape (m,) [A], and the filter.
+        """
+        return state.change(self._filled(error, valid, state)), state
+
+    def inform(self, error: Vector, valid: Mask, applied: Vector, state: Track) -> Track:
+        """Take in what was read and what was sent.
+
+        Args:
+            error: Orbit − reference, shape (n,) [m], as `act` had it.
+            valid: BPMs that count, shape (n,).
+            applied: Change of setpoints as it was sent, shape (m,) [A].
+            state: The running filter; it learns.
+
+        Returns:
+            The filter.
+        """
+        if state.learn(self._filled(error, valid, state), applied):
+            estimate = state.estimate
+            self.known = Known(frozen(estimate.response), estimate.covariances)
+        return state
+
+    def _filled(self, error: Vector, valid: Mask, state: Track) -> Vector:
+        if np.count_nonzero(valid) == len(valid):
+            return error
+        orbit = state.estimate.orbit
+        return orbit + self._infill.fill(error - orbit, valid)
