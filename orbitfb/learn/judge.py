@@ -10,18 +10,17 @@ rows, before they were used, were likelier under R̂ than under the incumbent's 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import TypeGuard
 
 import numpy as np
 
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.ports import Policy
-from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.signals import Vector
 from orbitfb.learn.forecast import WORST_RMS, Gain, Prediction, paired_gain, predict_pairs
+from orbitfb.learn.reach import needed_change
 from orbitfb.learn.settings import JudgeSettings
 from orbitfb.learn.simulation import BatchPolicy, Outcome, Scene, simulate
 from orbitfb.models.linear import LinearModel
-from orbitfb.policies.inverse import regularised_inverse
 
 _UM = 1e6
 _PROBES = 8
@@ -166,27 +165,29 @@ def is_linear(policy: Policy, gain: Vector, amplitude: float) -> bool:
         gain: Its gain at zero, shape (m, n) [A/m].
         amplitude: White orbit error at which it is asked, rms [m].
     """
-    if not _decides_at_once(policy, gain.shape[1]):
+    at_once = _at_once(policy, gain.shape[1])
+    if at_once is None:
         return True
     errors = amplitude * np.random.default_rng(0).standard_normal((_PROBES, gain.shape[1]))
     expected = -(errors @ gain.T)
-    off = float(np.linalg.norm(policy.changes(errors) - expected))
+    off = float(np.linalg.norm(at_once.changes(errors) - expected))
     return off <= _ROUNDING * float(np.linalg.norm(expected))
 
 
-def _decides_at_once(policy: Policy, readings: int) -> TypeGuard[BatchPolicy]:
-    """Say whether a policy decides in batches; one that has a memory refuses to."""
+def _at_once(policy: Policy, readings: int) -> BatchPolicy | None:
+    """Give a policy that decides in batches; one that has a memory refuses to."""
     if not isinstance(policy, BatchPolicy):
-        return False
+        return None
     try:
         policy.changes(np.zeros((1, readings)))
     except ConfigError:
-        return False
-    return True
+        return None
+    return policy
 
 
 def _in_batches(policy: Policy, gain: Vector) -> BatchPolicy:
-    return policy if _decides_at_once(policy, gain.shape[1]) else _Proportional(gain)
+    at_once = _at_once(policy, gain.shape[1])
+    return _Proportional(gain) if at_once is None else at_once
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,32 +200,11 @@ class _Proportional:
 
 def _change_rms(policy: Policy, gain: Vector, settings: JudgeSettings) -> float:
     """Give the change that a white orbit error of `change_orbit` makes, rms [A]."""
-    if not _decides_at_once(policy, gain.shape[1]):
+    if _at_once(policy, gain.shape[1]) is None:
         return settings.change_orbit * float(np.linalg.norm(gain) / np.sqrt(len(gain)))
     draws = np.random.default_rng(0).standard_normal((_PROBES, gain.shape[1]))
     errors = settings.change_orbit * draws
     return float(np.sqrt(np.mean(_in_batches(policy, gain).changes(errors) ** 2)))
-
-
-def needed_change(model: LinearModel, moving: Mask, amplitude: float) -> float:
-    """Give the change that corrects a white orbit error whole, by R̂ as far as it is known.
-
-    It is that of the cautious inverse (`policies.inverse`), without regularisation: a gain that
-    asks for more overshoots, or trusts what the data do not show.
-
-    Args:
-        model: The posterior of R.
-        moving: Correctors that may move, shape (m,).
-        amplitude: Of the orbit error, rms [m].
-
-    Returns:
-        Rms over all m correctors [A].
-    """
-    if not moving.any():
-        return 0.0
-    doubt = model.row_covariance[np.ix_(moving, moving)]
-    inverse = regularised_inverse(model.response[:, moving], 0.0, doubt)
-    return amplitude * float(np.linalg.norm(inverse) / np.sqrt(len(moving)))
 
 
 def _recovery(ours: Outcome, theirs: Outcome, settings: JudgeSettings) -> str | None:

@@ -1,9 +1,11 @@
-"""What of an orbit error no corrector reaches: it stays, whatever law is in force."""
+"""What correctors reach: what of an orbit error stays under any law, and what correcting takes."""
 
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.transitions import Transitions
+from orbitfb.models.linear import LinearModel
+from orbitfb.policies.inverse import regularised_inverse
 
 ROWS = 100
 """Last rows of the closed loop over which the orbit error is averaged: of that many the noise of a
@@ -46,3 +48,24 @@ def unreachable_rms(error: Vector, response: Vector, moving: Mask) -> float:
     reached = left[:, sigma > _SMALLEST * sigma.max(initial=0.0)]
     beyond = error[valid] - reached @ (reached.T @ error[valid])
     return float(np.sqrt(np.mean(beyond**2)))
+
+
+def needed_change(model: LinearModel, moving: Mask, amplitude: float) -> float:
+    """Give the change that corrects a white orbit error whole, by R̂ as far as it is known.
+
+    It is that of the cautious inverse (`policies.inverse`), without regularisation: a gain that
+    asks for more overshoots, or trusts what the data do not show.
+
+    Args:
+        model: The posterior of R.
+        moving: Correctors that may move, shape (m,).
+        amplitude: Of the orbit error, rms [m].
+
+    Returns:
+        Rms over all m correctors [A].
+    """
+    if not moving.any():
+        return 0.0
+    doubt = model.row_covariance[np.ix_(moving, moving)]
+    inverse = regularised_inverse(model.response[:, moving], 0.0, doubt)
+    return amplitude * float(np.linalg.norm(inverse) / np.sqrt(len(moving)))

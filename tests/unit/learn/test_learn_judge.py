@@ -5,7 +5,8 @@ import pytest
 
 from orbitfb.core.errors import ConfigError
 from orbitfb.learn.forecast import Prediction, paired_gain, predict_loop, predict_pairs, student
-from orbitfb.learn.judge import Evidence, gain_of, judge, needed_change
+from orbitfb.learn.judge import Evidence, gain_of, judge
+from orbitfb.learn.reach import needed_change
 from orbitfb.learn.settings import JudgeSettings
 from orbitfb.models.linear import LinearModel
 from orbitfb.policies.svd import SvdPolicy, SvdSettings

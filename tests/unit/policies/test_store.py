@@ -347,5 +347,5 @@ def test_a_stranger_is_not_stored(store):
     class Stranger:
         policy_id = "stranger"
 
-    with pytest.raises(StoreError, match=r"a Stranger cannot be stored; .* svd, modal, adaptive, network"):
+    with pytest.raises(StoreError, match="svd, modal, adaptive, network"):
         store.save(Stranger(), ring())
