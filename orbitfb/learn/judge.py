@@ -76,9 +76,6 @@ def judge(
     Two proportional laws a = −K e are compared by the recursion of covariances. If one of them
     is not linear, both are simulated; their gain at zero still tells the growth.
 
-    A law that learns while it acts is compared by its gain at rest, which is less than it does. So
-    it is followed by another one only when the rows refute the response that it has learnt.
-
     Args:
         candidate: The law that may act.
         incumbent: The law to beat.
@@ -96,7 +93,6 @@ def judge(
     least = cost if settings.margin is None else settings.margin
     at = settings.change_orbit
     linear = is_linear(candidate, ours_gain, at) and is_linear(incumbent, theirs_gain, at)
-    learning = bool(getattr(incumbent, "learns", False))
     must_be_resolved = settings.resolved and evidence.page < settings.evidence
     responses, ours, theirs = predict_pairs(
         ours_gain,
@@ -153,7 +149,7 @@ def judge(
                 f"{needed:.3g} A, limit {settings.change_limit:.3g} A)"
             )
             return Verdict(False, reason, figures)
-    accepted, reason = _decide(ours, theirs, gain, evidence, settings, least, unreachable, learning)
+    accepted, reason = _decide(ours, theirs, gain, evidence, settings, least, unreachable)
     return Verdict(accepted, reason, figures)
 
 
@@ -231,7 +227,6 @@ def _decide(
     settings: JudgeSettings,
     cost: float,
     unreachable: float,
-    learning: bool,
 ) -> tuple[bool, str]:
     if ours.growth > settings.slowest_growth and ours.growth >= theirs.growth:
         return False, (
@@ -254,11 +249,6 @@ def _decide(
         return False, f"{compared}: the gain is below the {100 * cost:.2g} % that a swap costs"
     better = f"{compared}: better by {100 * gain.mean:.1f} %, {interval}"
     refuted = evidence.page >= settings.evidence
-    if learning and not refuted:
-        return False, (
-            f"{compared}: the running policy learns by itself, and the rows do not refute what it "
-            f"knows ({evidence.page:.1f} of {settings.evidence:.1f} nats)"
-        )
     if settings.resolved and not (gain.low >= cost or refuted):
         return False, (
             f"{better}: not resolved, and the rows do not refute the incumbent's response "

@@ -65,6 +65,7 @@ class Learner:
         self._alarm: Alarm | None = None
         self._degraded = False
         self._error: Vector | None = None
+        self._learns = False
 
     @property
     def model(self) -> LinearModel:
@@ -90,6 +91,7 @@ class Learner:
         if self._since.policy_id != incumbent.policy_id:
             self._since = Since(incumbent.policy_id)
             self.watch_afresh()
+        self._learns = bool(getattr(incumbent, "learns", False))
         error = mean_error(transitions)
         self._error = self._error if error is None else error
         rows = select_rows(transitions, self.settings.tolerance)
@@ -245,6 +247,14 @@ class Learner:
             return Verdict(
                 False,
                 f"no excitation: nothing was written in {since.rows} rows; close the loop",
+                {},
+            )
+        if self._learns and since.page < self.settings.judge.evidence:
+            # What it does is more than its gain at rest, by which a judge would compare it.
+            return Verdict(
+                False,
+                f"{since.policy_id} learns by itself, and the rows do not refute what it knows "
+                f"({since.page:.1f} of {self.settings.judge.evidence:.1f} nats)",
                 {},
             )
         return None

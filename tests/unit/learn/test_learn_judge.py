@@ -205,24 +205,6 @@ def test_one_response_on_which_a_gain_does_not_pay_decides_where_it_must_be_reso
     assert paired_gain(mine, others).low < 0.03
 
 
-class Learning(Proportional):
-    learns = True
-
-
-@pytest.mark.parametrize(("page", "accepted"), [(0.0, False), (12.0, True)])
-def test_a_policy_that_learns_is_left_when_the_rows_refute_what_it_knows(page, accepted):
-    said = judge(
-        Proportional(GOOD),
-        Learning(0.01 * GOOD),
-        model(RESPONSE),
-        Evidence(0.0, page),
-        JudgeSettings(),
-        np.random.default_rng(1),
-    )
-    assert said.accepted is accepted
-    assert ("learns by itself" in said.reason) is not accepted
-
-
 class Remembering(Proportional):
     """Has a memory, so that it does not decide on many orbits at once."""
 

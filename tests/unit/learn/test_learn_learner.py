@@ -63,6 +63,26 @@ def test_a_wrong_law_is_replaced(truth, wrong):
     assert report.figures["chi2_incumbent"] > 1.0
 
 
+class Pupil:
+    """A policy that learns by itself."""
+
+    learns = True
+
+    def __init__(self, policy):
+        self.response, self.gain_matrix = policy.response, policy.gain_matrix
+        self.policy_id = "pupil"
+
+
+def test_a_policy_that_learns_is_replaced_only_when_rows_refute_what_it_knows(truth, right, wrong):
+    learner = learner_from(truth)
+    report, candidate = learner.refit(right.transitions(), Pupil(law(truth)), "on-demand")
+    assert report.decision is Decision.REFUSED and candidate is None
+    assert "pupil learns by itself" in report.reason
+    learner = learner_from(0.4 * truth, identify={"prior_relative": 1.0})
+    report, candidate = learner.refit(wrong.transitions(), Pupil(wrong.policy), "periodic")
+    assert report.decision is Decision.ACCEPTED and candidate is not None
+
+
 def test_rows_teach_once(truth, right):
     learner = learner_from(truth)
     learner.refit(right.transitions(), right.policy, "periodic")
