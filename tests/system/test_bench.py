@@ -41,7 +41,15 @@ def test_a_rehearsal_measures_every_kind_of_run(tmp_path):
     assert set(result) >= HEADLINES
     assert all(isinstance(result[name], int | float) for name in HEADLINES)
     runs = {(row["server"], row["client"]) for row in result["runs"]}
-    assert runs == {("ours", "service"), ("ours", "ours"), ("ours", "plain"), ("base", "ours")}
+    assert runs == {
+        ("ours", "service"),
+        ("ours", "ours"),
+        ("ours", "plain"),
+        ("base", "ours"),
+        ("ours-arrays", "ours"),
+        ("base-arrays", "ours"),
+    }
+    assert result["ratios"]["arrays_over_scalars_on_base"]["lockstep"] > 0.0
     for row in result["runs"] + result["scaling"]:
         assert row["ticks"] > 1 and row["torn"] == 0
         assert row["round_trip_ms"]["count"] == row["ticks"] - 1
