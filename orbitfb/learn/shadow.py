@@ -34,6 +34,9 @@ class Shadow:
         limits: Of a write.
         since: First tick that counts.
         now: Monotonic [s].
+        least: Least orbit that the incumbent must leave for the model to be believed, rms [m]: a
+            candidate that is expected to leave many times what is seen was made of a response
+            that is not that of the ring.
     """
 
     def __init__(
@@ -45,12 +48,13 @@ class Shadow:
         limits: LimitSettings,
         since: int,
         now: float,
+        least: float = 0.0,
     ) -> None:
         self.candidate, self.incumbent = candidate, incumbent
         self.next_tick = since
         self._response, self._settings, self._limits = response, settings, limits
         self._state = candidate.initial_state()
-        self._fresh = now
+        self._fresh, self._least = now, least
         self._ours: list[float] = []
         self._theirs: list[float] = []
         self._sizes: list[float] = []
@@ -108,6 +112,12 @@ class Shadow:
         )
         if ours > theirs * (1.0 + self._settings.margin):
             return Verdict(False, f"{compared}: worse", figures)
+        if theirs < self._least:
+            return Verdict(
+                False,
+                f"{compared}: far less than the model expects, so it is not believed",
+                figures,
+            )
         return Verdict(True, compared, figures)
 
     def _look(self, transitions: Transitions, row: int) -> None:

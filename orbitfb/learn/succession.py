@@ -141,6 +141,7 @@ class Succession:
         elif self._settings.shadow.ticks == 0:
             self._promote(candidate, incumbent, report, tell)
         else:
+            expected = report.figures.get("predicted_rms_candidate", 0.0)
             shadow = Shadow(
                 candidate,
                 incumbent,
@@ -149,6 +150,7 @@ class Succession:
                 self._limits,
                 self._newest() + 1,
                 self._clock.monotonic(),
+                expected / self._settings.rollback_factor,
             )
             self._trial = _Trial(shadow, report, tell)
 

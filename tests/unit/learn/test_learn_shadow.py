@@ -67,10 +67,10 @@ def loop(gain, ticks, first=0, closed=True, orbit=50e-6, noise=0.0, seed=1, dith
     )
 
 
-def shadow(candidate, **settings):
+def shadow(candidate, least=0.0, **settings):
     limits = LimitSettings(change_per_tick=1.0)
     chosen = ShadowSettings(**{"ticks": 20} | settings)
-    return Shadow(candidate, Law(0.2), RESPONSE, chosen, limits, 0, 0.0)
+    return Shadow(candidate, Law(0.2), RESPONSE, chosen, limits, 0, 0.0, least)
 
 
 def test_it_tells_the_orbit_that_the_candidate_would_have_left():
@@ -104,6 +104,17 @@ def test_worse_is_refused_and_a_little_worse_is_not():
         verdict = trial.verdict(1.0)
         assert verdict.accepted is accepted
         assert ("worse" in verdict.reason) is not accepted
+
+
+def test_a_model_that_expects_far_more_motion_than_there_is_is_not_believed():
+    rows = loop(0.2, 20, dither=1e-3)
+    left = np.sqrt(np.mean(rows.next_orbit**2))
+    for least, accepted in ((0.5 * left, True), (2.0 * left, False)):
+        trial = shadow(Law(1.0), least)
+        trial.take(rows, 1.0)
+        verdict = trial.verdict(1.0)
+        assert verdict.accepted is accepted
+        assert ("not believed" in verdict.reason) is not accepted
 
 
 def test_a_change_beyond_the_limits_is_refused_when_the_incumbent_stayed_within():
