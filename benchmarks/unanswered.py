@@ -1,7 +1,7 @@
 """Data that do not answer, at the loop in process: what the true orbit does until it is noticed.
 
 `python -m benchmarks.unanswered --seeds 401-410` breaks BPMs and power supplies of the simulated
-ring in seven ways, ten times each, and tells the largest true orbit error until the end; without
+ring in eight ways, ten times each, and tells the largest true orbit error until the end; without
 faults (`--healthy TICKS`) it counts false alarms.
 """
 
@@ -46,6 +46,7 @@ FAULTS = (
     Fault("all BPMs blind, 3 µm", 150, blind=(0, 180), pattern=3e-6),
     Fault("all supplies deaf", 300, deaf=(0, 180)),
     Fault("a cell of BPMs blind", 600, blind=(60, 66)),
+    Fault("a cell of BPMs blind, 10 µm off", 400, blind=(60, 66), pattern=10e-6),
     Fault("a cell of supplies deaf", 1500, deaf=(78, 84)),
     Fault("one BPM blind", 700, blind=(17, 18)),
     Fault("one supply deaf", 700, deaf=(33, 34)),
