@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from orbitfb.sim.environment import client_environment
+from tests.free_ports import free_port
 
 LIMIT, STEP, DRIVE = 1.0, 0.2, 1.2
 """Limits [A] of the loop's setpoints and steps, and of the IOC: near what this ring needs."""
@@ -36,7 +37,7 @@ class Ring:
         directory.mkdir(parents=True)
         self._directory, self._seed, self._rate = directory, seed, rate
         self.journal = directory / "journal.bin"
-        self.port = self.life = 0
+        self.port, self.life = free_port(), 0  # the kernel must not give it away while it is down
         self.faults: list[dict[str, Any]] = []
         self.start()
 
