@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from orbitfb.core.names import RF_FREQUENCY, RF_STEP
 from orbitfb.core.signals import LoopState
+from orbitfb.history.columns import AUXILIARY
 from orbitfb.postmortem.analysis import CURRENT
 from orbitfb.postmortem.devices import interlocks_of, valid_of
 from orbitfb.postmortem.reading import PostMortem
@@ -19,6 +21,9 @@ _NOT_TOLD = {"logger", "figures"}
 _LONGEST = 240
 _DROP = 0.01
 _TOLERANCE = 0.1
+_RF, _RF_STEP = f"{AUXILIARY}{RF_FREQUENCY}", f"{AUXILIARY}{RF_STEP}"
+_HERTZ = 0.1
+"""Change of the RF frequency that is told, the default of `rf.tolerance` [Hz]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +112,19 @@ def _of_readings(its: PostMortem, row: int, tolerance: float) -> Iterator[str]:
         old, new = columns[CURRENT][row - 1 : row + 1]
         if not new >= old * (1.0 - _DROP) and np.isfinite(old):
             yield f"the stored current went from {old * 1e3:.4g} to {new * 1e3:.4g} mA"
+    yield from _of_frequency(its, row)
+
+
+def _of_frequency(its: PostMortem, row: int) -> Iterator[str]:
+    """Tell steps of the RF frequency, ours and those of others."""
+    none = np.zeros(its.rows)
+    steps = np.nan_to_num(its.columns.get(_RF_STEP, none)[row - 1 : row + 1])
+    if steps[1] != 0.0:
+        yield f"the RF frequency was stepped by {steps[1]:+.3g} Hz"
+    old, new = its.columns.get(_RF, none)[row - 1 : row + 1]
+    # What we have put may show one orbit later.
+    if abs(new - old) > _HERTZ and not (np.abs(new - old - steps) <= _HERTZ).any():
+        yield f"the RF frequency went from {old:.3f} to {new:.3f} Hz, not by this loop"
 
 
 def _of_events(its: PostMortem) -> Iterator[Change]:

@@ -1,7 +1,7 @@
 """What a post-mortem tells: when, why, what went wrong first, what changed."""
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pytest
@@ -64,6 +64,26 @@ def test_bpms_that_were_lost_are_named(loop):
     story, text = told(loop)
     assert (story.analysis.bpm.name, story.analysis.bpm.what) == ("BPM0", "became invalid")
     assert "BPMs became invalid: BPM0" in text
+
+
+def test_steps_of_the_rf_are_told_and_whose_they_were(loop):
+    """The loop steps by 0.5 Hz, which shows an orbit later; then somebody else by 30 Hz."""
+    read, tick = loop.machine.read, iter(range(1000))
+
+    def reading(timeout):
+        its, now = read(timeout), next(tick)
+        frequency = 5e8 + 0.5 * (now > 40) + 30.0 * (now > 45)
+        rf = {"rf_frequency": frequency, "rf_step": 0.5 * (now == 40)}
+        return replace(its, auxiliary={**its.auxiliary, **rf})
+
+    loop.machine.read = reading
+    loop.ticks(50)
+    loop.machine.current = 0.0
+    loop.ticks(20)
+    _, text = told(loop)
+    assert text.count("the RF frequency was stepped by +0.5 Hz") == 1
+    assert text.count("not by this loop") == 1
+    assert "from 500000000.500 to 500000030.500 Hz, not by this loop" in text
 
 
 def test_the_corrector_that_left_first_is_named(tmp_path):
