@@ -8,6 +8,7 @@ from pathlib import Path
 import structlog
 
 from orbitfb.app.service.assemble import Service
+from orbitfb.app.setup.heap import give_large_blocks_back
 from orbitfb.app.setup.production_guard import check_live
 from orbitfb.app.setup.startup import check_duration, find_ring, start_state
 from orbitfb.app.setup.stop_signals import StopSignals
@@ -51,6 +52,7 @@ def run_service(
             nothing is left running.
     """
     begun = time.monotonic()
+    give_large_blocks_back()
     state = LoopState.OPEN if live and start is None else start_state(start, ioc)
     check_live(find_ring(config, ioc), ioc, start, live)
     check_duration(duration)
