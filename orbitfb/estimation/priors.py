@@ -88,6 +88,10 @@ WIDTHS = (0.5, 1.0, 2.0, 5.0)
 """Scatters of a size over the typical one that are tried where all devices have one of their
 own. By hand: an octave apart."""
 
+SCATTERED = tuple(np.geomspace(1.0 / 64.0, 8.0, 10))
+"""The same where a law of many devices is linear: a factor of two apart costs a tenth of a nat for
+each."""
+
 MORE = 3.0
 """Nats beyond its look-elsewhere cost that a further device of a set must bring."""
 

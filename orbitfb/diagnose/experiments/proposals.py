@@ -12,6 +12,7 @@ import numpy as np
 
 from orbitfb.core.signals import Channels, Vector
 from orbitfb.diagnose.experiments.suspects import Suspect
+from orbitfb.effects.optics.gradients import nearest_bpms
 from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.loop.excitation.design import ExcitationPart, ExcitationSettings, design
 from orbitfb.physics.optics import Matrix
@@ -204,6 +205,9 @@ def _wanted(layout: Layout, suspect: Suspect) -> Iterator[tuple[str, Vector]]:
             yield layout.correctors.label(place), np.eye(layout.response.shape[1])[place]
         elif kind.target == "bpm":
             yield f"the orbit at {layout.bpms.label(place)}", layout.response[place]
+        elif kind.target == "quadrupole" and layout.ring is None:
+            near = int(nearest_bpms(layout)[place])
+            yield f"the orbit at {layout.bpms.label(near)}", layout.response[near]
         elif kind.target in ("quadrupole", "sextupole"):
             magnets = "QUAD" if kind.target == "quadrupole" else "SEXT"
             for plane in layout.planes:

@@ -1,10 +1,12 @@
 """Some devices with the same law and values of each one's own."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.device_laws import field_of
 from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, within
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
@@ -17,6 +19,7 @@ from orbitfb.estimation.priors import (
     MOST_REFINED,
     OWN_REACH,
     OWN_VALUES,
+    SCATTERED,
     SIZE_WIDTH,
     VALUE_COST,
 )
@@ -26,7 +29,10 @@ from orbitfb.estimation.transform import Matrix
 def scan_each_own(
     kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked
 ) -> list[Candidate]:
-    """Grow a set of devices, each at the value of the grid that suits it best.
+    """Find devices with values of each one's own: a set that is grown, and all of them.
+
+    A set grows of devices each at the value of the grid that suits it best. All of them have one
+    value and a size of each one's own, if the law has a size.
 
     Args:
         kind: The effect.
@@ -35,12 +41,17 @@ def scan_each_own(
         rank: Of the values of its grid.
 
     Returns:
-        The best set of two devices or more, if there is one.
+        The best set of two devices or more, and all of them, as far as they have evidence.
     """
     usual = any(block.kind is kind and not block.accepted for block in scorer.space.blocks)
-    free = scales(kind)
     if law.whole or usual or not kind.collective or rank.alone.max() < HOPE:
         return []
+    return [*_some(kind, law, scorer, rank), *_every(kind, law, scorer, rank)]
+
+
+def _some(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> list[Candidate]:
+    """The best set of two devices or more."""
+    free = scales(kind)
     if len(rank.alone) == 1 and not free:
         return []
     number = np.argmax(rank.alone, axis=0)
@@ -55,6 +66,41 @@ def scan_each_own(
             finer=lambda: _candidate(kind, law, scorer, rank, number, list(places), free),
         )
     ]  # fmt: skip
+
+
+def _every(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> Iterator[Candidate]:
+    """All devices with sizes around zero of any scatter, at the value that tells most of them.
+
+    No single one need show: a course that all have in common may hide in the floor, which any
+    pattern over the devices may be in.
+    """
+    devices = len(law.names)
+    if kind.linear is None or devices < 2:
+        return
+    found = []
+    for values in rank.promising or rank.grid[-1:]:
+        spectra = scorer.space.courses.spectra(law, values)
+        pull, information = scorer.score(law.patterns, spectra)
+        information = scorer.marginal(kind, law.patterns, spectra, information)
+        terms = [NormalTerms(pull, information, np.full(devices, width**2)) for width in SCATTERED]
+        found += [(one.evidence(), values, one) for one in terms]
+    gain, values, terms = max(found, key=lambda one: one[0])
+    cost = VALUE_COST * len(kind.fitted(scorer.space.signals.record))
+    if gain - cost <= 0.0:
+        return
+
+    def exact() -> Candidate:
+        sizes = terms.mean()
+        source = Course(law, (), values, sizes)
+        courses = source.of(scorer.space.signals, values)
+        scaled = {**values, kind.linear: values[kind.linear] * float(sizes[np.argmax(abs(sizes))])}
+        return Candidate(
+            kind, (), (), scaled, gain - cost,
+            sizes=tuple(float(one * values[kind.linear]) for one in sizes),
+            field=field_of(law, scorer, courses, (), sizes).astype(float), sources=(source,),
+        )  # fmt: skip
+
+    yield Candidate(kind, (), (), values, gain - cost, finer=exact)
 
 
 def _grown(

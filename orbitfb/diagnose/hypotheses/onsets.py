@@ -1,20 +1,23 @@
 """Laws that begin in the middle of a record.
 
 Of a law whose course is a constant the row at which it begins is all that shows. Others are weighed
-from every tenth row on, device by device, and the best of them row by row.
+from every tenth row on, device by device and group by group; from the best row on their devices are
+sought as those of a law that was always there, and the best set of them row by row.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of
-from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, within
+from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, sign, within, worths_of
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.hypotheses.sets import best_set
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, FieldLaw
@@ -27,7 +30,7 @@ from orbitfb.estimation.priors import (
     STANDING,
     VALUE_COST,
 )
-from orbitfb.estimation.transform import Matrix
+from orbitfb.estimation.transform import Indices, Matrix
 
 _HOPEFUL = 24
 """Devices whose onsets are looked for at most, those of which most shows."""
@@ -87,23 +90,23 @@ def scan_jumps(
 
 @dataclass(frozen=True, slots=True)
 class _Begin:
-    """A device that begins late.
+    """Devices that begin late.
 
     Args:
-        evidence: As scanned, less the choice of device and row.
-        device: Its number.
-        row: At which it begins.
+        evidence: As scanned, less the choice of devices and row.
+        places: Numbers of the devices: a single one, a group, or all (empty).
+        row: At which they begin.
         values: Of the parameters.
     """
 
     evidence: float
-    device: int
+    places: tuple[int, ...]
     row: int
     values: Values
 
 
 def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> list[Candidate]:
-    """Find the single device of a law that begins late with the most evidence.
+    """Find the devices of a law that begin late together with the most evidence.
 
     Args:
         kind: The effect.
@@ -112,23 +115,31 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
         rank: Of the values of its grid.
 
     Returns:
-        The best one, if any is worth something.
+        The best ones, if any are worth something.
     """
     if not kind.sudden or law.whole:
         return []
-    # Where nothing shows over the whole record a first kick may still tell.
-    tried = rank.promising or (list(rank.grid[:1]) if law.standing else [])
+    # Where nothing shows over the whole record a first kick may still tell, or the change of what
+    # the healthy error of the same devices stands in for.
+    always = law.standing or (kind.linear is not None and _usual(kind, scorer))
+    tried = rank.beginning or (list(rank.grid[:1]) if always else [])
     begun = [_begins(kind, law, scorer, values) for values in tried]
     best = max((one for one in begun if one), key=lambda one: one.evidence, default=None)
     if best is None or best.evidence <= 0.0:
         return []
     cost = VALUE_COST * len(kind.parameters)
-    evaluate = _kicking if law.standing else _from
-    return [evaluate(kind, law, scorer, best, cost)]
+    if law.standing:
+        return [_kicking(kind, law, scorer, best, cost)]
+    return list(_from(kind, law, scorer, best, cost))
+
+
+def _usual(kind: EffectKind, scorer: Scorer) -> bool:
+    """Whether healthy devices have it."""
+    return any(block.kind is kind and not block.accepted for block in scorer.space.blocks)
 
 
 def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) -> _Begin | None:
-    """The best single device that begins late; None: nothing is as if one did.
+    """The best device, or group, that begins late; None: nothing is as if one did.
 
     Args:
         kind: The effect.
@@ -139,44 +150,56 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     spectra = scorer.space.courses.spectra(law, values)
     if not any(np.any(one) for one in spectra):
         return None
-    error = scorer.own_error(kind, np.arange(len(law.names)))
+    count = len(law.names)
+    error = scorer.own_error(kind, np.arange(count))
     pull, information = scorer.apart(law, values, error)
-    sign = pull**2 / (2.0 * np.maximum(information, 1e-300))
+    shown = sign(pull, information)
     kicks = _kicks(law, scorer, spectra) if law.standing else None
     if kicks is not None:
-        sign = sign + np.maximum(kicks.max(axis=0) - np.log(len(kicks)), 0.0)
-    hopeful = np.flatnonzero(sign > ONSET_SIGN)
+        shown = shown + np.maximum(kicks.max(axis=0) - np.log(len(kicks)), 0.0)
+    usual = _usual(kind, scorer)
+    sets = _hopeful_sets(law, scorer, pull, spectra, every=usual)
+    if usual:
+        hopeful = np.arange(count)
+    else:
+        hopeful = np.flatnonzero(shown > ONSET_SIGN)
+        hopeful = hopeful[np.argsort(-shown[hopeful], kind="stable")[:_HOPEFUL]]
+        hopeful = np.unique(np.concatenate([hopeful, *sets]))
     if not len(hopeful):
         return None
-    hopeful = hopeful[np.argsort(-sign[hopeful])[:_HOPEFUL]]
     error = scorer.own_error(kind, hopeful)
-    total_pull: Matrix | float = 0.0
-    total_information: Matrix | float = 0.0
-    onsets = np.zeros(0, dtype=np.intp)
-    for pattern, spectrum in zip(law.patterns, spectra, strict=True):
-        columns = spectrum if spectrum.shape[1] == 1 else spectrum[:, hopeful]
-        steps = scorer.space.transform.turn(columns)
-        part, weight, onsets = scorer.rows.since(
-            pattern[:, hopeful],
-            np.broadcast_to(steps, (len(steps), len(hopeful))),
-            ONSETS_EVERY,
-            error,
-        )
-        total_pull, total_information = total_pull + part, total_information + weight
-    free = scales(kind)
-    worth = any_size if free else given_size
-    gain = worth(np.asarray(total_pull), np.asarray(total_information))
+    steps = [
+        np.broadcast_to(turned, (len(turned), count))
+        for turned in (scorer.space.transform.turn(one) for one in spectra)
+    ]
+    onsets = np.arange(0, len(steps[0]), ONSETS_EVERY)
+    parts = [
+        scorer.rows.since(pattern[:, hopeful], own[:, hopeful], onsets, error)
+        for pattern, own in zip(law.patterns, steps, strict=True)
+    ]
+    pulls, weights = (sum(one[1:], one[0]) for one in zip(*parts, strict=True))
+    worth = any_size if scales(kind) else given_size
+    gains = [worth(pulls, weights)]
     if kicks is not None:
-        gain += np.maximum.reduceat(kicks[:, hopeful], onsets, axis=0)
+        gains[0] = gains[0] + np.maximum.reduceat(kicks[:, hopeful], onsets, axis=0)
+    for its in sets:
+        patterns = np.hstack([one[:, its] for one in law.patterns])
+        own = np.hstack([one[:, its] for one in steps])
+        weight = scorer.rows.together(patterns, own, onsets, *scorer.own_errors(kind, its))
+        gains.append(worth(pulls[:, np.searchsorted(hopeful, its)].sum(axis=1), weight)[:, None])
+    gain = np.hstack(gains)
     outside = (onsets < ONSET_MARGIN) | (onsets > len(scorer.space.transform) - ONSET_MARGIN)
     gain[outside] = -np.inf
-    onset, device = np.unravel_index(int(np.argmax(gain)), gain.shape)
-    cost = np.log(len(sign)) + np.log(len(onsets))
+    onset, place = map(int, np.unravel_index(int(np.argmax(gain)), gain.shape))
+    single = place < len(hopeful)
+    places = hopeful[place : place + 1] if single else sets[place - len(hopeful)]
+    cost = np.log(count + len(law.groups)) + np.log(len(onsets))
     row = int(onsets[onset])
     if kicks is not None:  # the kick tells the row
-        row += int(np.argmax(kicks[row : row + ONSETS_EVERY, hopeful[device]]))
+        row += int(np.argmax(kicks[row : row + ONSETS_EVERY, hopeful[place]]))
     rows = scorer.space.transform.step_rows()
-    return _Begin(float(gain[onset, device] - cost), int(hopeful[device]), int(rows[row]), values)
+    told = tuple(map(int, places)) if len(places) < count else ()
+    return _Begin(float(gain[onset, place] - cost), told, int(rows[row]), values)
 
 
 def _kicks(law: DeviceLaw, scorer: Scorer, spectra: Sequence[Single]) -> Matrix:
@@ -202,34 +225,83 @@ def _standing(spectrum: Single) -> Vector:
 
 
 def _from(
-    kind: EffectKind,
-    law: DeviceLaw,
-    scorer: Scorer,
-    begin: _Begin,
-    cost: float,
+    kind: EffectKind, law: DeviceLaw, scorer: Scorer, begin: _Begin, cost: float
+) -> Iterator[Candidate]:
+    """The devices that begin at a row: those that were scanned, and the best set of all."""
+    signals, values = scorer.space.signals, begin.values
+    courses = Course(law, (), values, np.ones(len(law.names)), begin.row).of(signals, values)
+    spectra = [scorer.space.transform.quick_spectrum(one) for one in courses]
+    pull, information = scorer.score(law.patterns, spectra)
+    information = scorer.marginal(kind, law.patterns, spectra, information)
+    late = float(np.log(scorer.space.transform.rows))
+    for worth, free in worths_of(kind):
+        gain, places = best_set(pull, information, law.groups, worth, alone=not kind.collective)
+        names = tuple(law.names[place] for place in places)
+        yield Candidate(
+            kind, places, names, values, gain - cost - late, onset=begin.row,
+            finer=partial(_exactly, kind, law, scorer, replace(begin, places=places), cost, free),
+        )  # fmt: skip
+
+
+def _exactly(
+    kind: EffectKind, law: DeviceLaw, scorer: Scorer, begin: _Begin, cost: float, free: bool
 ) -> Candidate:
-    """The finalist that begins late, with and without what its beginning kicks, row by row."""
-    device, onset, values = begin.device, begin.row, begin.values
-    free = scales(kind)
+    """A set that begins late, with and without what its beginning kicks, row by row.
+
+    The row is told by at most `_HOPEFUL` of its devices, each for itself.
+    """
+    places, onset, values = begin.places, begin.row, begin.values
     courses = law.course(values, scorer.space.signals)
     last = scorer.space.transform.rows - 2
     tried = np.arange(max(onset - 2 * ONSETS_EVERY, 1), min(onset + 2 * ONSETS_EVERY, last))
     worth = any_size if free else given_size
-    error = scorer.own_error(kind, np.array([device]))
     best: tuple[float, int, bool] = (-np.inf, onset, False)
     for kick in (False, True):
-        pull: Vector | float = 0.0
-        information: Vector | float = 0.0
-        for pattern, course in zip(law.patterns, courses, strict=True):
-            own = course[:, 0] if course.shape[1] == 1 else course[:, device]
-            begun = np.stack([_begun(own, int(row), kick) for row in tried], axis=1)
-            part, weight = scorer.rows.quick(pattern[:, device], begun, error)
-            pull, information = pull + part, information + weight
-        gain = worth(np.asarray(pull), np.asarray(information))
+        pull, information = np.zeros(len(tried)), np.zeros(len(tried))
+        for device in (places or range(len(law.names)))[:_HOPEFUL]:
+            error = scorer.own_error(kind, np.array([device]))
+            for pattern, course in zip(law.patterns, courses, strict=True):
+                own = course[:, 0] if course.shape[1] == 1 else course[:, device]
+                begun = np.stack([_begun(own, int(row), kick) for row in tried], axis=1)
+                part, weight = scorer.rows.quick(pattern[:, device], begun, error)
+                pull, information = pull + part, information + weight
+        gain = worth(pull, information)
         place = int(np.argmax(gain))
         best = max(best, (float(gain[place]), int(tried[place]), kick))
     _, row, kick = best
-    return evaluated(kind, law, scorer, (device,), values, row, free, cost, kick)
+    found = evaluated(kind, law, scorer, places, values, row, free, cost, kick)
+    if not (free and 0 < len(places) <= _HOPEFUL):
+        return found
+    # What stands in a device before it begins is in no record: it may kick by any of it.
+    kicked = _kicking(kind, law, scorer, replace(begin, row=row), cost)
+    return max(found, kicked, key=lambda one: one.evidence)
+
+
+def _hopeful_sets(
+    law: DeviceLaw, scorer: Scorer, pull: Vector, spectra: Sequence[Single], every: bool
+) -> list[Indices]:
+    """Groups of devices, and all of them, that may begin late together.
+
+    Args:
+        law: Of the devices.
+        scorer: Of what is left to explain.
+        pull: Of every device over the whole record, shape (D,).
+        spectra: Of its courses.
+        every: Whether to take all, whatever they show over the whole record.
+    """
+    count = len(law.names)
+    groups = [] if law.standing else [one for one in law.groups.values() if 1 < len(one) < count]
+    if not groups:
+        return []
+    seen = [
+        scorer.together(block, spectrum, groups)
+        for block, spectrum in zip(law.patterns, spectra, strict=True)
+    ]
+    information = np.array([[*parts, one] for one, parts in seen]).sum(axis=0)
+    sets = [*groups, np.arange(count)]
+    total = np.array([pull[one].sum() for one in sets])
+    shown = sign(total, information)
+    return [np.sort(one) for one, its in zip(sets, shown, strict=True) if every or its > ONSET_SIGN]
 
 
 def _kicking(
@@ -239,29 +311,30 @@ def _kicking(
     begin: _Begin,
     cost: float,
 ) -> Candidate:
-    """A device that begins late, and kicks by an orbit that stands in it, plane by plane."""
-    device, onset, values = begin.device, begin.row, begin.values
+    """Devices that begin late, each kicking by an orbit that stands in it, plane by plane."""
+    places, onset, values = begin.places, begin.row, begin.values
     space = scorer.space
-    source = Course(law, (device,), values, np.ones(1), onset)
+    source = Course(law, places, values, np.ones(len(places)), onset)
     courses = source.of(space.signals, values)
     fields = [field_of(law, scorer, courses, source.places, source.size)]
     jump = (np.arange(space.transform.rows) >= onset).astype(float)[:, None]
     spectrum = space.transform.quick_spectrum(jump)
     whole = law.course(values, space.signals)
-    for pattern, course in zip(law.patterns, whole, strict=True):
-        own = course if course.shape[1] == 1 else course[:, [device]]
-        size = _standing(space.transform.quick_spectrum(own))
-        fields.append(spectrum @ (size * pattern[:, [device]]).T.astype(np.float32))
+    for device in places:
+        for pattern, course in zip(law.patterns, whole, strict=True):
+            own = course if course.shape[1] == 1 else course[:, [device]]
+            size = _standing(space.transform.quick_spectrum(own))
+            fields.append(spectrum @ (size * pattern[:, [device]]).T.astype(np.float32))
     pull, information = scorer.evaluate(fields)
     variance = np.array([SIZE_WIDTH**2, *np.ones(len(fields) - 1)])
     terms = NormalTerms(pull, information, variance)
     sizes = terms.mean()
     size = within(kind, values, float(sizes[0]))
     added = size * fields[0] + sum(k * one for k, one in zip(sizes[1:], fields[1:], strict=True))
-    gain = terms.evidence() - cost - choices(law, (device,)) - np.log(space.transform.rows)
+    gain = terms.evidence() - cost - choices(law, places) - np.log(space.transform.rows)
     scaled = {**values, **{one.name: size * values[one.name] for one in kind.sizes}}
     return Candidate(
-        kind, (device,), (law.names[device],), scaled, float(gain), onset=onset,
+        kind, places, tuple(law.names[one] for one in places), scaled, float(gain), onset=onset,
         field=np.asarray(added, dtype=float), sources=(replace(source, size=size * source.size),),
     )  # fmt: skip
 

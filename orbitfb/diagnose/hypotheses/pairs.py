@@ -14,7 +14,7 @@ from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import PairLaw
 from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
-from orbitfb.estimation.priors import MOST_DEVICES, SIZE_WIDTH, VALUE_COST, WIDTHS
+from orbitfb.estimation.priors import MOST_DEVICES, SIZE_WIDTH, SURE, VALUE_COST, WIDTHS
 from orbitfb.estimation.transform import Indices, Matrix
 
 
@@ -119,10 +119,32 @@ def scan_pairs(kind: EffectKind, law: PairLaw, scorer: Scorer) -> list[Candidate
         gain = (
             normal_size(pull, information, SIZE_WIDTH**2) if free else given_size(pull, information)
         )
-        best.append(_single(mixed, scorer, int(np.argmax(gain)), free))
+        best.append(_single(mixed, scorer, _best(mixed, scorer, gain, pull, free), free))
         if free:
             sets += _sets(mixed, scorer, gain)
     return [max(best, key=lambda one: one.evidence), *sets]
+
+
+def _best(mixed: _Mixed, scorer: Scorer, gain: Vector, pull: Vector, free: bool) -> int:
+    """The pair of most evidence, healthy errors marginalised where they count.
+
+    A large effect of a given size is told from the errors of all devices: without these it has far
+    more information than pull. Pairs that pull most are then weighed beside them.
+
+    Args:
+        mixed: The law.
+        scorer: Of what is left to explain.
+        gain: Log evidence of every pair without the errors, shape (P,).
+        pull: Of every pair, the errors marginalised, shape (P,).
+        free: Whether each pair may have any size.
+    """
+    if free or float(pull.max(initial=0.0)) < SURE:
+        return int(np.argmax(gain))
+    top = np.argsort(-pull, kind="stable")[: len(mixed.law.patterns)]
+    its, information = mixed.told(scorer, top)
+    told = given_size(its, np.diag(information))
+    best = int(np.argmax(told))
+    return int(top[best]) if told[best] > gain.max() else int(np.argmax(gain))
 
 
 def _single(mixed: _Mixed, scorer: Scorer, number: int, free: bool) -> Candidate:

@@ -11,7 +11,7 @@ from orbitfb.diagnose.hypotheses.sets import Worth
 from orbitfb.effects.kinds import EffectKind, OwnValues, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import best_size, given_size, normal_size
-from orbitfb.estimation.priors import HOPE, RANKED_VALUES, SIZE_WIDTH
+from orbitfb.estimation.priors import HOPE, ONSET_SIGN, RANKED_VALUES, SIZE_WIDTH
 from orbitfb.estimation.transform import Matrix
 
 
@@ -25,12 +25,14 @@ class Ranked:
         alone: Log evidence of every device for itself, of the grid and then of `own`, (V, D).
         promising: The values that explain most, by device, by group and by all devices together:
             where some devices are struck, a single one stands for the others with another value.
+        beginning: Those of which most shows of any size: what begins late has part of it.
     """
 
     grid: Sequence[Values]
     own: Sequence[OwnValues]
     alone: Matrix
     promising: list[Values]
+    beginning: list[Values]
 
     def values(self, number: int, device: int) -> Values:
         """Values number `number` as device `device` has them."""
@@ -52,6 +54,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
     error = scorer.own_error(kind, np.arange(devices))
     alone = np.full((len(grid) + len(own), devices), -np.inf)
     together = np.full((len(grid), 2), -np.inf)  # of all devices, and of the best group
+    shown = np.zeros(len(grid))
     groups = list(law.groups.values())
     for number, values in enumerate((*grid, *own)):
         spectra = scorer.space.courses.spectra(law, values)
@@ -70,11 +73,24 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
         whole = np.array([[one, *parts] for one, parts in seen]).sum(axis=0)
         gain = np.max([worth(total, whole) for worth in worths], axis=0)
         together[number] = gain[0], gain[1:].max(initial=-np.inf)
+        shown[number] = max(
+            float(sign(one, its).max()) for one, its in ((pull, information), (total, whole))
+        )
     top = alone[: len(grid)].max(axis=1)
     marks = (top, *together.T)
     best = {int(one) for mark in marks for one in np.argsort(-mark)[:RANKED_VALUES]}
     hopeful = np.max([top - HOPE, *together.T], axis=0) > 0.0
-    return Ranked(grid, own, alone, [grid[number] for number in sorted(best) if hopeful[number]])
+    late = np.argsort(-shown, kind="stable")[:RANKED_VALUES]
+    return Ranked(
+        grid, own, alone,
+        [grid[number] for number in sorted(best) if hopeful[number]],
+        [grid[number] for number in sorted(late) if shown[number] > ONSET_SIGN],
+    )  # fmt: skip
+
+
+def sign(pull: Vector, information: Vector) -> Vector:
+    """Log likelihood ratio of terms with their best sizes."""
+    return pull**2 / (2.0 * np.maximum(information, 1e-300))
 
 
 def _grid(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Sequence[Values]:

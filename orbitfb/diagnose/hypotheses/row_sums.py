@@ -141,8 +141,8 @@ class Rows:
         return pull
 
     def since(
-        self, pattern: Matrix, steps: Matrix, every: int, own: OwnError | None
-    ) -> tuple[Vector, Vector, Indices]:
+        self, pattern: Matrix, steps: Matrix, onsets: Indices, own: OwnError | None
+    ) -> tuple[Matrix, Matrix]:
         """Pull and information of what is left of courses that begin late.
 
         A course that begins at a row has the steps after it. Its information is that of the
@@ -151,13 +151,12 @@ class Rows:
         Args:
             pattern: Shape (n, D) [m].
             steps: Of the courses, shape (T, D).
-            every: Distance of the onsets, in steps.
+            onsets: Steps at which they begin, shape (O,).
             own: Healthy error of the devices, which is marginalised.
 
         Returns:
-            Pull (O, D), information (O, D), and the steps O at which the courses begin.
+            Pull and information, shape (O, D) each.
         """
-        onsets = np.arange(0, len(steps), every)
         pull = sums_since((self.late @ pattern) * steps, onsets)
         seen = (pattern.T @ self.noise.modes) ** 2
         information, cross = np.zeros_like(pull), np.zeros_like(pull)
@@ -172,7 +171,43 @@ class Rows:
                 usual += weight * np.sum(beside**2, axis=0)
         if own is not None:
             information = own.marginal(information, cross, usual)
-        return pull, information, onsets
+        return pull, information
+
+    def together(
+        self,
+        patterns: Matrix,
+        steps: Matrix,
+        onsets: Indices,
+        own: OwnError | None,
+        beside: Matrix,
+    ) -> Vector:
+        """Information of columns that begin late together, (O,).
+
+        Args:
+            patterns: Of the columns, shape (n, c) [m].
+            steps: Of their courses, shape (T, c).
+            onsets: Steps at which they begin.
+            own: Healthy errors of the devices, which are all marginalised.
+            beside: Patterns of these errors, shape (n, e) [m].
+        """
+        square = np.zeros((len(steps), 1))
+        count = 0 if own is None else len(own.variance)
+        cross, usual = np.zeros((len(steps), count)), np.zeros((count, count))
+        for root, group in zip(self.roots, self.groups, strict=True):
+            modes = self.noise.modes[:, group]
+            seen, course = patterns.T @ modes, whitened_by(steps, float(root))
+            square[:, 0] += root * np.sum((course @ (seen @ seen.T)) * course, axis=1)
+            if own is not None:
+                errors, their = beside.T @ modes, whitened_by(own.steps, float(root))
+                cross += root * their * (course @ (seen @ errors.T))
+                usual += root * (their.T @ their) * (errors @ errors.T)
+        information = sums_since(square, onsets)[:, 0]
+        if own is None:
+            return information
+        known = np.where(own.variance > 0.0, 1.0 / np.maximum(own.variance, 1e-300), 1e300)
+        since = sums_since(cross, onsets)
+        taken = np.linalg.solve(usual + np.diag(known), since.T)
+        return np.maximum(information - np.einsum("oe,eo->o", since, taken), 0.0)
 
     def quick(
         self, pattern: Vector, course: Matrix, own: OwnError | None, late: Matrix | None = None

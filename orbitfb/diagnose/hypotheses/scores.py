@@ -268,6 +268,13 @@ class Scorer:
             )  # fmt: skip
         return None
 
+    def own_errors(self, kind: EffectKind, devices: Indices) -> tuple[OwnError | None, Matrix]:
+        """The same, and the patterns of the errors, shape (n, k) [m]."""
+        own, terms = self.own_error(kind, devices), self.space.terms
+        if own is None:
+            return None, terms.patterns[:, :0]
+        return own, terms.patterns[:, terms.pattern[own.first + devices]]
+
     def apart(
         self, law: DeviceLaw, values: OwnValues, own: OwnError | None
     ) -> tuple[Vector, Vector]:

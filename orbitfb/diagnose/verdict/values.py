@@ -65,6 +65,8 @@ class Measured:
         }  # fmt: skip
 
     def _spread(self, kind: EffectKind, part: Candidate) -> Spread:
+        if not kind.parameters:
+            return {}
         if part.raised:
             return self._of_scatter(kind, part)
         if part.columns:

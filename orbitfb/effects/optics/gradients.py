@@ -3,7 +3,7 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.kicks import interpolation
+from orbitfb.effects.kicks import CALIBRATION, interpolation
 from orbitfb.effects.orbit_kinds import Courses
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix, green, green_with_gradient_errors
@@ -13,6 +13,9 @@ from orbitfb.records.layout import ChannelPlane, Layout
 PLANES: tuple[ChannelPlane, ChannelPlane] = ("x", "y")
 HEALTHY_BEAT = 0.015
 """Beta-beat of a ring whose optics were corrected, rms over both planes [1]."""
+HEALTHY_CHANGE = 0.03
+"""Change of the response of a ring without a table of places, rms over its own [1]: two measured
+responses of one ring differ by 2 to 4 %."""
 SIGN = {"x": -1.0, "y": 1.0}
 """An orbit z in a gradient that is Δk too strong is kicked by SIGN · Δk · z."""
 
@@ -77,6 +80,33 @@ def gradient_scatters(layout: Layout) -> Vector:
     tunes = np.array([[ring.tune("x")], [ring.tune("y")]])
     beats = (strength * beta / np.sin(2 * np.pi * tunes)) ** 2 / 8.0
     return strength * (HEALTHY_BEAT / np.sqrt(np.sum(beats) / len(beats)))
+
+
+def nearest_bpms(layout: Layout) -> Indices:
+    """The BPM nearest to every corrector of a ring without a table of places, shape (m,).
+
+    Devices stand in the order of the ring, and the correctors among the BPMs evenly.
+    """
+    found = np.zeros(len(layout.correctors), dtype=np.intp)
+    for plane in layout.planes:
+        rows, columns = layout.bpms.in_plane(plane), layout.correctors.in_plane(plane)
+        share = (np.arange(len(columns)) + 0.5) / max(len(columns), 1)
+        found[columns] = np.asarray(rows)[(share * len(rows)).astype(np.intp)]
+    return found
+
+
+def focusing_scatters(layout: Layout) -> Vector:
+    """Scatter of the focusing errors at the correctors of a ring without a table, (m,) [1/m].
+
+    All are alike. An error k at corrector a adds −k G_a R_b to the response, G_a the orbit per
+    kick and R_b the row of the BPM beside it; independent ones change the response by
+    `HEALTHY_CHANGE` of itself, rms.
+    """
+    per_kick = layout.response / CALIBRATION
+    beside = layout.response[nearest_bpms(layout)]
+    added = np.sum(per_kick**2, axis=0) * np.sum(beside**2, axis=1)
+    share = HEALTHY_CHANGE * np.linalg.norm(layout.response) / np.sqrt(np.sum(added))
+    return np.full(len(added), share)
 
 
 def response_with(layout: Layout, gradients: Vector) -> Matrix:

@@ -3,9 +3,15 @@
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.kicks import two_planes
+from orbitfb.effects.kicks import source_names, source_patterns, two_planes
 from orbitfb.effects.kinds import Parameter, Values
-from orbitfb.effects.optics.gradients import ChangedGradients, gradient_kicks, gradient_scatters
+from orbitfb.effects.optics.gradients import (
+    ChangedGradients,
+    focusing_scatters,
+    gradient_kicks,
+    gradient_scatters,
+    nearest_bpms,
+)
 from orbitfb.effects.orbit_kinds import Courses, SourceKind
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
@@ -15,7 +21,12 @@ from orbitfb.records.record import Record
 
 
 class QuadrupoleGradient(SourceKind):
-    """R_x loses Δk / (1 + Δk G_qq) G_bq G_qc, R_y gains the like."""
+    """R_x loses Δk / (1 + Δk G_qq) G_bq G_qc, R_y gains the like.
+
+    Of a ring that is not known the errors are at its correctors, each in the orbit of the nearest
+    BPM: together they make what errors of all quadrupoles make of the response (to 1 % of it on
+    the default ring).
+    """
 
     id = "quadrupole-gradient"
     stage = "optics"
@@ -52,9 +63,14 @@ class QuadrupoleGradient(SourceKind):
     collective = False
     standing = True
 
+    def unavailable(self, record: Record) -> str:
+        """Need nothing: of a ring that is not known the places are those of the correctors."""
+        return "" if record.layout.ring is None else super().unavailable(record)
+
     def healthy_scatter(self, layout: Layout) -> Vector | None:
-        """Errors that beat by one or two per cent; none where the ring is not known."""
-        return None if layout.ring is None else gradient_scatters(layout)
+        """Errors that beat by one or two per cent."""
+        known = layout.ring is not None
+        return gradient_scatters(layout) if known else focusing_scatters(layout)
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
@@ -63,21 +79,24 @@ class QuadrupoleGradient(SourceKind):
         return ChangedGradients(layout, places, np.full(len(places), values["gradient"]))
 
     def places_of(self, layout: Layout) -> tuple[str, ...]:
-        """Every quadrupole."""
-        return layout.known_ring.names("QUAD")
+        """Every quadrupole; of a ring that is not known every corrector, by plane."""
+        return source_names(layout) if layout.ring is None else layout.ring.names("QUAD")
 
     def patterns(self, layout: Layout) -> Matrix:
         """Orbit per kick, both planes."""
-        return two_planes(layout, "QUAD")
+        return source_patterns(layout) if layout.ring is None else two_planes(layout, "QUAD")
 
     def drivers(self, values: Values, record: Record, currents: Matrix, orbit: Matrix) -> Courses:
         """Kicks by the orbit of the correctors, plane by plane."""
-        every = np.arange(len(record.layout.known_ring.places("QUAD")))
+        every = np.arange(len(self.places_of(record.layout)))
         return self.drivers_at(every, values, record, currents, orbit)
 
     def drivers_at(
         self, places: Indices, values: Values, record: Record, currents: Matrix, orbit: Matrix
     ) -> Courses:
         """The same of some quadrupoles."""
+        if record.layout.ring is None:
+            near = nearest_bpms(record.layout)[places]
+            return -values["gradient"] * (currents @ record.layout.response[near].T)
         gradients = np.full((1, len(places)), values["gradient"])
         return gradient_kicks(record.layout, places, gradients, currents)

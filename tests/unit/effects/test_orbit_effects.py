@@ -441,7 +441,7 @@ def test_a_stretch_of_fixed_size_is_scanned_quickly(both_planes):
 
 
 KICKING = {"local-kick", "thermal-drift", "periodic-disturbance", "insertion-device", "telegraph"}
-ANYWHERE = {*KICKING, "ground-motion-level"}
+ANYWHERE = {*KICKING, "ground-motion-level", "quadrupole-gradient"}
 
 
 def unknown_record(layout):

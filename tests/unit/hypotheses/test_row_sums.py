@@ -67,5 +67,31 @@ def test_what_begins_soon_has_what_a_healthy_error_of_the_same_course_leaves_it(
     rows = Rows.of(np.zeros((len(transform), BPMS)), noise, transform)
     _, found = rows.quick(pattern, late, error)
     assert expected / 3.4 < found[0] < 3.4 * expected
-    _, since, onsets = rows.since(pattern[:, None], transform.turn(spectrum), 10, error)
+    onsets = np.arange(0, len(transform), 10)
+    _, since = rows.since(pattern[:, None], transform.turn(spectrum), onsets, error)
     assert expected / 3.4 < since[onsets == onset, 0][0] < 3.4 * expected
+
+
+def test_what_begins_together_has_what_the_errors_of_all_its_devices_leave_it(
+    noise: StepNoise, transform: StepTransform
+) -> None:
+    rng, onset = np.random.default_rng(7), 600
+    patterns = rng.standard_normal((BPMS, 3))
+    courses = rng.standard_normal((ROWS, 3)).cumsum(axis=0)
+    late = np.where(np.arange(ROWS)[:, None] < onset, 0.0, courses - courses[onset])
+    fields = [np.outer(its, p) for its, p in zip(courses.T, patterns.T, strict=True)]
+    fields.append(late @ patterns.T)
+    seen = [transform.spectrum(one) @ noise.modes for one in fields]
+    exact = np.array([[np.sum(a * b / noise.variance(transform)) for b in seen] for a in seen])
+    known = 0.1 * np.diag(exact)[:3]
+    cross, inner = exact[:3, 3], exact[:3, :3] + np.diag(known)
+    expected = exact[3, 3] - cross @ np.linalg.solve(inner, cross)
+    spectrum = transform.quick_spectrum(courses)
+    steps = transform.turn(spectrum)
+    errors = OwnError(0, spectrum, steps, 1.0 / known, np.diag(exact)[:3])
+    rows, onsets = Rows.of(np.zeros((len(transform), BPMS)), noise, transform), np.array([onset])
+    alone = rows.together(patterns, steps, onsets, None, patterns[:, :0])
+    assert alone == pytest.approx(exact[3, 3], rel=0.15)
+    assert rows.together(patterns, steps, onsets, errors, patterns) == pytest.approx(
+        expected, rel=0.3
+    )
