@@ -177,7 +177,8 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
         scorer.rows.since(pattern[:, hopeful], own[:, hopeful], onsets, error)
         for pattern, own in zip(law.patterns, steps, strict=True)
     ]
-    pulls, weights = (sum(one[1:], one[0]) for one in zip(*parts, strict=True))
+    pulls = np.sum([pull for pull, _ in parts], axis=0)
+    weights = np.sum([weight for _, weight in parts], axis=0)
     worth = any_size if scales(kind) else given_size
     gains = [worth(pulls, weights)]
     if kicks is not None:
