@@ -250,7 +250,9 @@ def test_a_service_that_stops_puts_back_first_and_one_that_is_killed_at_its_next
         session.service = third
         wait_for("warning", lambda: third.events("setpoints_astray"))
         opened(session)
-        with pytest.raises(ControlError, match="say restore=true to put them back, restore=false"):
+        with pytest.raises(
+            ControlError, match="give restore=true to put them back, or restore=false"
+        ):
             measure(session, action="start", at_once=0, fresh=True)
         begun(session, before, at_once=0, fresh=True, restore=True)
         assert measure(session, action="abort")["state"] == "ABORTED"

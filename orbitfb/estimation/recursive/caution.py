@@ -18,7 +18,6 @@ Source: Åström and Wittenmark, Adaptive Control, ch. 7 (cautious control); de 
 """
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.recursive.estimate import Innovation, RecursiveResponse
@@ -106,6 +105,8 @@ class CautiousGain:
         return inverse @ self._estimate.modes.T
 
     def _solve(self, rows: Vector, weighted: Vector, doubt: Vector) -> Vector:
+        from scipy.linalg import cho_factor, cho_solve  # half a second of a loop that never learns
+
         squared = weighted @ rows.T
         squared += self._settings.caution * doubt
         squared.flat[:: len(squared) + 1] += self._settings.regularisation**2

@@ -1,15 +1,23 @@
 """Modes that share the covariance of their rows of R, for the estimate beside this module."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import get_blas_funcs
 
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.recursive.settings import RecursiveSettings
 
-_SYMV, _GEMV, _GER, _SYR = get_blas_funcs(("symv", "gemv", "ger", "syr"), dtype=np.float64)
+
+@cache
+def _blas(name: str) -> Callable[..., Vector]:
+    """A routine of BLAS in double precision; its library loads when a loop first learns."""
+    from scipy.linalg import get_blas_funcs
+
+    (found,) = get_blas_funcs((name,), dtype=np.float64)
+    return found
 
 
 @dataclass(slots=True)
@@ -56,11 +64,11 @@ class Group:
 
     def predict(self, regressor: Vector) -> Vector:
         """Go on by a tick; give what the change does to the orbits, shape (members,) [m]."""
-        moved = _SYMV(1.0, self.covariance, regressor, lower=1)
+        moved = _blas("symv")(1.0, self.covariance, regressor, lower=1)
         self.variance += 2.0 * float(self.cross @ regressor) + float(moved @ regressor) + self.step
         self.known += self.step
         self.cross += moved
-        return _GEMV(1.0, self.rows, regressor, trans=1)
+        return _blas("gemv")(1.0, self.rows, regressor, trans=1)
 
     def learn(self, worth: Vector, noise: float) -> None:
         """Learn from the innovations of the readings.
@@ -72,9 +80,9 @@ class Group:
             worth: ν over its variance, mode by mode, shape (members,) [1/m].
             noise: Variance of the reading noise [m²].
         """
-        _GER(1.0, self.cross, worth, a=self.rows, overwrite_a=1)
+        _blas("ger")(1.0, self.cross, worth, a=self.rows, overwrite_a=1)
         total = self.variance + noise
-        _SYR(-1.0 / total, self.cross, lower=1, a=self.covariance, overwrite_a=1)
+        _blas("syr")(-1.0 / total, self.cross, lower=1, a=self.covariance, overwrite_a=1)
 
     def observe(self, noise: float) -> None:
         """Let the reading take from the variance of the orbit."""
