@@ -115,7 +115,7 @@ class Shadow:
         if theirs < self._least:
             return Verdict(
                 False,
-                f"{compared}: far less than the model expects, so it is not believed",
+                f"{compared}: the model expects far more than that, so it is not believed",
                 figures,
             )
         return Verdict(True, compared, figures)

@@ -5,7 +5,7 @@ does not use: it is a disturbance that the other plane corrects. Whether the loo
 same is asked of the whole response (`policies.stability`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -72,18 +72,13 @@ def sized(laws: Mapping[Plane, PlaneLaw], channels: Channels) -> dict[Plane, Pla
     Raises:
         ConfigError: The loop has no such plane.
     """
-    planes: tuple[Plane, ...] = ("x", "y")
-    if unknown := [plane for plane in laws if plane not in channels.planes]:
-        raise ConfigError(
-            f"policy.svd.planes.{unknown[0]}: the loop has {channels.planes} only (ring.planes)"
-        )
+    planes = _planes_of(channels, laws, "svd")
     rows, columns = channels.bpm_parts, channels.corrector_parts
     return {
         plane: laws.get(plane, PlaneLaw()).model_copy(
             update={"bpms": _size(rows[plane]), "correctors": _size(columns[plane])}
         )
         for plane in planes
-        if plane in channels.planes
     }
 
 
@@ -100,16 +95,11 @@ def damped(
     Raises:
         ConfigError: The loop has no such plane.
     """
-    if unknown := [plane for plane in planes if plane not in channels.planes]:
-        raise ConfigError(
-            f"policy.modal.planes.{unknown[0]}: the loop has {channels.planes} only (ring.planes)"
-        )
-    both: tuple[Plane, ...] = ("x", "y")
+    both = _planes_of(channels, planes, "modal")
     parts, usually = channels.corrector_parts, PlaneDamping(regularisation=usual)
     return {
         plane: planes.get(plane, usually).model_copy(update={"correctors": _size(parts[plane])})
         for plane in both
-        if plane in channels.planes
     }
 
 
@@ -187,6 +177,18 @@ def within(blocks: tuple[Block, ...], matrix: Vector) -> Vector:
     for block in blocks:
         kept[block.rows, block.columns] = matrix[block.rows, block.columns]
     return kept
+
+
+def _planes_of(
+    channels: Channels, named: Collection[Plane], law: Literal["svd", "modal"]
+) -> tuple[Plane, ...]:
+    """Planes of a loop in their order; those that are configured must be among them."""
+    if unknown := [plane for plane in named if plane not in channels.planes]:
+        raise ConfigError(
+            f"policy.{law}.planes.{unknown[0]}: the loop has {channels.planes} only (ring.planes)"
+        )
+    planes: tuple[Plane, ...] = ("x", "y")
+    return tuple(plane for plane in planes if plane in channels.planes)
 
 
 def _size(part: slice) -> int:

@@ -54,7 +54,7 @@ def scan_devices(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked)
     Returns:
         The best candidates of all devices and of some of them.
     """
-    usual = any(block.kind is kind and not block.accepted for block in scorer.space.blocks)
+    usual = scorer.is_usual(kind)
     cost = VALUE_COST * len(kind.parameters)
     every: list[_Found] = []
     some: list[_Found] = []

@@ -43,7 +43,7 @@ def scan_each_own(
     Returns:
         The best set of two devices or more, and all of them, as far as they have evidence.
     """
-    usual = any(block.kind is kind and not block.accepted for block in scorer.space.blocks)
+    usual = scorer.is_usual(kind)
     if law.whole or usual or not kind.collective or rank.alone.max() < HOPE:
         return []
     return [*_some(kind, law, scorer, rank), *_every(kind, law, scorer, rank)]

@@ -1,8 +1,8 @@
 """Laws that begin in the middle of a record.
 
-Of a law whose course is a constant the row at which it begins is all that shows. Others are weighed
-from every tenth row on, device by device and group by group; from the best row on their devices are
-sought as those of a law that was always there, and the best set of them row by row.
+They are weighed from every tenth row on, device by device and group by group. From the best row on
+their devices are sought as those of a law that was always there, and the best set row by row. Laws
+whose course is a constant are in `jumps`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,14 +14,15 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of
+from orbitfb.diagnose.hypotheses.jumps import of_jumps
 from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, sign, within, worths_of
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import best_set
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
-from orbitfb.effects.laws import DeviceLaw, FieldLaw
-from orbitfb.estimation.evidence import NormalTerms, best_size, given_size, normal_size
+from orbitfb.effects.laws import DeviceLaw
+from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
 from orbitfb.estimation.priors import (
     ONSET_MARGIN,
     ONSET_SIGN,
@@ -34,58 +35,6 @@ from orbitfb.estimation.transform import Indices, Matrix
 
 _HOPEFUL = 24
 """Devices whose onsets are looked for at most, those of which most shows."""
-
-_ROUNDING = 1e-6
-"""Relative change of a course that is rounding [1]: a jump of 5 µm on an orbit of millimetres is
-right to a hundredth of that."""
-
-
-def jumps_of(law: DeviceLaw | FieldLaw, values: Values, scorer: Scorer) -> Matrix | None:
-    """Change of the readings where a law begins, of every place, shape (n, D) [m].
-
-    None of a law whose courses change within the record, and of one that does nothing.
-    """
-    courses = law.course(values, scorer.space.signals)
-    parts = courses if isinstance(courses, tuple) else (courses,)
-    constant = all(np.allclose(one, one[:1], rtol=_ROUNDING, atol=0.0) for one in parts)
-    if not constant or not any(np.any(one) for one in parts):
-        return None
-    if isinstance(law, FieldLaw):
-        return parts[0][:1].T
-    return np.asarray(sum(one[0] * block for one, block in zip(parts, law.patterns, strict=True)))
-
-
-def scan_jumps(
-    kind: EffectKind,
-    patterns: Matrix,
-    names: tuple[str, ...],
-    values: Values,
-    scorer: Scorer,
-) -> list[Candidate]:
-    """Find the place and the row of the most telling jump.
-
-    Args:
-        kind: The effect.
-        patterns: Change of the readings by a jump of the usual size, shape (n, D) [m].
-        names: Of the places; none: the ring.
-        values: Of its parameters, of the usual size.
-        scorer: Of what is left to explain.
-    """
-    space = scorer.space
-    pull, own = _of_jumps(patterns, scorer)
-    gain = any_size(pull, np.broadcast_to(own, pull.shape))
-    step, place = map(int, np.unravel_index(int(np.argmax(gain)), gain.shape))
-    row = int(space.transform.step_rows()[step])
-    jump = (np.arange(space.transform.rows) >= row).astype(float)[:, None]
-    field = space.transform.spectrum(jump) @ patterns[:, place : place + 1].T
-    pulled, information = scorer.evaluate([field])
-    size = float(best_size(pulled, information[0], SIZE_WIDTH**2)[0])
-    evidence = float(any_size(pulled, information[0])[0])
-    evidence -= float(np.log(gain.size)) + VALUE_COST
-    scaled = {**values, **{p.name: size * values[p.name] for p in kind.sizes}}
-    where = (place,) if names else ()
-    told = tuple(names[one] for one in where)
-    return [Candidate(kind, where, told, scaled, evidence, onset=row, field=size * field)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +70,7 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
         return []
     # Where nothing shows over the whole record a first kick may still tell, or the change of what
     # the healthy error of the same devices stands in for.
-    always = law.standing or (kind.linear is not None and _usual(kind, scorer))
+    always = law.standing or (kind.linear is not None and scorer.is_usual(kind))
     tried = rank.beginning or (list(rank.grid[:1]) if always else [])
     begun = [_begins(kind, law, scorer, values) for values in tried]
     best = max((one for one in begun if one), key=lambda one: one.evidence, default=None)
@@ -131,11 +80,6 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
     if law.standing:
         return [_kicking(kind, law, scorer, best, cost)]
     return list(_from(kind, law, scorer, best, cost))
-
-
-def _usual(kind: EffectKind, scorer: Scorer) -> bool:
-    """Whether healthy devices have it."""
-    return any(block.kind is kind and not block.accepted for block in scorer.space.blocks)
 
 
 def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) -> _Begin | None:
@@ -157,7 +101,7 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     kicks = _kicks(law, scorer, spectra) if law.standing else None
     if kicks is not None:
         shown = shown + np.maximum(kicks.max(axis=0) - np.log(len(kicks)), 0.0)
-    usual = _usual(kind, scorer)
+    usual = scorer.is_usual(kind)
     sets = _hopeful_sets(law, scorer, pull, spectra, every=usual)
     if usual:
         hopeful = np.arange(count)
@@ -199,7 +143,7 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     if kicks is not None:  # the kick tells the row
         row += int(np.argmax(kicks[row : row + ONSETS_EVERY, hopeful[place]]))
     rows = scorer.space.transform.step_rows()
-    told = tuple(map(int, places)) if len(places) < count else ()
+    told = tuple(map(int, places)) if single or len(places) < count else ()
     return _Begin(float(gain[onset, place] - cost), told, int(rows[row]), values)
 
 
@@ -207,17 +151,10 @@ def _kicks(law: DeviceLaw, scorer: Scorer, spectra: Sequence[Single]) -> Matrix:
     """Log evidence of a first kick of any size of every device at every step, shape (T, D)."""
     total: Matrix | float = 0.0
     for pattern, spectrum in zip(law.patterns, spectra, strict=True):
-        pull, own = _of_jumps(pattern, scorer)
+        pull, own = of_jumps(pattern, scorer)
         variance = _standing(spectrum) ** 2
         total = total + normal_size(pull, np.broadcast_to(own, pull.shape), variance)
     return np.asarray(total)
-
-
-def _of_jumps(patterns: Matrix, scorer: Scorer) -> tuple[Matrix, Vector]:
-    """Pull (T, D) and information (D,) of a jump along each of D patterns at every step."""
-    noise, transform = scorer.space.noise, scorer.space.transform
-    weight = np.mean(1.0 / noise.variance(transform), axis=0)
-    return scorer.rows.late @ patterns, ((patterns.T @ noise.modes) ** 2) @ weight
 
 
 def _standing(spectrum: Single) -> Vector:

@@ -4,15 +4,17 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
 from orbitfb.diagnose.hypotheses.device_laws import scan_devices
 from orbitfb.diagnose.hypotheses.each_own import scan_each_own
 from orbitfb.diagnose.hypotheses.elements import scan_elements
 from orbitfb.diagnose.hypotheses.events import scan_events
-from orbitfb.diagnose.hypotheses.fields import scan_field
 from orbitfb.diagnose.hypotheses.healthy import scan_errors
+from orbitfb.diagnose.hypotheses.jumps import jumps_of, scan_jumps
 from orbitfb.diagnose.hypotheses.lines import scan_lines
-from orbitfb.diagnose.hypotheses.onsets import jumps_of, scan_jumps, scan_late
+from orbitfb.diagnose.hypotheses.onsets import scan_late
 from orbitfb.diagnose.hypotheses.pairs import scan_pairs
 from orbitfb.diagnose.hypotheses.random_laws import scan_random
 from orbitfb.diagnose.hypotheses.ranking import ranked
@@ -21,7 +23,8 @@ from orbitfb.diagnose.hypotheses.undone import scan_undone
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, ElementsLaw, EventLaw, FieldLaw, Law, PairLaw
-from orbitfb.estimation.priors import CLOSE, FINALISTS, SURE
+from orbitfb.estimation.evidence import given_size, normal_size
+from orbitfb.estimation.priors import CLOSE, FINALISTS, SIZE_WIDTH, SURE, VALUE_COST
 
 
 def candidates_of(
@@ -104,9 +107,33 @@ def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
     if isinstance(law, PairLaw):
         return scan_pairs(kind, law, scorer)
     if isinstance(law, FieldLaw):
-        return scan_field(kind, law, scorer)
+        return _scan_field(kind, law, scorer)
     if isinstance(law, ElementsLaw):
         return scan_elements(kind, law, scorer)
     if isinstance(law, EventLaw):
         return scan_events(kind, law, scorer)
     return scan_random(kind, law, scorer)
+
+
+def _scan_field(kind: EffectKind, law: FieldLaw, scorer: Scorer) -> list[Candidate]:
+    """Find the best values of a law of the ring."""
+    space = scorer.space
+    found = []
+    for values in space.courses.grid(kind):
+        field = space.courses.field(law, values)
+        if not np.any(field):
+            continue
+        pull, information = scorer.evaluate([field])
+        size = 1.0
+        if kind.sizes:
+            gain = float(normal_size(pull, information[0], SIZE_WIDTH**2)[0])
+            size = float(pull[0] / (information[0, 0] + SIZE_WIDTH**-2))
+        else:
+            gain = float(given_size(pull, information[0])[0])
+        scaled = {**values, **{p.name: size * values[p.name] for p in kind.sizes}}
+        found.append(
+            Candidate(
+                kind, (), (), scaled, gain - VALUE_COST, field=size * field.astype(np.float64)
+            )
+        )
+    return [max(found, key=lambda one: one.evidence)] if found else []

@@ -246,6 +246,10 @@ class Scorer:
         ]
         return max(gains[0] - gains[1], 0.0)
 
+    def is_usual(self, kind: EffectKind) -> bool:
+        """Whether healthy devices have it, up to a limit."""
+        return any(block.kind is kind and not block.accepted for block in self.space.blocks)
+
     def own_error(self, kind: EffectKind, devices: Indices) -> OwnError | None:
         """The healthy error of the same devices; None where they have none.
 

@@ -24,7 +24,7 @@ class QuadrupoleGradient(SourceKind):
     """R_x loses Δk / (1 + Δk G_qq) G_bq G_qc, R_y gains the like.
 
     Of a ring that is not known the errors are at its correctors, each in the orbit of the nearest
-    BPM: together they make what errors of all quadrupoles make of the response (to 1 % of it on
+    BPM: together they make what errors of all quadrupoles make of the response (to 2 % of it on
     the default ring).
     """
 

@@ -24,9 +24,10 @@ TOP_UP_PERIOD = 60.0
 """From one top-up to the next [s]."""
 
 _JUMPS = 12
-"""Largest steps of all BPMs together that are taken for top-ups, to propose their period."""
+"""Largest steps of all BPMs together that are taken for top-ups, to propose their period. By hand:
+two true ones among them suffice."""
 _PROPOSED = 3
-"""Saw-teeth that are proposed."""
+"""Saw-teeth that are proposed. By hand: the best one is the true one, or a multiple of it."""
 
 
 def top_up_current(time: Vector, period: float = TOP_UP_PERIOD, first: float = 0.0) -> Vector:

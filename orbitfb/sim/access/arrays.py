@@ -7,11 +7,11 @@ from caproto import AccessRights, CaprotoValueError, ChannelDouble, ChannelType,
 from numpy.typing import NDArray
 
 from orbitfb.sim.access.board import Board
-from orbitfb.sim.access.channels import BACKLOG, Watcher
+from orbitfb.sim.access.channels import BACKLOG, OnBoard, Watcher
 from orbitfb.sim.layout import PvSpec
 
 
-class BoardArray(ChannelDouble):
+class BoardArray(OnBoard):
     """A reading of many devices.
 
     It has the stamp of the first, and no alarm: an element that must not be used is NaN.
@@ -37,10 +37,7 @@ class BoardArray(ChannelDouble):
             upper_ctrl_limit=spec.drive[1],
             max_subscription_backlog=BACKLOG,
         )
-        self.pv, self.places = name, places
-        self._board, self._watcher = board, watcher
-        self._kinds: set[Any] = set()
-        self._quiet = False
+        self._stand(name, places, board, watcher)
 
     def get_field(self, field: str) -> "BoardArray":
         """Give the field of the record; there is only the value."""
@@ -52,47 +49,14 @@ class BoardArray(ChannelDouble):
         """Let everybody read and nobody write."""
         return AccessRights.READ
 
-    async def pull(self, events: int | None = None) -> None:
-        """Take values and stamp from the board.
-
-        Args:
-            events: Kinds of subscriptions that are told of it; None: none.
-        """
-        self._quiet = events is None
-        try:
-            await ChannelDouble.write(
-                self,
-                self._board.value[self.places].tolist(),
-                flags=events or 0,
-                verify_value=False,
-                timestamp=TimeStamp(*self._board.get(int(self.places[0])).stamp),
-            )
-        finally:
-            self._quiet = False
-
-    async def publish(self, flags: Any) -> None:
-        """Tell subscriptions; of what was only looked up there is nothing to tell."""
-        if not (self._quiet and self._kinds):
-            await super().publish(flags)
-
-    async def read(self, data_type: Any) -> Any:
-        """Give what is on the board as any type."""
-        await self.pull()
-        return await super().read(data_type)
-
-    async def subscribe(self, queue: Any, sub_spec: Any, sub: Any) -> None:
-        """Let caproto serve a subscription that the feeds do not."""
-        await self.pull()
-        self._kinds.add(sub_spec)
-        self._watcher.watch(self, True)
-        await super().subscribe(queue, sub_spec, sub)
-
-    async def unsubscribe(self, queue: Any, sub_spec: Any) -> None:
-        """End what `subscribe` began."""
-        await super().unsubscribe(queue, sub_spec)
-        self._kinds.discard(sub_spec)
-        if not self._kinds:
-            self._watcher.watch(self, False)
+    async def _take(self, flags: int) -> None:
+        await ChannelDouble.write(
+            self,
+            self._board.value[self.places].tolist(),
+            flags=flags,
+            verify_value=False,
+            timestamp=TimeStamp(*self._board.get(int(self.places[0])).stamp),
+        )
 
 
 class BoardArraySetpoint(BoardArray):

@@ -158,40 +158,44 @@ BACKLOG = 4
 """Updates that caproto keeps for one slow subscription."""
 
 
-class BoardChannel(ScalarChannel):
-    """A channel whose value, stamp and alarm are on the board.
+class OnBoard(ChannelDouble):
+    """A channel that takes its state from the board when caproto asks for it.
 
     The usual monitors are served by the feeds. Reads and all other kinds of subscription go
-    caproto's way; for them the channel takes its state from the board first.
+    caproto's way.
+
+    Attributes:
+        pv: Its name.
+        places: Indices of its values on the board, shape (k,).
     """
 
-    def __init__(self, spec: PvSpec, board: Board, index: int, watcher: Watcher) -> None:
-        super().__init__(spec, backlog=BACKLOG)
-        self.index = index
-        self.pv, self.places = spec.name, np.array([index])
-        self._board = board
-        self._watcher = watcher
+    pv: str
+    places: NDArray[np.intp]
+
+    def _stand(self, name: str, places: NDArray[np.intp], board: Board, watcher: Watcher) -> None:
+        """Note where its values are, and who is told of subscriptions that feeds do not serve."""
+        self.pv, self.places = name, places
+        self._board, self._watcher = board, watcher
         self._kinds: set[Any] = set()
         self._quiet = False
 
+    async def _take(self, flags: int) -> None:
+        """Take the state from the board.
+
+        Args:
+            flags: Kinds of subscriptions (`SubscriptionType`) that are told of it.
+        """
+        raise NotImplementedError
+
     async def pull(self, events: int | None = None) -> None:
-        """Take value, stamp and alarm from the board.
+        """Take the state from the board.
 
         Args:
             events: Kinds of subscriptions (`SubscriptionType`) that are told of it; None: none.
         """
-        entry = self._board.get(self.index)
         self._quiet = events is None
         try:
-            await ScalarChannel.write(
-                self,
-                entry.value,
-                flags=events or 0,
-                verify_value=False,
-                timestamp=TimeStamp(*entry.stamp),
-                status=AlarmStatus(entry.status),
-                severity=AlarmSeverity(entry.severity),
-            )
+            await self._take(events or 0)
         finally:
             self._quiet = False
 
@@ -218,6 +222,27 @@ class BoardChannel(ScalarChannel):
         self._kinds.discard(sub_spec)
         if not self._kinds:
             self._watcher.watch(self, False)
+
+
+class BoardChannel(OnBoard, ScalarChannel):
+    """A channel whose value, stamp and alarm are on the board."""
+
+    def __init__(self, spec: PvSpec, board: Board, index: int, watcher: Watcher) -> None:
+        super().__init__(spec, backlog=BACKLOG)
+        self.index = index
+        self._stand(spec.name, np.array([index]), board, watcher)
+
+    async def _take(self, flags: int) -> None:
+        entry = self._board.get(self.index)
+        await ScalarChannel.write(
+            self,
+            entry.value,
+            flags=flags,
+            verify_value=False,
+            timestamp=TimeStamp(*entry.stamp),
+            status=AlarmStatus(entry.status),
+            severity=AlarmSeverity(entry.severity),
+        )
 
 
 class BoardReading(BoardChannel):

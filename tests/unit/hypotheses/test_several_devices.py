@@ -11,10 +11,13 @@ from orbitfb.diagnose.hypotheses.onsets import _hopeful_sets
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.effects.build import layout_of
 from orbitfb.effects.laws import DeviceLaw, Signals
+from orbitfb.effects.optics.gradients import gradient_scatters, nearest_bpms, response_with
 from orbitfb.effects.registry import effect
 from orbitfb.estimation.priors import ONSET_SIGN
 from orbitfb.physics.optics import Matrix
+from orbitfb.physics.places import Ring
 from orbitfb.records.layout import Devices
 from orbitfb.records.record import Record
 from tests.unit.hypotheses.small_records import BPMS, kinds_for, make_record
@@ -134,3 +137,17 @@ def test_errors_of_unknown_quadrupoles_change_the_response_as_those_at_the_corre
     drawn = columns @ (limit * np.random.default_rng(14).standard_normal((200, count))).T
     share = np.sqrt(np.mean(np.sum(drawn**2, axis=0))) / np.linalg.norm(model)
     assert share == pytest.approx(0.03, rel=0.15)
+
+
+def test_on_the_default_ring_they_make_what_all_its_quadrupoles_do() -> None:
+    """Against the exact response of all errors together."""
+    layout = layout_of(Ring.load(), "x", 0.1)
+    gradients = gradient_scatters(layout) * np.random.default_rng(15).standard_normal(300)
+    changed = response_with(layout, gradients) - response_with(layout, np.zeros(300))
+    unknown = replace(layout, ring=None)
+    near, columns = nearest_bpms(unknown), layout.response
+    gram = (columns.T @ columns) * (columns[near] @ columns[near].T)
+    pull = np.einsum("na,nc,ac->a", columns, changed, columns[near], optimize=True)
+    sizes = np.linalg.lstsq(gram, pull, rcond=1e-12)[0]
+    left = changed - (columns * sizes) @ columns[near]
+    assert np.linalg.norm(left) < 0.02 * np.linalg.norm(changed)
