@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import lru_cache
 from itertools import accumulate
 
 import numpy as np
@@ -70,11 +71,18 @@ def parts(planes: str, size: int, counts: Sequence[int] = ()) -> dict[str, slice
         size: Length of the vector.
         counts: How many elements each plane has; empty: as many each.
     """
+    return dict(_cut(planes, size, tuple(counts)))
+
+
+@lru_cache(maxsize=64)
+def _cut(planes: str, size: int, counts: tuple[int, ...]) -> tuple[tuple[str, slice], ...]:
+    """Cut it once: the loop asks at every tick."""
     each = counts or (size // len(planes),) * len(planes)
-    ends = list(accumulate(each))
-    return {
-        plane: slice(end - count, end) for plane, count, end in zip(planes, each, ends, strict=True)
-    }
+    ends = accumulate(each)
+    return tuple(
+        (plane, slice(end - count, end))
+        for plane, count, end in zip(planes, each, ends, strict=True)
+    )
 
 
 COUNTS = ("bpm_counts", "corrector_counts")

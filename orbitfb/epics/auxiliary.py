@@ -26,6 +26,7 @@ class AuxiliaryChannels:
         self._limits = np.array(
             [np.inf if its.stale_after is None else its.stale_after for its in settings.values()]
         )
+        self._ageless = np.isinf(self._limits)  # one that may be of any age needs no stamp
         self._scales = np.array([channel.scale for channel in settings.values()])
         self._records = blank_records(len(settings))
         self._stamps = np.zeros(len(settings), dtype=np.int64)
@@ -43,29 +44,29 @@ class AuxiliaryChannels:
         if not up:
             self._records["severity"][index] = INVALID
 
-    def values(self, clock: Timekeeper) -> dict[str, float]:
-        """Return the values by name, SI; NaN where disconnected, INVALID, stale or never seen.
+    def read(self, clock: Timekeeper) -> tuple[dict[str, float], dict[str, str]]:
+        """Give the values, and say why some are not known.
 
         Args:
             clock: That of the stamps.
+
+        Returns:
+            Values by name, SI, NaN where disconnected, INVALID, stale or never seen; and why not,
+            by name, for those.
         """
-        known = self.group.connected & usable(self._records) & self._fresh(clock)
+        here, usual = self.group.connected.copy(), usable(self._records)
+        ages = self._ages_by(clock)
+        fresh = self._ageless | (ages <= self._limits)
+        known = here & usual & fresh
         values = np.where(known, self._records["value"], np.nan) * self._scales
-        return dict(zip(self._names, values.tolist(), strict=True))
+        told = {} if known.all() else self._unknown(here, usual, fresh, ages)
+        return dict(zip(self._names, values.tolist(), strict=True)), told
 
-    def unknown(self, clock: Timekeeper) -> dict[str, str]:
-        """Say why values are not known, by name.
-
-        Args:
-            clock: That of the stamps.
-        """
-        fresh, usual, ages = self._fresh(clock), usable(self._records), self._ages_by(clock)
-        if (self.group.connected & usual & fresh).all():
-            return {}
+    def _unknown(self, here: Mask, usual: Mask, fresh: Mask, ages: Vector) -> dict[str, str]:
         told: dict[str, str] = {}
         for index, name in enumerate(self._names):
             pv, key = self.group.names[index], f"epics.auxiliary.{name}.stale_after"
-            if not self.group.connected[index]:
+            if not here[index]:
                 told[name] = f"{pv} is away"
             elif not usual[index]:
                 told[name] = f"{pv} has no valid value"
@@ -81,10 +82,6 @@ class AuxiliaryChannels:
                     "false"
                 )
         return told
-
-    def _fresh(self, clock: Timekeeper) -> Mask:
-        """Tell which values are young enough; one that may be of any age needs no stamp."""
-        return np.isinf(self._limits) | (self._ages_by(clock) <= self._limits)
 
     def ages(self, clock: Timekeeper) -> dict[str, float]:
         """Return the age of each value by name [s]; NaN where never seen.

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
-from orbitfb.core.link import ChannelCounts
 from orbitfb.core.ports import Clock
 from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
+from orbitfb.core.status import ChannelCounts
 from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.connecting import (
@@ -179,8 +179,7 @@ class EpicsMachine:
             raise NoOrbitError(told)
         snapshot = frame.arrival.snapshot
         orbit = Orbit(snapshot.values * self._units.metres, snapshot.valid, snapshot.time)
-        auxiliary = self._auxiliary.values(self._inbox.time)
-        unknown = self._auxiliary.unknown(self._inbox.time)
+        auxiliary, unknown = self._auxiliary.read(self._inbox.time)
         self._servers.look()
         received = frame.arrival.received
         readback, behind = self._readbacks.complete(frame, self._setpoints.posted)

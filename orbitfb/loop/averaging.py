@@ -5,12 +5,13 @@ the noise of n of them is n^½ smaller. The average begins anew after each corre
 correction never acts on an error that was corrected before.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Channels, Vector
+from orbitfb.core.values import replace
 from orbitfb.loop.adjustments import Adjustments
 from orbitfb.loop.memory import Gathered
 from orbitfb.loop.tick import Checked

@@ -5,11 +5,12 @@ whatever is wrong on the way, a larger error for one, ends it at once.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfb.core.signals import LoopState, Mask, Vector
+from orbitfb.core.values import replace
 from orbitfb.loop.memory import LoopMemory, Rules, Way
 from orbitfb.loop.tick import Checked
 from orbitfb.safety.bounds import Bounds

@@ -1,11 +1,10 @@
 """The phases of one tick that send something: decide, limit, act, and moves for others."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from orbitfb.core.errors import MachineError, NoOrbitError
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
+from orbitfb.core.values import replace
 from orbitfb.loop import comeback
 from orbitfb.loop import memory as remember
 from orbitfb.loop.averaging import restrain

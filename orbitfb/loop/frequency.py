@@ -4,7 +4,7 @@ What is decided is in `safety.frequency`; here it meets the machine and the poli
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from orbitfb.core.errors import WriteError
 from orbitfb.core.names import RF_FREQUENCY, RF_READBACK, RF_STEP
 from orbitfb.core.ports import Oscillator
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
+from orbitfb.core.values import replace
 from orbitfb.loop.memory import LoopMemory
 from orbitfb.physics.frequency import FrequencyModel, undoing
 from orbitfb.safety.frequency import (

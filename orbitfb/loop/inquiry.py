@@ -1,10 +1,12 @@
 """The loop asks whether the orbit answers (`safety.answers`), and heeds what it is told."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.robust import median
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
+from orbitfb.core.values import replace
 from orbitfb.loop.guard import Guard
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
@@ -124,8 +126,10 @@ class Inquiry:
             checked: The orbit.
         """
         answering, self._asked = memory.answering, None
+        if answering.session is None:
+            return None
         seen = np.abs(checked.error[checked.valid])
-        size = answering.question(self._settings, float(np.median(seen)) if seen.size else 0.0)
+        size = answering.question(self._settings, median(seen) if seen.size else 0.0)
         if size == 0 or answering.ring is None or answering.expected is None:
             return None
         ring = answering.ring

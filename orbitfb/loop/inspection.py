@@ -7,12 +7,13 @@ given to the loop: it takes over from the setpoint in force.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfb.core.ports import Machine
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
+from orbitfb.core.values import replace
 from orbitfb.loop import comeback
 from orbitfb.loop.asking import Answer, ask_setpoints
 from orbitfb.loop.guard import Guard

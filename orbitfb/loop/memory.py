@@ -1,12 +1,13 @@
 """All that one tick hands to the next, as a value, and what a change of state does to it."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Channels, LoopState, Mask, Vector
+from orbitfb.core.values import replace
 from orbitfb.loop.correction.settings import USUAL, CorrectionSettings
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.states import Event, next_state
@@ -81,7 +82,7 @@ class Gathered:
     orbits: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class LoopMemory:
     """What the loop knows between two ticks.
 

@@ -6,13 +6,13 @@ functions; here they meet the machine. What is sent to it is in `engine`.
 
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from orbitfb.core.names import FAST_FEEDBACK
 from orbitfb.core.ports import Clock, Machine, Policy
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
+from orbitfb.core.values import replace
 from orbitfb.loop import comeback
 from orbitfb.loop import memory as remember
 from orbitfb.loop.adjustments import Adjustments, approach

@@ -1,11 +1,12 @@
 """One tick as functions of values: check, supervise, decide. Limiting is in `safety.limits`."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfb.core.ports import Policy
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
+from orbitfb.core.values import replace
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.states import Event
@@ -16,7 +17,7 @@ from orbitfb.safety.prediction import answered, idle
 from orbitfb.safety.verdict import Action, Verdict, worst
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Checked:
     """An orbit that was looked at.
 

@@ -1,11 +1,12 @@
 """What a tick has come to so far, and how long each phase of it took."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from orbitfb.core.ports import Clock
 from orbitfb.core.signals import Applied, Phases, Reading, TickRecord, Vector
+from orbitfb.core.values import replace
 from orbitfb.loop.memory import LoopMemory
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from orbitfb.core.errors import ControlError
 from orbitfb.core.ports import Clock
-from orbitfb.core.postmortem import PostMortemStatus
 from orbitfb.core.signals import Channels, Mask, TickRecord
+from orbitfb.core.status import PostMortemStatus
 from orbitfb.postmortem.encoding import encode
 from orbitfb.postmortem.frozen import Frozen
 from orbitfb.postmortem.settings import PostMortemSettings

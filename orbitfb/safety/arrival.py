@@ -35,7 +35,7 @@ PROMPT = 0.05
 _SMOOTHING = 0.06
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Sent:
     """What was sent last.
 
@@ -106,12 +106,13 @@ def _part(readback: Vector, setpoints: Vector, counts: Mask, sent: Sent) -> floa
     """Give the part of the change that shows; None: they do not tell."""
     if sent.change is None:
         return None
-    counts = counts & np.isfinite(readback) & np.isfinite(setpoints)
-    change = sent.change[counts]
+    counts, change = counts & np.isfinite(readback) & np.isfinite(setpoints), sent.change
+    if not counts.all():
+        change, readback, setpoints = change[counts], readback[counts], setpoints[counts]
     power = float(change @ change)
     if power == 0.0:
         return None
-    went = readback[counts] - (setpoints[counts] - change)
+    went = readback - (setpoints - change)
     part = float(went @ change) / power
     across = went - part * change
     spread = float(across @ across) / max(change.size - 1, 1)

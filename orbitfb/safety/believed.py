@@ -5,19 +5,20 @@ that are believed, if what fails stays away. The later ones wait. Those that wai
 found not to answer, or when the loop opens without another sign, never teach.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Mask
+from orbitfb.core.values import replace
 from orbitfb.safety.answers.owing import Answering
 
 KEPT = 64
 """Stretches of refused ticks that are remembered: more lie within no history that is kept."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Believed:
     """What is known of the ticks so far.
 

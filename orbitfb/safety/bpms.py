@@ -12,6 +12,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from orbitfb.core.robust import median
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.repeating import Habit
@@ -115,8 +116,12 @@ def screen(
     known = valid & np.isfinite(position)
     same = known & (position == memory.last)
     repeats, habit = memory.repeats, memory.habit or Habit.none(len(position))
-    zero = known & (position == 0.0) & ~habit.is_coarse & settings.bpm_zero
-    limit = habit.frozen_from(settings.bpm_frozen_ticks)
+    zero = known & (position == 0.0)
+    if zero.any():
+        zero &= ~habit.is_coarse & settings.bpm_zero
+    limit: NDArray[np.int64] | int = settings.bpm_frozen_ticks
+    if int(repeats.max(initial=0)) + 1 >= limit:  # nobody is frozen before
+        limit = habit.frozen_from(limit)
     if not np.array_equal(same, known):  # an orbit that repeats itself as a whole: `repeated`
         changed = known & ~same & np.isfinite(memory.last)
         teaches = changed & (memory.last != 0.0)  # a dead channel that comes back is not coarse
@@ -129,17 +134,19 @@ def screen(
     if latching:
         jump = known & _jumped(error, memory, settings.bpm_jump, planes)
     flaws = np.zeros(position.shape, dtype=np.int8)
-    for flaw, mask in (
-        (Flaw.JUMP, jump),
-        (Flaw.FROZEN, frozen),
-        (Flaw.ZERO, zero),
-        (Flaw.INVALID, ~known),
-    ):
-        flaws[mask] = flaw
-    bad = flaws > Flaw.NONE
-    good = np.where(bad, 0, np.minimum(memory.good + 1, settings.bpm_proving))
+    good = np.minimum(memory.good + 1, settings.bpm_proving)
+    bad = jump | frozen | zero | ~known
+    base = error
+    if bad.any():
+        for flaw, mask in (
+            (Flaw.JUMP, jump),
+            (Flaw.FROZEN, frozen),
+            (Flaw.ZERO, zero),
+            (Flaw.INVALID, ~known),
+        ):
+            flaws[mask] = flaw
+        good, base = np.where(bad, 0, good), np.where(bad, memory.base, error)
     flaws[~bad & (good < settings.bpm_proving)] = Flaw.PROVING
-    base = np.where(bad, memory.base, error)
     then = {index: memory.then.get(index, memory.base) for index in np.flatnonzero(bad).tolist()}
     return flaws, BpmMemory(position, base, repeats, good, then, habit)
 
@@ -167,7 +174,7 @@ def _moved(step: Vector, parts: Sequence[slice]) -> Vector:
     size, moved = np.abs(step), np.zeros(len(step))
     for part in parts:
         known = size[part][np.isfinite(size[part])]
-        moved[part] = float(np.median(known)) if known.size else 0.0
+        moved[part] = median(known) if known.size else 0.0
     return moved
 
 

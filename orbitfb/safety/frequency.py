@@ -13,7 +13,7 @@ has moved by parts in a million.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
@@ -22,6 +22,7 @@ from pydantic import Field
 from orbitfb.core.names import RF_PV, RF_READBACK_PV
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.values import replace
 
 ON_ITS_WAY = "the last step has not arrived yet"
 UNKNOWN = "the RF frequency is not known"

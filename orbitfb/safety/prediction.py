@@ -14,12 +14,13 @@ only if the orbit error does not shrink either.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.values import replace
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.verdict import FINE, Action, Verdict
 
@@ -27,7 +28,7 @@ OTHERWISE = 3.0
 """How many times the predicted answer the beam may move before it says nothing about R."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Answers:
     """What was predicted and what was seen, over the last ticks.
 

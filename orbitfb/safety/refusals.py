@@ -7,12 +7,14 @@ cause. What happened once, without a cause, was somebody's hand: the loop holds.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orbitfb.core.robust import median
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.values import replace
 from orbitfb.safety.bounds import Bounds
 from orbitfb.safety.interlocks import InterlockSettings
 
@@ -30,7 +32,7 @@ ALONE = 3.0
 its largest is twice its median."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Refusals:
     """What is remembered of correctors whose puts do not stay.
 
@@ -87,7 +89,7 @@ def closely(differences: Vector, response: Vector, settings: InterlockSettings) 
     """
     sizes = np.sqrt(np.mean(response**2, axis=0))
     telling = settings.prediction_floor / np.maximum(sizes, np.finfo(np.float64).tiny)
-    return np.maximum(telling, ALONE * float(np.median(np.abs(differences))))
+    return np.maximum(telling, ALONE * median(np.abs(differences)))
 
 
 def judge(

@@ -80,13 +80,15 @@ class Habit:
         usual[some] = np.ceil(np.log(CHANCE) / np.log(share[some]))
         return np.clip(usual, least, max(LONGEST, least)).astype(np.int64)
 
-    def learn(self, changed: Mask, run: NDArray[np.int64], frozen: NDArray[np.int64]) -> "Habit":
+    def learn(
+        self, changed: Mask, run: NDArray[np.int64], frozen: NDArray[np.int64] | int
+    ) -> "Habit":
         """Take in the runs that have ended.
 
         Args:
             changed: BPMs whose reading is a new one, shape (n,).
             run: Repeats in a row before this reading, shape (n,).
-            frozen: From which each counted as frozen, shape (n,).
+            frozen: From which each counted as frozen, shape (n,), or all of them.
         """
         kept = np.where(changed, KEPT, 1.0)
         repeats = kept * self.repeats + np.where(changed, np.minimum(run, frozen), 0)

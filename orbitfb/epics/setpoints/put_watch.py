@@ -71,9 +71,11 @@ class PutWatch:
         count = len(self._heard)
         if not count:
             return None
-        events = [self._heard.popleft() for _ in range(count)]
-        which = np.array([index for index, _ in events])
-        values = np.array([value for _, value in events])
+        indices, heard = zip(*[self._heard.popleft() for _ in range(count)], strict=True)
+        which, values = np.array(indices), np.array(heard)
+        if self._sent and bool((np.abs(self._sent[-1][which] - values) <= ROUNDING).all()):
+            self._echoes[which] = True  # all of them are what was sent last: nobody else put one
+            return None
         sent = np.array([np.full(len(self.records), np.nan), *self._sent])
         ours = (np.abs(sent[:, which] - values) <= ROUNDING).any(axis=0)
         self._echoes[which[ours]] = True

@@ -1,7 +1,9 @@
 """Which orbits become ticks, and how many never came: pure functions of stamps."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+from orbitfb.core.values import replace
 
 _SMOOTHING = 0.1
 _UNKNOWN = float("nan")

@@ -5,11 +5,11 @@ answer comes behind the change, and goes on from what they are: a change may hav
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from orbitfb.core.signals import Mask, Reading
+from orbitfb.core.values import replace
 from orbitfb.loop import memory as remember
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from orbitfb.core.link import ChannelCounts
+from orbitfb.core.status import ChannelCounts
 from orbitfb.loop.frequency import Sight
 from orbitfb.observe.last_diagnosis import DiagnosisFigures
 from orbitfb.safety.believed import Believed

@@ -15,7 +15,7 @@ from prometheus_client.core import (
 from prometheus_client.metrics_core import Metric as Family
 from prometheus_client.registry import Collector
 
-from orbitfb.core.postmortem import PostMortemStatus
+from orbitfb.core.status import PostMortemStatus
 from orbitfb.history.archive import ArchiveStatus
 from orbitfb.observe.metrics.beside import Beside
 from orbitfb.observe.metrics.catalogue import METRICS

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 
 from orbitfb import __version__
 from orbitfb.core.gap import GapSight
-from orbitfb.core.postmortem import PostMortemStatus
 from orbitfb.core.refit import RefitReport
 from orbitfb.core.signals import LoopState
+from orbitfb.core.status import PostMortemStatus
 from orbitfb.effects.registry import all_effects
 from orbitfb.history.archive import ArchiveStatus
 from orbitfb.observe.metrics.beside import Beside

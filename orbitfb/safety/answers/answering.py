@@ -8,11 +8,12 @@ out by name. While the ring as a whole owes as much the loop corrects nothing; a
 owe too much have no say, it corrects without them.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.values import replace
 from orbitfb.safety.answers.evidence import Test, ask_at_any, ask_devices, ask_ring
 from orbitfb.safety.answers.expectation import Expectation, Owed, shown
 from orbitfb.safety.answers.owing import HALF, LAGS, MOST, STAKE, Answering, Sent, Session, rms
@@ -99,8 +100,8 @@ def look(seen: Seen, memory: Answering, settings: InterlockSettings) -> tuple[Fo
         position = np.where(valid, seen.position, 0.0)
         return NOTHING, replace(memory, expected=Expectation.first(position, m))
     came = memory.sent[memory.lag] if len(memory.sent) > memory.lag else None
-    nothing = Sent(np.zeros(m), np.zeros(n))
-    moved, change = (came or nothing).moved, (came or nothing).change
+    came = came or Sent(np.zeros(m), np.zeros(n))
+    moved, change = came.moved, came.change
     position = np.where(valid, seen.position, expected.model + moved)
     after = expected.follow(position, moved, change, valid)
     waits = seen.held and memory.owed is not None
@@ -204,10 +205,15 @@ def _heed_steps(
 ) -> Answering:
     """Strike out what plainly showed in a step of the orbit, whichever change it answers."""
     least, nobody = settings.prediction_floor, np.zeros(len(step) + len(ring.sizes), dtype=np.bool_)
+    count = int(np.count_nonzero(valid))
     for lag in range(min(LAGS, len(memory.sent))):
         came = memory.sent[lag : lag + memory.gap + 1]
-        moved = np.sum([sent.moved for sent in came], axis=0)
-        change = np.sum([sent.change for sent in came], axis=0)
+        moved, change = came[0].moved, came[0].change
+        if len(came) > 1:
+            moved = np.sum([sent.moved for sent in came], axis=0)
+            change = np.sum([sent.change for sent in came], axis=0)
+        if float(moved @ moved) < count * least**2:  # none that is too small shows, see `shown`
+            continue
         whole, devices = shown(step, moved, change, valid, expected.spread, least, ring)
         if whole and memory.owed is not None:
             devices = devices if lag == memory.lag else nobody

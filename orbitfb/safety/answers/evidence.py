@@ -19,11 +19,11 @@ Sources: Hoeffding, J. Amer. Statist. Assoc. 58 (1963) 13; that only a watermark
 readings from a ring that answers: Mo and Sinopoli, Allerton Conf. (2009) 911.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.robust import median
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.safety.answers.questions import CLIP, Question, Ring, Sight
 
@@ -34,102 +34,76 @@ MUCH = 0.6
 """Share of an answer from which a device does [1]: half of an answer harms nobody, the loop then
 corrects at half its speed; and no response matrix in use is wrong by so much."""
 
+SHARES = np.array([[LITTLE], [MUCH]])
+"""Both, shape (2, 1)."""
+
+
+LITTLE_M, LITTLE_V, MUCH_M, MUCH_V, ASKED = range(5)
+"""Where the sums of a `Test` stand."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Test:
     """Sums that speak for and against an answer, each at some lags.
 
     Args:
-        little: M for c = `LITTLE`, shape (lags, devices).
-        little_power: V of it.
-        much: M for c = `MUCH`.
-        much_power: V of it.
-        asked: Σ x², what M is in the mean for c = 0 and an answer of 1, shape (lags, devices).
+        sums: Of M and V for c = `LITTLE`, M and V for c = `MUCH`, and Σ x², what M is in the mean
+            for c = 0 and an answer of 1, shape (5, lags, devices).
     """
 
-    little: Vector
-    little_power: Vector
-    much: Vector
-    much_power: Vector
-    asked: Vector
+    sums: Vector
 
     @classmethod
     def none(cls, lags: int, devices: int) -> "Test":
         """Begin without a word."""
-        zero = np.zeros((lags, devices))
-        return cls(zero, zero, zero, zero, zero)
+        return cls(np.zeros((5, lags, devices)))
 
-    def add(
-        self,
-        lag: int,
-        little: Vector,
-        little_power: Vector,
-        much: Vector,
-        much_power: Vector,
-        asked: Vector | float = 0.0,
-    ) -> "Test":
-        """Add what one orbit says at one lag, each of shape (devices,)."""
-
-        def plus(total: Vector, value: Vector | float) -> Vector:
-            total = total.copy()
-            total[lag] += value
-            return total
-
-        return Test(
-            plus(self.little, little),
-            plus(self.little_power, little_power),
-            plus(self.much, much),
-            plus(self.much_power, much_power),
-            plus(self.asked, asked),
-        )
-
-    def _each(self, change: Callable[[Vector], Vector]) -> "Test":
-        return Test(*(change(getattr(self, item.name)) for item in fields(self)))
+    def add(self, more: Vector) -> "Test":
+        """Add what one orbit says, shape (5, lags, devices)."""
+        return Test(self.sums + more)
 
     def anew(self, which: Mask) -> "Test":
         """Forget what was said of some, shape (devices,)."""
-        if not which.any():
-            return self
-        return self._each(lambda sums: sums * ~which)
+        return Test(self.sums * ~which) if which.any() else self
 
     def forget(self, row: int) -> "Test":
         """Begin one row anew."""
-        keep = np.ones((len(self.little), 1))
-        keep[row] = 0.0
-        return self._each(lambda sums: keep * sums)
+        sums = self.sums.copy()
+        sums[:, row] = 0.0
+        return Test(sums)
 
     def first(self, rows: int) -> "Test":
         """Take the first rows alone."""
-        return self._each(lambda sums: sums[:rows])
+        return Test(self.sums[:, :rows])
 
     def last(self, rows: int) -> "Test":
         """Take the last rows alone."""
-        return self._each(lambda sums: sums[-rows:])
+        return Test(self.sums[:, -rows:])
 
     @property
     def sure(self) -> Vector:
         """Evidence z for an answer at the best lag, shape (devices,) [1]."""
-        return _over(self.little, self.little_power).max(axis=0)
+        return _over(self.sums[LITTLE_M], self.sums[LITTLE_V]).max(axis=0)
 
     @property
     def doubt(self) -> Vector:
         """Evidence z against an answer in time, shape (devices,) [1]."""
-        return _over(-self.much[0], self.much_power[0])
+        return _over(-self.sums[MUCH_M, 0], self.sums[MUCH_V, 0])
 
     @property
     def told(self) -> Vector:
         """Evidence z that there would be against one that does not answer, (devices,) [1]."""
-        return _over(MUCH * self.asked[0], self.much_power[0])
+        return _over(MUCH * self.sums[ASKED, 0], self.sums[MUCH_V, 0])
 
     @property
     def silence(self) -> Vector:
         """Evidence z against an answer at any lag, shape (devices,) [1]."""
-        return _over(-self.much, self.much_power).min(axis=0)
+        return _over(-self.sums[MUCH_M], self.sums[MUCH_V]).min(axis=0)
 
     @property
     def lag(self) -> int:
         """Lag at which the first device answers most."""
-        return int(np.argmax(_over(self.little, self.little_power)[:, 0]))
+        return int(np.argmax(_over(self.sums[LITTLE_M, :, 0], self.sums[LITTLE_V, :, 0])))
 
 
 def _over(value: Vector, power: Vector) -> Vector:
@@ -149,22 +123,27 @@ def ask_ring(
         ring: The response.
         usual: Lag at which the ring answers, for all that is known.
     """
-    weight, most = np.where(sight.valid, sight.spread**-2.0, 0.0), CLIP * sight.spread
-    for lag, question in enumerate(questions[: len(test.little) - 2]):
-        if question is None:
-            continue
-        besides, asked = sight.position - question.still, question.asked
-        left = np.stack([besides - share * asked for share in (LITTLE, MUCH)])
-        left = weight * np.clip(left, -most, most)
-        value = left @ asked
-        power = question.size**2 * np.sum((left @ ring.moves) ** 2, axis=1)
-        test = test.add(lag, value[:1], power[:1], value[1:], power[1:])
-        if lag == usual:
-            known = np.clip(sight.surprise + (1.0 - LITTLE) * asked, -most, most)
-            value = np.array([(weight * asked) @ known])
-            power = np.array([np.sum((weight * asked) ** 2 * sight.noise)])
-            test = test.add(-2, value, power, np.zeros(1), np.zeros(1))
-    return test
+    most, more = CLIP * sight.spread, np.zeros_like(test.sums)
+    weight = np.where(sight.valid, sight.spread**-2.0, 0.0)
+    lags = len(more[0]) - 2
+    there = [(lag, one) for lag, one in enumerate(questions[:lags]) if one is not None]
+    if not there:
+        return test
+    rows, asked = [lag for lag, _ in there], np.stack([one.asked for _, one in there])
+    besides = sight.position - np.stack([one.still for _, one in there])
+    sizes = np.array([one.size for _, one in there])
+    # Both shares of each question at once, shape (questions, 2, n).
+    left = weight * np.clip(besides[:, None] - SHARES * asked[:, None], -most, most)
+    value = np.sum(left * asked[:, None], axis=2)
+    power = sizes[:, None] ** 2 * np.sum((left @ ring.moves) ** 2, axis=2)
+    more[LITTLE_M, rows, 0], more[MUCH_M, rows, 0] = value.T
+    more[LITTLE_V, rows, 0], more[MUCH_V, rows, 0] = power.T
+    if usual in rows:
+        x = asked[rows.index(usual)]
+        known = np.clip(sight.surprise + (1.0 - LITTLE) * x, -most, most)
+        more[LITTLE_M, -2, 0] = (weight * x) @ known
+        more[LITTLE_V, -2, 0] = (weight * x) ** 2 @ sight.noise
+    return test.add(more)
 
 
 def ask_at_any(test: Test, sight: Sight, question: Question, heard: Vector, ring: Ring) -> Test:
@@ -182,8 +161,10 @@ def ask_at_any(test: Test, sight: Sight, question: Question, heard: Vector, ring
     """
     weight, most = np.where(sight.valid, sight.spread**-2.0, 0.0), CLIP * sight.spread
     left = weight * np.clip(heard - MUCH * question.asked, -most, most)
-    power = np.array([question.size**2 * np.sum((left @ ring.moves) ** 2)])
-    return test.add(-1, np.zeros(1), np.zeros(1), np.array([left @ question.asked]), power)
+    more = np.zeros_like(test.sums)
+    more[MUCH_M, -1, 0] = left @ question.asked
+    more[MUCH_V, -1, 0] = question.size**2 * np.sum((left @ ring.moves) ** 2)
+    return test.add(more)
 
 
 def ask_devices(
@@ -198,39 +179,34 @@ def ask_devices(
         before: The one before that.
         ring: The response.
     """
-    most = CLIP * sight.spread
-    m = len(sight.recent)
-    noise = np.median(sight.noise)
+    most, more = CLIP * sight.spread, np.zeros_like(test.sums)
+    n = len(sight.position)
+    noise = median(sight.noise)
     for late, question in enumerate((now, before)):
         if question is None:
             continue
-        asked = np.where(sight.valid, question.asked, 0.0)
+        row, asked = more[:, late], np.where(sight.valid, question.asked, 0.0)
         besides = sight.position - question.still
         known = besides if late else sight.surprise + asked
-        little = asked * np.clip(known - LITTLE * asked, -most, most)
         left = np.clip(besides - MUCH * asked, -most, most)
-        usual, reach = asked**2 * sight.noise, question.size**2 * ring.reach * left**2
-        nothing: Vector = np.zeros(m)
-        share, doubt, power, answer = nothing, nothing, nothing, nothing
-        if not late:
-            clipped = np.where(sight.valid, np.clip(sight.surprise, -most, most), 0.0)
-            alone = ring.apart @ (question.excursion * (clipped @ ring.response))
-            own = sight.recent * (ring.mixed @ question.excursion)
-            others: Vector = sight.recent - question.excursion  # known before the signs were drawn
-            unsure: Vector = np.diag(ring.apart) * noise
-            # What else was just changed only blurs the answer: such orbits count less.
-            weight: Vector = unsure / (unsure + others**2 * ring.swing)
-            weight = weight / question.size**2
-            share = weight * (alone + (1.0 - LITTLE) * own)
-            doubt = weight * (alone + (1.0 - MUCH) * own)
-            power = weight**2 * unsure * question.size**2
-            answer = weight * own
-        test = test.add(
-            late,
-            np.concatenate((little, share)),
-            np.concatenate((usual, power)),
-            np.concatenate((asked * left, doubt)),
-            np.concatenate((np.where(sight.valid, reach, 0.0), doubt**2)),
-            np.concatenate((asked**2, answer)),
-        )
-    return test
+        reach = question.size**2 * ring.reach * left**2
+        row[LITTLE_M, :n] = asked * np.clip(known - LITTLE * asked, -most, most)
+        row[ASKED, :n] = asked**2
+        row[LITTLE_V, :n] = row[ASKED, :n] * sight.noise
+        row[MUCH_M, :n], row[MUCH_V, :n] = asked * left, np.where(sight.valid, reach, 0.0)
+        if late:
+            continue
+        clipped = np.where(sight.valid, np.clip(sight.surprise, -most, most), 0.0)
+        alone = ring.apart @ (question.excursion * (clipped @ ring.response))
+        own = sight.recent * (ring.mixed @ question.excursion)
+        others: Vector = sight.recent - question.excursion  # known before the signs were drawn
+        unsure: Vector = np.diag(ring.apart) * noise
+        # What else was just changed only blurs the answer: such orbits count less.
+        weight: Vector = unsure / (unsure + others**2 * ring.swing)
+        weight = weight / question.size**2
+        doubt = weight * (alone + (1.0 - MUCH) * own)
+        row[LITTLE_M, n:] = weight * (alone + (1.0 - LITTLE) * own)
+        row[LITTLE_V, n:] = weight**2 * unsure * question.size**2
+        row[MUCH_M, n:], row[MUCH_V, n:] = doubt, doubt**2
+        row[ASKED, n:] = weight * own
+    return test.add(more)

@@ -8,11 +8,13 @@ asking (`answering`).
 A step that is much larger than the noise needs no question: it shows by itself.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.robust import median
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.values import replace
 from orbitfb.safety.answers.questions import CLIP, MEDIAN, Ring
 
 FOLLOWING = 0.4
@@ -43,7 +45,7 @@ NEAR = 0.5
 """Largest part of a predicted step that may be missing or too much if it was made [1]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Expectation:
     """What is expected of the next orbit.
 
@@ -129,7 +131,7 @@ class Expectation:
 
 def _quiet(square: Vector, power: Vector) -> float:
     """Give the mean square of all over what it was thought to be, by its median."""
-    return float(np.median(square / power)) / MEDIAN if square.size else 1.0
+    return median(square / power) / MEDIAN if square.size else 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,9 +203,9 @@ def shown(
     if count == 0 or float(missing @ missing) > NEAR**2 * power:
         return False, nobody
     # What the whole orbit misses bounds its noise: what was usual may still be that of a kick.
-    usual = max(float(np.median(noise[seen])), LEAST)
-    noise = noise * min(1.0, float(np.median(np.abs(missing[seen]))) / (np.sqrt(MEDIAN) * usual))
-    floor = max(least, PLAIN * float(np.median(noise)))
+    usual = max(median(noise[seen]), LEAST)
+    noise = noise * min(1.0, median(np.abs(missing[seen])) / (np.sqrt(MEDIAN) * usual))
+    floor = max(least, PLAIN * median(noise))
     if power < count * floor**2:
         return False, nobody
     large = np.maximum(least, PLAIN * noise)

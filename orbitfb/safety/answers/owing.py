@@ -1,10 +1,13 @@
 """What the loop has asked for, who owes an answer to it, and what that forbids."""
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.robust import median
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.values import replace
 from orbitfb.safety.answers.evidence import Test
 from orbitfb.safety.answers.expectation import Expectation, Owed
 from orbitfb.safety.answers.questions import Question, Ring
@@ -41,7 +44,7 @@ HALF = 0.5
 
 def rms(orbit: Vector) -> float:
     """Size of an orbit, rms over the BPMs [m]."""
-    return float(np.sqrt(np.mean(orbit**2)))
+    return math.sqrt(float(np.add.reduce(orbit**2)) / len(orbit))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +66,7 @@ class Sent:
         return Sent(np.zeros_like(self.change), np.zeros_like(self.moved), self.question)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Session:
     """Asking.
 
@@ -113,7 +116,7 @@ class Session:
         return replace(self, whole=Test.none(LAGS + 2, 1), devices=self.devices.anew(forgotten))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Answering:
     """What is remembered from tick to tick.
 
@@ -176,7 +179,7 @@ class Answering:
             return most
         # A corrector is told by the count of questions, not by how loud they are.
         stake = max(float(np.abs(owed.bpms).max(initial=0.0)), rms(owed.ring))
-        noise = float(np.median(expected.spread))
+        noise = median(expected.spread)
         return min(max(stake / LOUD, noise, loud), most)
 
     def doubted(self, settings: InterlockSettings) -> Mask | None:

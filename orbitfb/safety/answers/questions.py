@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.robust import median
 from orbitfb.core.signals import Mask, Vector
 
 FLAT = 0.03
@@ -143,6 +144,4 @@ class Sight:
         left = [self.surprise, self.surprise + asked[0].asked, still]
         left += [still - question.asked for question in asked]
         usual = np.hypot(self.spread, max(question.size for question in asked))
-        return min(float(np.median((part / usual)[self.valid] ** 2)) for part in left) > (
-            MEDIAN * CLIP**2
-        )
+        return min(median((part / usual)[self.valid] ** 2) for part in left) > (MEDIAN * CLIP**2)

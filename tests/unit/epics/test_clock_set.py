@@ -71,7 +71,7 @@ class Bench:
             return None
 
     def current(self) -> float:
-        return self.slow.values(self.inbox.time)["current"]
+        return self.slow.read(self.inbox.time)[0]["current"]
 
     def ticks(self, count: int) -> list[bool]:
         return [self.tick() is not None for _ in range(count)]

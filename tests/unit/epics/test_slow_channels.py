@@ -29,11 +29,11 @@ class Bench:
 
     @property
     def value(self) -> float:
-        return self.slow.values(self.time)["current"]
+        return self.slow.read(self.time)[0]["current"]
 
     @property
     def why(self) -> str:
-        return self.slow.unknown(self.time).get("current", "")
+        return self.slow.read(self.time)[1].get("current", "")
 
 
 @pytest.mark.parametrize("stamped", [True, False])

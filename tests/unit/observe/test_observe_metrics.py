@@ -12,10 +12,9 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families 
 from prometheus_client.parser import text_string_to_metric_families
 
 from orbitfb.core.gap import GapSight
-from orbitfb.core.link import ChannelCounts
-from orbitfb.core.postmortem import PostMortemStatus
 from orbitfb.core.refit import Alarm, AlarmCause, Decision
 from orbitfb.core.signals import LoopState
+from orbitfb.core.status import ChannelCounts, PostMortemStatus
 from orbitfb.history.archive import ArchiveStatus
 from orbitfb.loop.frequency import Sight
 from orbitfb.observe.last_diagnosis import DiagnosisFigures, LastDiagnosis

@@ -1,6 +1,23 @@
-"""How the recorder of post-mortems is doing: the word that recorder, metrics and command share."""
+"""How the channels and the recorder of post-mortems are doing: words that metrics share."""
 
 from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelCounts:
+    """Channels of one kind.
+
+    Args:
+        kind: `bpm`, `setpoint`, `readback` or `auxiliary`.
+        channels: How many there are.
+        connected: How many of them answer now.
+        losses: How often one went away since the start.
+    """
+
+    kind: str
+    channels: int
+    connected: int
+    losses: int
 
 
 @dataclass(frozen=True, slots=True)
