@@ -38,7 +38,7 @@ class PutWatch:
         self._values = self.records["value"]
         self._sent: deque[Vector] = deque(maxlen=SENDS)
         self._heard: deque[tuple[int, float]] = deque(maxlen=EVENTS * size)
-        self._first: Mask = np.ones(size, dtype=np.bool_)
+        self._first = [True] * size
         self._echoes: Mask = np.zeros(size, dtype=np.bool_)
 
     def came(self, index: int) -> None:
@@ -50,7 +50,7 @@ class PutWatch:
         if self._first[index]:
             self._first[index] = False
             return
-        self._heard.append((index, float(self._values[index])))
+        self._heard.append((index, self._values.item(index)))
 
     def sends(self, values: Vector, which: Mask) -> None:
         """Note what is about to be sent.
