@@ -368,7 +368,7 @@ MUTANTS = (
     Mutant(
         "a dead channel that reads exactly 0 is not believed",
         BPMS,
-        "zero = known & (position == 0.0) & ~habit.is_coarse & settings.bpm_zero",
+        "zero = known & (position == 0.0)",
         "zero = np.zeros_like(known)",
         ("safety/test_bpms.py",),
     ),
@@ -389,8 +389,8 @@ MUTANTS = (
     Mutant(
         "a large change that a blind BPM does not see says nothing for it",
         "orbitfb.safety.answers.evidence",
-        "_over(MUCH * self.asked[0], self.much_power[0])",
-        "_over(1.5 * (self.little[0] - self.much[0]), self.much_power[0])",
+        "_over(MUCH * self.sums[ASKED, 0], self.sums[MUCH_V, 0])",
+        "_over(1.5 * (self.sums[LITTLE_M, 0] - self.sums[MUCH_M, 0]), self.sums[MUCH_V, 0])",
         ("safety/answers/test_questions.py",),
     ),
 )
