@@ -20,7 +20,7 @@ import numpy as np
 from orbitfb.core.names import CURRENT_PV
 from orbitfb.sim.access.board import INVALID, UNDEFINED, Board
 from orbitfb.sim.access.channels import BoardSetpoint
-from orbitfb.sim.access.circuit import FastContext
+from orbitfb.sim.access.circuit import FastCircuit, FastContext
 from orbitfb.sim.access.stamp import Stamp
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.process import run_job
@@ -77,12 +77,16 @@ class Desk:
         known = currents[0] if currents else 400.0
         server._stored = float("nan") if known is None else known
 
+    def let_pass(self, server: RingServer) -> None:
+        """Let time go by without telling anybody; behind the correctors the RF has its setpoint."""
+        self.faulty.step(server.front.setpoints[: len(self._kept)])
+
     def after_tick(self, server: RingServer, shown: bool) -> None:
         """Note the orbit, and whether it was shown; keep the setpoints of a good one."""
         ring = self.faulty
         rms = float(np.sqrt(np.mean(ring.last.true_orbit**2)))
         if not ring.faults and rms < WELL:
-            self._kept = server.front.setpoints
+            self._kept = server.front.setpoints[: len(self._kept)]
         self.notes.tick(int(ring.tick), ring.good and shown, ring.last.true_orbit, len(ring.faults))
         if ring.gone - self._away:
             self._let_go(ring.gone - self._away)
@@ -98,6 +102,14 @@ class Desk:
         """Whether a channel is not to be found."""
         pvs = self.faulty.channels.orbit_pvs
         return any(pvs[index] == name for index in self._away)
+
+    def is_lost(self, circuit: FastCircuit, command: Any) -> bool:
+        """Whether a command is for a channel that is gone: nobody is there to answer.
+
+        The server would not find it, and would answer nothing at all from then on.
+        """
+        channel = circuit.circuit.channels_sid.get(getattr(command, "sid", None))
+        return channel is not None and self.is_away(channel.name)
 
     def _let_go(self, which: set[int]) -> None:
         """Tell every client that channels are gone."""
@@ -153,13 +165,14 @@ def hang_on(desk: Desk) -> None:
     """Put the desk between the server and the world."""
     show, tick, write, allow = Board.show, RingServer.tick, Board.write, Board.allowed
     slow, find, begin = BoardSetpoint.write, FastContext.__getitem__, FastContext.__init__
+    keep = FastCircuit._keep
 
     def ticked(server: RingServer) -> None:
         desk.before_tick(server)
         orbit = desk.faulty.orbit_fault()
         slow = bool(desk.faulty.tick % desk.faulty.slowness())
         if slow or (orbit and orbit["orbit"] == "silent"):
-            desk.faulty.step(server.front.setpoints)  # time goes by, nobody is told
+            desk.let_pass(server)
         else:
             tick(server)
         desk.after_tick(server, not slow)
@@ -182,6 +195,9 @@ def hang_on(desk: Desk) -> None:
             raise KeyError(name)
         return find(context, name)
 
+    async def kept(circuit: FastCircuit, command: Any) -> bool:
+        return desk.is_lost(circuit, command) or await keep(circuit, command)
+
     def begun(context: FastContext, *arguments: Any) -> None:
         begin(context, *arguments)
         desk.context = context
@@ -193,6 +209,7 @@ def hang_on(desk: Desk) -> None:
     replace(RingServer, tick=ticked)
     replace(BoardSetpoint, write=written_slowly)
     replace(FastContext, __getitem__=found, __init__=begun)
+    replace(FastCircuit, _keep=kept)
 
 
 def replace(kind: type, **methods: Any) -> None:

@@ -1,11 +1,15 @@
 """Devices of the chaos campaign that look alive and do not answer."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import Plant, PlantSettings
+from orbitfb.sim.job import SimJob
 from tests.chaos.devices import FaultyRing
+from tests.chaos.ioc import Desk
 from tests.chaos.kinds import KINDS
 
 
@@ -67,3 +71,31 @@ def test_what_is_slow_and_who_refuses_is_known_while_it_lasts(ring):
     assert wrapped.refusing() == refusing["refuse"]
     wrapped.faults = []
     assert (wrapped.slowness(), wrapped.refusing()) == (1, [])
+
+
+@pytest.fixture
+def desk():
+    simulated, _ = SimJob(seed=1).build()
+    return Desk(FaultyRing(simulated), SimpleNamespace(tick=lambda *_: None), drive=1.2)
+
+
+def test_time_goes_by_at_a_tick_that_nobody_is_told_of(desk):
+    """A server has the setpoint of the RF behind those of the correctors."""
+    server = SimpleNamespace(front=SimpleNamespace(setpoints=np.append(np.zeros(180), 5e8)))
+    before = int(desk.faulty.tick)
+    desk.let_pass(server)
+    assert int(desk.faulty.tick) == before + 1
+    desk.after_tick(server, shown=False)
+    assert len(desk._kept) == 180
+
+
+def test_what_is_asked_of_a_channel_that_is_gone_is_lost_and_the_server_goes_on(desk):
+    name = desk.faulty.channels.orbit_pvs[7]
+    channels = {3: SimpleNamespace(name=name), 4: SimpleNamespace(name="another")}
+    circuit = SimpleNamespace(circuit=SimpleNamespace(channels_sid=channels))
+    read = SimpleNamespace(sid=3)
+    assert not desk.is_lost(circuit, read)
+    desk._away = {7}
+    assert desk.is_lost(circuit, read)
+    assert not desk.is_lost(circuit, SimpleNamespace(sid=4))
+    assert not desk.is_lost(circuit, SimpleNamespace())
