@@ -94,11 +94,12 @@ class AuxiliaryChannels:
     def _ages_by(self, clock: Timekeeper) -> Vector:
         """Tell the age of a stamp when it is first seen, and let it grow by the monotonic clock.
 
-        So a clock that is set does not make old what has not come anew since.
+        So a clock that is set does not make old what has not come anew since. A stamp in the
+        future counts from when it was seen: a clock that is ahead keeps nothing young.
         """
         stamps, now = stamps_of(self._records), clock.monotonic()
         for index in np.flatnonzero(stamps != self._stamps):
             stamp = int(stamps[index])
             self._stamps[index] = stamp
-            self._born[index] = now - clock.age(wall_time(stamp)) if stamp else np.nan
+            self._born[index] = now - max(clock.age(wall_time(stamp)), 0.0) if stamp else np.nan
         return now - self._born

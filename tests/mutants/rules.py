@@ -393,4 +393,11 @@ MUTANTS = (
         "_over(1.5 * (self.sums[LITTLE_M, 0] - self.sums[MUCH_M, 0]), self.sums[MUCH_V, 0])",
         ("safety/answers/test_questions.py",),
     ),
+    Mutant(
+        "a current stamped in the future grows old from when it was seen",
+        "orbitfb.epics.auxiliary",
+        "max(clock.age(wall_time(stamp)), 0.0)",
+        "clock.age(wall_time(stamp))",
+        ("epics/test_slow_channels.py",),
+    ),
 )

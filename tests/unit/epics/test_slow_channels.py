@@ -23,8 +23,10 @@ class Bench:
         self.slow = AuxiliaryChannels(context, its)
         self.slow.group.connected[:] = True
 
-    def post(self, value: float, stamped: bool = True, severity: int = 0) -> None:
-        seconds = int(self.clock.wall() - EPICS_EPOCH) if stamped else 0
+    def post(
+        self, value: float, stamped: bool = True, severity: int = 0, ahead: float = 0.0
+    ) -> None:
+        seconds = int(self.clock.wall() + ahead - EPICS_EPOCH) if stamped else 0
         self.slow._records[0] = (0, severity, seconds, 0, value)
 
     @property
@@ -60,6 +62,17 @@ def test_one_that_is_posted_on_change_only_is_told_as_such():
     assert "no new value for 10.5 s" in bench.why and "stale_after = 10 s" in bench.why
     told = stored_current({"current": bench.value}, InterlockSettings(), why={"current": bench.why})
     assert "epics.auxiliary.current.stale_after" in told.reason
+
+
+@pytest.mark.parametrize("ahead", [2.0, 30.0, 3600.0])
+def test_a_value_stamped_in_the_future_grows_old_from_when_it_was_seen(ahead: float):
+    """The clock of an IOC was ahead when the current was posted last; then it posts no more."""
+    bench = Bench(10.0)
+    bench.post(0.4, ahead=ahead)
+    assert bench.value == 0.4
+    bench.clock.advance(10.5)
+    assert np.isnan(bench.value)
+    assert "no new value for 10.5 s" in bench.why
 
 
 def test_away_and_invalid_are_told_apart():
