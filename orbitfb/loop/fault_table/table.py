@@ -52,14 +52,18 @@ FAULTS = (
     Fault(
         "the stored current is too low, drops, is not known or old",
         "The loop trips in the same tick, setpoints stay, and a post-mortem is written. A drop "
-        "also trips a HELD loop.",
+        "also trips a HELD loop. A stamp in the future counts from when it was first seen.",
         (_TRIPPED,),
         (
             "interlocks.current_min",
             "interlocks.current_drop",
             "epics.auxiliary",
         ),
-        ("test_the_stored_current_trips", "test_a_stored_current_that_drops_while_held_trips"),
+        (
+            "test_the_stored_current_trips",
+            "test_a_stored_current_that_drops_while_held_trips",
+            "test_a_value_stamped_in_the_future_grows_old_from_when_it_was_seen",
+        ),
     ),
     Fault(
         "a fast orbit feedback is closed, or its status is not known",
