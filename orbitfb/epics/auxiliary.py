@@ -31,6 +31,7 @@ class AuxiliaryChannels:
         self._records = blank_records(len(settings))
         self._stamps = np.zeros(len(settings), dtype=np.int64)
         self._born = np.full(len(settings), np.nan)
+        self._ahead = np.zeros(len(settings))  # of our clock, when the stamp was first seen [s]
         pvs = [channel.pv for channel in settings.values()]
         self.group = ChannelGroup(context, pvs, Monitor(self._records), self.changed)
 
@@ -56,7 +57,7 @@ class AuxiliaryChannels:
         """
         here, usual = self.group.connected.copy(), usable(self._records)
         ages = self._ages_by(clock)
-        fresh = self._ageless | (ages <= self._limits)
+        fresh = self._ageless | ((ages <= self._limits) & (self._ahead <= self._limits))
         known = here & usual & fresh
         values = np.where(known, self._records["value"], np.nan) * self._scales
         told = {} if known.all() else self._unknown(here, usual, fresh, ages)
@@ -74,6 +75,11 @@ class AuxiliaryChannels:
                 told[name] = (
                     f"{pv} has no time stamp, so nobody can tell its age; leave {key} out if it "
                     "may count all the same"
+                )
+            elif not fresh[index] and self._ahead[index] > self._limits[index]:
+                told[name] = (
+                    f"{pv} was stamped {self._ahead[index]:.1f} s in the future, more than {key} = "
+                    f"{self._limits[index]:g} s: nobody can tell its age; set the clocks"
                 )
             elif not fresh[index]:
                 told[name] = (
@@ -95,11 +101,13 @@ class AuxiliaryChannels:
         """Tell the age of a stamp when it is first seen, and let it grow by the monotonic clock.
 
         So a clock that is set does not make old what has not come anew since. A stamp in the
-        future counts from when it was seen: a clock that is ahead keeps nothing young.
+        future counts from when it was seen, if it is no further ahead than the value may be old: a
+        clock that is ahead keeps nothing young.
         """
         stamps, now = stamps_of(self._records), clock.monotonic()
         for index in np.flatnonzero(stamps != self._stamps):
             stamp = int(stamps[index])
             self._stamps[index] = stamp
-            self._born[index] = now - max(clock.age(wall_time(stamp)), 0.0) if stamp else np.nan
+            age = clock.age(wall_time(stamp)) if stamp else np.nan
+            self._born[index], self._ahead[index] = now - max(age, 0.0), -min(age, 0.0)
         return now - self._born

@@ -52,7 +52,8 @@ FAULTS = (
     Fault(
         "the stored current is too low, drops, is not known or old",
         "The loop trips in the same tick, setpoints stay, and a post-mortem is written. A drop "
-        "also trips a HELD loop. A stamp in the future counts from when it was first seen.",
+        "also trips a HELD loop. A stamp in the future counts from when it was first seen; one "
+        "further ahead than the current may be old tells nothing.",
         (_TRIPPED,),
         (
             "interlocks.current_min",
