@@ -29,6 +29,9 @@ from orbitfb.policies.svd import SvdPolicy, SvdSettings
 pytestmark = pytest.mark.system
 
 PERIOD = 0.1
+RAMPED, RAMP_TICKS = 0.5, 9
+"""Share of the gain between that of the first of ten ticks, 0.1, and those from the tenth on; what
+asks the ring changes either by some 0.2."""
 
 
 def wall(event: dict[str, Any]) -> float:
@@ -149,12 +152,15 @@ def test_killed_ioc_holds_the_loop_until_it_is_back(seconds: float, tmp_path: Pa
     assert wall(closed) - ready < 3.0 * PATIENCE
     written = archived.written[np.isfinite(archived.written)]
     assert not ((written > wall(held)) & (written < ready)).any()
-    # The ring is a new one, 250 µm off: the gain is ramped again, from its own setpoints.
-    # (Without a ramp the first step is the largest.)
+    # The ring is a new one, 250 µm off: the gain is ramped again, from its own setpoints. What is
+    # sent asks the ring besides, at random and as much as a first step: the share of what the law
+    # asks for on the orbit tells the gain.
     again = archived.closed & (archived.time > ready)
     assert np.abs(archived.setpoints[again][0]).max() == 0.0
-    steps = np.abs(archived.applied[again]).max(axis=1)
-    assert steps[0] < 0.5 * steps.max()
+    law = SvdPolicy(response(Ring.load(), "x"), SvdSettings()).gain_matrix
+    wanted = -archived.orbit[again] @ law.T
+    shares = np.sum(archived.applied[again] * wanted, axis=1) / np.sum(wanted**2, axis=1)
+    assert shares[0] < RAMPED < np.median(shares[RAMP_TICKS : RAMP_TICKS + 5])
 
 
 @pytest.mark.timing
