@@ -172,6 +172,15 @@ def read_again(machine: EpicsMachine, words: str) -> str:
     raise AssertionError(words)
 
 
+def wait_for_all(machine: EpicsMachine) -> None:
+    """Wait until every channel is back: setpoints may come after the BPMs."""
+    for _ in range(600):
+        if not machine.disconnected:
+            return
+        time.sleep(0.02)
+    raise AssertionError(machine.disconnected)
+
+
 def put_field(ioc: BaseIoc, name: str, value: object) -> None:
     """Set a field of a record of the IOC, as an expert does."""
     run_client(
@@ -230,12 +239,14 @@ def test_bpms_that_come_back_with_another_unit_hold_and_are_told():
         with served("um"):
             told = read_again(machine, "another unit")
             assert f"{RING.orbit_pvs[0]}: um, before mm" in told
+            wait_for_all(machine)
             machine.setpoints()
             with pytest.raises(WriteError, match=r"another unit .* nothing was sent"):
                 machine.write(np.zeros(SIZE))
         read_again(machine, "disconnected")
         with served("mm"):
             read_again(machine, "")
+            wait_for_all(machine)
             machine.setpoints()
             machine.write(np.zeros(SIZE))
 
