@@ -55,6 +55,11 @@ WANDERS = 40e-6
 what a BPM may owe before the loop waits (`answer_reach`, `MOST`), as its neighbours owe too."""
 
 
+BEFORE = 3
+"""Orbits of such a fault that may still be of what was before: a kick that ends as it begins shows
+in the orbit after, or in the one after that."""
+
+
 def wandered(rows: np.ndarray, spans: list[tuple[float, float]]) -> list[str]:
     """Say where the beam was moved far by devices that do not answer.
 
@@ -65,7 +70,7 @@ def wandered(rows: np.ndarray, spans: list[tuple[float, float]]) -> list[str]:
     found = []
     for begin, end in spans:
         peaks = rows["peak"][(rows["wall"] >= begin) & (rows["wall"] <= end + 0.2)]
-        rise = float(peaks.max() - peaks[0]) if len(peaks) else 0.0
+        rise = float(peaks.max() - peaks[:BEFORE].max()) if len(peaks) else 0.0
         if rise > WANDERS:
             found.append(f"|orbit| grew by {rise * 1e6:.0f} um while devices did not answer")
     return found

@@ -188,3 +188,5 @@ def test_a_beam_that_blind_devices_move_far_is_found():
     rows["peak"][5:] = 90e-6
     assert wandered(rows, [(0.0, 4.0), (6.0, 9.0)]) == []
     assert "60 um" in wandered(rows, [(2.0, 5.0)])[0]
+    assert wandered(rows, [(4.0, 9.0)]) == []  # a kick before it ended
+    assert "60 um" in wandered(rows, [(2.0, 9.0)])[0]
