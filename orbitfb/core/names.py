@@ -27,6 +27,9 @@ RF_FREQUENCY, RF_READBACK, RF_STEP = "rf_frequency", "rf_readback", "rf_step"
 """Slow channels of the RF: its setpoint and its readback, and by how much the loop changed it since
 the orbit before [Hz]."""
 
+RF_TOLERANCE = 0.1
+"""Change of the RF setpoint that counts as one, the default of `rf.tolerance` [Hz]."""
+
 FAST_FEEDBACK = "fast_feedback_closed"
 """Slow channel that the loop adds beside a fast feedback: 0 while that is open, else 1."""
 

@@ -1,7 +1,7 @@
 """Transitions (s_n, a_n, s_{n+1}): what the learner trains on and the archive keeps."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ class Transitions:
         readback: At s_n, shape (T, m) [A].
         policy_id: Who decided, shape (T,), strings.
         closed: Whether the loop was CLOSED at s_n, shape (T,).
+        hertz: Step of the RF frequency that went with a_n, shape (T,) [Hz]; 0: none did.
         usable: Whether s_{n+1} is the very next orbit and a_n is known to be in it, shape (T,).
         auxiliary: Slow channels by name, each of shape (T,), SI.
     """
@@ -48,11 +49,16 @@ class Transitions:
     readback: Vector
     policy_id: NDArray[np.str_]
     closed: Mask
+    hertz: Vector
     usable: Mask
     auxiliary: Mapping[str, Vector]
 
     def __len__(self) -> int:
         return len(self.tick)
+
+    def by_correctors(self) -> "Transitions":
+        """Give the same for whoever does not know the RF: rows in which it stepped not usable."""
+        return replace(self, usable=self.usable & (self.hertz == 0.0))
 
     def part(self, begin: int, end: int | None = None) -> "Transitions":
         """Give the rows of a range; negative numbers count from the end."""

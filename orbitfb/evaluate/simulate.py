@@ -113,6 +113,7 @@ class ClosedLoop:
             readback=self._setpoints[rows],
             policy_id=self._policy_id[rows],
             closed=np.ones(count, dtype=np.bool_),
+            hertz=np.zeros(count),
             usable=np.ones(count, dtype=np.bool_),
             auxiliary={},
         )

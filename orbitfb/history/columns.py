@@ -127,9 +127,9 @@ def transitions_of(columns: Columns) -> Transitions:
     """Pair each row with the next one; the last row has none and gives no transition.
 
     A transition is usable if both ticks have a reading, follow each other with no orbit missed
-    between, a_n had left before the stamp of s_{n+1} (or nothing was written), the loop did not
-    step the RF frequency, and no fast feedback was closed: what these do to the orbit is no answer
-    to our changes.
+    between, a_n had left before the stamp of s_{n+1} (or nothing was written), and no fast feedback
+    was closed: what that does to the orbit is no answer to our changes. A step of the RF frequency
+    is told at the orbit that answers it.
 
     Args:
         columns: One unbroken run of one loop, in order. The result may share its memory.
@@ -139,8 +139,8 @@ def transitions_of(columns: Columns) -> Transitions:
     followed = (np.diff(tick) == 1) & (columns["missed"][second] == 0)
     read = np.isfinite(time[first]) & np.isfinite(time[second])
     in_force = np.isnan(written[first]) | (written[first] <= time[second])
-    if (steps := columns.get(AUXILIARY + RF_STEP)) is not None:
-        in_force &= ~(np.abs(steps[second]) > 0.0)
+    steps = columns.get(AUXILIARY + RF_STEP)
+    hertz = np.zeros(len(tick[first])) if steps is None else np.nan_to_num(steps[second])
     if (beside := columns.get(AUXILIARY + FAST_FEEDBACK)) is not None:
         in_force &= ~((beside[first] > 0.0) | (beside[second] > 0.0))
     auxiliary = {
@@ -164,6 +164,7 @@ def transitions_of(columns: Columns) -> Transitions:
         readback=columns["readback"][first],
         policy_id=_decoded(columns["policy_id"][first]),
         closed=columns["state"][first] == _STATE_NUMBER[LoopState.CLOSED],
+        hertz=hertz,
         usable=followed & read & in_force,
         auxiliary=auxiliary,
     )

@@ -1,12 +1,15 @@
 """The loop that a law would make on responses that the data allow, and how two laws compare."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.models.linear import LinearModel
+
+Kicks = Callable[[Vector], tuple[Vector, Vector]]
+"""Draws what the steps of the RF leave under two laws on a response, shape (n,) [m] each."""
 
 WORST_RMS = 1.0
 """What a loop that runs away counts as, rms [m]."""
@@ -71,7 +74,11 @@ def paired_gain(ours: Prediction, theirs: Prediction) -> Gain:
 
 
 def predict_loop(
-    gain: Vector, responses: list[Vector], model: LinearModel, horizon: int
+    gain: Vector,
+    responses: list[Vector],
+    model: LinearModel,
+    horizon: int,
+    kick: Vector | None = None,
 ) -> Prediction:
     """Predict the true orbit under a law by doubling the covariance recursion.
 
@@ -85,10 +92,13 @@ def predict_loop(
         responses: Responses to average over, each of shape (n, m) [m/A].
         model: Reading noise, ground motion and creep.
         horizon: Ticks from a perfect orbit.
+        kick: What the steps of the RF leave at every tick, rms, shape (n,) [m]; None: nothing.
     """
     size = len(model.modes)
     unit = np.sqrt(model.reading_variance)  # far from the smallest numbers of single precision
     ground = (model.modes * (model.ground_variances / unit**2)) @ model.modes.T
+    if kick is not None:
+        ground = ground + np.outer(kick, kick) / unit**2
     creep = (model.modes @ (model.creep / unit)).astype(np.float32)
     squares, growth = [], []
     for response in responses:
@@ -119,6 +129,7 @@ def predict_pairs(
     horizon: int,
     drawn: Iterable[Vector],
     hopeless: float | None,
+    steps: Kicks | None = None,
 ) -> tuple[list[Vector], Prediction, Prediction]:
     """Predict the loops under two laws on responses drawn one after another.
 
@@ -134,6 +145,7 @@ def predict_pairs(
         horizon: Ticks from a perfect orbit.
         drawn: Responses.
         hopeless: Gain on a response below which no further one is drawn [1]; None: all are.
+        steps: Draws what the steps of the RF leave under either law; None: there are none.
 
     Returns:
         The responses that were drawn, and what both loops do on them.
@@ -143,8 +155,9 @@ def predict_pairs(
     others: list[Prediction] = []
     for response in drawn:
         responses.append(response)
-        mine.append(predict_loop(ours, [response], model, horizon))
-        others.append(predict_loop(theirs, [response], model, horizon))
+        left, right = (None, None) if steps is None else steps(response)
+        mine.append(predict_loop(ours, [response], model, horizon, left))
+        others.append(predict_loop(theirs, [response], model, horizon, right))
         if hopeless is not None and not mine[-1].rms <= (1.0 - hopeless) * others[-1].rms:
             break
     return responses, _joined(mine), _joined(others)

@@ -16,8 +16,9 @@ import numpy as np
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Vector
-from orbitfb.learn.forecast import WORST_RMS, Gain, Prediction, paired_gain, predict_pairs
+from orbitfb.learn.forecast import WORST_RMS, Gain, Kicks, Prediction, paired_gain, predict_pairs
 from orbitfb.learn.reach import needed_change
+from orbitfb.learn.rf_steps import RfSteps, rf_steps
 from orbitfb.learn.settings import JudgeSettings
 from orbitfb.learn.simulation import BatchPolicy, Outcome, Scene, simulate
 from orbitfb.models.linear import LinearModel
@@ -70,6 +71,7 @@ def judge(
     generator: np.random.Generator,
     cost: float = 0.0,
     unreachable: float = 0.0,
+    hertz_square: float = 0.0,
 ) -> Verdict:
     """Compare two laws.
 
@@ -85,6 +87,7 @@ def judge(
         generator: For the responses and the noise; both laws see the same ones.
         cost: Least gain that pays for a swap, a ratio [1] (`swap_cost`).
         unreachable: Orbit error that stays under any law, rms [m]; only told.
+        hertz_square: Mean square of the RF's step of a tick [Hz²].
     """
     size = len(model.modes)
     ours_gain, theirs_gain = gain_of(candidate, size), gain_of(incumbent, size)
@@ -101,6 +104,7 @@ def judge(
         settings.horizon,
         islice(model.samples(generator), settings.samples),
         least if linear and must_be_resolved else None,
+        _kicks(rf_steps(model.rf, candidate, incumbent, hertz_square), model, generator),
     )
     figures = {"growth_candidate": ours.growth, "growth_incumbent": theirs.growth}
     obstacle = None
@@ -151,6 +155,17 @@ def judge(
             return Verdict(False, reason, figures)
     accepted, reason = _decide(ours, theirs, gain, evidence, settings, least, unreachable)
     return Verdict(accepted, reason, figures)
+
+
+def _kicks(
+    steps: RfSteps | None, model: LinearModel, generator: np.random.Generator
+) -> Kicks | None:
+    if steps is None:
+        return None
+    modes = model.modes
+    return lambda response: steps.kicks(
+        modes.T @ (response - model.response), response, modes, generator
+    )
 
 
 def is_linear(policy: Policy, gain: Vector, amplitude: float) -> bool:

@@ -11,16 +11,19 @@ from orbitfb.core.ports import Clock, Policy
 from orbitfb.core.refit import Alarm, AlarmCause, Decision, RefitReport
 from orbitfb.core.signals import Vector
 from orbitfb.core.transitions import Transitions
+from orbitfb.estimation.columns import KnownRf
 from orbitfb.learn.judge import Evidence, Verdict, gain_of, judge
 from orbitfb.learn.reach import mean_error, unreachable_rms
+from orbitfb.learn.rf_steps import rf_figures, rf_refusal
 from orbitfb.learn.settings import LearnSettings
-from orbitfb.learn.since import Since, counts
+from orbitfb.learn.since import Since, counts, model_figures
 from orbitfb.learn.watch import swap_cost
 from orbitfb.models.absorbed import Absorbed
 from orbitfb.models.changes import ChangeDetector
 from orbitfb.models.identify import Identifier
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.rows import select_rows
+from orbitfb.policies.rf_known import rf_of, with_rf
 
 _REFUTED = 10.0
 """R̂ is given up when the rows speak against it by so many times what refuses a candidate."""
@@ -41,6 +44,7 @@ class Learner:
         clock: For the reports.
         seed: Of the responses that the judge draws.
         rate: Ticks per second [Hz], for the rate of false alarms.
+        rf: What is told of the RF; None: rows in which it stepped do not teach.
     """
 
     def __init__(
@@ -51,9 +55,10 @@ class Learner:
         clock: Clock | None = None,
         seed: int = 0,
         rate: float = 10.0,
+        rf: KnownRf | None = None,
     ) -> None:
-        self.settings = settings
-        self._identifier = Identifier(response, settings.identify)
+        self.settings, self._rf = settings, rf
+        self._identifier = Identifier(response, settings.identify, rf)
         self._first_response = response
         self._build = build
         self._clock = clock or SystemClock()
@@ -94,13 +99,15 @@ class Learner:
         self._learns = bool(getattr(incumbent, "learns", False))
         error = mean_error(transitions)
         self._error = self._error if error is None else error
-        rows = select_rows(transitions, self.settings.tolerance)
+        rows = select_rows(transitions, self.settings.tolerance, self._rf is not None)
         # Whether a bump or another reference spoils the last row, only the next one tells.
         rows = rows.take(0, int(np.searchsorted(rows.tick, transitions.tick[-1:].sum())))
         if self.last_tick is not None:
             known = int(np.searchsorted(rows.tick, self.last_tick, side="right"))
             rows = replace(rows.take(known), left_out=rows.left_out)
-        absorbed = self._identifier.absorb(rows, self._response_of(incumbent))
+        absorbed = self._identifier.absorb(
+            rows, self._response_of(incumbent), self._column_of(incumbent)
+        )
         self._since.add(rows, absorbed)
         self._look(absorbed)
         return absorbed
@@ -122,7 +129,9 @@ class Learner:
             incumbent: The policy in force.
         """
         self._forgotten = self.last_tick
-        self._identifier = Identifier(self._response_of(incumbent), self.settings.identify)
+        self._identifier = Identifier(
+            self._response_of(incumbent), self.settings.identify, self._rf
+        )
         self._since = Since(incumbent.policy_id)
         self.watch_afresh()
 
@@ -205,16 +214,21 @@ class Learner:
                 "follow the setpoints"
             )
         model = self.model
-        figures = since.figures() | self._model_figures(model, incumbent)
+        figures = since.figures() | model_figures(model, self._response_of(incumbent))
+        figures |= rf_figures(model.rf, since.rf_steps)
         candidate, verdict = None, self._obstacle(since)
         if verdict is None:
-            candidate = self._build(model, incumbent)
+            candidate, refused = self._build(model, incumbent), rf_refusal(model.rf)
+            if model.rf is not None and candidate is not incumbent:
+                with_rf(candidate, rf_of(incumbent) if refused else model.rf.known)
             evidence = Evidence(since.take_nats(), since.page)
             nats, cost = evidence.nats, swap_cost(self.settings)
             verdict = judge(
                 candidate, incumbent, model, evidence, self.settings.judge, self._generator, cost,
-                self._unreachable(model, candidate),
+                self._unreachable(model, candidate), since.hertz_square / max(since.rows, 1),
             )  # fmt: skip
+            if refused:
+                verdict = replace(verdict, reason=f"{verdict.reason}; {refused}")
             if nats < -_REFUTED * self.settings.judge.evidence:
                 self.forget(incumbent)
                 verdict = replace(
@@ -271,15 +285,6 @@ class Learner:
         response = getattr(policy, "response", None)
         return self._first_response if response is None else response
 
-    def _model_figures(self, model: LinearModel, incumbent: Policy) -> dict[str, float]:
-        before = self._response_of(incumbent)
-        return {
-            "reading_noise": float(np.sqrt(model.reading_variance)),
-            "ground": float(np.sqrt(np.mean(model.ground_variances))),
-            "response_moved": float(
-                np.linalg.norm(model.response - before) / np.linalg.norm(before)
-            ),
-            "response_uncertainty": float(
-                np.sqrt(np.trace(model.row_covariance) * len(before)) / np.linalg.norm(before)
-            ),
-        }
+    def _column_of(self, policy: Policy) -> Vector | None:
+        known = rf_of(policy)
+        return None if known is None else known.response

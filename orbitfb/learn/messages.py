@@ -16,6 +16,7 @@ from orbitfb.core.errors import StoreError
 from orbitfb.core.ports import Policy
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.transitions import Transitions
+from orbitfb.estimation.columns import KnownRf
 from orbitfb.learn.builders import builder, masked, unmasked
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.learn.trainer import Answer
@@ -37,6 +38,7 @@ class TrainerJob:
         movable: Correctors that may move, shape (m,); None: all.
         seed: Of what is drawn.
         rate: Ticks per second [Hz].
+        rf: What is told of the RF; None: the loop leaves it alone.
     """
 
     learn: LearnSettings
@@ -45,6 +47,7 @@ class TrainerJob:
     movable: Mask | None = None
     seed: int = 0
     rate: float = 10.0
+    rf: KnownRf | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +95,7 @@ def learner_of(job: TrainerJob) -> "Learner":
     from orbitfb.learn.learner import Learner  # its arithmetic: here and in no loop's process
 
     build = builder(job.policy, job.movable, job.seed)
-    return Learner(job.response, job.learn, build, seed=job.seed, rate=job.rate)
+    return Learner(job.response, job.learn, build, seed=job.seed, rate=job.rate, rf=job.rf)
 
 
 def pack(policy: Policy) -> PackedPolicy:
@@ -102,12 +105,11 @@ def pack(policy: Policy) -> PackedPolicy:
         StoreError: It is of a kind that the store does not know.
     """
     kind, inside = kind_of(policy)
-    tensors = {name: tensor for name, tensor in kind.take(inside).items() if tensor is not None}
     return PackedPolicy(
         kind.word,
         inside.policy_id,
         inside.settings.model_dump_json(),
-        tensors,
+        kind.take_all(inside),
         None if unmasked(policy) is policy else np.array(getattr(policy, "movable")),  # noqa: B009
     )
 
@@ -122,4 +124,4 @@ def unpack(packed: PackedPolicy) -> Policy:
     if kind is None:
         raise StoreError(f"a policy of kind {packed.kind!r} came, which is not known here")
     settings = kind.settings.model_validate_json(packed.settings)
-    return masked(kind.make(packed.tensors, settings, packed.identifier), packed.movable)
+    return masked(kind.make_all(packed.tensors, settings, packed.identifier), packed.movable)

@@ -80,7 +80,7 @@ class Shadow:
             transitions: Those since `next_tick`.
             now: Monotonic [s].
         """
-        usable = transitions.closed & transitions.usable
+        usable = transitions.closed & transitions.by_correctors().usable
         for row in range(len(transitions)):
             self.next_tick = int(transitions.tick[row]) + 1
             if usable[row] and not self._refusal and len(self._ours) < self._settings.ticks:

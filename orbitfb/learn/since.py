@@ -2,7 +2,9 @@
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.models.absorbed import Absorbed
+from orbitfb.models.linear import LinearModel
 from orbitfb.models.rows import Rows
 
 
@@ -25,6 +27,8 @@ class Since:
         self.nats = 0.0
         self.page = 0.0
         self.change_square = 0.0
+        self.hertz_square = 0.0
+        self.rf_steps = 0
         self.chi2 = float("nan")
         self.chi2_incumbent = float("nan")
         self.dither_pull = 0.0
@@ -43,6 +47,9 @@ class Since:
         self.nats += nats
         self.page = max(0.0, self.page + nats)
         self.change_square += float(np.sum(rows.change**2))
+        if rows.hertz is not None:
+            self.hertz_square += float(np.sum(rows.hertz**2))
+            self.rf_steps += int(np.count_nonzero(rows.hertz))
         self.dither_pull += absorbed.dither_pull
         self.dither_information += absorbed.dither_information
         self.chi2, self.chi2_incumbent = absorbed.chi2, absorbed.chi2_other
@@ -64,6 +71,23 @@ class Since:
             "chi2": self.chi2,
             "chi2_incumbent": self.chi2_incumbent,
         }
+
+
+def model_figures(model: LinearModel, before: Vector) -> dict[str, float]:
+    """Give the figures of a posterior for a report, by name.
+
+    Args:
+        model: The posterior.
+        before: Response of the incumbent, shape (n, m) [m/A].
+    """
+    return {
+        "reading_noise": float(np.sqrt(model.reading_variance)),
+        "ground": float(np.sqrt(np.mean(model.ground_variances))),
+        "response_moved": float(np.linalg.norm(model.response - before) / np.linalg.norm(before)),
+        "response_uncertainty": float(
+            np.sqrt(np.trace(model.row_covariance) * len(before)) / np.linalg.norm(before)
+        ),
+    }
 
 
 def counts(left_out: dict[str, int]) -> str:

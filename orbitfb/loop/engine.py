@@ -176,7 +176,10 @@ class Engine(Supervisor):
         """Ask whether the RF frequency is to be stepped with this tick."""
         if self._follower is None:
             return None
-        step, self.memory = self._follower.propose(self.memory, reading, self._guard.response, mine)
+        guard = self._guard
+        step, self.memory = self._follower.propose(
+            self.memory, reading, guard.response, mine, guard.rf
+        )
         return step
 
     def _put(self, step: Step, choice: Choice) -> bool:

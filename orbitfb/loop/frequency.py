@@ -13,6 +13,7 @@ from orbitfb.core.names import RF_FREQUENCY, RF_READBACK, RF_STEP
 from orbitfb.core.ports import Oscillator
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
 from orbitfb.core.values import replace
+from orbitfb.estimation.columns import KnownRf
 from orbitfb.loop.memory import LoopMemory
 from orbitfb.physics.frequency import FrequencyModel, undoing
 from orbitfb.safety.frequency import (
@@ -23,6 +24,7 @@ from orbitfb.safety.frequency import (
     SentStep,
     answer,
     closed,
+    column_fault,
     compare,
     next_step,
     noted,
@@ -60,6 +62,8 @@ class Sight:
         energy: Relative energy that the correctors make since the loop settled [1]; NaN: not known.
         steps: Steps since the loop was built.
         last_step: The last one [Hz]; NaN: there was none.
+        ratio: RF column in use over that of the places table, the size of both [1]; NaN: there was
+            no step.
     """
 
     following: bool = False
@@ -68,6 +72,7 @@ class Sight:
     energy: float = math.nan
     steps: int = 0
     last_step: float = math.nan
+    ratio: float = math.nan
 
 
 class Follower:
@@ -101,7 +106,7 @@ class Follower:
         self.sight = Sight(True, "")
         self._anew = False
         self._pattern: tuple[Vector, Mask, Pattern] | None = None
-        self._last = 0.0
+        self._last, self._ratio = 0.0, math.nan
 
     def again(self) -> None:
         """Begin anew from here at the next tick, whatever has stopped it."""
@@ -145,7 +150,12 @@ class Follower:
         return replace(memory, frequency=rf)
 
     def propose(
-        self, memory: LoopMemory, reading: Reading, response: Vector | None, mine: Mask
+        self,
+        memory: LoopMemory,
+        reading: Reading,
+        response: Vector | None,
+        mine: Mask,
+        known: KnownRf | None = None,
     ) -> tuple[Step | None, LoopMemory]:
         """Say which step is to be made with this tick.
 
@@ -154,12 +164,20 @@ class Follower:
             reading: The orbit of this tick.
             response: R of the policy in force, shape (n, m) [m/A]; None: it has none.
             mine: Correctors that the loop moves, shape (m,).
+            known: What the policy in force knows of the RF; None: what the places table tells.
         """
         rf, settings = memory.frequency, self._settings
         idle = not self.wanted or response is None or rf.stopped
         if idle or response is None or not abs(rf.energy) >= settings.dead_band:
             return None, memory
-        pattern = self._undoing(response, mine)
+        column = self._model.response if known is None else known.response
+        told = self._model.response
+        ratio = float(column @ told) / float(told @ told)
+        if fault := column_fault(ratio):
+            rf = replace(rf, stopped=f"the RF column of the policy in force is not used: {fault}")
+            return None, replace(memory, frequency=rf)
+        pattern = self._undoing(response, mine, column)
+        self._ratio = ratio
         if -pattern.energy / self._model.per_hertz < LEAST_SHARE:
             rf = replace(
                 rf,
@@ -214,11 +232,11 @@ class Follower:
         sent = SentStep(step.hertz, orbit.position, orbit.valid, moved)
         return replace(memory, frequency=replace(memory.frequency, sent=sent))
 
-    def _undoing(self, response: Vector, mine: Mask) -> Pattern:
+    def _undoing(self, response: Vector, mine: Mask, orbit: Vector) -> Pattern:
         known = self._pattern
-        if known is not None and known[0] is response and np.array_equal(known[1], mine):
+        same = known is not None and known[0] is response and known[2].orbit is orbit
+        if same and known is not None and np.array_equal(known[1], mine):
             return known[2]
-        orbit = self._model.response
         change = undoing(response, orbit, mine)
         pattern = Pattern(orbit, change, float(self._model.energy @ change))
         self._pattern = response, mine.copy(), pattern
@@ -228,4 +246,4 @@ class Follower:
         reason = (rf.stopped or rf.waits) if self.wanted else "off by command"
         following = self.wanted and not rf.stopped
         last = rf.steps[-1] if rf.steps else math.nan
-        self.sight = Sight(following, reason, rf.aim, rf.energy, rf.count, last)
+        self.sight = Sight(following, reason, rf.aim, rf.energy, rf.count, last, self._ratio)

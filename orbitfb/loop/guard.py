@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from orbitfb.core.ports import Clock, Policy, inform
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.estimation.columns import KnownRf
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.loop.tick import Checked, decide
 from orbitfb.safety.bounds import Bounds
@@ -133,6 +134,11 @@ class Guard:
     def response(self) -> Vector | None:
         """The policy's response matrix, shape (n, m) [m/A]; None: it has none."""
         return getattr(self.policy, "response", None)
+
+    @property
+    def rf(self) -> KnownRf | None:
+        """What the policy knows of the RF; None: nothing."""
+        return getattr(self.policy, "rf", None)
 
     def predict(self, change: Vector) -> Vector | None:
         """Give what a change does to the orbit by the policy's matrix, shape (n,) [m]."""

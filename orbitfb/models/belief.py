@@ -24,6 +24,7 @@ import numpy as np
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
+from orbitfb.estimation.columns import Columns
 from orbitfb.estimation.statistics import (
     StepPosterior,
     StepStatistics,
@@ -75,6 +76,16 @@ class Keeping:
         """Let R drift for some ticks."""
         self._ticks += count
 
+    @property
+    def unseen(self) -> Vector:
+        """Covariance that a row would have if nothing had been seen, shape (k, k)."""
+        return self._widened + self._ticks * self._drift
+
+    @property
+    def moved(self) -> Vector:
+        """What R has moved by since the rows that count, on average, shape (k, k)."""
+        return 0.5 * min(self._ticks, self._memory) * self._drift
+
     def close(self, statistics: StepStatistics, levels: Indices, variance: float) -> None:
         """Take rows in for good; arguments as those of `solve`."""
         self._statistics.fade(float(np.exp(-statistics.rows / self._memory)))
@@ -88,11 +99,10 @@ class Keeping:
             levels: Level of every mode, shape (n,).
             variance: Of the reading noise [m²].
         """
-        prior = self._widened + self._ticks * self._drift
+        prior = self.unseen
         parts = (self._statistics, tail) if tail.rows else (self._statistics,)
         found = solve(parts, prior, WEIGHTS, levels, variance)
-        moved = 0.5 * min(self._ticks, self._memory) * self._drift
-        return StepPosterior(found.rows, found.covariances + moved)
+        return StepPosterior(found.rows, found.covariances + self.moved)
 
 
 class Following:
@@ -114,13 +124,25 @@ class Following:
     def forget(self, widening: float) -> None:
         """Begin anew with a prior that is so many times as wide."""
         rows = np.zeros((self._modes, len(self._prior)))
-        covariances = np.repeat(widening * self._prior[None], len(LADDER), axis=0)
+        self._widened, self._age = widening * self._prior, 0
+        covariances = np.repeat(self._widened[None], len(LADDER), axis=0)
         self._known = self.posterior = StepPosterior(rows, covariances)
         self._ticks = 0
 
     def pass_ticks(self, count: int) -> None:
         """Let R drift for some ticks."""
         self._ticks += count
+        self._age += count
+
+    @property
+    def unseen(self) -> Vector:
+        """Covariance that a row would have if nothing had been seen, shape (k, k)."""
+        return self._widened + self._age * self._drift
+
+    @property
+    def moved(self) -> Vector:
+        """Nothing: what R has moved by is in its covariance, shape (k, k)."""
+        return np.zeros_like(self._drift)
 
     def close(self, statistics: StepStatistics, levels: Indices, variance: float) -> None:
         """Take rows in for good; arguments as those of `solve`."""
@@ -141,24 +163,26 @@ class Following:
 
 
 def make_beliefs(
-    response: Vector, settings: IdentifySettings
+    columns: Columns, response: Vector, settings: IdentifySettings
 ) -> tuple[Keeping, Following, Following]:
     """Say what is believed before there are rows: a slow drift, a quicker one, and a quick one.
 
     Args:
-        response: R̂₀, shape (n, m) [m/A].
+        columns: The actuators.
+        response: R̂₀ with the column of the RF, if that is one, shape (n, actuators) [m/A].
         settings: Prior, drift, memory.
 
     Raises:
         EstimationError: Prior and drift are zero.
     """
-    modes, columns = response.shape
-    relative = response.T @ response / modes
-    prior = settings.prior_entry**2 * np.eye(columns) + settings.prior_relative**2 * relative
-    drift = settings.drift_entry**2 * np.eye(columns) + settings.drift_relative**2 * relative
-    if not np.any(prior):
+    modes, count = response.shape
+    prior = columns.prior(
+        response, settings.prior_entry, settings.prior_relative, settings.rf_error
+    )
+    drift = columns.prior(response, settings.drift_entry, settings.drift_relative, 0.0)
+    if settings.prior_entry == settings.prior_relative == 0.0:
         raise EstimationError("prior_entry and prior_relative are both 0: nothing can be learnt")
-    prior += 1e-12 * np.trace(prior) / columns * np.eye(columns)
+    prior += 1e-12 * np.trace(prior) / count * np.eye(count)
     prior = _bordered(prior, settings.creep**2)
     drift = _bordered(drift, settings.creep**2 / settings.creep_memory)
     # The memory goes with 1/√Q, the time in which a scalar Kalman filter forgets.

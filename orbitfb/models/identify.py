@@ -12,6 +12,8 @@ answers with changes that creep as well. Without a term for it, R̂ of those cha
 zero, for together they move nothing. So every row of UᵀR has one more coefficient, the creep of its
 mode in metres per tick, whose regressor is 1.
 
+The RF frequency, where the loop steps it, is one more column (`orbitfb.models.column`).
+
 How long rows count, the rows themselves say (`orbitfb.models.belief`).
 """
 
@@ -19,17 +21,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
+from orbitfb.estimation.columns import KnownRf
 from orbitfb.estimation.statistics import LONGEST, StepPosterior
 from orbitfb.models.absorbed import Absorbed, total
 from orbitfb.models.belief import Likelihoods, make_beliefs
-from orbitfb.models.comparison import Contrast
 from orbitfb.models.contrasts import Contrasts
 from orbitfb.models.filter import ground_ratio
 from orbitfb.models.linear import LinearModel
 from orbitfb.models.noise import LADDER, NoiseEstimate
 from orbitfb.models.prediction import Sums, no_sums, sums_of
+from orbitfb.models.regressors import Regressors
 from orbitfb.models.rows import Rows
 from orbitfb.models.settings import IdentifySettings
 from orbitfb.models.tail import Tail
@@ -52,22 +54,20 @@ class Identifier:
     Args:
         response: R̂ to begin with, shape (n, m) [m/A].
         settings: Prior, drift, noise.
+        rf: What is told of the RF; None: it does not step.
 
     Raises:
-        EstimationError: The response is not a finite matrix, or prior and drift are zero.
+        EstimationError: A matrix is not finite or does not fit, or prior and drift are zero.
     """
 
-    def __init__(self, response: Vector, settings: IdentifySettings) -> None:
-        if response.ndim != 2 or not np.isfinite(response).all() or not np.any(response):
-            raise EstimationError(
-                f"the first response matrix (shape {response.shape}) must be a finite matrix "
-                "that is not zero; compute or measure it again"
-            )
+    def __init__(
+        self, response: Vector, settings: IdentifySettings, rf: KnownRf | None = None
+    ) -> None:
         self._settings = settings
-        self._modes = np.linalg.svd(response)[0]
-        self._first = _with_creep(self._modes.T @ response)
+        self._regressors = regressors = Regressors(response, rf)
+        self._modes, self._first = regressors.modes, regressors.first
         modes = len(response)
-        self._beliefs = make_beliefs(response, settings)
+        self._beliefs = make_beliefs(regressors, regressors.whole(response), settings)
         self._likely = Likelihoods(len(self._beliefs), settings.memory)
         self._noise = NoiseEstimate(
             modes, settings.reading_noise, settings.ground, settings.noise_memory, 50.0
@@ -95,31 +95,43 @@ class Identifier:
         """The estimate as it stands, copied."""
         posterior = self._latest or self._solve_latest()
         rows = self._first + posterior.rows
+        m = self._regressors.correctors
         return LinearModel(
-            response=self._modes @ rows[:, :-1],
+            response=self._modes @ rows[:, :m],
             modes=self._modes,
             levels=self._noise.levels.copy(),
-            covariances=posterior.covariances[:, :-1, :-1].copy(),
+            covariances=posterior.covariances[:, :m, :m].copy(),
             reading_variance=self._noise.reading_variance,
             ground_variances=self._noise.ground_variances,
             creep=rows[:, -1].copy(),
+            rf=self._regressors.find_column(
+                self._first,
+                self._beliefs[self._chosen],
+                rows,
+                posterior.covariances,
+                self._noise.levels,
+                self._settings.rf_error,
+            ),
         )
 
-    def absorb(self, rows: Rows, other: Vector | None = None) -> Absorbed:
+    def absorb(
+        self, rows: Rows, other: Vector | None = None, column: Vector | None = None
+    ) -> Absorbed:
         """Take rows in.
 
         Args:
             rows: What `select_rows` let through, later than all rows before.
             other: A response to compare with, shape (n, m) [m/A]; None: R̂ as it stands.
+            column: Its RF column, shape (n,) [m/Hz]; None: the one told.
         """
         if not len(rows):
             return Absorbed(0, 0, float("nan"), float("nan"), float("nan"))
         theirs = self._believed
         if other is not None:
-            theirs = _with_creep(self._modes.T @ other)
+            theirs = self._regressors.in_modes(other, column)
         if self._theirs is None or not np.array_equal(theirs, self._theirs):
             self._theirs, self._sums = theirs, None
-        self._contrasts.compare_with(None if other is None else self._modes.T @ other)
+        self._contrasts.compare_with(None if other is None else theirs[:, :-1])
         starts = rows.starts.copy()
         starts[0] = self._last_tick is None or rows.tick[0] != self._last_tick + 1
         rows = replace(rows, starts=starts)
@@ -148,11 +160,11 @@ class Identifier:
         rows, kicks = self._without_kicks(rows, elapsed)
         if not len(rows):
             return Absorbed(0, kicks, 0.0, 0.0, 0.0)
-        changes = np.column_stack([rows.change, np.ones(len(rows))])
+        changes = self._regressors.of(rows)
         differences = self._differences(rows, changes)
         pull, information = self._ask_dither(rows, changes, differences)
         before = self._sums if self._sums is not None else self._sum_up(theirs)
-        self._tail.push(changes, differences - changes @ self._first.T, rows.starts)
+        self._tail.push(changes, differences, rows.starts)
         self._sums = self._sum_up(theirs)
         self._latest = None
         self._unsolved += len(rows)
@@ -169,11 +181,8 @@ class Identifier:
             nats=said.nats(len(rows)) / len(rows),
             dither_pull=pull,
             dither_information=information,
-            contrasts=self._contrast(rows, differences),
+            contrasts=self._contrasts.absorb(changes[:, :-1], differences, rows.starts),
         )
-
-    def _contrast(self, rows: Rows, differences: Vector) -> tuple[Contrast, ...]:
-        return self._contrasts.absorb(rows.change, differences, rows.starts)
 
     def _differences(self, rows: Rows, changes: Vector) -> Vector:
         """Differences in modes, shape (T, n) [m]; what is not valid does what R̂ expects."""
@@ -187,7 +196,7 @@ class Identifier:
 
     def _surprise(self, rows: Rows) -> Vector:
         """Mean squared difference from what was expected over its variance, by row, shape (T,)."""
-        changes = np.column_stack([rows.change, np.ones(len(rows))])
+        changes = self._regressors.of(rows)
         left = self._differences(rows, changes) - changes @ self._believed.T
         covariances = self._beliefs[self._chosen].posterior.covariances
         shares = np.bincount(self._noise.levels, minlength=len(LADDER)) / len(left[0])
@@ -227,7 +236,7 @@ class Identifier:
         """Correlate what R̂ does not explain with what it says the dither did."""
         if not rows.dither.any():
             return 0.0, 0.0
-        moved = rows.dither @ self._believed[:, :-1].T
+        moved = rows.dither @ self._believed[:, : self._regressors.correctors].T
         left = differences - changes @ self._believed.T
         variance = self._plain_variance()
         return float(np.sum(moved * left / variance)), float(np.sum(moved**2 / variance))
@@ -246,8 +255,7 @@ class Identifier:
 
     def _begin_tail(self) -> None:
         """Begin a chunk."""
-        modes, coefficients = self._first.shape
-        self._tail = Tail(coefficients, modes)
+        self._tail = Tail(self._first, self._regressors.energy)
         self._sums: Sums | None = None
         self._latest: StepPosterior | None = None
         self._unsolved = 0
@@ -289,8 +297,3 @@ class Identifier:
         self._chosen, self._sums = self._likely.best, None
         self._latest = self._beliefs[self._chosen].posterior
         self._unsolved = 0
-
-
-def _with_creep(rows: Vector) -> Vector:
-    """Add a creep of zero to every row."""
-    return np.column_stack([rows, np.zeros(len(rows))])

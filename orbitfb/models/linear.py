@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
+from orbitfb.models.column import RfColumn
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +25,7 @@ class LinearModel:
         reading_variance: Variance of the reading noise of a BPM [m²].
         ground_variances: Variance of the orbit's random step in every mode, shape (n,) [m²].
         creep: Steady motion of the orbit in every mode, shape (n,) [m/tick].
+        rf: What is known of the RF column; None: the RF does not step.
     """
 
     response: Vector
@@ -33,6 +35,7 @@ class LinearModel:
     reading_variance: float
     ground_variances: Vector
     creep: Vector
+    rf: RfColumn | None = None
 
     def predict(self, orbit: Vector, change: Vector) -> Vector:
         """Predict the next orbit, shape (n,) [m], from an orbit [m] and a change (m,) [A]."""

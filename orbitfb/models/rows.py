@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orbitfb.core.names import RF_FREQUENCY, RF_STEP, RF_TOLERANCE
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.transitions import Transitions
 
@@ -26,6 +27,7 @@ class Rows:
         left_out: How many rows were left out, by reason.
         orbit: s_n − reference, shape (T, n) [m]; 0 where not valid; None: not kept.
         policy_id: Who decided, shape (T,), strings; None: not kept.
+        hertz: Step of the RF frequency that went with a_n, shape (T,) [Hz]; None: there was none.
     """
 
     tick: np.ndarray
@@ -38,6 +40,7 @@ class Rows:
     left_out: Mapping[str, int]
     orbit: Vector | None = None
     policy_id: np.ndarray | None = None
+    hertz: Vector | None = None
 
     def __len__(self) -> int:
         return len(self.tick)
@@ -67,22 +70,27 @@ class Rows:
             self.left_out,
             None if self.orbit is None else self.orbit[index],
             None if self.policy_id is None else self.policy_id[index],
+            None if self.hertz is None else self.hertz[index],
         )
 
 
-def select_rows(transitions: Transitions, tolerance: float) -> Rows:
+def select_rows(transitions: Transitions, tolerance: float, with_rf: bool = False) -> Rows:
     """Leave out what would poison an estimate, and count it.
 
     Left out are rows whose next orbit is not known to answer the change (`unusable`), with
     values that are not finite (`not_finite`), with more than a tenth of the BPMs not valid
     or reading exactly what they read before (`invalid_bpms`), where a readback is away from its
-    setpoint (`readback`), where somebody else moved a corrector (`foreign_change`) and where the
-    reference orbit changed (`reference`). Each breaks the stretch that it stands in.
+    setpoint (`readback`), where somebody else moved a corrector (`foreign_change`) or the RF
+    frequency of a loop that steps it (`foreign_rf`), and where the reference orbit changed
+    (`reference`). Each breaks the stretch that it stands in.
 
     Args:
         transitions: What the loop recorded.
         tolerance: Largest |readback − setpoint| and largest unexplained change [A].
+        with_rf: Whether rows in which the loop stepped the RF frequency may teach; else they are
+            `unusable`.
     """
+    transitions = transitions if with_rf else transitions.by_correctors()
     count = len(transitions)
     finite = np.isfinite(transitions.applied).all(axis=1)
     finite &= np.isfinite(transitions.setpoints).all(axis=1)
@@ -109,6 +117,7 @@ def select_rows(transitions: Transitions, tolerance: float) -> Rows:
         ("invalid_bpms", ~enough),
         ("readback", away.any(axis=1)),
         ("foreign_change", foreign & consecutive),
+        ("foreign_rf", _foreign_rf(transitions)),
         ("reference", stepped & consecutive),
     ):
         found = int(np.sum(keep & bad))
@@ -129,4 +138,24 @@ def select_rows(transitions: Transitions, tolerance: float) -> Rows:
         left_out,
         np.where(valid, transitions.orbit - transitions.reference, 0.0)[keep],
         transitions.policy_id[keep],
+        transitions.hertz[keep] if with_rf else None,
     )
+
+
+def _foreign_rf(transitions: Transitions) -> Mask:
+    """Rows in which somebody else moved the RF frequency of a loop that steps it, shape (T,).
+
+    A setpoint is not read at the instant of an orbit: what the loop put shows at the next orbit, or
+    at the one after.
+    """
+    foreign: Mask = np.zeros(len(transitions), dtype=np.bool_)
+    setpoint = transitions.auxiliary.get(RF_FREQUENCY)
+    if setpoint is None or RF_STEP not in transitions.auxiliary or len(transitions) < 2:
+        return foreign
+    moved, own = np.diff(setpoint), transitions.hertz[:-1]
+    before = np.append(0.0, own[:-1])
+    explained = (np.zeros(len(own)), own, before, own + before)
+    with np.errstate(invalid="ignore"):
+        away = np.stack([np.abs(moved - one) > RF_TOLERANCE for one in explained]).all(axis=0)
+    foreign[:-1] = away & (np.diff(transitions.tick) == 1)
+    return foreign

@@ -33,6 +33,12 @@ class IdentifySettings(Settings):
     drift_relative: float = Field(
         default=1e-3, ge=0.0, description="Drift of R relative to its size in √tick, rms [1]."
     )
+    rf_error: float = Field(
+        default=0.2,
+        gt=0.0,
+        description="Error of the RF column as the dispersion of the places table tells it: of its "
+        "size, and place by place relative to its rms, rms [1].",
+    )
     creep: float = Field(
         default=5e-9,
         gt=0.0,

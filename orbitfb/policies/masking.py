@@ -143,6 +143,11 @@ class MaskedPolicy:
         """Whether the policy inside learns while it acts."""
         return bool(getattr(self.policy, "learns", False))
 
+    @property
+    def rf(self) -> Any:
+        """What the policy inside knows of the RF; None: nothing."""
+        return getattr(self.policy, "rf", None)
+
     def initial_state(self) -> Any:
         """State of the policy inside."""
         return self.policy.initial_state()

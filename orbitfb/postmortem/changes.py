@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfb.core.names import RF_FREQUENCY, RF_STEP
+from orbitfb.core.names import RF_FREQUENCY, RF_STEP, RF_TOLERANCE
 from orbitfb.core.signals import LoopState
 from orbitfb.history.columns import AUXILIARY
 from orbitfb.postmortem.analysis import CURRENT
@@ -22,8 +22,6 @@ _LONGEST = 240
 _DROP = 0.01
 _TOLERANCE = 0.1
 _RF, _RF_STEP = f"{AUXILIARY}{RF_FREQUENCY}", f"{AUXILIARY}{RF_STEP}"
-_HERTZ = 0.1
-"""Change of the RF frequency that is told, the default of `rf.tolerance` [Hz]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +121,7 @@ def _of_frequency(its: PostMortem, row: int) -> Iterator[str]:
         yield f"the RF frequency was stepped by {steps[1]:+.3g} Hz"
     old, new = its.columns.get(_RF, none)[row - 1 : row + 1]
     # What we have put may show one orbit later.
-    if abs(new - old) > _HERTZ and not (np.abs(new - old - steps) <= _HERTZ).any():
+    if abs(new - old) > RF_TOLERANCE and not (np.abs(new - old - steps) <= RF_TOLERANCE).any():
         yield f"the RF frequency went from {old:.3f} to {new:.3f} Hz, not by this loop"
 
 

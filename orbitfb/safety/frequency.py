@@ -19,7 +19,7 @@ from statistics import median
 import numpy as np
 from pydantic import Field
 
-from orbitfb.core.names import RF_PV, RF_READBACK_PV
+from orbitfb.core.names import RF_PV, RF_READBACK_PV, RF_TOLERANCE
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.values import replace
@@ -55,7 +55,9 @@ class RfSettings(Settings):
         description="PV of its readback [Hz]; empty: there is none, and the setpoint is used.",
     )
     tolerance: float = Field(
-        default=0.1, gt=0, description="Largest difference of a frequency that follows [Hz]."
+        default=RF_TOLERANCE,
+        gt=0,
+        description="Largest difference of a frequency that follows [Hz].",
     )
     settle: float = Field(
         default=2.0, gt=0, description="Time in which a step must have arrived [s]."
@@ -149,6 +151,24 @@ class Frequency:
     def aim(self) -> float:
         """Where the frequency is to be [Hz]; NaN: not known."""
         return self.asked if math.isfinite(self.asked) else self.home
+
+
+def column_fault(ratio: float) -> str:
+    """Say why an RF column that was identified is not believed; empty: it is.
+
+    Args:
+        ratio: Its size over that of the dispersion of the places table [1].
+    """
+    if LEAST_ANSWER <= ratio <= MOST_ANSWER:
+        return ""
+    if ratio <= 0.0:
+        wrong = "of the wrong sign"
+    else:
+        wrong = "far too small" if ratio < 1.0 else "far too large"
+    return (
+        f"it is {wrong}, {ratio:.2g} of what the dispersion of the places table says; from "
+        f"{LEAST_ANSWER:g} to {MOST_ANSWER:g} is believed"
+    )
 
 
 def noted(memory: Frequency, energy: float) -> Frequency:

@@ -18,7 +18,7 @@ from orbitfb.app.service.loop import build_loop
 from orbitfb.app.service.observers import make_observers
 from orbitfb.app.service.policies import choose_policies
 from orbitfb.app.service.reports import gap_watch, say_and_log, say_excitation
-from orbitfb.app.setup.frequency import rf_model
+from orbitfb.app.setup.frequency import rf_model, told_rf
 from orbitfb.app.setup.startup import announcement, find_ring, planned
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.clock import SystemClock
@@ -84,7 +84,16 @@ class Service:
         self.runner, self.statistics = loop.runner, observers.statistics
         watch = gap_watch(config, ring, observers.history, observers.reports, stack)
         learner = start_learner(
-            config, channels, access, policies, observers, loop.runner, watch, clock, stack
+            config,
+            channels,
+            access,
+            policies,
+            observers,
+            loop.runner,
+            watch,
+            clock,
+            told_rf(model),
+            stack,
         )
         remote = Remote(
             loop.runner,

@@ -11,6 +11,7 @@ from orbitfb.core.ports import Clock
 from orbitfb.core.signals import Channels, LoopState
 from orbitfb.diagnose.live.broken import Screen
 from orbitfb.diagnose.live.watch import GapWatch
+from orbitfb.estimation.columns import KnownRf
 from orbitfb.learn.answered import AnsweredRows
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.runner import Runner
@@ -28,6 +29,7 @@ def start_learner(
     runner: Runner,
     watch: GapWatch,
     clock: Clock,
+    rf: KnownRf | None,
     stack: ExitStack,
 ) -> LearnerThread | None:
     """Start the learner, if that is wanted; it goes on with the probation that was suspended.
@@ -41,13 +43,14 @@ def start_learner(
         runner: The loop.
         watch: Knows which devices are broken.
         clock: The time.
+        rf: What is told of the RF; None: the loop leaves it alone.
         stack: Ends it.
     """
     if not config.learn.enabled:
         return None
     rows = Screen(observers.history, channels, watch.broken, config.interlocks)
     learner = LearnerThread(
-        trainer(config, policies.first.response, access.movable),
+        trainer(config, policies.first.response, access.movable, rf),
         rows,
         policies.slot,
         observers.reports.refitted,

@@ -7,7 +7,9 @@ from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import RingError
 from orbitfb.core.names import RF_FREQUENCY, RF_READBACK
 from orbitfb.core.ports import Oscillator
+from orbitfb.core.transitions import Transitions
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
+from orbitfb.estimation.columns import KnownRf
 from orbitfb.loop.frequency import Follower
 from orbitfb.loop.machines.guarded import GuardedOscillator
 from orbitfb.physics.frequency import FrequencyModel, frequency_model
@@ -44,6 +46,29 @@ def rf_model(
             raise
         say(f"the RF frequency is not adjusted: {error}")
         return None
+
+
+def told_rf(model: FrequencyModel | None) -> KnownRf | None:
+    """Say what the learner is told of the RF; None: the frequency is left alone."""
+    if model is None:
+        return None
+    return KnownRf(model.response, model.energy / model.per_hertz)
+
+
+def archived_rf(config: AppConfig, ring: Ring, transitions: Transitions) -> KnownRf | None:
+    """Say the same for records, whoever made them; None: the frequency was not stepped in them.
+
+    Args:
+        config: Names the planes.
+        ring: The ring.
+        transitions: That were recorded.
+
+    Raises:
+        RingError: It was stepped, and the places table cannot tell what that does.
+    """
+    if not transitions.hertz.any():
+        return None
+    return told_rf(frequency_model(ring, config.ring.planes))
 
 
 def with_rf(epics: EpicsSettings, config: AppConfig) -> EpicsSettings:

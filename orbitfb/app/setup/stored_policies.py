@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from orbitfb.app.setup.frequency import archived_rf
 from orbitfb.config.tree import AppConfig
 from orbitfb.control.client import ask, is_running
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError, StoreError
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.transitions import Transitions
+from orbitfb.estimation.columns import KnownRf
 from orbitfb.history.archive import read_archive
 from orbitfb.learn.builders import ResponsePolicy, builder, first_policy, masked
 from orbitfb.learn.messages import TrainerJob, learner_of
@@ -110,15 +112,18 @@ def safeguards(nominal: ResponsePolicy, config: AppConfig, mask: Mask) -> Safegu
     return Safeguards(masked(svd, mask), without)
 
 
-def trainer(config: AppConfig, matrix: Vector, mask: Mask) -> Trainer:
+def trainer(config: AppConfig, matrix: Vector, mask: Mask, rf: KnownRf | None = None) -> Trainer:
     """Start whoever does the learner's arithmetic.
 
     Args:
         config: Says whether in a process of its own.
         matrix: R̂ to begin with, shape (n, m) [m/A].
         mask: Correctors that may move, shape (m,).
+        rf: What is told of the RF; None: the loop leaves it alone.
     """
-    job = TrainerJob(config.learn, config.policy, matrix, mask, config.seed, config.loop.rate_hz)
+    job = TrainerJob(
+        config.learn, config.policy, matrix, mask, config.seed, config.loop.rate_hz, rf
+    )
     return ProcessTrainer(job) if config.learn.process else InlineTrainer(learner_of(job))
 
 
@@ -170,7 +175,12 @@ def refit_offline(config: AppConfig, archive: Path, activate: bool) -> dict[str,
         incumbent = baseline(config, ring)
     else:
         incumbent = masked(store.load(active, channels), mask)
-    learner = Learner(incumbent.response, config.learn, builder(config.policy, mask, config.seed))
+    learner = Learner(
+        incumbent.response,
+        config.learn,
+        builder(config.policy, mask, config.seed),
+        rf=archived_rf(config, ring, transitions),
+    )
     report, candidate = learner.refit(transitions, incumbent, "on-demand")
     answer: dict[str, Any] = plain(asdict(report))
     if candidate is not None and report.decision is Decision.ACCEPTED:

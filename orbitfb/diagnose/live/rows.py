@@ -33,6 +33,7 @@ def record_of(transitions: Transitions, layout: Layout) -> Record | None:
         transitions: Transitions of the loop.
         layout: Layout of all its channels.
     """
+    transitions = transitions.by_correctors()
     usable = transitions.usable & transitions.closed & np.isfinite(transitions.time)
     usable &= np.isfinite(transitions.setpoints).all(axis=1)
     usable &= np.isfinite(transitions.orbit).any(axis=1)

@@ -51,7 +51,7 @@ class GapWatch(threading.Thread):
     def step(self) -> None:
         """Look once, if there are new ticks."""
         transitions = self._history.snapshot(last=self._settings.window)
-        usable = int((transitions.closed & transitions.usable).sum())
+        usable = int((transitions.closed & transitions.by_correctors().usable).sum())
         if usable < FEWEST or int(transitions.tick[-1]) == self._last_tick:
             return
         self._last_tick = int(transitions.tick[-1])

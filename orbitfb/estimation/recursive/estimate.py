@@ -32,8 +32,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
+from orbitfb.estimation.columns import check_first
 from orbitfb.estimation.recursive.group import make_groups
 from orbitfb.estimation.recursive.settings import RecursiveSettings
 
@@ -100,11 +100,7 @@ class RecursiveResponse:
         settings: RecursiveSettings,
         covariances: Sequence[Vector] | None = None,
     ) -> None:
-        if response.ndim != 2 or not np.isfinite(response).all() or not np.any(response):
-            raise EstimationError(
-                f"the first response matrix (shape {response.shape}) must be a finite matrix "
-                "that is not zero; compute or measure it again"
-            )
+        check_first(response)
         self.settings = settings
         n, m = response.shape
         self.modes = np.linalg.svd(response)[0]

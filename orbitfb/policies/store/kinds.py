@@ -21,6 +21,7 @@ from orbitfb.policies.adaptive import AdaptivePolicy, AdaptiveSettings
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.modal import ModalPolicy, ModalSettings
 from orbitfb.policies.network import LAYERS, NetworkPolicy, NetworkSettings, hidden_width
+from orbitfb.policies.rf_known import COLUMN, ENERGY, rf_from, rf_tensors, with_rf
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
 Tensors = Mapping[str, NDArray[Any]]
@@ -82,8 +83,21 @@ class Kind:
         widths = {"n": n, "m": m, "h": _WIDEST * hidden_width(n), "g": MOST_GROUPS}
         return sum(
             np.dtype(tensor.dtype).itemsize * int(np.prod([widths[c] for c in tensor.shape]))
-            for tensor in self.layout.values()
+            for tensor in (*self.layout.values(), *_RF.values())
         )
+
+    def take_all(self, policy: Any) -> dict[str, NDArray[Any]]:
+        """Take the tensors out of a policy, and what it knows of the RF."""
+        own = {name: tensor for name, tensor in self.take(policy).items() if tensor is not None}
+        return own | rf_tensors(policy)
+
+    def make_all(self, tensors: Tensors, settings: Any, name: str) -> StoredPolicy:
+        """Make a policy that knows what it knew of the RF.
+
+        Raises:
+            OrbitFeedbackError: No policy can be made of them.
+        """
+        return with_rf(self.make(tensors, settings, name), rf_from(tensors))
 
     def mismatch(self, tensors: Tensors, n: int, m: int) -> str:
         """Say what is wrong with the names, types and shapes of tensors; "" when nothing is.
@@ -94,7 +108,8 @@ class Kind:
             m: Correctors.
         """
         widths = {"n": n, "m": m}
-        for name, expected in self.layout.items():
+        layout = {**self.layout, **_RF}
+        for name, expected in layout.items():
             if name not in tensors:
                 if expected.optional:
                     continue
@@ -110,7 +125,12 @@ class Kind:
                     f"{name!r} of {tensor.dtype} {tensor.shape}, expected were "
                     f"{np.dtype(expected.dtype)} {shape}"
                 )
-        unknown = sorted(set(tensors) - set(self.layout))
+        parts = [name for name in _RF if name in tensors]
+        if 0 < len(parts) < len(_RF):
+            return f"{parts[0]!r} without the rest of what is known of the RF"
+        if not all(np.isfinite(tensors[name]).all() for name in parts):
+            return f"{parts[0]!r} with numbers that are not finite"
+        unknown = sorted(set(tensors) - set(layout))
         return (
             f"{unknown[0]!r}, which a policy of kind {self.word} does not have" if unknown else ""
         )
@@ -168,6 +188,11 @@ def _network(tensors: Tensors, settings: NetworkSettings, name: str) -> NetworkP
     return NetworkPolicy(weights, tensors["response"], settings, name)
 
 
+_RF = {
+    COLUMN: Tensor(np.float64, "n", optional=True),
+    ENERGY: Tensor(np.float64, "m", optional=True),
+}
+"""What every kind may know of the RF."""
 _RESPONSE = {"response": Tensor(np.float64, "nm")}
 _COVARIANCE = {"covariance": Tensor(np.float64, "mm", optional=True)}
 

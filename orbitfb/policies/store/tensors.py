@@ -18,8 +18,7 @@ _LARGEST_FILE = 2**30
 
 def encode(kind: Kind, policy: StoredPolicy) -> bytes:
     """Put the tensors of a policy into one safetensors file."""
-    tensors = kind.take(policy).items()
-    return save({name: tensor for name, tensor in tensors if tensor is not None})
+    return save(kind.take_all(policy))
 
 
 def decode(path: Path, card: PolicyCard) -> StoredPolicy:
@@ -53,7 +52,7 @@ def decode(path: Path, card: PolicyCard) -> StoredPolicy:
         raise StoreError(f"{path} holds {mismatch}; {advice}")
     try:
         settings = kind.settings.model_validate(card.settings)
-        return kind.make(tensors, settings, card.id)
+        return kind.make_all(tensors, settings, card.id)
     except (ValidationError, OrbitFeedbackError) as error:
         raise StoreError(f"{path.parent} makes no policy: {error}; {advice}") from error
 

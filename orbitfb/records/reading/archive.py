@@ -53,6 +53,7 @@ def _channels(path: Path, largest: int) -> Channels:
 
 
 def _transition(path: Path, read: Transitions, found: list[Finding]) -> Transition:
+    read = read.by_correctors()
     # A row whose reading did not come has no time, and its neighbours are not usable.
     usable = read.usable & np.isfinite(read.time) & np.isfinite(read.setpoints).all(axis=1)
     if usable.sum() < FEWEST_ROWS:

@@ -165,6 +165,7 @@ def transitions(rows=120):
         readback=made["setpoints"][:-1],
         policy_id=np.full(rows, policy.policy_id),
         closed=yes,
+        hertz=np.zeros(rows),
         usable=yes,
         auxiliary={},
     )

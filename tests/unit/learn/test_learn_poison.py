@@ -109,7 +109,7 @@ class Bumped(Bench):
         super().__init__(ticks=END, shadow={"ticks": 0}, minimum_rows=60, **settings)
         self.every, self.random, self.taught = every, np.random.default_rng(5), set()
         absorb = self.learner._identifier.absorb
-        self.learner._identifier.absorb = lambda rows, other: absorb(self.watch(rows), other)
+        self.learner._identifier.absorb = lambda rows, *other: absorb(self.watch(rows), *other)
 
     def bump(self):
         size = self.random.uniform(0.3, 1.0) * self.random.choice([-1.0, 1.0])

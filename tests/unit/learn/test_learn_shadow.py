@@ -62,6 +62,7 @@ def loop(gain, ticks, first=0, closed=True, orbit=50e-6, noise=0.0, seed=1, dith
         readback=zeros,
         policy_id=np.full(ticks, law.policy_id),
         closed=yes if closed else ~yes,
+        hertz=np.zeros(ticks),
         usable=yes,
         auxiliary={},
     )

@@ -74,6 +74,7 @@ def transitions_of(record: Record, begin: float = 1e9) -> Transitions:
         readback=record.setpoints[:-1],
         policy_id=np.full(rows, "svd"),
         closed=np.ones(rows, dtype=bool),
+        hertz=np.zeros(rows),
         usable=np.ones(rows, dtype=bool),
         auxiliary={},
     )

@@ -154,8 +154,9 @@ def test_a_put_that_fails_is_told_and_tried_again():
     assert any(bench.steps)
 
 
-def test_ticks_in_which_the_frequency_moved_do_not_teach():
+def test_a_row_carries_the_step_that_went_with_its_change():
     from orbitfb.history.buffer import History
+    from orbitfb.models.rows import select_rows
 
     bench = Bench()
     history = History(bench.machine.channels, 500)
@@ -164,7 +165,25 @@ def test_ticks_in_which_the_frequency_moved_do_not_teach():
     rows = history.snapshot()
     steps = np.array(bench.steps)[rows.tick + 1]
     assert np.count_nonzero(steps) > 3
-    assert not rows.usable[steps != 0.0].any() and rows.usable[steps == 0.0].mean() > 0.9
+    np.testing.assert_array_equal(rows.hertz, steps)
+    assert rows.usable.mean() > 0.95 and not rows.by_correctors().usable[steps != 0.0].any()
+    without, with_rf = select_rows(rows, 1e-3), select_rows(rows, 1e-3, with_rf=True)
+    assert without.left_out == {"unusable": np.count_nonzero(steps)} and without.hertz is None
+    assert not with_rf.left_out and np.count_nonzero(with_rf.hertz) == np.count_nonzero(steps)
+
+
+def test_rows_in_which_somebody_else_moved_the_frequency_do_not_teach():
+    from orbitfb.history.buffer import History
+    from orbitfb.models.rows import select_rows
+
+    bench = Bench()
+    history = History(bench.machine.channels, 500)
+    bench.runner.subscribe(history)
+    bench.run(100)
+    bench.oscillator.frequency += 1.0
+    bench.run(50)
+    rows = select_rows(history.snapshot(), 1e-3, with_rf=True)
+    assert rows.left_out == {"foreign_rf": 1}
 
 
 def test_correctors_that_move_undo_the_dispersion_orbit():

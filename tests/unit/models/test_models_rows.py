@@ -30,6 +30,7 @@ def clean(count=8, n=12, m=3):
         readback=setpoints[:-1].copy(),
         policy_id=np.full(count, "p"),
         closed=np.ones(count, dtype=bool),
+        hertz=np.zeros(count),
         usable=np.ones(count, dtype=bool),
         auxiliary={},
     )
