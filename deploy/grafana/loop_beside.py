@@ -115,7 +115,7 @@ ENERGY = (
         "is beyond `rf.dead_band`.",
         "none",
         (Query(metric("corrector_energy_ratio"), "energy"),),
-        12,
+        8,
         INFORMATION,
         7,
     ),
@@ -125,10 +125,30 @@ ENERGY = (
         "Steps of the frequency by the loop.",
         "none",
         (Query(f"increase({metric('rf_steps_total')}[5m])", "steps"),),
-        8,
+        6,
         INFORMATION,
         7,
         {"min": 0, "decimals": 0},
+    ),
+    Panel(
+        "timeseries",
+        "RF column over the table's",
+        "Size of the column in use, and of what refits found with its 95 % interval.",
+        "none",
+        (
+            Query(metric("rf_column_ratio"), "in use"),
+            *(
+                Query(metric("last_refit_figure", f'figure="{figure}"'), legend)
+                for figure, legend in (
+                    ("rf_ratio", "found"),
+                    ("rf_ratio_low", "low"),
+                    ("rf_ratio_high", "high"),
+                )
+            ),
+        ),
+        6,
+        INFORMATION,
+        7,
     ),
 )
 

@@ -97,7 +97,9 @@ class Policy(Protocol):
 class Learning(Policy, Protocol):
     """A policy that learns from what was read and sent; optional, the loop asks whether it is."""
 
-    def inform(self, error: Vector, valid: Mask, applied: Vector, state: Any) -> Any:
+    def inform(
+        self, error: Vector, valid: Mask, applied: Vector, state: Any, hertz: float = 0.0
+    ) -> Any:
         """Take in what came of a decision, after the write.
 
         Args:
@@ -105,6 +107,8 @@ class Learning(Policy, Protocol):
             valid: BPMs that count, shape (n,).
             applied: Change of setpoints as it was sent, shape (m,) [A].
             state: What `act` was given.
+            hertz: Step of the RF frequency that went with it [Hz]; given only to a policy that
+                has `learns_rf`. For any other one, what goes with a step is no part of `applied`.
 
         Returns:
             The state for the next call.
@@ -112,14 +116,24 @@ class Learning(Policy, Protocol):
         ...
 
 
-def inform(policy: Policy, error: Vector, valid: Mask, applied: Vector, state: Any) -> Any:
+def inform(
+    policy: Policy,
+    error: Vector,
+    valid: Mask,
+    applied: Vector,
+    state: Any,
+    hertz: float = 0.0,
+) -> Any:
     """Tell a policy that learns what came of its decision, see `Learning.inform`.
 
     Returns:
         The state for the next decision; as it was, where the policy does not learn.
     """
     learning = getattr(policy, "inform", None)
-    return state if learning is None else learning(error, valid, applied, state)
+    if learning is None:
+        return state
+    more = {"hertz": hertz} if hertz else {}
+    return learning(error, valid, applied, state, **more)
 
 
 class SystemModel(Protocol):

@@ -14,7 +14,7 @@ from orbitfb.core.transitions import Transitions
 from orbitfb.estimation.columns import KnownRf
 from orbitfb.learn.judge import Evidence, Verdict, gain_of, judge
 from orbitfb.learn.reach import mean_error, unreachable_rms
-from orbitfb.learn.rf_steps import rf_figures, rf_refusal
+from orbitfb.learn.rf_steps import rf_figures, rf_refusal, rf_told
 from orbitfb.learn.settings import LearnSettings
 from orbitfb.learn.since import Since, counts, model_figures
 from orbitfb.learn.watch import swap_cost
@@ -220,15 +220,13 @@ class Learner:
         if verdict is None:
             candidate, refused = self._build(model, incumbent), rf_refusal(model.rf)
             if model.rf is not None and candidate is not incumbent:
-                with_rf(candidate, rf_of(incumbent) if refused else model.rf.known)
+                with_rf(candidate, (rf_of(incumbent) or self._rf) if refused else model.rf.known)
             evidence = Evidence(since.take_nats(), since.page)
             nats, cost = evidence.nats, swap_cost(self.settings)
             verdict = judge(
                 candidate, incumbent, model, evidence, self.settings.judge, self._generator, cost,
                 self._unreachable(model, candidate), since.hertz_square / max(since.rows, 1),
             )  # fmt: skip
-            if refused:
-                verdict = replace(verdict, reason=f"{verdict.reason}; {refused}")
             if nats < -_REFUTED * self.settings.judge.evidence:
                 self.forget(incumbent)
                 verdict = replace(
@@ -241,7 +239,7 @@ class Learner:
             trigger=trigger,
             rows=since.rows,
             decision=Decision.ACCEPTED if verdict.accepted else Decision.REFUSED,
-            reason=verdict.reason,
+            reason=rf_told(verdict.reason, model.rf, since.rf_steps),
             policy_id=incumbent.policy_id if candidate is None else candidate.policy_id,
             incumbent_id=incumbent.policy_id,
             figures={**figures, **verdict.figures},

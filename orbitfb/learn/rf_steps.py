@@ -90,6 +90,24 @@ def rf_figures(column: RfColumn | None, steps: int) -> dict[str, float]:
     }
 
 
+def rf_told(reason: str, column: RfColumn | None, steps: int) -> str:
+    """Add to the reason of a report what was found of the RF column.
+
+    Args:
+        reason: So far.
+        column: What is known of it; None: the RF does not step.
+        steps: Steps that it was learnt from; without any there is nothing to say.
+    """
+    if column is None or steps == 0:
+        return reason
+    its = rf_figures(column, steps)
+    told = (
+        f"RF column {its['rf_ratio']:.3f} [{its['rf_ratio_low']:.3f}, {its['rf_ratio_high']:.3f}]"
+    )
+    refused = rf_refusal(column)
+    return f"{reason}; {told} of the one told" + (f"; {refused}" if refused else "")
+
+
 def rf_refusal(column: RfColumn | None) -> str:
     """Say why a column that was identified must not be used; empty: it may."""
     fault = "" if column is None else column_fault(column.ratio)

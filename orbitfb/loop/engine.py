@@ -97,8 +97,12 @@ class Engine(Supervisor):
             settled = ramp == 1.0 and not doubts and choice.settled and acts.due
             if settled and policy_state is not self.memory.policy_state:
                 self.memory = replace(self.memory, policy_state=policy_state)
-            sent = work.applied if step is None else work.applied - step.change
-            learnt = guard.inform(checked, sent, self.memory.policy_state)
+            sent, hertz = work.applied, 0.0
+            if step is not None and guard.learns_rf:
+                hertz = step.hertz
+            elif step is not None:
+                sent = sent - step.change
+            learnt = guard.inform(checked, sent, self.memory.policy_state, hertz)
             self.memory = replace(self.memory, policy_state=learnt)
 
     def step_aside(self, work: Work, reading: Reading, checked: Checked) -> None:

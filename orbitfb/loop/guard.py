@@ -186,20 +186,28 @@ class Guard:
         self._use(fallback, alarm)
         return Decision(change, after, alarm)
 
-    def inform(self, checked: Checked, applied: Vector, policy_state: Any) -> Any:
+    @property
+    def learns_rf(self) -> bool:
+        """Whether the policy wants to know of steps of the RF."""
+        return bool(getattr(self.policy, "learns_rf", False))
+
+    def inform(
+        self, checked: Checked, applied: Vector, policy_state: Any, hertz: float = 0.0
+    ) -> Any:
         """Tell a policy that learns what was sent; one that fails at it decides no more.
 
         Args:
             checked: The orbit error that was decided on.
             applied: Change of setpoints as it was sent, shape (m,) [A].
             policy_state: Of the policy in force.
+            hertz: Step of the RF that went with it, for one that learns of it [Hz].
 
         Returns:
             The state for the next decision.
         """
         policy, fallback = self.policy, self._fallback
         try:
-            return inform(policy, checked.error, checked.valid, applied, policy_state)
+            return inform(policy, checked.error, checked.valid, applied, policy_state, hertz)
         except Exception as error:  # a policy may raise anything: the baseline decides instead
             if fallback is None or policy is fallback:
                 raise

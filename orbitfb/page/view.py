@@ -10,6 +10,7 @@ import numpy as np
 
 from orbitfb import __version__
 from orbitfb.core.ports import Clock
+from orbitfb.core.refit import RefitReport
 from orbitfb.core.signals import LoopState, Mask, TickRecord, Vector
 from orbitfb.loop.frequency import Sight
 from orbitfb.measure.progress import Progress
@@ -92,7 +93,7 @@ class PageView:
                     "floor_source": source,
                     **_figures(snapshot),
                     "rms_peak_um": self._peaks(snapshot),
-                    "rf": _rf(self._sources.rf()),
+                    "rf": _rf(self._sources.rf(), snapshot.last_refit),
                     "measurement": _measurement(self._sources.measurement()),
                     "gap": _gap(snapshot, self._sources.gap(snapshot)),
                     "happenings": [
@@ -178,13 +179,17 @@ def _figures(snapshot: LoopSnapshot) -> dict[str, Any]:
     }
 
 
-def _rf(sight: Sight) -> dict[str, Any]:
+def _rf(sight: Sight, last: RefitReport | None) -> dict[str, Any]:
+    figures = {} if last is None else last.figures
+    found = [figures.get(name) for name in ("rf_ratio", "rf_ratio_low", "rf_ratio_high")]
     return {
         "follows": sight.following,
         "reason": sight.reason,
         "frequency_Hz": sight.frequency,
         "energy_ppm": sight.energy / MICRO,
         "steps": sight.steps,
+        "column": sight.ratio,
+        "found": found if figures.get("rf_steps") else None,
     }
 
 

@@ -13,6 +13,12 @@ from orbitfb.panel.pvs.forms import MICRO, MILLI
 
 _PHASES = ("read", "check", "decide", "limit", "act")
 _HIGHEST = 2**31 - 1
+_FOUND = (
+    ("RfFound-I", "rf_ratio"),
+    ("RfFoundLow-I", "rf_ratio_low"),
+    ("RfFoundHigh-I", "rf_ratio_high"),
+)
+"""What the last refit found of the RF column: PV and figure."""
 
 
 class Figures:
@@ -62,6 +68,10 @@ class Figures:
             "GapText-I": gap_text(snapshot),
             "Policy-I": snapshot.policy_id,
             "LastRefit-I": f"{last.policy_id} {last.decision}: {last.reason}" if last else "",
+            **{
+                pv: _number(last.figures.get(name, math.nan), 1.0) if last else None
+                for pv, name in _FOUND
+            },
             **self._mean_phases(snapshot),
         }
         for plane, rms in snapshot.orbit.planes.items():

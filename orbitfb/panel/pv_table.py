@@ -197,6 +197,15 @@ def _frequency() -> tuple[PanelPv, ...]:
         number_pv(
             "RfEnergy-I", "Energy that the correctors make since the loop settled.", "1e-6", 3
         ),
+        number_pv("RfColumn-I", "RF column in use, over that of the places table.", "1", 3),
+        *(
+            number_pv(f"RfFound{end}-I", f"RF column as the last refit found it, {what}.", "1", 3)
+            for end, what in (
+                ("", "over that of the places table"),
+                ("Low", "lower end of its 95 % interval"),
+                ("High", "upper end of its 95 % interval"),
+            )
+        ),
         choice_pv(
             "Rf-Cmd",
             "Lets the frequency follow, or leaves it alone.",

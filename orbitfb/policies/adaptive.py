@@ -12,7 +12,7 @@ call for it. What is known of R outlives the state: a loop that closes again beg
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -20,6 +20,7 @@ from pydantic import Field
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.estimation.columns import KnownRf
 from orbitfb.estimation.recursive.caution import CautiousGain
 from orbitfb.estimation.recursive.estimate import RecursiveResponse
 from orbitfb.estimation.recursive.settings import CautionSettings, RecursiveSettings
@@ -82,10 +83,13 @@ class Known:
         response: R̂, shape (n, m) [m/A].
         covariances: Of a row of UᵀR in every group of modes, each of shape (m, m) [(m/A)²]; None:
             those of the settings.
+        column: RF column, shape (n,) [m/Hz], with which each covariance has one row and one column
+            more; None: as the policy was told.
     """
 
     response: Vector
     covariances: tuple[Vector, ...] | None
+    column: Vector | None = None
 
 
 class Track:
@@ -94,10 +98,13 @@ class Track:
     Args:
         known: What is known at first.
         settings: Of the law.
+        rf: What is told of the RF; None: it does not step.
     """
 
-    def __init__(self, known: Known, settings: AdaptiveSettings) -> None:
-        self.estimate = RecursiveResponse(known.response, settings.tracking, known.covariances)
+    def __init__(self, known: Known, settings: AdaptiveSettings, rf: KnownRf | None = None) -> None:
+        if rf is not None and known.column is not None:
+            rf = replace(rf, response=known.column)
+        self.estimate = RecursiveResponse(known.response, settings.tracking, known.covariances, rf)
         self.gain = CautiousGain(self.estimate, settings.caution)
         self._take_gains()
 
@@ -107,14 +114,19 @@ class Track:
         far = filtered.deviation > self.gain.far_from_floor
         return -((self._far if far else self._near) @ filtered.expected)
 
-    def learn(self, reading: Vector, applied: Vector) -> bool:
+    def learn(self, reading: Vector, applied: Vector, hertz: float = 0.0) -> bool:
         """Take in a reading, shape (n,) [m], and the change that answered it, shape (m,) [A].
+
+        Args:
+            reading: The orbit.
+            applied: The change.
+            hertz: The step of the RF that went with it [Hz].
 
         Returns:
             Whether there is a new gain.
         """
         renewed = self.gain.follow(self.estimate.read(reading), both=True)
-        self.estimate.predict(applied)
+        self.estimate.predict(applied, hertz)
         if renewed:
             self._take_gains()
         return renewed
@@ -153,6 +165,7 @@ class AdaptivePolicy:
         settings: As given.
         learns: That what it knows changes while it acts.
         known: What was known of R when the gain was last made; replaced as a whole.
+        rf: What it is told of the RF, which it then tracks beside R; None: the RF does not step.
 
     Raises:
         RingError: A matrix is not finite or has the wrong shape.
@@ -174,6 +187,7 @@ class AdaptivePolicy:
         self.settings = settings
         self._policy_id = policy_id or "adaptive-" + content_hash(settings, matrix, *(parts or ()))
         self.known = Known(matrix, parts)
+        self.rf: KnownRf | None = None
         self._infill = Infill(matrix)
         self._rest: tuple[Known, Vector] | None = None
 
@@ -190,19 +204,26 @@ class AdaptivePolicy:
     @property
     def covariances(self) -> tuple[Vector, ...] | None:
         """Covariance of a row of UᵀR̂ in every group, as known; None: those of the settings."""
-        return self.known.covariances
+        known = self.known.covariances
+        size = self.response.shape[1]
+        return None if known is None else tuple(part[:size, :size] for part in known)
+
+    @property
+    def learns_rf(self) -> bool:
+        """Whether it wants to know of steps of the RF."""
+        return self.rf is not None
 
     @property
     def gain_matrix(self) -> Vector:
         """Gain on a raw reading at rest, shape (m, n) [A/m]."""
         known = self.known
         if self._rest is None or self._rest[0] is not known:
-            self._rest = known, frozen(Track(known, self.settings).at_rest())
+            self._rest = known, frozen(Track(known, self.settings, self.rf).at_rest())
         return self._rest[1]
 
     def initial_state(self) -> Track:
         """Begin with what is known of R by now, and nothing known of the orbit."""
-        return Track(self.known, self.settings)
+        return Track(self.known, self.settings, self.rf)
 
     def changes(self, errors: Vector) -> Vector:
         """Refuse: a decision depends on what was learnt.
@@ -225,7 +246,9 @@ class AdaptivePolicy:
         """
         return state.change(self._filled(error, valid, state)), state
 
-    def inform(self, error: Vector, valid: Mask, applied: Vector, state: Track) -> Track:
+    def inform(
+        self, error: Vector, valid: Mask, applied: Vector, state: Track, hertz: float = 0.0
+    ) -> Track:
         """Take in what was read and what was sent.
 
         Args:
@@ -233,13 +256,14 @@ class AdaptivePolicy:
             valid: BPMs that count, shape (n,).
             applied: Change of setpoints as it was sent, shape (m,) [A].
             state: The running filter; it learns.
+            hertz: Step of the RF that went with it [Hz].
 
         Returns:
             The filter.
         """
-        if state.learn(self._filled(error, valid, state), applied):
-            estimate = state.estimate
-            self.known = Known(frozen(estimate.response), estimate.covariances)
+        if state.learn(self._filled(error, valid, state), applied, hertz):
+            its = state.estimate
+            self.known = Known(frozen(its.response), its.whole_covariances, its.column)
         return state
 
     def _filled(self, error: Vector, valid: Mask, state: Track) -> Vector:

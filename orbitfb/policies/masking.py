@@ -167,9 +167,16 @@ class MaskedPolicy:
         share = self._share if valid.all() else self._shares.get(valid)
         return share @ change, after
 
-    def inform(self, error: Vector, valid: Mask, applied: Vector, state: Any) -> Any:
+    @property
+    def learns_rf(self) -> bool:
+        """Whether the policy inside wants to know of steps of the RF."""
+        return bool(getattr(self.policy, "learns_rf", False))
+
+    def inform(
+        self, error: Vector, valid: Mask, applied: Vector, state: Any, hertz: float = 0.0
+    ) -> Any:
         """Tell the policy inside what was read and sent, if it learns."""
-        return inform(self.policy, error, valid, applied, state)
+        return inform(self.policy, error, valid, applied, state, hertz)
 
     def changes(self, errors: Vector) -> Vector:
         """Decide on many orbits at once, (..., n) [m], if the policy inside can: (..., m) [A]."""

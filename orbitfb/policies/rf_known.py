@@ -37,6 +37,11 @@ def with_rf(policy: PolicyType, rf: KnownRf | None) -> PolicyType:
     return policy
 
 
+def told(policy: PolicyType, rf: KnownRf | None) -> PolicyType:
+    """Tell a policy what the places table says of the RF, unless it knows better."""
+    return with_rf(policy, rf) if rf_of(policy) is None else policy
+
+
 def _inside(policy: Any) -> Any:
     while isinstance(policy, MaskedPolicy):
         policy = policy.policy

@@ -46,7 +46,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     config = directory / "config.toml"
     config.write_text("[panel]\nenabled = true\nport = 0\nperiod = 0.1\n")
     options = ("--effect", f"energy-ramp:rate={RATE}", "--config", config)
-    with Service(directory / "data", "sim", *options) as service:
+    with Service(directory / "data", "sim", *options, learn=True) as service:
         yield service
 
 
@@ -65,7 +65,22 @@ def test_the_frequency_follows_and_the_correctors_do_not(service: Service):
     assert moved * MODEL.per_hertz < -1e-6  # against the ramp
     state, energy, step = panel(service, "RfState-I", "RfEnergy-I", "RfStep-I")
     assert state == "FOLLOWS" and abs(energy) < 8.0 and 0.0 < abs(step) <= 1.0
+    assert panel(service, "RfColumn-I") == [1.0]
     assert [line["steps"] for line in service.events("rf_stepped")] != []
+
+
+def test_a_refit_tells_the_column_that_it_found(service: Service):
+    """The ring is as its table says: the interval is narrower than what was stated, and holds 1."""
+    wait_for("twenty steps", lambda: panel(service, "RfSteps-I")[0] >= 20)
+    report = ask(service.data, {"command": "refit", "activate": False}, timeout=60.0)
+    ends = [report["figures"][f"rf_ratio_{end}"] for end in ("low", "high")]
+    assert ends[0] < 1.0 < ends[1] and ends[1] - ends[0] < 0.4
+    assert report["figures"]["rf_steps"] > 0 and "RF column" in report["reason"]
+    wait_for(
+        "it on the panel", lambda: panel(service, "RfFoundLow-I", "RfFoundHigh-I") != [None] * 2
+    )
+    low, high = panel(service, "RfFoundLow-I", "RfFoundHigh-I")
+    assert 0.5 < low < high < 1.5
 
 
 def test_somebody_else_sets_the_frequency_and_has_it(service: Service):

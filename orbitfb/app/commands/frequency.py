@@ -45,6 +45,7 @@ class FrequencyCommands:
             "RfEnergy-I": _known(sight.energy / MICRO),
             "RfStep-I": _known(sight.last_step),
             "RfSteps-I": sight.steps,
+            "RfColumn-I": _known(sight.ratio),
         }
 
     def _follow(self, request: Mapping[str, Any]) -> Mapping[str, Any]:

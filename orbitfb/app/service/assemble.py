@@ -26,6 +26,7 @@ from orbitfb.core.errors import ControlError
 from orbitfb.core.signals import LoopState
 from orbitfb.learn.builders import masked
 from orbitfb.measure.left import left_astray
+from orbitfb.policies.rf_known import told
 
 _log = structlog.stdlib.get_logger("orbitfb.service")
 
@@ -59,6 +60,7 @@ class Service:
         ring, clock = config.ring.load(), SystemClock()
         channels = ring.channels(config.ring.planes)
         model = rf_model(config, ring, ioc, lambda line: say_and_log(say, line))
+        rf = told_rf(model)
         waveform = planned(config, ring, excite, duration) if excite else None
         epics = find_ring(config, ioc)
         check_panel(config, channels)
@@ -75,7 +77,7 @@ class Service:
             stack,
             say,
         )
-        policies = choose_policies(config, ring, channels, access, start, asked, say)
+        policies = choose_policies(config, ring, channels, access, start, asked, say, rf)
         observers = make_observers(config, ioc, channels, access, policies, clock, stack)
         loop = build_loop(
             config, ioc, start, channels, access, policies, observers, waveform, model, clock
@@ -92,7 +94,7 @@ class Service:
             loop.runner,
             watch,
             clock,
-            told_rf(model),
+            rf,
             stack,
         )
         remote = Remote(
@@ -104,7 +106,7 @@ class Service:
             channels,
             directory.resolve() / "archive",
             config.loop.period,
-            lambda policy: masked(policy, access.movable),
+            lambda policy: told(masked(policy, access.movable), rf),
             next((its.request for its in observers.recorders), None),
             policies.measured,
         )

@@ -11,9 +11,11 @@ from orbitfb.app.setup.stored_policies import baseline, check_policy, open_store
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.signals import Channels, LoopState
+from orbitfb.estimation.columns import KnownRf
 from orbitfb.learn.builders import ResponsePolicy
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.physics.places import Ring
+from orbitfb.policies.rf_known import told
 from orbitfb.policies.stability import unstable_on
 from orbitfb.policies.store.directory import PolicyStore
 
@@ -47,6 +49,7 @@ def choose_policies(
     start: LoopState,
     asked: bool,
     say: Callable[[str], None],
+    rf: KnownRf | None = None,
 ) -> Policies:
     """Open the store and choose the policy that the loop begins with.
 
@@ -58,6 +61,7 @@ def choose_policies(
         start: State to start in.
         asked: Whether the kind of policy was asked for at this start.
         say: Gets a line now and then about what takes long.
+        rf: What is told of the RF; None: the loop leaves it alone.
 
     Raises:
         OrbitFeedbackError: The store or the response cannot be read, or the loop would start
@@ -67,7 +71,7 @@ def choose_policies(
     keeper = Keeper(store, channels, config.policies_kept, watches=config.learn.enabled)
     nominal = baseline(config, ring, lambda line: say_and_log(say, line))
     check_policy(nominal, config)
-    first = keeper.first(nominal, access.movable, access.own is not None, asked)
+    first = told(keeper.first(nominal, access.movable, access.own is not None, asked), rf)
     measured = nominal.response if config.ring.response is not None else None
     lost = "" if measured is None else unstable_on(first, measured)
     if lost and start is LoopState.CLOSED:

@@ -20,7 +20,8 @@ Source: Åström and Wittenmark, Adaptive Control, ch. 7 (cautious control); de 
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.estimation.recursive.estimate import Innovation, RecursiveResponse
+from orbitfb.estimation.recursive.estimate import RecursiveResponse
+from orbitfb.estimation.recursive.said import Innovation
 from orbitfb.estimation.recursive.settings import CautionSettings
 
 _FIRST_ROUNDS = 3

@@ -28,13 +28,13 @@ of Recursive Identification (1983), ch. 3.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.estimation.columns import check_first
-from orbitfb.estimation.recursive.group import make_groups
+from orbitfb.estimation.columns import Columns, KnownRf
+from orbitfb.estimation.recursive.group import make_groups, step_variances
+from orbitfb.estimation.recursive.said import Filtered, Innovation
 from orbitfb.estimation.recursive.settings import RecursiveSettings
 
 _DIFFUSE = 1e8
@@ -47,43 +47,15 @@ _WIDEST = 4.0**4
 never end, not R but the noise is another one."""
 
 
-@dataclass(frozen=True, slots=True)
-class Filtered:
-    """Where a reading says that the orbit is; R as it was known before.
-
-    Args:
-        expected: The orbit at the next tick if nothing is changed, in modes, shape (n,) [m].
-        deviation: Its norm over what noise alone makes expect [1].
-    """
-
-    expected: Vector
-    deviation: float
-
-
-@dataclass(frozen=True, slots=True)
-class Innovation:
-    """What a reading said.
-
-    Args:
-        chi2: Mean squared innovation over its predicted variance; 1 when all is right.
-        doubt: What not knowing R adds to the variance of the innovation, over what that is when
-            R is known; mean over the modes [1].
-        kick: Whether the reading was taken for a kick, of which R learns nothing.
-    """
-
-    chi2: float
-    doubt: float
-    kick: bool
-
-
 class RecursiveResponse:
     """The running estimate of R and of the orbit.
 
     Args:
         response: R̂ to begin with, shape (n, m) [m/A, or m/rad where changes are kicks].
         settings: Noise, prior and drift, in the same units.
-        covariances: Covariance of a row of UᵀR in every group, each of shape (m, m); None: that of
-            the settings.
+        covariances: Covariance of a row of UᵀR in every group, each of shape (m, m), or of
+            (m + 1, m + 1) with the RF column; None: that of the settings.
+        rf: What is known of the RF, one more column of R; None: it does not step.
 
     Attributes:
         modes: U, the left singular vectors of the first R̂, shape (n, n).
@@ -99,18 +71,19 @@ class RecursiveResponse:
         response: Vector,
         settings: RecursiveSettings,
         covariances: Sequence[Vector] | None = None,
+        rf: KnownRf | None = None,
     ) -> None:
-        check_first(response)
+        self._columns = columns = Columns(response, rf)
         self.settings = settings
-        n, m = response.shape
-        self.modes = np.linalg.svd(response)[0]
-        rows = self.modes.T @ response
+        n, self._size = response.shape
+        self.modes, whole = np.linalg.svd(response)[0], columns.whole(response)
+        rows = self.modes.T @ whole
         self._noise = settings.reading_noise**2
-        self._steps = _steps(rows, settings)
-        self.groups, self._drift = make_groups(rows, response, self._steps, settings)
+        self._steps = step_variances(rows[:, : self._size], settings)
+        self.groups, self._drift = make_groups(rows, columns, whole, self._steps, settings)
         for group, covariance in zip(self.groups, covariances or (), strict=False):
-            group.covariance[:m, :m] = covariance
-        self._size = m
+            known = slice(min(len(covariance), columns.actuators))
+            group.covariance[known, known] = covariance[known, known]
         self._widest = [_WIDEST * float(np.trace(group.covariance)) for group in self.groups]
         self._regressor = np.ones(len(self._drift))
         self._orbit = np.zeros(n)
@@ -134,7 +107,15 @@ class RecursiveResponse:
         """The creep b̂ in every mode, shape (n,) [m/tick]."""
         if self.settings.creep == 0.0:
             return np.zeros(len(self._orbit))
-        return np.concatenate([group.rows[self._size] for group in self.groups])
+        return np.concatenate([group.rows[-1] for group in self.groups])
+
+    @property
+    def column(self) -> Vector | None:
+        """The RF column as it stands, shape (n,) [m/Hz]; None: the RF does not step."""
+        if self._columns.rf is None:
+            return None
+        rows = np.concatenate([group.rows[self._size] for group in self.groups])
+        return self.modes @ rows / self._columns.unit
 
     @property
     def orbit(self) -> Vector:
@@ -144,8 +125,13 @@ class RecursiveResponse:
     @property
     def covariances(self) -> tuple[Vector, ...]:
         """Covariance of a row of UᵀR in every group, copied, each of shape (m, m)."""
+        return tuple(part[: self._size, : self._size] for part in self.whole_covariances)
+
+    @property
+    def whole_covariances(self) -> tuple[Vector, ...]:
+        """The same with the RF column behind the correctors, if it is one."""
         self._add_drift()
-        return tuple(group.whole_covariance(self._size) for group in self.groups)
+        return tuple(group.whole_covariance(self._columns.actuators) for group in self.groups)
 
     @property
     def expected(self) -> Vector:
@@ -205,9 +191,16 @@ class RecursiveResponse:
         for group in self.groups:
             group.forget_orbit(variance)
 
-    def predict(self, change: Vector) -> None:
-        """Take in the change, shape (m,), that was made after the last reading."""
+    def predict(self, change: Vector, hertz: float = 0.0) -> None:
+        """Take in the change, shape (m,), that was made after the last reading.
+
+        Args:
+            change: Of the setpoints.
+            hertz: The step of the RF that went with it [Hz].
+        """
         self._regressor[: self._size] = change
+        if self._columns.rf is not None:
+            self._regressor[self._size] = hertz / self._columns.unit
         self._since_drift += 1
         if self._since_drift >= self.settings.drift_every:
             self._add_drift()
@@ -288,11 +281,3 @@ class RecursiveResponse:
                 size = len(group.drift)
                 group.covariance.ravel(order="K")[:: size + 1] += self._since_drift * group.drift
             self._since_drift = 0
-
-
-def _steps(rows: Vector, settings: RecursiveSettings) -> Vector:
-    """Variance of every mode's random step [m²]: ground as kicks make it, white, and a floor."""
-    power = np.sum(rows**2, axis=1)
-    gain = settings.minimum_gain
-    steps = settings.ground**2 * power / np.mean(power) + settings.white**2
-    return np.maximum(steps, gain**2 / (1.0 - gain) * settings.reading_noise**2)

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from orbitfb.core.signals import Vector
+from orbitfb.estimation.columns import Columns
 from orbitfb.estimation.recursive.settings import RecursiveSettings
 
 
@@ -98,7 +99,7 @@ class Group:
 
 
 def make_groups(
-    rows: Vector, response: Vector, steps: Vector, settings: RecursiveSettings
+    rows: Vector, columns: Columns, response: Vector, steps: Vector, settings: RecursiveSettings
 ) -> tuple[list[Group], Vector]:
     """Say of every group of modes what is known beforehand.
 
@@ -107,32 +108,33 @@ def make_groups(
     than that of a strong one.
 
     Args:
-        rows: UᵀR, modes from the strongest, shape (n, m).
-        response: R, shape (n, m).
+        rows: Uᵀ of the whole response, modes from the strongest, shape (n, actuators).
+        columns: The actuators, m of them correctors.
+        response: The whole response, shape (n, actuators).
         steps: Variance of the random step of every mode, shape (n,) [m²].
         settings: Prior and drift.
 
     Returns:
         The groups, and what a tick adds to the covariance of every one of them, shape (k, k).
     """
-    n, m = response.shape
+    n, count, m = len(rows), columns.actuators, columns.correctors
     creeping = int(settings.creep > 0.0)
-    power = np.sum(rows**2, axis=1)
-    relative = response.T @ response / n
+    power = np.sum(rows[:, :m] ** 2, axis=1)
 
-    def share(entry: float, gains: float) -> Vector:
-        return np.pad(entry**2 * np.eye(m) + gains**2 * relative, (0, creeping))
+    def share(entry: float, gains: float, rf: float) -> Vector:
+        return np.pad(columns.prior(response, entry, gains, rf), (0, creeping))
 
-    prior = share(settings.prior_entry, settings.prior_relative)
+    prior = share(settings.prior_entry, settings.prior_relative, settings.rf_error)
     groups: list[Group] = []
     for part in _cut(power, settings.groups):
         strength = float(np.mean(power[part])) / n
-        start, drift = prior.copy(), np.full(m, settings.drift_relative**2 * strength)
+        start, drift = prior.copy(), np.zeros(count)
         start.flat[: m * len(start) : len(start) + 1] += settings.prior_relative**2 * strength
+        drift[:m] = settings.drift_relative**2 * strength
         if creeping:
             creep = settings.creep**2 * _middle(power[part]) / float(np.mean(power))
             creep += settings.creep_white**2
-            start[m, m] = creep
+            start[count, count] = creep
             drift = np.append(drift, creep / settings.creep_memory)
         groups.append(
             Group(
@@ -144,7 +146,20 @@ def make_groups(
                 cross=np.zeros(len(start)),
             )
         )
-    return groups, np.asfortranarray(share(settings.drift_entry, settings.drift_relative))
+    return groups, np.asfortranarray(share(settings.drift_entry, settings.drift_relative, 0.0))
+
+
+def step_variances(rows: Vector, settings: RecursiveSettings) -> Vector:
+    """Variance of every mode's random step [m²]: ground as kicks make it, white, and a floor.
+
+    Args:
+        rows: UᵀR, shape (n, m).
+        settings: Of noise and ground.
+    """
+    power = np.sum(rows**2, axis=1)
+    gain = settings.minimum_gain
+    steps = settings.ground**2 * power / np.mean(power) + settings.white**2
+    return np.maximum(steps, gain**2 / (1.0 - gain) * settings.reading_noise**2)
 
 
 def _middle(values: Vector) -> float:

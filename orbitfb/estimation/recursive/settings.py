@@ -30,6 +30,11 @@ class RecursiveSettings(Settings):
         ge=0.0,
         description="Errors of the gains of BPMs and correctors in the first R̂, rms [1].",
     )
+    rf_error: float = Field(
+        default=0.2,
+        gt=0.0,
+        description="Error of the RF column as it is told, relative to its rms, rms [1].",
+    )
     drift_entry: float = Field(
         default=1e-3, ge=0.0, description="Drift of an element of R in √tick, rms [R]."
     )

@@ -81,6 +81,14 @@ BEAM = (
     ),
     Metric("orbitfb_rf_steps_total", "counter", "", (), "Steps of the RF frequency by the loop."),
     Metric(
+        "orbitfb_rf_column_ratio",
+        "gauge",
+        "ratio",
+        (),
+        "RF column in use over that of the places table; what the last refit found are its figures "
+        "`rf_ratio`, `rf_ratio_low` and `rf_ratio_high`.",
+    ),
+    Metric(
         "orbitfb_corrector_energy_ratio",
         "gauge",
         "ratio",

@@ -105,6 +105,7 @@ def _beam(snapshot: LoopSnapshot, beside: Beside) -> Samples:
         "orbitfb_rf_frequency_hertz": _one(slow.get("rf_frequency", math.nan)),
         "orbitfb_rf_follows": _one(float(rf.following)),
         "orbitfb_rf_steps_total": _one(rf.steps),
+        "orbitfb_rf_column_ratio": _one(rf.ratio),
         "orbitfb_corrector_energy_ratio": _one(rf.energy),
     }
 

@@ -218,7 +218,9 @@ function loop(its) {
   say("period", `${quantity(its.period_ms, "ms")}, jitter ${quantity(its.jitter_ms, "ms")}`);
   const rf = its.rf;
   const energy = rf.energy_ppm === null ? "" : `, energy of the correctors ${rf.energy_ppm.toFixed(1)} ppm`;
-  say("rf", rf.follows ? `follows, ${rf.steps} steps${energy}` : `not adjusted: ${rf.reason}`);
+  const [ratio, low, high] = (rf.found || []).map((value) => value.toFixed(3));
+  const found = rf.found ? `, column found ${ratio} [${low}, ${high}] of the one told` : "";
+  say("rf", (rf.follows ? `follows, ${rf.steps} steps${energy}` : `not adjusted: ${rf.reason}`) + found);
   say("latency", `p50 ${quantity(its.latency50_ms, "ms")}, p99 ${quantity(its.latency99_ms, "ms")}`);
   say("service", `orbitfb ${its.version}, since ${moment(its.started, its.time)}`);
 }

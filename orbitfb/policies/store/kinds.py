@@ -168,8 +168,10 @@ def _modal(tensors: Tensors, settings: ModalSettings, name: str) -> ModalPolicy:
 
 def _adaptive_tensors(policy: AdaptivePolicy) -> dict[str, NDArray[Any] | None]:
     known = policy.known  # once, for it may learn meanwhile
+    size = known.response.shape[1]
     parts = known.covariances
-    return {"response": known.response, "covariances": None if parts is None else np.stack(parts)}
+    whole = None if parts is None else np.stack([part[:size, :size] for part in parts])
+    return {"response": known.response, "covariances": whole}
 
 
 def _adaptive(tensors: Tensors, settings: AdaptiveSettings, name: str) -> AdaptivePolicy:

@@ -182,7 +182,8 @@ def test_refit_report_and_its_figures(tables):
     assert set(tables["Refit report"]["key"]) == set(asdict(made))
     assert set(tables["Refit report"]["key"]) == {field.name for field in fields(RefitReport)}
     of_several = {"gain_low", "gain_high"}  # there if more than one response was drawn
-    assert set(tables["Judged figures"]["figure"]) == set(made.figures) | of_several
+    of_rf = {"rf_ratio", "rf_ratio_low", "rf_ratio_high", "rf_steps"}  # if the RF is stepped
+    assert set(tables["Judged figures"]["figure"]) == set(made.figures) | of_several | of_rf
 
 
 def test_table_of_places(tables):

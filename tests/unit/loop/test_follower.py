@@ -10,6 +10,7 @@ from orbitfb.core.errors import RingError, WriteError
 from orbitfb.core.signals import LoopState
 from orbitfb.effects.build import plant_with
 from orbitfb.effects.settings import EffectSettings
+from orbitfb.estimation.columns import KnownRf
 from orbitfb.loop.frequency import Follower
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
@@ -19,6 +20,7 @@ from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import PlantSettings
 from orbitfb.physics.plant_machine import PlantMachine
 from orbitfb.physics.response import response
+from orbitfb.policies.rf_known import with_rf
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 from orbitfb.safety.frequency import RfSettings
 from orbitfb.safety.interlocks import InterlockSettings
@@ -34,7 +36,7 @@ M = RESPONSE.shape[1]
 class Bench:
     """A closed loop under an energy ramp, on virtual time."""
 
-    def __init__(self, model=MODEL, settings=None, follows=True, period=0.1) -> None:
+    def __init__(self, model=MODEL, settings=None, follows=True, period=0.1, rf=None) -> None:
         ramp = EffectSettings.model_validate({"id": "energy-ramp", "values": {"rate": RATE}})
         plant = plant_with(RING, "x", PlantSettings(initial_orbit_rms=0.0), 1, (ramp,), period)
         clock, self.period = ManualClock(), period
@@ -44,7 +46,7 @@ class Bench:
         self.follower = Follower(self.oscillator, model, its, NOISE, 1.0) if follows else None
         self.runner = Runner(
             self.machine,
-            PolicySlot(SvdPolicy(RESPONSE, SvdSettings())),
+            PolicySlot(with_rf(SvdPolicy(RESPONSE, SvdSettings()), rf)),
             LoopSettings(rate_hz=1.0 / period),
             LimitSettings(),
             InterlockSettings(answer_question=0.0),  # whose questions are drawn without a seed
@@ -184,6 +186,60 @@ def test_rows_in_which_somebody_else_moved_the_frequency_do_not_teach():
     bench.run(50)
     rows = select_rows(history.snapshot(), 1e-3, with_rf=True)
     assert rows.left_out == {"foreign_rf": 1}
+
+
+def known(size: float) -> KnownRf:
+    return KnownRf(size * MODEL.response, MODEL.energy / MODEL.per_hertz, identified=True)
+
+
+def test_what_goes_with_a_step_is_by_the_column_of_the_policy_in_force():
+    table, learnt = Bench(), Bench(rf=known(1.2))
+    for bench in (table, learnt):
+        bench.run(60)
+    assert table.follower.sight.ratio == 1.0
+    assert learnt.follower.sight.ratio == pytest.approx(1.2)
+    mine, theirs = (its.follower._pattern[2] for its in (learnt, table))
+    np.testing.assert_allclose(mine.change, 1.2 * theirs.change)
+    learnt.run(300)
+    assert learnt.follower.sight.following
+    assert np.abs(learnt.energies).max() < 5e-6
+
+
+@pytest.mark.parametrize("size", [-1.0, 0.3, 1.7])
+def test_a_policy_whose_column_the_table_contradicts_is_not_followed(size):
+    bench = Bench(rf=known(size))
+    start = bench.oscillator.frequency
+    bench.run(100)
+    assert "the RF column of the policy in force is not used" in bench.follower.sight.reason
+    assert bench.oscillator.frequency == start
+
+
+def test_a_law_that_learns_the_rf_is_told_of_steps_and_any_other_one_is_not():
+    heard: dict[str, list] = {"rf": [], "deaf": []}
+
+    class Pupil(SvdPolicy):
+        learns_rf = False
+
+        def inform(self, error, valid, applied, state, **more):
+            heard["rf" if self.learns_rf else "deaf"].append((applied, more))
+            return state
+
+    class Wise(Pupil):
+        learns_rf = True
+
+    for kind in (Pupil, Wise):
+        bench = Bench()
+        bench.runner._engine._guard._slot.swap(kind(RESPONSE, SvdSettings()))
+        bench.run(200)
+        told = heard["rf" if kind is Wise else "deaf"][:-1]  # of the last one nothing is seen yet
+        steps = np.array(bench.steps)[-len(told) :]
+        assert np.count_nonzero(steps) > 3
+        hertz = np.array([more.get("hertz", 0.0) for _, more in told])
+        np.testing.assert_array_equal(hertz, steps if kind is Wise else 0.0 * steps)
+        moved = np.array([MODEL.energy @ applied for applied, _ in told])[steps != 0.0]
+        undone = -MODEL.per_hertz * steps[steps != 0.0]
+        share = float(undone @ moved / (undone @ undone))
+        assert share > 1.0 if kind is Wise else abs(share) < 0.3
 
 
 def test_correctors_that_move_undo_the_dispersion_orbit():

@@ -64,7 +64,7 @@ def everything_beside():
         period=0.1,
         noise=1e-7,
         most_invalid=9,
-        rf=lambda: Sight(True, "", 5e8, 1e-6, 3, 0.2),
+        rf=lambda: Sight(True, "", 5e8, 1e-6, 3, 0.2, 1.08),
     )
 
 
