@@ -4,13 +4,15 @@ A step h of the RF frequency that goes with a change a moves the orbit by R a + 
 more column of R and h one more regressor, and R̂ and d̂ are one posterior. d begins as the
 dispersion of the places table tells it, with an error that is stated (`rf_error`).
 
-A table may be wrong in all places alike (momentum compaction, energy), or place by place:
+A table may be wrong in all places alike (momentum compaction, energy), or place by place. Rows of
+UᵀR are independent in the regression, so that it knows of the second alone. With β an error that
+all rows share, of the columns V (that of the RF, and the part of R that goes with the energy), the
+prior mean of row i is μ_i + d_i V β. From the prior covariance P of a row and its posterior m_i, C
+around μ_i follows, β normal around 0 with the stated error as well,
 
-    d_i = κ d0_i + e_i,   κ normal around 1, e_i normal around 0, either with the stated error.
+    pull  Σ_i d_i Vᵀ P⁻¹ (m_i − μ_i),   information  Σ_i d_i² Vᵀ P⁻¹ (P − C) P⁻¹ V,
 
-Rows of UᵀR are independent in the regression, so that it knows of e alone. What the data say of
-d_i is the posterior over its prior, a normal density; the κ that all rows share follows from these
-in closed form, and d̂ from both.
+and the rows move by C P⁻¹ V β d_i.
 
 Source: the normal hierarchical model, e.g. Gelman et al., Bayesian Data Analysis (2013), ch. 5.
 """
@@ -63,59 +65,66 @@ class RfColumn:
         )
 
 
-def find_column(
-    told: KnownRf,
-    modes: Vector,
-    begun: Vector,
-    before: float,
-    moved: float,
-    mean: Vector,
-    covariances: Vector,
-    levels: Indices,
-    unit: float,
-    error: float,
-) -> RfColumn:
-    """Find the column and its ratio to the one told.
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """Rows of the regression, of k coefficients: m correctors, the RF, the creep.
 
     Args:
-        told: What the places table says; its column is d0.
-        modes: U, shape (n, n).
-        begun: Mean of Uᵀd in the regression before there are rows, shape (n,) [m per unit].
-        before: Its variance [m² per unit²].
-        moved: What d has moved by since the rows that count, in the covariances [m² per unit²].
-        mean: The same when all rows are in, shape (n,).
-        covariances: Of a row of UᵀR and of d behind it, by level, shape (G, m + 1, m + 1).
+        begun: Their mean before there was anything to learn from, shape (n, k).
+        prior: Their covariance without anything to learn from, shape (k, k).
+        rows: Their mean now, shape (n, k).
+        covariances: Their covariance now, by level, shape (G, k, k).
+        moved: The part of it that R has moved by since the rows that count, shape (k, k).
         levels: Level of every mode, shape (n,).
-        unit: Of a step in the regression [Hz].
-        error: Stated error of the column told, relative to its rms [1].
     """
-    m = covariances.shape[1] - 1
-    variance = covariances[levels, m, m] - moved
-    known = np.maximum(1.0 / variance - 1.0 / before, 0.0)
-    pull = mean / variance - begun / before
+
+    begun: Vector
+    prior: Vector
+    rows: Vector
+    covariances: Vector
+    moved: Vector
+    levels: Indices
+
+
+def find_column(
+    told: KnownRf, modes: Vector, its: Belief, unit: float, error: float
+) -> tuple[Vector, RfColumn]:
+    """Find what all rows share, and with it the rows and the RF column.
+
+    Args:
+        told: What the places table says.
+        modes: U, shape (n, n).
+        its: What is known row by row.
+        unit: Of a step of the RF in the regression [Hz].
+        error: Stated error of the column told, relative to its rms [1].
+
+    Returns:
+        The rows, shape (n, k), and the column.
+    """
+    m, levels = len(told.energy), its.levels
     own = unit * (modes.T @ told.response)
-    local = error**2 * float(np.mean(own**2))
-    seen = 1.0 / (1.0 + known * local)
-    precision = 1.0 / error**2 + float(np.sum(own**2 * known * seen))
-    share = (1.0 / error**2 + float(np.sum(own * pull * seen))) / precision
-    found = (share * own + local * pull) * seen
-    response = modes @ found / unit
-    across = covariances[:, :m, m]
-    slopes = np.linalg.solve(covariances[:, :m, :m], across[:, :, None])[:, :, 0] / unit
-    left = covariances[:, m, m] / unit**2 - np.sum(slopes * across, axis=1) / unit
-    return RfColumn(
+    known = its.covariances - its.moved
+    shared = np.zeros((len(its.prior), 2))
+    shared[:m, 0], shared[m, 1] = 2.0 * told.energy / unit, 1.0
+    weights = np.linalg.solve(its.prior, shared)
+    seen = weights.T @ (its.prior - known) @ weights
+    precision = np.eye(2) / error**2 + np.tensordot(own**2, seen[levels], axes=1)
+    beta = np.linalg.solve(precision, own @ (its.rows - its.begun) @ weights)
+    left = (known @ weights)[levels]
+    rows = its.rows + own[:, None] * (left @ beta)
+    response = modes @ rows[:, m] / unit
+    power = float(own @ own)
+    slope = own**2 @ left[:, m] / power
+    single = float(own**2 @ known[levels, m, m]) / power**2
+    drifted = its.moved[m, m] * len(own) / power
+    across = its.covariances[:, :m, m]
+    slopes = np.linalg.solve(its.covariances[:, :m, :m], across[:, :, None])[:, :, 0] / unit
+    spread = its.covariances[:, m, m] / unit**2 - np.sum(slopes * across, axis=1) / unit
+    return rows, RfColumn(
         told,
         response,
         ratio=float(response @ told.response) / float(told.response @ told.response),
-        sigma=_slope_sigma(own, seen, precision, local, moved),
+        sigma=float(np.sqrt(slope @ np.linalg.solve(precision, slope) + single + drifted)),
         slopes=np.asarray(slopes[levels], dtype=np.float64),
-        spread=np.sqrt(np.maximum(left, 0.0))[levels],
+        spread=np.sqrt(np.maximum(spread, 0.0))[levels],
     )
-
-
-def _slope_sigma(own: Vector, seen: Vector, precision: float, local: float, moved: float) -> float:
-    """Standard deviation of the slope of d on d0: of κ, place by place, and of what has moved."""
-    power = float(own @ own)
-    shared = float(np.sum(own**2 * seen)) / power / np.sqrt(precision)
-    single = float(np.sum(own**2 * local * seen)) / power**2
-    return float(np.sqrt(shared**2 + single + moved / power * len(own)))

@@ -26,6 +26,7 @@ from orbitfb.estimation.columns import KnownRf
 from orbitfb.estimation.statistics import LONGEST, StepPosterior
 from orbitfb.models.absorbed import Absorbed, total
 from orbitfb.models.belief import Likelihoods, make_beliefs
+from orbitfb.models.column import Belief
 from orbitfb.models.contrasts import Contrasts
 from orbitfb.models.filter import ground_ratio
 from orbitfb.models.linear import LinearModel
@@ -94,24 +95,21 @@ class Identifier:
     def model(self) -> LinearModel:
         """The estimate as it stands, copied."""
         posterior = self._latest or self._solve_latest()
+        belief, levels = self._beliefs[self._chosen], self._noise.levels.copy()
         rows = self._first + posterior.rows
+        prior, found, moved = belief.unseen, posterior.covariances, belief.moved
+        its = Belief(self._first, prior, rows, found, moved, levels)
+        rows, column = self._regressors.share(its, self._settings.rf_error)
         m = self._regressors.correctors
         return LinearModel(
             response=self._modes @ rows[:, :m],
             modes=self._modes,
-            levels=self._noise.levels.copy(),
+            levels=levels,
             covariances=posterior.covariances[:, :m, :m].copy(),
             reading_variance=self._noise.reading_variance,
             ground_variances=self._noise.ground_variances,
             creep=rows[:, -1].copy(),
-            rf=self._regressors.find_column(
-                self._first,
-                self._beliefs[self._chosen],
-                rows,
-                posterior.covariances,
-                self._noise.levels,
-                self._settings.rf_error,
-            ),
+            rf=column,
         )
 
     def absorb(
@@ -253,9 +251,9 @@ class Identifier:
             self._settings.kick_chi2,
         )
 
-    def _begin_tail(self) -> None:
+    def _begin_tail(self, before: Tail | None = None) -> None:
         """Begin a chunk."""
-        self._tail = Tail(self._first, self._regressors.energy)
+        self._tail = Tail(self._first, self._regressors.rf_place, before)
         self._sums: Sums | None = None
         self._latest: StepPosterior | None = None
         self._unsolved = 0
@@ -270,7 +268,7 @@ class Identifier:
         statistics, noise = self._tail.statistics(), self._noise
         for belief in self._beliefs:
             belief.close(statistics, noise.levels, noise.reading_variance)
-        self._begin_tail()
+        self._begin_tail(self._tail)
         self._solve()
 
     def _learn_noise(self) -> None:

@@ -4,9 +4,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.columns import Columns, KnownRf
-from orbitfb.estimation.transform import Indices
-from orbitfb.models.belief import Following, Keeping
-from orbitfb.models.column import RfColumn, find_column
+from orbitfb.models.column import Belief, RfColumn, find_column
 from orbitfb.models.rows import Rows
 
 
@@ -40,6 +38,11 @@ class Regressors(Columns):
         rows = self.modes.T @ self.whole(response, column)
         return np.column_stack([rows, np.zeros(len(rows))])
 
+    @property
+    def rf_place(self) -> int | None:
+        """Which regressor is the step of the RF; None: none is."""
+        return None if self.rf is None else self.correctors
+
     def of(self, rows: Rows) -> Vector:
         """Give the regressors of rows, shape (T, actuators + 1)."""
         columns = [rows.change]
@@ -48,37 +51,16 @@ class Regressors(Columns):
             columns.append(hertz[:, None] / self.unit)
         return np.column_stack([*columns, np.ones(len(rows))])
 
-    def find_column(
-        self,
-        begun: Vector,
-        belief: Keeping | Following,
-        rows: Vector,
-        covariances: Vector,
-        levels: Indices,
-        error: float,
-    ) -> RfColumn | None:
-        """Tell what is known of the RF column; None: there is none.
+    def share(self, its: Belief, error: float) -> tuple[Vector, RfColumn | None]:
+        """Find what the rows share, and the RF column; without the RF they share nothing.
 
         Args:
-            begun: Rows of the regression before there was anything to learn from, shape (n, k).
-            belief: About them.
-            rows: The same as they are known, shape (n, k).
-            covariances: By level, shape (G, k, k).
-            levels: Level of every mode, shape (n,).
+            its: What is known row by row.
             error: Stated error of the column told, relative to its rms [1].
+
+        Returns:
+            The rows, shape (n, k), and the column.
         """
         if self.rf is None:
-            return None
-        m, own = self.correctors, slice(self.actuators)
-        return find_column(
-            self.rf,
-            self.modes,
-            begun[:, m],
-            float(belief.unseen[m, m]),
-            float(belief.moved[m, m]),
-            rows[:, m],
-            covariances[:, own, own],
-            levels,
-            self.unit,
-            error,
-        )
+            return its.rows, None
+        return find_column(self.rf, self.modes, its, self.unit, error)

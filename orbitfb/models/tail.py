@@ -1,9 +1,9 @@
 """The newest rows, which are not yet taken in for good: one chunk that grows.
 
-Where the RF follows an energy that drifts, the drift moves the orbit at every tick as a step of
-the RF does. It is known: over a chunk it is minus what RF and correctors have changed of the
-energy, for the loop keeps the orbit. So the regressor of the RF is its step less that mean. In a
-chunk without a step nothing is taken off.
+While the RF follows an energy that drifts, the drift moves the orbit at every tick as a step of
+the RF does, and nobody knows how fast it is. So in a chunk in which the RF stepped, and in the one
+after it, the means are taken off changes, steps and differences: what is the same at every tick
+tells nothing there. Other chunks are left as they are.
 """
 
 import numpy as np
@@ -17,15 +17,16 @@ class Tail:
 
     Args:
         first: What is taken off the differences, shape (n, k): R̂₀ in modes and the creep.
-        energy: What the correctors' changes do to the energy in units of the RF's regressor, which
-            follows them, shape (m,); None: there is none.
+        rf: Which regressor is the step of the RF; None: none is.
+        before: The chunk before; None: there was none.
 
     Attributes:
         spectrum: Of all its rows; None while there is none.
     """
 
-    def __init__(self, first: Vector, energy: Vector | None = None) -> None:
-        self._first, self._energy = first, energy
+    def __init__(self, first: Vector, rf: int | None = None, before: "Tail | None" = None) -> None:
+        self._first, self._rf = first, rf
+        self._follows = before is not None and before.stepped
         modes, coefficients = first.shape
         self._changes = np.zeros((0, coefficients))
         self._differences = np.zeros((0, modes))
@@ -34,6 +35,11 @@ class Tail:
 
     def __len__(self) -> int:
         return len(self._changes)
+
+    @property
+    def stepped(self) -> bool:
+        """Whether the RF stepped in it."""
+        return self._rf is not None and bool(self._changes[:, self._rf].any())
 
     def push(self, changes: Vector, differences: Vector, starts: Mask) -> None:
         """Add rows.
@@ -46,8 +52,12 @@ class Tail:
         self._changes = np.concatenate([self._changes, changes])
         self._differences = np.concatenate([self._differences, differences])
         self._starts = np.concatenate([self._starts, starts])
-        regressors = self._with_drift()
-        left = self._differences - regressors @ self._first.T
+        regressors, left = self._changes, self._differences
+        if self._follows or self.stepped:
+            mean = np.mean(regressors, axis=0)
+            mean[-1] = 0.0  # the creep stays
+            regressors, left = regressors - mean, left - np.mean(left, axis=0)
+        left = left - regressors @ self._first.T
         self.spectrum = StepSpectrum.of(regressors, left, self._starts)
 
     def statistics(self) -> StepStatistics:
@@ -56,12 +66,3 @@ class Tail:
         if self.spectrum is not None:
             statistics.take(self.spectrum)
         return statistics
-
-    def _with_drift(self) -> Vector:
-        """Add the drift of the energy to the steps of the RF, if there were any."""
-        regressors, energy = self._changes, self._energy
-        if energy is None or not regressors[:, len(energy)].any():
-            return regressors
-        found, m = regressors.copy(), len(energy)
-        found[:, m] -= np.mean(found[:, m] + found[:, :m] @ energy)
-        return found
