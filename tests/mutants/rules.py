@@ -400,4 +400,18 @@ MUTANTS = (
         "now - age, 0.0",
         ("epics/test_slow_channels.py",),
     ),
+    Mutant(
+        "a loop that has just closed waits where a BPM stands still, before it can ask",
+        "orbitfb.safety.answers.owing",
+        "return self._stands_still(self.owed, reach)",
+        "return False",
+        ("loop/test_answering_loop.py",),
+    ),
+    Mutant(
+        "a loop that has just closed does not wait for BPMs that follow",
+        "orbitfb.safety.answers.owing",
+        "(went < NEAR * due)",
+        "(went < 3.0 * due)",
+        ("loop/test_answering_loop.py",),
+    ),
 )

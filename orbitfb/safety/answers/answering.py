@@ -16,7 +16,17 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.values import replace
 from orbitfb.safety.answers.evidence import Test, ask_at_any, ask_devices, ask_ring
 from orbitfb.safety.answers.expectation import Expectation, Owed, shown
-from orbitfb.safety.answers.owing import HALF, LAGS, MOST, STAKE, Answering, Sent, Session, rms
+from orbitfb.safety.answers.owing import (
+    HALF,
+    LAGS,
+    MOST,
+    SETTLED,
+    STAKE,
+    Answering,
+    Sent,
+    Session,
+    rms,
+)
 from orbitfb.safety.answers.questions import Ring, Sight
 from orbitfb.safety.interlocks import InterlockSettings
 
@@ -34,9 +44,6 @@ half of it means that it answers, if by a part."""
 
 SUSPECT = 3.0
 """z from which a corrector is suspected: BPMs beside it seem silent too, so that they wait."""
-
-SETTLED = 20
-"""Orbits after which it is known what is usual."""
 
 PATIENCE = 300
 """Orbits of only asking after which no answer counts as none: a hundred times what a ring needs
@@ -144,9 +151,10 @@ def note(memory: Answering, sent: Sent) -> Answering:
         memory: What `look` returned.
         sent: What was sent.
     """
-    owed = memory.owed
+    owed, expected = memory.owed, memory.expected
     if owed is None:  # the loop has just closed
         owed = Owed.nothing(len(sent.moved), len(sent.change))
+        memory = replace(memory, start=None if expected is None else expected.before)
     owed = owed.add(sent.moved, sent.change)
     return replace(memory, owed=owed, sent=(sent, *memory.sent[:LAGS]))
 

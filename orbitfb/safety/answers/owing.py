@@ -9,7 +9,7 @@ from orbitfb.core.robust import median
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.values import replace
 from orbitfb.safety.answers.evidence import Test
-from orbitfb.safety.answers.expectation import Expectation, Owed
+from orbitfb.safety.answers.expectation import NEAR, Expectation, Owed
 from orbitfb.safety.answers.questions import Question, Ring
 from orbitfb.safety.interlocks import InterlockSettings
 
@@ -29,6 +29,9 @@ no say [1]: half as much again for the time that asking takes."""
 MOST = 2.0
 """Times `answer_reach` that one may owe before the loop waits for it alone [1]: what the BPMs
 beside one that has no say ask for moves the orbit there too, so that it goes on owing more."""
+
+SETTLED = 20
+"""Orbits after which it is known what is usual."""
 
 FEW = 0.05
 """Share of the devices that may have no say at once [1]: a cell of both kinds. If more owe as much
@@ -131,6 +134,7 @@ class Answering:
         left: BPMs that are left out as they do not answer, shape (n,); None: none.
         found: How often something was found not to answer.
         gap: Orbits that were missed before the next one.
+        start: The orbit on which the loop closed, shape (n,) [m]; None: not known.
         heard: Questions that may still be answered, and the sum of what was read since less what
             was read before, each of shape (n,) [m].
     """
@@ -145,6 +149,7 @@ class Answering:
     left: Mask | None = None
     found: int = 0
     gap: int = 0
+    start: Vector | None = None
     heard: tuple[tuple[Question, Vector], ...] = ()
 
     def hear(self, position: Vector) -> tuple["Answering", list[tuple[Question, Vector]]]:
@@ -203,15 +208,32 @@ class Answering:
         Args:
             owed: By all.
         """
+        return float(self._due(owed).max(initial=0.0))
+
+    def _due(self, owed: Owed) -> Vector:
+        """Give what each BPM owes whose answer is due, shape (n,) [m]."""
         due = owed.bpms - sum(item.moved for item in self.sent[: self.lag])
-        sizes = np.minimum(np.abs(owed.bpms), np.abs(due))  # what is not due may be paid
-        return float(sizes.max(initial=0.0))
+        return np.minimum(np.abs(owed.bpms), np.abs(due))  # what is not due may be paid
+
+    def _stands_still(self, owed: Owed, reach: float) -> bool:
+        """Say whether a BPM has hardly moved since the loop closed, of much that it was asked to.
+
+        Before it is known what is usual nobody is asked. A BPM that does not see the beam has the
+        loop move it there meanwhile, by one correction after the other.
+        """
+        expected, start = self.expected, self.start
+        if expected is None or start is None or expected.orbits >= SETTLED:
+            return False
+        due, went = self._due(owed), np.abs(expected.before - start)
+        return bool(((due > MOST * reach) & (went < NEAR * due)).any())
 
     def waits(self, settings: InterlockSettings) -> bool:
         """Say whether the loop only asks: the ring owes too much."""
         reach = settings.answer_reach
-        if reach is None or self.owed is None or self.session is None:
+        if reach is None or self.owed is None:
             return False
+        if self.session is None:
+            return self._stands_still(self.owed, reach)
         arrived = self.owed.ring.copy()
         for item in self.sent[: self.lag]:
             arrived -= item.moved

@@ -9,6 +9,7 @@ from lying import closed_loop
 from orbitfb.core.signals import LoopState
 from orbitfb.loop.inquiry import WAITS
 from orbitfb.physics.places import Ring
+from orbitfb.physics.plant import PlantSettings
 from orbitfb.safety.answers.expectation import Owed
 from orbitfb.safety.answers.owing import GRACE, Session
 
@@ -217,3 +218,31 @@ def test_devices_in_doubt_have_no_say(ring):
     assert np.abs(feedback).max() > 0
     moved = bench.machine.machine.plant.nominal_response @ feedback
     assert np.abs(moved).max() < 2e-6  # the BPM that is 50 µm off moves nothing
+
+
+def just_closed(ring, seed):
+    """A loop that has closed on an orbit 20 µm off and knows nothing of what is usual yet."""
+    plant = PlantSettings(initial_orbit_rms=FAR)
+    machine, runner, _, _ = closed_loop(ring, seed, plant)
+    while runner.state is not LoopState.CLOSED:
+        runner.step()
+    return machine, runner
+
+
+@pytest.mark.parametrize("pattern", [3e-6, 10e-6])
+def test_a_loop_that_has_just_closed_does_not_go_where_blind_bpms_lead(ring, pattern):
+    machine, runner = just_closed(ring, 1)
+    machine.blind[:], machine.pattern = True, pattern
+    worst = 0.0
+    for _ in range(60):
+        runner.step()
+        worst = max(worst, machine.machine.true_orbit_rms)
+    assert runner.state is LoopState.TRIPPED
+    assert worst < FAR + 2e-6
+
+
+def test_a_loop_that_has_just_closed_and_is_answered_corrects_at_once(ring):
+    machine, runner = just_closed(ring, 1)
+    for _ in range(10):
+        runner.step()
+    assert machine.machine.true_orbit_rms < 1e-6
