@@ -29,6 +29,9 @@ Stage = Literal["sensor", "actuator", "optics", "disturbance", "noise", "timing"
 Target = Literal["bpm", "corrector", "quadrupole", "sextupole", "source", "ring"]
 CALIBRATION_ERROR = 0.01
 """Scatter of the gains of healthy BPMs and correctors, as their makers state it."""
+HEALTHY_CHANGE = 0.03
+"""Error of a healthy ring's response, rms over its own [1]. By hand: two measured responses of one
+ring differ by 2 to 4 %."""
 
 Values = Mapping[str, float]
 """Values of the parameters by name, SI."""
@@ -181,6 +184,14 @@ class EffectKind(ABC):
     def fitted(self, record: Record) -> tuple[Parameter, ...]:
         """Parameters on which the record bears; the others keep the values they have."""
         return self.parameters
+
+    def set_by(self, values: Values, record: Record) -> tuple[Parameter, ...]:
+        """Parameters that values choose: an optional one at its nominal value is none of them."""
+        return tuple(
+            one
+            for one in self.fitted(record)
+            if not one.optional or values.get(one.name, one.nominal) != one.nominal
+        )
 
     def meaning(self, parameter: Parameter, value: float, record: Record) -> str:
         """Say in words what the value of a choice stands for; empty where it is none, or usual."""

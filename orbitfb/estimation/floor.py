@@ -73,13 +73,13 @@ def improve(
         iterations: How many.
         counts: What the prior is worth, in steps.
     """
-    walk, white = noise.walk, np.diag(noise.white).copy()
     for _ in range(iterations):
-        pull, expected, noisy, usual = weighed_sums(walk, white, moments)
-        walk = _nearer(walk, pull, expected, shape, counts)
-        white = white * np.sqrt(noisy / usual)
-        white = np.maximum(white, LEAST_VARIANCE * float(np.median(white)))
-    return StepNoise(walk, np.diag(white))
+        pull, expected, noisy, usual = weighed_sums(noise, moments)
+        walk = _nearer(noise.walk, pull, expected, shape, counts)
+        reading = noise.reading * np.sqrt(np.diag(noisy) / np.diag(usual))
+        reading = np.maximum(reading, LEAST_VARIANCE * float(np.median(reading)))
+        noise = noise.improved(walk, reading)
+    return noise
 
 
 def trusted(noise: StepNoise, halves: tuple[Moments, Moments], choices: Sequence[float]) -> float:

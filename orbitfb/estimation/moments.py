@@ -59,42 +59,48 @@ class Moments:
             count = np.array([float(len(rows)) for rows in parts])
             total = np.stack([spectrum[rows].T @ spectrum[rows] for rows in parts])
             total += more * (count / transform.count)[:, None, None]
-            level = [float(np.sum(transform.eigenvalue[rows])) for rows in parts]
-            found.append(cls(total, count, np.array(level) / np.maximum(count, 1.0)))
+            level = np.array([float(np.sum(transform.eigenvalue[rows])) for rows in parts])
+            usual = transform.band_levels()  # of a band of which it has no frequency
+            mean = np.where(count > 0.0, level / np.maximum(count, 1.0), usual)
+            found.append(cls(total, count, mean))
         return found[0], found[1]
 
     def log_density(self, noise: StepNoise) -> float:
         """Log density of the steps under a noise, but for a constant."""
         square = np.einsum("nm,bnk,km->bm", noise.modes, self.total, noise.modes, optimize=True)
-        variance = noise.ratio + self.eigenvalue[:, None]
+        variance = noise.variance_at(self.eigenvalue)
         by_band = self.count[:, None] * np.log(variance) + square / variance
         whitened = float(np.linalg.slogdet(noise.modes)[1])
         return float(np.sum(self.count)) * whitened - 0.5 * float(np.sum(by_band))
 
+    def more(self, noise: StepNoise, other: StepNoise) -> float:
+        """Log density under a noise beyond that under another."""
+        return self.log_density(noise) - self.log_density(other)
 
-def weighed_sums(
-    walk: Matrix, white: Vector, moments: Moments
-) -> tuple[Matrix, Matrix, Vector, Vector]:
-    """Σ Ω S Ω and Σ n Ω over bands, and the diagonals of both weighted by λ, Ω = (Q + λV)⁻¹.
+
+def weighed_sums(noise: StepNoise, moments: Moments) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """Σ r Ω S Ω and Σ n r Ω over bands, and both with λ for r, Ω = (r Q + λN)⁻¹; each (n, n).
 
     In the modes that part walk and noise Ω is diagonal, so that the bands are summed there.
     """
-    noise = StepNoise(walk, np.diag(white))
     modes = noise.modes
     single = modes.astype(np.float32)
     turned = single.T @ moments.total.astype(np.float32) @ single
-    pull, shaken = np.zeros_like(walk), np.zeros_like(walk)
-    expected, usual = np.zeros(len(walk)), np.zeros(len(walk))
-    for square, count, eigenvalue in zip(turned, moments.count, moments.eigenvalue, strict=True):
-        inverse = 1.0 / (noise.ratio + eigenvalue)
+    pull, shaken = np.zeros_like(noise.walk), np.zeros_like(noise.walk)
+    expected, usual = np.zeros(len(modes)), np.zeros(len(modes))
+    factors = noise.reddened(moments.eigenvalue)
+    for square, count, eigenvalue, factor in zip(
+        turned, moments.count, moments.eigenvalue, factors, strict=True
+    ):
+        inverse = 1.0 / (noise.ratio * factor + eigenvalue)
         seen = inverse[:, None] * square * inverse
-        pull += seen
+        pull += factor * seen
         shaken += eigenvalue * seen
-        expected += count * inverse
+        expected += count * factor * inverse
         usual += count * eigenvalue * inverse
     return (
         modes @ pull @ modes.T,
         (modes * expected) @ modes.T,
-        np.einsum("nm,mk,nk->n", modes, shaken, modes, optimize=True),
-        (modes**2) @ usual,
+        modes @ shaken @ modes.T,
+        (modes * usual) @ modes.T,
     )

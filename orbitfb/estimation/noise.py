@@ -1,6 +1,6 @@
 """Covariance of the steps of readings: a walk, and noise that comes and goes."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import eigh
@@ -15,15 +15,21 @@ class StepNoise:
     """Walk covariance Q and noise covariance N of n readings, and the modes that part them.
 
     W solves Wᵀ N W = 1, Wᵀ Q W = diag(q): in the modes z W the covariance of a step of frequency f
-    is diag(q + λ_f).
+    is diag(q + λ_f). The ground of a ring need not walk: where its spectrum is steeper, or flatter,
+    q is q λ_f^(−c/2), whose logarithm is on average that of q.
 
     Args:
         walk: Q, shape (n, n) [m²].
         white: N, shape (n, n) [m²], positive definite.
+        shaken: Part of N that is motion of the beam, new at every row, shape (n, n) [m²]; None:
+            there is none, and N is the noise of each reading alone.
+        colour: c; 0: a walk.
     """
 
     walk: Matrix
     white: Matrix
+    shaken: Matrix | None = None
+    colour: float = 0.0
     modes: Matrix = field(init=False)
     """W, shape (n, n) [1/m]."""
     ratio: Vector = field(init=False)
@@ -43,9 +49,32 @@ class StepNoise:
         object.__setattr__(self, "modes", modes)
         object.__setattr__(self, "log_white", float(np.linalg.slogdet(self.white)[1]))
 
+    @property
+    def reading(self) -> Vector:
+        """Variance of the noise of each reading alone, shape (n,) [m²]."""
+        white = np.diag(self.white)
+        return white.copy() if self.shaken is None else white - np.diag(self.shaken)
+
+    def improved(self, walk: Matrix, reading: Vector) -> "StepNoise":
+        """The same with another walk and other noise of the readings; what shakes stays."""
+        white = np.diag(reading)
+        return replace(self, walk=walk, white=white if self.shaken is None else white + self.shaken)
+
     def variance(self, transform: StepTransform) -> Matrix:
         """Variance q + λ of every mode at every frequency, shape (T, n)."""
-        return self.ratio + transform.eigenvalue[:, None]
+        return self.variance_at(transform.eigenvalue)
+
+    def variance_at(self, eigenvalue: Vector) -> Matrix:
+        """Variance of every mode at some λ, shape (F, n)."""
+        return np.outer(self.reddened(eigenvalue), self.ratio) + eigenvalue[:, None]
+
+    def reddened(self, eigenvalue: Vector) -> Vector:
+        """Factor of the walk at some λ, same shape."""
+        return (
+            np.asarray(eigenvalue ** (-0.5 * self.colour))
+            if self.colour
+            else np.ones_like(eigenvalue)
+        )
 
     def pull(self, spectrum: Matrix, transform: StepTransform) -> Matrix:
         """Ω_f z_f of a spectrum z, Ω = (Q + λN)⁻¹, shape (T, n) [1/m]."""

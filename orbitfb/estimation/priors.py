@@ -17,6 +17,10 @@ LARGEST = 36.0
 bodies of the default ring 2 %. Chosen by hand between ground, whose largest body has a few even
 shares, and a source at one place, which has nearly all; no command calibrates it yet."""
 
+COLOURS = (-1.0, -0.5, 0.5, 1.0, 1.5, 2.0)
+"""Colours c of a ground whose motion has a spectrum f^(−2−c) [1]: from one that springs back to one
+that drifts as smoothly as temperature does. A walk has 0."""
+
 GIRDER = 3.0
 """Distance over which magnets of one girder move together [m]."""
 
@@ -135,6 +139,15 @@ MISFIT = 0.004
 """Share of the best evidence by which the evidences of models that are all a little wrong may
 differ by chance [1]."""
 
+FIRST_ORDER = 0.02
+"""Relative error of what healthy errors do to a record, where the ring's places are known [1]: it
+is taken to be proportional to each of them, and they are errors of 1 to 2 %. Its square is the
+share of their evidence that other laws may find."""
+
+NEAREST = 0.05
+"""The same where they are not [1]: gradient errors then stand at the correctors and are seen by the
+nearest BPM, which leaves up to 5 % of what quadrupoles do to the response (`test_row_sums`)."""
+
 RIVAL = 0.02
 """Probability from which another effect is told as one that the record cannot exclude [1]."""
 
@@ -170,6 +183,10 @@ step of the grid; the value alone is then sought to FINENESS."""
 GRID_REACH = 2
 """Values of the grid on either side within which the best one is searched: the best one for one
 device at a grid's distance is the best one for all within two."""
+
+STOOD_IN = 0.1
+"""Share of the information on a law beyond the healthy errors of its devices up to which these
+stand in for it [1]: of every law it is near 1, or near 0 where its course is theirs."""
 
 ONSETS_EVERY = 10
 """Rows between the onsets that are tried first."""
@@ -259,8 +276,13 @@ KNOWN_TO = 1.0
 PROVED = 0.995
 """Of what repeats itself to the last bit [1]: one screen in two hundred had another reason."""
 
-MOST_REPEATS = 0.5
-"""Share of repeated orbits beyond which filling them in would be inventing a record [1]."""
+MOST_REPEATS = 0.75
+"""Share of readings that repeat beyond which filling them in would be inventing a record [1]:
+polled rings repeat 26 to 75 %."""
+
+DRAWN_AGAIN = 0.01
+"""Share of readings that were not read from which they are drawn anew when more is known [1]: a
+first draw misses the healthy errors, a few per cent of what the model moves, in these rows."""
 
 FOLLOWS = 0.98
 """Share of the variance of the requested changes that a linear law must explain [1]."""

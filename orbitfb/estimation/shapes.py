@@ -1,6 +1,6 @@
 """Shapes that the walk of an orbit may have, and how much of each is in it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -77,28 +77,67 @@ def fit_shapes(
     Returns:
         The noise, and the weights w, shape (F,).
     """
-    white = np.diag(noise.white).copy()
-    unit = shapes.seen(np.eye(len(white)))
+    reading = noise.reading
+    unit = shapes.seen(np.eye(len(reading)))
     if weights is None or not len(weights):
-        weights = _start(white, moments, shapes, unit)
+        weights = _start(noise, moments, shapes, unit)
     share = weights * unit
     weights = np.maximum(weights, _RESTART * share.sum() / len(shapes) / np.maximum(unit, 1e-300))
     for _ in range(rounds):
-        pull, expected, shaken, usual = weighed_sums(shapes.total(weights) + held, white, moments)
+        noise = noise.improved(shapes.total(weights) + held, reading)
+        pull, expected, noisy, usual = weighed_sums(noise, moments)
         usually = shapes.seen(expected)
         ratio = np.where(usually > 0.0, shapes.seen(pull) / np.maximum(usually, 1e-300), 0.0)
         most = LARGEST * float(np.sum(weights * unit)) / max(len(shapes), 1)
         weights = weights * np.maximum(ratio, 1e-3) ** _STRIDE
         single = slice(len(shapes.broad), None)
         weights[single] = np.minimum(weights[single], most / np.maximum(unit[single], 1e-300))
-        white = np.maximum(white * shaken / usual, LEAST_VARIANCE * float(np.median(white)))
+        reading = reading * np.diag(noisy) / np.diag(usual)
+        reading = np.maximum(reading, LEAST_VARIANCE * float(np.median(reading)))
         share = weights * unit / float(np.sum(weights * unit))
         if np.all(np.abs(ratio - 1.0)[share > 0.01] < 0.01):
             break
-    return StepNoise(shapes.total(weights) + held, np.diag(white)), weights
+    return noise.improved(shapes.total(weights) + held, reading), weights
 
 
-def _start(white: Vector, moments: Moments, shapes: Shapes, unit: Vector) -> Vector:
+def fit_shaken(
+    noise: StepNoise,
+    moments: Moments,
+    shapes: Shapes,
+    weights: Vector | None = None,
+    rounds: int = 10,
+) -> tuple[StepNoise, Vector]:
+    """Fit motion that is new at every row, a mixture of shapes, beside a walk that stays.
+
+    As `fit_shapes`: vibration and ripple faster than the record come down on every frequency alike.
+
+    Args:
+        noise: To begin with; what it says of such motion is forgotten.
+        moments: Of what no model explains.
+        shapes: Of the motion.
+        weights: To begin with; None: the motion is as large as the noise of the readings.
+        rounds: How many.
+
+    Returns:
+        The noise, and the weights, shape (F,).
+    """
+    reading = noise.reading
+    unit = np.maximum(shapes.seen(np.eye(len(reading))), 1e-300)
+    if weights is None:
+        weights = float(np.sum(reading)) / len(shapes) / unit
+    found = noise
+    for _ in range(rounds):
+        shaken = shapes.total(weights)
+        found = replace(noise, white=np.diag(reading) + shaken, shaken=shaken)
+        _, _, noisy, usual = weighed_sums(found, moments)
+        ratio = shapes.seen(noisy) / np.maximum(shapes.seen(usual), 1e-300)
+        weights = weights * ratio**_STRIDE
+        reading = reading * np.diag(noisy) / np.diag(usual)
+        reading = np.maximum(reading, LEAST_VARIANCE * float(np.median(reading)))
+    return found, weights
+
+
+def _start(noise: StepNoise, moments: Moments, shapes: Shapes, unit: Vector) -> Vector:
     """Weights of shapes, each a share of the level at which all together are most likely.
 
     All single patterns together begin with the share of one broad shape.
@@ -107,13 +146,15 @@ def _start(white: Vector, moments: Moments, shapes: Shapes, unit: Vector) -> Vec
     share = np.concatenate(
         [np.ones(len(shapes.broad)), np.full(len(unit) - len(shapes.broad), 1.0 / several)]
     )
+    white = noise.reading
     share = share / share.sum() * len(white) / np.maximum(unit, 1e-300)
-    mixed = StepNoise(shapes.total(share * float(np.mean(white))), np.diag(white))
+    mixed = noise.improved(shapes.total(share * float(np.mean(white))), white)
     square = np.einsum("nm,bnk,km->bm", mixed.modes, moments.total, mixed.modes, optimize=True)
     levels = np.geomspace(1e-6, 1e3, 60)
     count, eigenvalue = moments.count[:, None], moments.eigenvalue[:, None]
+    ratio = mixed.variance_at(moments.eigenvalue) - eigenvalue
     worth = [
         float(np.sum(-0.5 * count * np.log(v) - 0.5 * square / v))
-        for v in (level * mixed.ratio + eigenvalue for level in levels)
+        for v in (level * ratio + eigenvalue for level in levels)
     ]
     return share * float(np.mean(white)) * levels[int(np.argmax(worth))]

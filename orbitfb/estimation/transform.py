@@ -128,6 +128,19 @@ class StepTransform:
             turned[part] = np.asarray(dst(steps[part], type=1, axis=0, norm="ortho"))
         return turned
 
+    def at_rows(self, weights: Vector) -> Vector:
+        """Weight of a step at every row, from those of the frequencies, shape (T,) both.
+
+        With S the transform it is the diagonal of S diag(w) S.
+        """
+        found = np.empty_like(weights)
+        for part in self.pieces:
+            own = weights[part]
+            cosine = np.fft.rfft(np.concatenate([[0.0], own]))
+            found[part] = own.sum() - _mirrored(cosine.real, len(own))
+            found[part] /= len(own) + 1
+        return found
+
     def summed(self, spectrum: Matrix) -> Matrix:
         """Courses of which a spectrum is that of the steps, zero where a stretch begins, (N, k)."""
         steps = self.turn(spectrum)
@@ -148,6 +161,12 @@ class StepTransform:
     def spectrum(self, courses: Matrix) -> Matrix:
         """Transformed steps of courses, shape (T, k) of (N, k)."""
         return self.turn(self.steps(courses))
+
+
+def _mirrored(half: Vector, count: int) -> Vector:
+    """Values 1 to `count` of a real transform of length count + 1, of which a half is given."""
+    number = np.arange(1, count + 1)
+    return half[np.minimum(number, count + 1 - number)]
 
 
 def _fast(count: int) -> int:

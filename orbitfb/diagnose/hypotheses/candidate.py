@@ -104,6 +104,8 @@ class Candidate:
             for column, variance in self.columns.items():
                 single[column] = variance
             space = replace(space, single=single)
+        if spread and field is not None and undo is None:
+            space = self._driven(space)
         columns = [
             column
             for one in (self.sources if spread else ())
@@ -113,6 +115,18 @@ class Candidate:
         if columns:
             space = space.beside(self.kind, self.sources[0].law, *joined(columns), VALUE_SCATTER)
         return space.with_floor()
+
+    def _driven(self, space: Workspace) -> Workspace:
+        """Let the healthy errors follow the currents that its correctors have."""
+        signals = space.signals
+        response = signals.record.layout.response
+        currents = signals.currents.copy()
+        for one in self.sources:
+            if one.law.patterns[0] is response:
+                chosen = list(one.places) if one.places else slice(None)
+                currents[:, chosen] += one.of(signals, one.values)[0] * one.size
+        moved = not np.array_equal(currents, signals.currents)
+        return space.driven(currents) if moved else space
 
     def _undo(self) -> "Callable[[Workspace], tuple[Matrix, float]] | None":
         """How its sources are undone in the readings; None: they are not."""

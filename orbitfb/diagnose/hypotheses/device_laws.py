@@ -12,6 +12,8 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.ranking import (
     Ranked,
     any_size_at,
+    cost_of,
+    scales,
     within,
     worths_of,
 )
@@ -27,7 +29,6 @@ from orbitfb.estimation.priors import (
     GRID_REACH,
     ROUGHNESS,
     SIZE_WIDTH,
-    VALUE_COST,
 )
 from orbitfb.estimation.transform import Matrix
 
@@ -55,17 +56,22 @@ def scan_devices(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked)
         The best candidates of all devices and of some of them.
     """
     usual = scorer.is_usual(kind)
-    cost = VALUE_COST * len(kind.parameters)
     every: list[_Found] = []
     some: list[_Found] = []
     for values in rank.promising:
         for found in _sets(kind, law, scorer, values):
             (some if found.places else every).append(found)
     candidates = []
-    for found in (every, some):
-        top = max(found, key=lambda one: one.evidence, default=None)
+    tops = [max(found, key=lambda one: one.evidence, default=None) for found in (every, some)]
+    if some and not scales(kind):  # errors of its neighbours hide that a single one is enough
+        worth = rank.alone[: len(rank.grid)]
+        number, device = map(int, np.unravel_index(int(np.argmax(worth)), worth.shape))
+        alone = _Found(float(worth[number, device]), (device,), rank.grid[number], False)
+        tops.append(alone if tops[1] is None or tops[1].places != alone.places else None)
+    for top in tops:
         if top is not None and top.evidence > 0.0 and not usual:
             names = tuple(law.names[place] for place in top.places)
+            cost = cost_of(kind, top.values, scorer)
             candidates.append(
                 Candidate(
                     kind, top.places, names, top.values, top.evidence - cost,

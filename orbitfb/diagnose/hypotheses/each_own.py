@@ -7,10 +7,11 @@ import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import field_of
-from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, within
+from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, cost_of, scales, within
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import grown_apart
+from orbitfb.diagnose.likelihood.seen import semidefinite
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalTerms, given_size
@@ -81,11 +82,11 @@ def _every(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> It
     for values in rank.promising or rank.grid[-1:]:
         spectra = scorer.space.courses.spectra(law, values)
         pull, information = scorer.score(law.patterns, spectra)
-        information = scorer.marginal(kind, law.patterns, spectra, information)
+        information = semidefinite(scorer.marginal(kind, law.patterns, spectra, information))
         terms = [NormalTerms(pull, information, np.full(devices, width**2)) for width in SCATTERED]
         found += [(one.evidence(), values, one) for one in terms]
     gain, values, terms = max(found, key=lambda one: one[0])
-    cost = VALUE_COST * len(kind.fitted(scorer.space.signals.record))
+    cost = cost_of(kind, values, scorer)
     if gain - cost <= 0.0:
         return
 

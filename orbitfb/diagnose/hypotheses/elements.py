@@ -18,7 +18,7 @@ from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.kinds import HEALTHY_CHANGE, EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, ElementsLaw, Signals
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.priors import FINALISTS, FREE_WIDTHS, MORE, VALUE_COST
@@ -35,13 +35,17 @@ def scan_elements(kind: EffectKind, law: ElementsLaw, scorer: Scorer) -> list[Ca
     if not first:
         return []
     apart = _Free.of(courses, *_of_ground(space))
-    found = [
-        replace(apart.told(int(place)), evidence=free.told(int(place), space).evidence)
-        for place in first
-    ]
-    found.sort(key=lambda one: -one.evidence)
+    response = space.signals.record.layout.response
+    model = response if law.rows else response.T
     choice = float(np.log(len(law.names))) + VALUE_COST
-    if found[0].evidence < choice:
+    found = []
+    for one in (free.told(int(place), space) for place in first):
+        # Beside a factor of all, which is a gain, and more than those of a healthy ring are.
+        odd = free.told(one.place, space, model[one.place])
+        if odd.evidence > choice and odd.share(law) > HEALTHY_CHANGE:
+            found.append(replace(apart.told(one.place), evidence=one.evidence))
+    found.sort(key=lambda one: -one.evidence)
+    if not found or found[0].evidence < choice:
         return []
     others = [one for one in found[1:] if one.evidence > choice + MORE]
     sets = [found[:1], [found[0], *others]] if others else [found[:1]]
@@ -63,6 +67,11 @@ class _Told:
     evidence: float
     cost: float
     errors: Vector
+
+    def share(self, law: ElementsLaw) -> float:
+        """Rms of the errors over that of the model's elements."""
+        rms = float(np.sqrt(np.mean(self.errors[law.there[self.place]] ** 2)))
+        return rms / max(float(law.scale[self.place]), 1e-300)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,12 +175,15 @@ class _Free:
             gain[devices] = _evidence((own @ axes) ** 2, levels, law.scale[devices])[0]
         return gain
 
-    def told(self, place: int, space: Workspace | None = None) -> _Told:
+    def told(
+        self, place: int, space: Workspace | None = None, beside: Vector | None = None
+    ) -> _Told:
         """Tell the elements of one device.
 
         Args:
             place: Its number.
             space: Whose healthy errors are marginalised; None: there are none.
+            beside: Elements of which any multiple is known to be wrong, shape (E,); None: none.
         """
         law = self.courses.law
         there = np.flatnonzero(law.there[place])
@@ -179,8 +191,14 @@ class _Free:
         if space is not None and len(space.priors.used):
             cross = self.courses.cross(space, place)[:, there]
             information = space.priors.beyond(information, cross)
+        own = self.pulls[place, there]
+        if beside is not None:
+            along = information @ beside[there]
+            length = max(float(beside[there] @ along), 1e-300)
+            own = own - along * (float(beside[there] @ own) / length)
+            information = information - np.outer(along, along) / length
         level, axes = np.linalg.eigh(information)
-        level, pull = np.maximum(level, 0.0), axes.T @ self.pulls[place, there]
+        level, pull = np.maximum(level, 0.0), axes.T @ own
         gain, width = _evidence(pull[None] ** 2, level[None], law.scale[[place]])
         variance = (float(width[0]) * law.scale[place]) ** 2
         mean = variance * pull / (1.0 + variance * level)
@@ -196,7 +214,7 @@ def _of_ground(space: Workspace) -> tuple[StepNoise, Matrix]:
     A floor that was estimated without a cause stands in for it at its device, and so do healthy
     errors: they would keep the errors small.
     """
-    noise = StepNoise(space.shape + space.held, space.noise.white)
+    noise = replace(space.noise, walk=space.shape + space.held)
     return noise, noise.pull(space.residual, space.transform)
 
 
@@ -278,7 +296,7 @@ def _source(kind: EffectKind, law: ElementsLaw, told: _Told) -> Course:
     """The course of one device, its errors as large as they were told."""
     size = kind.parameters[0].name
     there = law.there[told.place]
-    share = float(np.sqrt(np.mean(told.errors[there] ** 2)) / max(law.scale[told.place], 1e-300))
+    share = told.share(law)
     unit = told.errors / max(share, 1e-300)
 
     def course(values: Values, given: Signals) -> tuple[Matrix, ...]:

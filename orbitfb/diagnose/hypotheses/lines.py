@@ -105,8 +105,9 @@ def _gains(
         shaped: Whether the line has the ground's shape.
     """
     noise = scorer.space.noise
-    eigenvalue = (2.0 - 2.0 * np.cos(2.0 * np.pi * cycles))[:, None]
-    weight = 0.5 * len(scorer.rows.late) * eigenvalue / (noise.ratio + eigenvalue)
+    level = 2.0 - 2.0 * np.cos(2.0 * np.pi * cycles)
+    eigenvalue = level[:, None]
+    weight = 0.5 * len(scorer.rows.late) * eigenvalue / noise.variance_at(level)
     if shaped:
         return _by_variance(scorer, turned, cycles).max(axis=0)[:, None]
     information = weight @ ((patterns.T @ noise.modes) ** 2).T
@@ -118,8 +119,9 @@ def _gains(
 def _by_variance(scorer: Scorer, turned: Turned, cycles: Vector) -> Matrix:
     """Log evidence of a line of the ground's shape, of every variance and frequency, (V, F)."""
     noise = scorer.space.noise
-    eigenvalue = (2.0 - 2.0 * np.cos(2.0 * np.pi * cycles))[:, None]
-    weight = 0.5 * len(scorer.rows.late) * eigenvalue / (noise.ratio + eigenvalue)
+    level = 2.0 - 2.0 * np.cos(2.0 * np.pi * cycles)
+    eigenvalue = level[:, None]
+    weight = 0.5 * len(scorer.rows.late) * eigenvalue / noise.variance_at(level)
     along = turned @ (noise.white @ noise.modes)
     square = np.abs(along) ** 2 * eigenvalue / weight
     ground = noise.ratio / np.mean(noise.ratio)

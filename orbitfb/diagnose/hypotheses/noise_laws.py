@@ -135,7 +135,7 @@ def scan_colour(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candid
     noise = transform.turn(ReadingNoise.of(scorer).values)
     part = transform.eigenvalue > 0.3
     eigenvalue = transform.eigenvalue[part]
-    share = eigenvalue[:, None] / (space.noise.ratio + eigenvalue[:, None])
+    share = eigenvalue[:, None] / space.noise.variance_at(eigenvalue)
     power = noise[part] ** 2 / (share @ (space.noise.modes**2).T)
     flat = np.mean(power, axis=0)
     best: tuple[float, tuple[int, ...], float] = (-np.inf, (), 0.0)

@@ -15,21 +15,27 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of
 from orbitfb.diagnose.hypotheses.jumps import of_jumps
-from orbitfb.diagnose.hypotheses.ranking import Ranked, any_size, scales, sign, within, worths_of
+from orbitfb.diagnose.hypotheses.ranking import (
+    Ranked,
+    any_size,
+    cost_of,
+    sign,
+    within,
+    worths_of,
+)
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import best_set
 from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
-from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
+from orbitfb.estimation.evidence import NormalTerms, normal_size
 from orbitfb.estimation.priors import (
     ONSET_MARGIN,
     ONSET_SIGN,
     ONSETS_EVERY,
     SIZE_WIDTH,
     STANDING,
-    VALUE_COST,
 )
 from orbitfb.estimation.transform import Indices, Matrix
 
@@ -70,13 +76,14 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
         return []
     # Where nothing shows over the whole record a first kick may still tell, or the change of what
     # the healthy error of the same devices stands in for.
-    always = law.standing or (kind.linear is not None and scorer.is_usual(kind))
-    tried = rank.beginning or (list(rank.grid[:1]) if always else [])
+    tried = rank.beginning
+    if not tried and (law.standing or (kind.linear is not None and scorer.is_usual(kind))):
+        tried = list(rank.grid[:1])
     begun = [_begins(kind, law, scorer, values) for values in tried]
     best = max((one for one in begun if one), key=lambda one: one.evidence, default=None)
     if best is None or best.evidence <= 0.0:
         return []
-    cost = VALUE_COST * len(kind.parameters)
+    cost = cost_of(kind, best.values, scorer)
     if law.standing:
         return [_kicking(kind, law, scorer, best, cost)]
     return list(_from(kind, law, scorer, best, cost))
@@ -101,7 +108,7 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     kicks = _kicks(law, scorer, spectra) if law.standing else None
     if kicks is not None:
         shown = shown + np.maximum(kicks.max(axis=0) - np.log(len(kicks)), 0.0)
-    usual = scorer.is_usual(kind)
+    usual = scorer.is_usual(kind) or scorer.stood_in(kind, law, values)
     sets = _hopeful_sets(law, scorer, pull, spectra, every=usual)
     if usual:
         hopeful = np.arange(count)
@@ -123,15 +130,15 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     ]
     pulls = np.sum([pull for pull, _ in parts], axis=0)
     weights = np.sum([weight for _, weight in parts], axis=0)
-    worth = any_size if scales(kind) else given_size
-    gains = [worth(pulls, weights)]
+    # Of a law of one size, too: healthy errors stand in for a part of what is left of it.
+    gains = [any_size(pulls, weights)]
     if kicks is not None:
         gains[0] = gains[0] + np.maximum.reduceat(kicks[:, hopeful], onsets, axis=0)
     for its in sets:
         patterns = np.hstack([one[:, its] for one in law.patterns])
         own = np.hstack([one[:, its] for one in steps])
         weight = scorer.rows.together(patterns, own, onsets, *scorer.own_errors(kind, its))
-        gains.append(worth(pulls[:, np.searchsorted(hopeful, its)].sum(axis=1), weight)[:, None])
+        gains.append(any_size(pulls[:, np.searchsorted(hopeful, its)].sum(axis=1), weight)[:, None])
     gain = np.hstack(gains)
     outside = (onsets < ONSET_MARGIN) | (onsets > len(scorer.space.transform) - ONSET_MARGIN)
     gain[outside] = -np.inf
@@ -172,8 +179,9 @@ def _from(
     pull, information = scorer.score(law.patterns, spectra)
     information = scorer.marginal(kind, law.patterns, spectra, information)
     late = float(np.log(scorer.space.transform.rows))
-    for worth, free in worths_of(kind):
-        gain, places = best_set(pull, information, law.groups, worth, alone=not kind.collective)
+    for free in {free for _, free in worths_of(kind)}:
+        # Of any size, also where it has one: healthy errors stand in for a part of what is left.
+        gain, places = best_set(pull, information, law.groups, any_size, alone=not kind.collective)
         names = tuple(law.names[place] for place in places)
         yield Candidate(
             kind, places, names, values, gain - cost - late, onset=begin.row,
@@ -192,7 +200,6 @@ def _exactly(
     courses = law.course(values, scorer.space.signals)
     last = scorer.space.transform.rows - 2
     tried = np.arange(max(onset - 2 * ONSETS_EVERY, 1), min(onset + 2 * ONSETS_EVERY, last))
-    worth = any_size if free else given_size
     best: tuple[float, int, bool] = (-np.inf, onset, False)
     for kick in (False, True):
         pull, information = np.zeros(len(tried)), np.zeros(len(tried))
@@ -203,7 +210,7 @@ def _exactly(
                 begun = np.stack([_begun(own, int(row), kick) for row in tried], axis=1)
                 part, weight = scorer.rows.quick(pattern[:, device], begun, error)
                 pull, information = pull + part, information + weight
-        gain = worth(pull, information)
+        gain = any_size(pull, information)
         place = int(np.argmax(gain))
         best = max(best, (float(gain[place]), int(tried[place]), kick))
     _, row, kick = best

@@ -192,17 +192,18 @@ def _pursued(pull: Vector, weights: Vector, transform: StepTransform) -> tuple[f
         weights: Information of it at every frequency, shape (T,).
         transform: Of the record.
     """
-    own, cost = float(weights.mean()), float(np.log(len(pull)))
+    own, cost = transform.at_rows(weights), float(np.log(len(pull)))
     left, strokes = pull.copy(), np.zeros(len(pull))
     gains: list[float] = []
     while len(gains) < STROKES * len(pull):
-        row = int(np.argmax(np.abs(left)))
-        gain = 0.5 * left[row] ** 2 / own - cost - 0.5 * float(np.log(1.0 + left[row] ** 2 / own))
+        row = int(np.argmax(left**2 / own))
+        square = float(left[row] ** 2 / own[row])
+        gain = 0.5 * square - cost - 0.5 * float(np.log1p(square))
         if gain < MORE:
             break
         gains.append(gain)
         stroke = np.zeros((len(pull), 1))
-        stroke[row] = left[row] / own
+        stroke[row] = left[row] / own[row]
         strokes += stroke[:, 0]
         left = left - transform.turn(weights[:, None] * transform.turn(stroke))[:, 0]
     return sum(gains), strokes

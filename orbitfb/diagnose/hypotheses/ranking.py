@@ -11,7 +11,7 @@ from orbitfb.diagnose.hypotheses.sets import Worth
 from orbitfb.effects.kinds import EffectKind, OwnValues, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import best_size, given_size, normal_size
-from orbitfb.estimation.priors import HOPE, ONSET_SIGN, RANKED_VALUES, SIZE_WIDTH
+from orbitfb.estimation.priors import HOPE, ONSET_SIGN, RANKED_VALUES, SIZE_WIDTH, VALUE_COST
 from orbitfb.estimation.transform import Matrix
 
 
@@ -80,6 +80,11 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
     marks = (top, *together.T)
     best = {int(one) for mark in marks for one in np.argsort(-mark)[:RANKED_VALUES]}
     hopeful = np.max([top - HOPE, *together.T], axis=0) > 0.0
+    if kind.sudden and not scorer.is_usual(kind):
+        # Of the grid's ends: a law whose course is that of an error has it at one of them.
+        for number in {0, len(grid) - 1}:
+            if scorer.stood_in(kind, law, grid[number]):
+                shown[number] = np.inf
     late = np.argsort(-shown, kind="stable")[:RANKED_VALUES]
     return Ranked(
         grid, own, alone,
@@ -106,13 +111,23 @@ def _grid(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Sequence[Values]:
 
 
 def worths_of(kind: EffectKind) -> list[tuple[Worth, bool]]:
-    """How sets of the law are weighed: with the size that its values say, or with any."""
+    """How sets of the law are weighed: with the size that its values say, or with any.
+
+    A law that has no value to find may have any size while it is scanned: healthy errors of other
+    devices stand in for a part of it, which only its exact evidence takes into account.
+    """
     choices: list[tuple[Worth, bool]] = []
     if scales(kind):
         choices.append((any_size, True))
     if not scales(kind) or (kind.linear and len(kind.parameters) > 1):
-        choices.append((given_size, False))
+        nothing = all(parameter.optional for parameter in kind.parameters)
+        choices.append((any_size if nothing else given_size, False))
     return choices
+
+
+def cost_of(kind: EffectKind, values: Values, scorer: Scorer) -> float:
+    """What choosing the values of an effect costs [nats]."""
+    return VALUE_COST * len(kind.set_by(values, scorer.space.signals.record))
 
 
 def scales(kind: EffectKind) -> bool:

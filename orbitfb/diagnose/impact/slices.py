@@ -76,7 +76,8 @@ def lag_profile(its: Explained) -> LagProfile:
     for lag in range(_LAGS):
         moved = np.zeros_like(steps)
         for part in transform.pieces:
-            moved[part.start + lag : part.stop] = steps[part.start : part.stop - lag]
+            last = max(part.stop - lag, part.start)
+            moved[part.start + lag : part.stop] = steps[part.start : last]
         late.append((transform.turn(moved) @ modes) * weight)
     before, after = ((one @ noise.modes) * weight for one in (its.nominal, its.left))
     normal = np.array([[np.sum(a * b) for b in late] for a in late])

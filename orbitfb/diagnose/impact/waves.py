@@ -75,7 +75,7 @@ def _weight(waves: Matrix, space: Workspace) -> Matrix:
     power = np.sum(waves**2, axis=1)
     level = float(np.sum(power * space.transform.eigenvalue) / np.sum(power))
     noise = space.noise
-    return (noise.modes / np.sqrt(noise.ratio + level)).T
+    return (noise.modes / np.sqrt(noise.variance_at(np.array([level]))[0])).T
 
 
 def _pursued(target: Matrix, seen: Matrix, first: int) -> tuple[list[int], Matrix]:

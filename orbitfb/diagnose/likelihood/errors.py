@@ -88,6 +88,22 @@ def healthy_errors(
     )
 
 
+def following(
+    blocks: Sequence[ErrorBlock], signals: Signals, transform: StepTransform, terms: Terms
+) -> Terms:
+    """The same columns for other currents; those of accepted causes stay.
+
+    Args:
+        blocks: Of all columns, healthy errors first.
+        signals: With the other currents.
+        transform: Of the record.
+        terms: The columns before.
+    """
+    kinds = dict.fromkeys(block.kind for block in blocks if not block.accepted)
+    fresh, _ = healthy_errors(tuple(kinds), signals, transform)
+    return terms.instead(fresh, transform)
+
+
 def fitted_scales(
     blocks: Sequence[ErrorBlock],
     terms: NormalTerms,

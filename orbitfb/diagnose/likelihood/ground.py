@@ -46,6 +46,20 @@ def ground_shapes(layout: Layout) -> Shapes:
     return Shapes((*families, own), single[:, norm > 0.0] / norm[norm > 0.0])
 
 
+def shaken_shapes(layout: Layout) -> Shapes:
+    """Covariances of orbits that shake faster than they are read, each of any scale.
+
+    Whatever kicks may shake alone (a vibrating magnet, a supply that ripples), all of them as much
+    as each other, and the energy.
+    """
+    kicks = source_patterns(layout)
+    single = kicks
+    if layout.ring is not None:
+        single = np.column_stack([kicks, np.nan_to_num(layout.dispersion())])
+    norm = np.linalg.norm(single, axis=0)
+    return Shapes((_unit(kicks @ kicks.T),), single[:, norm > 0.0] / norm[norm > 0.0])
+
+
 def _by_energy(layout: Layout) -> Matrix:
     """Orbit that a kick makes by the energy it costs, shape (n, k) [m/rad].
 

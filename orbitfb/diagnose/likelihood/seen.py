@@ -97,3 +97,9 @@ def positive(information: Matrix) -> Matrix:
     least = np.zeros_like(information)
     least[np.diag_indices_from(least)] = np.maximum(-np.diag(information), 0.0)
     return information + least
+
+
+def semidefinite(information: Matrix) -> Matrix:
+    """Keep what rounding leaves of no information, in whatever direction, from being negative."""
+    size, modes = np.linalg.eigh(information)
+    return (modes * np.maximum(size, 0.0)) @ modes.T

@@ -53,6 +53,11 @@ class Terms:
             _grams(spectrum, transform, self.grams),
         )
 
+    def instead(self, first: "Terms", transform: StepTransform) -> "Terms":
+        """Columns of the same patterns with other courses instead of the first ones of these."""
+        spectrum = np.asfortranarray(np.hstack([first.spectrum, self.spectrum[:, len(first) :]]))
+        return Terms(self.patterns, self.pattern, spectrum, _grams(spectrum, transform))
+
     def pull(
         self, pulled: "Matrix | Single", used: Mask | None = None, patterns: Single | None = None
     ) -> Vector:

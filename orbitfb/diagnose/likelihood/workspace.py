@@ -10,6 +10,7 @@ from orbitfb.diagnose.likelihood.courses import Courses
 from orbitfb.diagnose.likelihood.errors import (
     ErrorBlock,
     fitted_scales,
+    following,
     healthy_errors,
     saturated,
     variances,
@@ -29,10 +30,12 @@ from orbitfb.estimation.priors import (
     AGAIN,
     AT_FIRST,
     EXACTLY,
+    FIRST_ORDER,
     FREELY,
     LEAST_SHARE,
     MATERIAL,
     MOST_STEPS,
+    NEAREST,
     TRUST,
     WIDE,
 )
@@ -186,6 +189,21 @@ class Workspace:
         """The same, factored."""
         return self._asked()[1]
 
+    @property
+    def misfit(self) -> float:
+        """Evidence that other laws may find because healthy errors are told to first order [nats].
+
+        What causes do that are not known yet is in the errors, too, but not in those that a healthy
+        ring has: they count up to twice their limits.
+        """
+        rough = NEAREST if self.signals.record.layout.ring is None else FIRST_ORDER
+        most = np.zeros(len(self.terms))
+        for block in self.blocks:
+            if not block.accepted:
+                most[block.columns] = 2.0 * block.limit
+        sizes = np.clip(self.priors.mean(self.errors.pull), -most, most)
+        return 0.5 * rough**2 * float(sizes @ self.known.information @ sizes)
+
     def _asked(self) -> tuple[NormalTerms, NormalPriors]:
         if not self.asked:
             its = NormalPriors.of(self.known.information, self.variance)
@@ -219,11 +237,8 @@ class Workspace:
         Args:
             rounds: In which the shapes of the walk are fitted, at most.
         """
-        space = self.saturable()
-        free = space.known.saturated
-        _, mean, _ = space._fitted(free.priors)
-        left = self.residual - self.terms.contribution(mean)
-        moments = Moments.of(left, self.transform).beside(free.scatter)
+        left, scatter = self.unmodelled()
+        moments = Moments.of(left, self.transform).beside(scatter)
         mixed, weights = fit_shapes(
             self.noise, moments, self.ground, self.held, self.weights, rounds=rounds
         )
@@ -231,11 +246,22 @@ class Workspace:
         if self.reference is not None:
             shape = self.reference.noise.walk
             mixed = replace(mixed, walk=shape + self.held)
-        halves = Moments.halves(left, self.transform, free.scatter)
+        halves = Moments.halves(left, self.transform, scatter)
         trust = self.trust or trusted(mixed, halves, TRUST)
         noise = improve(mixed, moments, mixed.walk, FREELY, trust)
         fresh = replace(self, noise=noise, shape=shape, weights=weights, trust=trust)
         return fresh._knowing(self._own).with_errors()
+
+    def with_noise(self, noise: StepNoise) -> "Workspace":
+        """Take another floor to begin with."""
+        return replace(self, noise=noise)._knowing(self._own)
+
+    def unmodelled(self) -> tuple[Matrix, Matrix]:
+        """What a saturated linear model leaves, (T, n) [m], and its own scatter, (B, n, n) [m²]."""
+        space = self.saturable()
+        free = space.known.saturated
+        _, mean, _ = space._fitted(free.priors)
+        return self.residual - self.terms.contribution(mean), free.scatter
 
     def trusting(self) -> "Workspace":
         """Let the next floor tell what its prior is worth, now that more is known."""
@@ -287,6 +313,21 @@ class Workspace:
         orbit = predicted(residual, self.noise, self.transform) + modelled
         signals = replace(self.signals, orbit=orbit)
         return replace(self, signals=signals, courses=self.courses.hearing(signals))
+
+    def driven(self, currents: Matrix) -> "Workspace":
+        """Take other currents for those that act on the beam: errors and laws follow them.
+
+        Args:
+            currents: Shape (N, m) [A].
+        """
+        signals = replace(self.signals, currents=currents)
+        return replace(
+            self,
+            signals=signals,
+            terms=following(self.blocks, signals, self.transform, self.terms),
+            courses=Courses(signals, self.transform),
+            known=Known.nothing(self.noise),
+        )
 
     def explaining(self, spectrum: Matrix) -> "Workspace":
         """Accept what a cause adds to the readings."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.screen.steps import inner, runs
+from orbitfb.estimation.priors import MOST_REPEATS
 from orbitfb.records.finding import Finding, Severity, counted, listed
 from orbitfb.records.record import Record
 
@@ -25,7 +26,8 @@ _MOSTLY_READ_TWICE = 0.5
 _SHORTEST_FREEZE = 8
 _WHOLE = 0.9
 _FEWEST_BPMS = 4
-_MOST_REPEATS = 0.5
+_MOST_AT_ONCE = 0.5
+"""Share of a record in which the orbit may stand still in one go."""
 _FEWEST_AT_RAIL = 12
 _RAIL_FACTOR = 4
 _PAIRS = 3
@@ -47,19 +49,19 @@ def check_repeats(record: Record) -> list[Finding]:
     """Find frozen BPMs and orbits that were read twice."""
     n = record.readings.shape[1]
     # equal[k]: reading k + 1 repeats reading k.
-    equal = np.diff(record.readings, axis=0) == 0.0
-    equal &= inner(record)[:, None] & ~record.filled[1:] & ~record.filled[:-1]
+    equal, whole = _equal(record)
     if len(equal) and np.median(np.ptp(record.readings, axis=0)) == 0.0:
         return _whole_orbits(record, np.ones(len(equal), dtype=np.bool_))
-    # Beside the usual one, at most every tenth BPM may be frozen, so they do not hide a whole.
     usual = float(np.median(equal.mean(axis=0)))
-    whole = (equal.mean(axis=1) >= _WHOLE) & (n >= _FEWEST_BPMS)
-    if usual > 0.0 and usual ** (_WHOLE * n) * len(whole) > _CHANCE:
-        whole[:] = False
     single = equal & ~whole[:, None]
     held = _held(record, single)
     if 2 * len(held) > n:
-        return [_held_finding(record, held, single, everywhere=True)]
+        frozen = [
+            one
+            for column in np.flatnonzero(single.any(axis=0)).tolist()
+            for one in _frozen(record, column, single[:, column], whole, usual)
+        ]
+        return [_held_finding(record, held, single, everywhere=True), *frozen]
     if usual > _COARSE and np.median(_distinct(record)) < _FEW_VALUES:
         text = (
             f"{100 * usual:.0f} % of the readings equal the one before: a bit of the BPMs is "
@@ -81,9 +83,35 @@ def check_repeats(record: Record) -> list[Finding]:
     return [_held_finding(record, held, single), *found] if held else found
 
 
-def shared_repeats(record: Record) -> Mask:
-    """Tell which readings repeat the one before to the last bit, several at once, (N, n)."""
-    return _together(_repeats(record))
+def unread(record: Record) -> Mask:
+    """Tell which readings only repeat the one before: of whole orbits, of crates, or held ones.
+
+    Those of single BPMs that are held are left out, as these BPMs are.
+
+    Returns:
+        Shape (N, n).
+    """
+    equal, whole = _equal(record)
+    same = np.zeros(record.readings.shape, dtype=np.bool_)
+    if 2 * len(_held(record, equal & ~whole[:, None])) > equal.shape[1]:
+        same[1:] = equal
+        return same
+    every = np.asarray(equal.all(axis=1))
+    same[1:] = (equal & whole[:, None]) | every[:, None]
+    return _together(_repeats(record)) | same
+
+
+def _equal(record: Record) -> tuple[Mask, Mask]:
+    """Which readings repeat the one before, (N - 1, n), and where whole orbits do, (N - 1,)."""
+    n = record.readings.shape[1]
+    equal: Mask = np.diff(record.readings, axis=0) == 0.0
+    equal &= inner(record)[:, None] & ~record.filled[1:] & ~record.filled[:-1]
+    # Beside the usual one, at most every tenth BPM may be frozen, so they do not hide a whole.
+    whole: Mask = (equal.mean(axis=1) >= _WHOLE) & (n >= _FEWEST_BPMS)
+    usual = float(np.median(equal[~whole].mean(axis=0))) if not whole.all() else 1.0
+    if usual > 0.0 and usual ** (_WHOLE * n) * len(whole) > _CHANCE:
+        whole[:] = False
+    return equal, whole
 
 
 def _together(same: Mask) -> Mask:
@@ -173,7 +201,7 @@ def _held_finding(
         f"rows, but never stay at one value again: {listed(names)}. They were held (by a dead-band "
         "or a slower rate of what recorded them), not read; record them at every tick"
     )
-    severity: Severity = "failure" if everywhere and share > _MOST_REPEATS else "warning"
+    severity: Severity = "failure" if everywhere and share > MOST_REPEATS else "warning"
     return Finding(HELD, severity, () if everywhere else names, None, text)
 
 
@@ -189,7 +217,8 @@ def _whole_orbits(record: Record, whole: Mask) -> list[Finding]:
         return []
     rows = np.flatnonzero(whole) + 1
     span = (int(rows[0]), int(rows[-1]))
-    if count > _MOST_REPEATS * len(whole):
+    longest = max(end - begin for begin, end in runs(whole))
+    if count > MOST_REPEATS * len(whole) or longest > _MOST_AT_ONCE * len(whole):
         text = (
             f"most BPMs stand still in {100 * count / len(whole):.0f} % of the rows; give a record "
             "in which the orbit was read"
@@ -224,7 +253,8 @@ def _frozen(record: Record, column: int, equal: Mask, whole: Mask, usual: float)
         )
         others = np.delete(record.readings[:, column], np.s_[begin : end + 1])
         value = record.readings[end, column]
-        if len(others) >= _FEWEST_OTHERS and (value >= others.max() or value <= others.min()):
+        extreme = len(others) >= _FEWEST_OTHERS and (value >= others.max() or value <= others.min())
+        if extreme and np.any(others == value):  # what is clipped comes back to its rail
             text += "; it never reads further out, so it may be clipped and not frozen"
             return [Finding("rail", "warning", (label,), (begin, end), text)]
         return [Finding("frozen-bpm", "warning", (label,), (begin, end), text, effect="bpm-stuck")]

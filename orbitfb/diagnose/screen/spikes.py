@@ -11,6 +11,7 @@ import numpy as np
 
 from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Mask
+from orbitfb.diagnose.screen.repeats import unread
 from orbitfb.estimation.transform import Matrix
 from orbitfb.records.finding import Finding, counted, listed
 from orbitfb.records.record import Record
@@ -42,7 +43,7 @@ def without_spikes(record: Record) -> tuple[Record, list[Finding]]:
     """
     left = record.readings - record.setpoints @ record.layout.response.T
     between = _between(left, record)
-    spikes = _spikes(left - between, left, record)
+    spikes = _spikes(left - between, left, record) & ~_beside_unread(record)
     if not spikes.any():
         return record, []
     readings = np.where(spikes, record.readings - left + between, record.readings)
@@ -57,6 +58,14 @@ def without_spikes(record: Record) -> tuple[Record, list[Finding]]:
     )
     finding = Finding("spikes", "note", tuple(labels), (int(rows.min()), int(rows.max())), text)
     return replace(record, readings=readings, filled=record.filled | spikes), [finding]
+
+
+def _beside_unread(record: Record) -> Mask:
+    """Readings that repeat the one before, and their neighbours: nobody knows how far they are."""
+    near = unread(record)
+    near[1:] |= near[:-1].copy()
+    near[:-1] |= near[1:].copy()
+    return near
 
 
 def _between(left: Matrix, record: Record) -> Matrix:

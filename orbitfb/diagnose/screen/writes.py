@@ -22,7 +22,9 @@ _PERIOD = 0.05
 
 def check_writes(record: Record) -> list[Finding]:
     """Compare every change of the setpoints with what was asked for."""
-    first = np.flatnonzero(inner(record))
+    first = np.flatnonzero(inner(record) & np.isfinite(record.requested[:-1]).all(axis=1))
+    if not len(first):
+        return []
     asked = record.requested[first]
     done = record.setpoints[first + 1] - record.setpoints[first]
     size = np.abs(record.setpoints).max(axis=0)

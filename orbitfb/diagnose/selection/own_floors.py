@@ -128,17 +128,19 @@ class _Rivals:
     def _good(self) -> list[float]:
         return [one.evidence for one in self.own.values() if one.evidence > 0.0]
 
-    def _weighed(self) -> dict[tuple[str, bool], float]:
+    def _weighed(self) -> dict[tuple[str, str], float]:
         """Evidence of every form of an effect that has a floor of its own."""
-        found: dict[tuple[str, bool], float] = {}
+        found: dict[tuple[str, str], float] = {}
         for one in self.own.values():
             found[_form(one)] = max(one.evidence, found.get(_form(one), one.evidence))
         return found
 
 
-def _form(one: Candidate) -> tuple[str, bool]:
-    """Its effect, as a random course or as one that is told."""
-    return (one.kind.id, one.walk is None)
+def _form(one: Candidate) -> tuple[str, str]:
+    """Its effect, and as what: larger errors of all or of some, a random course, or one told."""
+    if one.raised or one.columns:
+        return (one.kind.id, "all" if one.raised else "some")
+    return (one.kind.id, "told" if one.walk is None else "random")
 
 
 def _under(

@@ -7,7 +7,9 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.likelihood.redrawn import redrawn
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.healthy_motion import with_motion
 from orbitfb.diagnose.selection.own_floors import refitted, settled
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.priors import AT_ONCE, FINALISTS, MISFIT, REMAINDER, ROUNDS, SURE
@@ -30,17 +32,21 @@ class Round:
     def left(self, told: float) -> Candidate | None:
         """The best that is sure beside causes with that evidence [nats]; None: there is none."""
         best = next(iter(self.candidates), None)
-        return best if best is not None and best.evidence > enough_beside(told) else None
+        return (
+            best if best is not None and best.evidence > enough_beside(told, self.space) else None
+        )
 
 
-def enough_beside(told: float) -> float:
+def enough_beside(told: float, space: Workspace) -> float:
     """Evidence from which one more candidate is sure [nats].
 
+    Laws that are all a little wrong leave a share of their evidence to others.
+
     Args:
-        told: Evidence of the causes beside it [nats]: laws that are all a little wrong leave a
-            share of it to others.
+        told: Evidence of the causes beside it [nats].
+        space: That it was tried on: its healthy errors are a little wrong, too.
     """
-    return SURE + MISFIT * told
+    return SURE + MISFIT * told + space.misfit
 
 
 def tournament(
@@ -61,10 +67,11 @@ def tournament(
     """
     accepted: list[Candidate] = []
     rounds: list[Round] = []
+    space = redrawn(space)
     while True:
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
-        enough = enough_beside(sum(one.evidence for one in accepted))
+        enough = enough_beside(sum(one.evidence for one in accepted), space)
         candidates = candidates_of(space, left, tell, enough)
         candidates = [one for one in candidates if not _echo(one, accepted)]
         candidates = _last_resort(refitted(candidates, space, enough), bool(accepted))
@@ -73,6 +80,13 @@ def tournament(
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())
+        if candidates and candidates[0].evidence > enough:
+            moving = with_motion(space, candidates[0].evidence)
+            if moving is not None:
+                tell("top healthy motion")
+                space = moving
+                rounds.pop()
+                continue
         if len(accepted) == ROUNDS or not candidates or candidates[0].evidence < enough:
             return accepted, rounds
         if _composed([*accepted, candidates[0]]):
@@ -80,6 +94,7 @@ def tournament(
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
         best, space = settled(candidates[0], space.trusting())
+        space = redrawn(space)
         accepted.append(best)
 
 
@@ -101,7 +116,8 @@ def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:
     A BPM that averages, scales or delays does so to its noise as well, and what its law leaves
     wanders with the orbit: its noise, or what it reads, is not odd besides. And of a BPM whose
     noise is told to remember no law of its readings is: a feedback that acts on them makes the beam
-    follow that noise, which looks like a law, and no floor has such a noise.
+    follow that noise, which looks like a law, and no floor has such a noise. One law is enough for
+    the noise of a BPM: no floor has it, so that others would be as true.
     """
     if one.kind.target != "bpm":
         return False
@@ -109,7 +125,11 @@ def _echo(one: Candidate, accepted: Sequence[Candidate]) -> bool:
         return True
     if not (one.noisy or one.courseless):
         return False
-    known = [set(its.places) for its in accepted if its.kind.target == "bpm" and not its.noisy]
+    known = [
+        set(its.places)
+        for its in accepted
+        if its.kind.target == "bpm" and (one.noisy or not its.noisy)
+    ]
     return any(not places or (one.places and set(one.places) <= places) for places in known)
 
 

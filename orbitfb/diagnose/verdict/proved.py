@@ -7,7 +7,8 @@ import numpy as np
 
 from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.result.parts import Cause
-from orbitfb.diagnose.screen.repeats import HELD, shared_repeats
+from orbitfb.diagnose.screen.missing import drawn
+from orbitfb.diagnose.screen.repeats import HELD, unread
 from orbitfb.effects.registry import all_effects
 from orbitfb.estimation.priors import MOST_REPEATS, PROVED
 from orbitfb.physics.places import Indices
@@ -38,7 +39,7 @@ class Proved:
 
     Args:
         causes: In the form of the answer.
-        record: Without the BPMs that stand still; orbits that were read twice are filled in.
+        record: Without the BPMs that stand still; readings that were not read are drawn.
         untold: What is proved and has no name: a gap, whatever the record shows besides.
     """
 
@@ -133,25 +134,8 @@ def _cause(record: Record, finding: Finding) -> Cause:
 
 
 def _without_repeats(record: Record) -> Record:
-    """Fill in readings that repeat the ones before, whole orbits or crates at once.
-
-    They are taken from those before and after.
-    """
-    whole = np.zeros(len(record), dtype=np.bool_)
-    whole[1:] = (record.readings[1:] == record.readings[:-1]).all(axis=1)
-    whole &= ~record.starts
-    same = shared_repeats(record) | whole[:, None]
-    rows = same.any(axis=1)
-    if not rows.any() or rows.mean() > MOST_REPEATS:
+    """Draw readings that repeat the ones before, and whatever else was not read."""
+    same = unread(record)
+    if same.mean() > MOST_REPEATS:
         return record
-    readings = record.readings.copy()
-    moved = np.zeros_like(readings)
-    moved[1:] = np.diff(record.setpoints, axis=0) @ record.layout.response.T
-    for row in np.flatnonzero(rows):
-        own = same[row]
-        ahead = readings[row - 1] + moved[row]
-        back = ahead
-        if row + 1 < len(record) and not record.starts[row + 1]:
-            back = np.where(same[row + 1], ahead, readings[row + 1] - moved[row + 1])
-        readings[row, own] = 0.5 * (ahead + back)[own]
-    return replace(record, readings=readings, filled=record.filled | same)
+    return drawn(replace(record, filled=record.filled | same))

@@ -4,6 +4,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.effects.kicks import CALIBRATION, interpolation
+from orbitfb.effects.kinds import HEALTHY_CHANGE
 from orbitfb.effects.orbit_kinds import Courses
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix, green, green_with_gradient_errors
@@ -13,9 +14,6 @@ from orbitfb.records.layout import ChannelPlane, Layout
 PLANES: tuple[ChannelPlane, ChannelPlane] = ("x", "y")
 HEALTHY_BEAT = 0.015
 """Beta-beat of a ring whose optics were corrected, rms over both planes [1]."""
-HEALTHY_CHANGE = 0.03
-"""Change of the response of a ring without a table of places, rms over its own [1]. By hand: two
-measured responses of one ring differ by 2 to 4 %."""
 SIGN = {"x": -1.0, "y": 1.0}
 """An orbit z in a gradient that is Δk too strong is kicked by SIGN · Δk · z."""
 

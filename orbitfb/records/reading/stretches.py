@@ -101,11 +101,22 @@ def time_jumps(time: Vector, period: float) -> Mask:
     return jumps
 
 
+def one_missing(time: Vector, period: float) -> Mask:
+    """Tell where a single row is missing, shape (T - 1,).
+
+    The rows beside it tell all but what it asked for: the orbit after the one before, and what the
+    correctors did until then.
+    """
+    found: Mask = np.abs(np.diff(time) - 2.0 * period) < (1.0 - _GAP) * period
+    return found
+
+
 def join(rows: Transition, layout: Layout, source: str) -> tuple[Record, list[Finding]]:
     """Make the record: every stretch gets its last next orbit as one more row.
 
     Readings that are not valid are filled in: the last valid one, moved by what the model says
-    of the setpoints since.
+    of the setpoints since. A single row that is missing does not end a stretch: this row stands for
+    it.
 
     Args:
         rows: The transitions.
@@ -141,6 +152,8 @@ def join(rows: Transition, layout: Layout, source: str) -> tuple[Record, list[Fi
     setpoints = spread(rows.setpoints, after[ends])
     starts = np.zeros(total, dtype=np.bool_)
     starts[position[begins]] = True
+    bridged = ~rows.follows & one_missing(rows.time, layout.period)
+    starts[position[1:][bridged]] = False
     filled = ~np.isfinite(readings)
     time = spread(rows.time, rows.time[ends] + layout.period) - rows.time[0]
     requested = spread(rows.requested, np.full_like(after[ends], np.nan))
@@ -164,7 +177,7 @@ def join(rows: Transition, layout: Layout, source: str) -> tuple[Record, list[Fi
         began=float(rows.time[0]),
     )
     before = position[np.maximum(np.cumsum(known) - 1, 0)]
-    return record, [*_gap_findings(whole, before, jumps), *_filled_findings(record)]
+    return record, [*_gap_findings(whole, before, jumps, layout.period), *_filled_findings(record)]
 
 
 def _after(rows: Transition) -> Matrix:
@@ -195,8 +208,18 @@ def _filled(readings: Matrix, setpoints: Matrix, response: Matrix) -> Matrix:
     return full
 
 
-def _gap_findings(rows: Transition, position: Indices, jumps: Mask) -> list[Finding]:
+def _gap_findings(rows: Transition, position: Indices, jumps: Mask, period: float) -> list[Finding]:
     found: list[Finding] = []
+    single = jumps & ~rows.follows & one_missing(rows.time, period)
+    if single.any():
+        at = np.flatnonzero(single)
+        span = (int(position[at[0]]), int(position[at[-1]]) + 1)
+        text = (
+            f"a row is missing at {counted(len(at), 'place')}, first after row {int(at[0])} of the "
+            "file; the rows beside it tell what it had"
+        )
+        found.append(Finding("missing-row", "note", (), span, text))
+    jumps = jumps & ~single
     if jumps.any():
         at = np.flatnonzero(jumps)
         first = int(position[at[0]])
@@ -211,7 +234,7 @@ def _gap_findings(rows: Transition, position: Indices, jumps: Mask) -> list[Find
                 f"the file, at most by {longest:.3g} s; the record is split there",
             )
         )
-    lost = ~rows.follows & ~jumps
+    lost = ~rows.follows & ~jumps & ~single
     if lost.any():
         at = np.flatnonzero(lost)
         first = int(position[at[0]])

@@ -10,7 +10,7 @@ from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.priors import LARGEST
-from orbitfb.estimation.shapes import Shapes, fit_shapes
+from orbitfb.estimation.shapes import Shapes, fit_shaken, fit_shapes
 from orbitfb.estimation.transform import StepTransform
 
 STARTS = np.zeros(23, dtype=np.bool_)
@@ -270,3 +270,60 @@ def test_information_by_band_is_right_for_what_is_slow(rows: int, ratio: float) 
         some, share = transform.sample(12)
         sampled = float(share @ (power / noise.variance(transform))[some, 0])
         assert sampled == pytest.approx(exact, rel=0.35)
+
+
+def test_weight_of_a_step_at_every_row() -> None:
+    starts = np.zeros(60, dtype=bool)
+    starts[[0, 7, 9, 40]] = True
+    transform = StepTransform.of(starts, exact=True)
+    weights = np.random.default_rng(0).random(len(transform))
+    whole = transform.turn(np.eye(len(transform)))
+    np.testing.assert_allclose(
+        transform.at_rows(weights), np.diag(whole @ np.diag(weights) @ whole), rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("colour", [-1.0, 1.0, 2.0])
+def test_a_coloured_ground_has_the_spectrum_that_it_says(colour: float) -> None:
+    """Motion of spectrum f^(−2−c): its steps have f^(−c), beside those of the noise."""
+    rng = np.random.default_rng(1)
+    rows, white = 4000, 0.01
+    frequency = np.fft.rfftfreq(8 * rows)
+    frequency[0] = frequency[1]
+    drawn = np.fft.rfft(rng.standard_normal((8 * rows, 6)), axis=0)
+    level = (2.0 - 2.0 * np.cos(2.0 * np.pi * frequency)) ** (-0.25 * colour)
+    level[0] = 0.0
+    steps = np.fft.irfft(drawn * level[:, None], axis=0)[:rows]
+    readings = steps.cumsum(axis=0) + white * rng.standard_normal((rows, 6))
+    starts = np.zeros(rows, dtype=bool)
+    starts[0] = True
+    transform = StepTransform.of(starts, 16)
+    moments = Moments.of(transform.spectrum(readings), transform)
+    noises = [StepNoise(np.eye(6), white**2 * np.eye(6), colour=tried) for tried in (0.0, colour)]
+    plain, right = (moments.log_density(one) for one in noises)
+    assert right - plain > 100.0
+    usual = moments.total.trace(axis1=1, axis2=2) / (6.0 * moments.count)
+    level, walk = np.log(moments.eigenvalue), usual - white**2 * moments.eigenvalue
+    told = np.log(noises[1].reddened(moments.eigenvalue))
+    slope = np.polyfit(level[5:], np.log(walk[5:]), 1)[0]
+    np.testing.assert_allclose(slope, np.polyfit(level[5:], told[5:], 1)[0], atol=0.1)
+
+
+def test_motion_that_is_new_at_every_row_is_told_from_the_noise() -> None:
+    rng = np.random.default_rng(2)
+    rows, count = 3000, 8
+    patterns = rng.standard_normal((count, 5))
+    patterns /= np.linalg.norm(patterns, axis=0)
+    orbit = 0.2 * rng.standard_normal((rows, count)).cumsum(axis=0) * 0.1
+    shaking = 2.0 * rng.standard_normal((rows, 1)) * patterns[:, 1]
+    readings = orbit + shaking + 0.5 * rng.standard_normal((rows, count))
+    starts = np.zeros(rows, dtype=bool)
+    starts[0] = True
+    transform = StepTransform.of(starts, 16)
+    moments = Moments.of(transform.spectrum(readings), transform)
+    noise = StepNoise(4e-4 * np.eye(count), np.eye(count))
+    found, weights = fit_shaken(noise, moments, Shapes((np.eye(count),), patterns), rounds=60)
+    np.testing.assert_allclose(weights[2], 4.0, rtol=0.15)
+    assert weights[[1, 3, 4, 5]].max() < 0.2
+    assert found.shaken is not None
+    np.testing.assert_allclose(np.diag(found.white), found.reading + np.diag(found.shaken))

@@ -289,3 +289,18 @@ def test_invalid_readings_are_filled_in_and_bad_bpms_left_out(tmp_path):
     assert dropped.check == "bpm-dropped"
     assert dropped.devices == (f"{ring().names('BPM')[7]} (x)",)
     assert filled.check == "invalid-readings"
+
+
+def test_a_single_row_that_is_missing_does_not_break_the_record(tmp_path):
+    """The rows beside it have its orbit, and what the correctors did."""
+    made = arrays()
+    keep = np.delete(np.arange(120), [40, 80])
+    made = {name: a[keep] if len(a) == 120 else a for name, a in made.items()}
+    loaded = load(save(tmp_path / "record.npz", made))
+    assert loaded.record.stretches == [slice(0, 121)]
+    np.testing.assert_allclose(loaded.record.readings, record().readings[:121], rtol=1e-9)
+    np.testing.assert_allclose(loaded.record.setpoints, record().setpoints[:121], rtol=1e-9)
+    assert np.isnan(loaded.record.requested[[40, 80]]).all()
+    (found,) = [finding for finding in loaded.findings if finding.rows]
+    assert (found.check, found.severity) == ("missing-row", "note")
+    assert "at 2 places, first after row 39" in found.text

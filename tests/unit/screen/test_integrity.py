@@ -295,7 +295,7 @@ def test_readings_that_an_archive_held_are_told_together():
 
 def test_an_archive_that_held_most_readings_is_no_record_of_the_orbit():
     made = record(ticks=400)
-    found = only(logged(made, range(150), 0.5e-6), "held-readings")
+    found = only(logged(made, range(150), 1.5e-6), "held-readings")
     assert found.severity == "failure"
     assert is_hopeless([found])
 

@@ -23,25 +23,26 @@ def found(monkeypatch: pytest.MonkeyPatch, *told: Candidate) -> tuple[list[Candi
     ahead = iter([one] for one in told)
     monkeypatch.setattr(rounds, "candidates_of", lambda *given: next(ahead, []))
     monkeypatch.setattr(rounds, "refitted", lambda candidates, *given: candidates)
+    monkeypatch.setattr(rounds, "with_motion", lambda *given: None)
     monkeypatch.setattr(Candidate, "accepted", lambda one, space, spread=True: space)
     return rounds.tournament(Workspace.of(make_record(41), [effect("bpm-gain")]), [])
 
 
 def test_a_third_effect_is_told_as_what_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = causes(("bpm-walk", 400.0), ("corrector-lag", 300.0), ("bpm-roll", 200.0))
+    told = causes(("corrector-slew", 400.0), ("corrector-lag", 300.0), ("corrector-roll", 200.0))
     accepted, its = found(monkeypatch, *told)
     assert accepted == told[:2]
     verdict = judged(named(accepted, its), its)
     assert (verdict.state, verdict.nats) == ("named_plus_remainder", 200.0)
     unknown = unknown_of(verdict, named(accepted, its))
     assert unknown is not None
-    assert effect("bpm-roll").title in unknown.text
+    assert effect("corrector-roll").title in unknown.text
 
 
 def test_where_more_is_left_than_was_named_nothing_is_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    told = causes(("bpm-walk", 400.0), ("corrector-lag", 300.0), ("bpm-roll", 900.0))
+    told = causes(("corrector-slew", 400.0), ("corrector-lag", 300.0), ("corrector-roll", 900.0))
     accepted, its = found(monkeypatch, *told)
     assert judged(named(accepted, its), its).state == "unknown"
 
@@ -49,8 +50,8 @@ def test_where_more_is_left_than_was_named_nothing_is_named(
 @pytest.mark.parametrize(
     "told",
     [
-        causes(("bpm-walk", 400.0), ("bpm-walk", 300.0), ("bpm-walk", 200.0)),
-        causes(("bpm-walk", 4000.0), ("corrector-lag", 3000.0), ("bpm-roll", 100.0)),
+        causes(("corrector-slew", 400.0), ("corrector-slew", 300.0), ("corrector-slew", 200.0)),
+        causes(("corrector-slew", 4000.0), ("corrector-lag", 3000.0), ("corrector-roll", 100.0)),
     ],
     ids=["devices of one effect", "a small third one"],
 )

@@ -1,0 +1,100 @@
+"""Readings that were not read: drawn from what the readings around them say.
+
+A reading that is filled in with what is most likely is quieter than one that was read, and every
+law of the noise finds that. One that is drawn, walk and noise included, is like all others; it says
+nothing of its own (M. Tanner, W. Wong, J. Am. Stat. Assoc. 82 (1987) 528). Each BPM is taken for
+itself: a walk read with noise, with the model's changes added. The draw is a smoother's
+(J. Durbin, S. Koopman, Biometrika 89 (2002) 603), and the same for the same record.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.core.robust import TO_SIGMA
+from orbitfb.core.signals import Mask, Vector
+from orbitfb.estimation.transform import Matrix
+from orbitfb.records.record import Record
+
+_FEWEST = 10
+"""Pairs of readings by which walk and noise of a BPM are told; with fewer it has the others'."""
+
+_FAR = 8
+"""Rows apart at which a walk shows beside the noise."""
+_LEAST = 1e-4
+"""Least part of walk and of noise in what changes from row to row [1]."""
+
+
+def drawn(record: Record, told: Matrix | float = 0.0) -> Record:
+    """Fill in what was not read: `filled` tells which readings.
+
+    Args:
+        record: Readings that were not read have any finite value.
+        told: What is known of the readings beside the model, shape (N, n) [m].
+
+    Returns:
+        The same, its missing readings drawn; `filled` still tells which they are.
+    """
+    missing = record.filled
+    columns = np.flatnonzero(missing.any(axis=0) & ~missing.all(axis=0))
+    if not len(columns):
+        return record
+    modelled = record.setpoints @ record.layout.response.T + told
+    left, known = (record.readings - modelled)[:, columns], ~missing[:, columns]
+    walk, noise = _spread(left, known, record.starts)
+    rng = np.random.default_rng(len(record))
+    steps = np.sqrt(walk) * rng.standard_normal(left.shape)
+    orbit = np.cumsum(steps, axis=0)
+    read = orbit + np.sqrt(noise) * rng.standard_normal(left.shape)
+    ratio = walk / np.maximum(noise, np.finfo(np.float64).tiny)
+    found = read + _smoothed(left - read, known, ratio, record.starts)
+    readings = record.readings.copy()
+    readings[:, columns] = np.where(known, readings[:, columns], found + modelled[:, columns])
+    return replace(record, readings=readings)
+
+
+def _spread(left: Matrix, known: Mask, starts: Mask) -> tuple[Vector, Vector]:
+    """Variance of the walk per row, and of the noise, of every BPM, shape (k,) each [m²].
+
+    Readings that are d rows apart differ by 2v + d q on average.
+    """
+    found = []
+    for apart in (1, _FAR):
+        both = known[apart:] & known[:-apart]
+        for row in range(apart):
+            both &= ~starts[1 + row : len(starts) - apart + 1 + row, None]
+        away = np.where(both, np.abs(left[apart:] - left[:-apart]), np.nan)
+        away[:, both.sum(axis=0) < _FEWEST] = np.nan
+        found.append(TO_SIGMA * np.nanmedian(away, axis=0))
+    near, far = (np.nan_to_num(usual, nan=float(np.nanmedian(usual))) ** 2 for usual in found)
+    least = _LEAST * near
+    walk = np.clip((far - near) / (_FAR - 1), least, near - least)
+    return walk, 0.5 * (near - walk)
+
+
+def _smoothed(left: Matrix, known: Mask, ratio: Vector, starts: Mask) -> Matrix:
+    """Mean of a walk that readings tell, those missing left out, shape (N, k) [m].
+
+    A filter forwards and the smoother of H. Rauch, F. Tung, C. Striebel (AIAA J. 3 (1965) 1445)
+    backwards; a stretch begins anywhere.
+
+    Args:
+        left: Readings less the model, shape (N, k) [m].
+        known: Which of them were read.
+        ratio: Variance of the walk per row over that of the noise, shape (k,).
+        starts: First rows of stretches, shape (N,).
+    """
+    anywhere = 1e6 * (1.0 + ratio)
+    mean, spread = np.zeros_like(left), np.zeros_like(left)
+    state, width = np.zeros(left.shape[1]), anywhere
+    for row, begins in enumerate(starts.tolist()):
+        width = anywhere if begins else width + ratio
+        gain = np.where(known[row], width / (width + 1.0), 0.0)
+        state = state + gain * (left[row] - state)
+        width = (1.0 - gain) * width
+        mean[row], spread[row] = state, width
+    for row in range(len(left) - 2, -1, -1):
+        if not starts[row + 1]:
+            back = spread[row] / (spread[row] + np.maximum(ratio, np.finfo(np.float64).tiny))
+            mean[row] += back * (mean[row + 1] - mean[row])
+    return mean

@@ -1,0 +1,97 @@
+"""Readings that were not read: drawn so that they are like the others."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfb.core.signals import Mask
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.screen.missing import drawn
+from orbitfb.diagnose.screen.repeats import unread
+from orbitfb.diagnose.screen.run import screen
+from orbitfb.diagnose.screen.spikes import without_spikes
+from orbitfb.diagnose.selection.rounds import tournament
+from orbitfb.diagnose.verdict.proved import proved
+from orbitfb.records.record import Record
+from tests.unit.hypotheses.small_records import kinds_for, make_record
+
+
+def polled(record: Record, share: float, whole: bool) -> Record:
+    """What a client gets that asks more often than there are readings."""
+    rng = np.random.default_rng(3)
+    readings = record.readings.copy()
+    for row in range(1, len(readings)):
+        same = rng.random(1 if whole else readings.shape[1]) < share
+        readings[row] = np.where(same, readings[row - 1], readings[row])
+    return replace(record, readings=readings)
+
+
+def left(record: Record) -> np.ndarray:
+    return record.readings - record.setpoints @ record.layout.response.T
+
+
+def cleared(record: Record) -> tuple[Record, Mask]:
+    """The record as it is diagnosed, and what of it was not read."""
+    record, spikes = without_spikes(record)
+    found = proved(record, (*spikes, *screen(record)), frozenset())
+    return found.record, found.record.filled
+
+
+def test_a_drawn_reading_is_like_one_that_was_read() -> None:
+    whole = make_record(61, gain=0.0)
+    record, missing = cleared(polled(whole, 0.4, whole=False))
+    assert 0.35 < missing.mean() < 0.45
+    np.testing.assert_array_equal(record.readings[~missing], whole.readings[~missing])
+    for apart in (1, 2, 5):
+        steps, usual = (left(one)[apart:] - left(one)[:-apart] for one in (record, whole))
+        drawn_ones = missing[apart:] & ~missing[:-apart]
+        ratio = np.std(steps[drawn_ones]) / np.std(usual[drawn_ones])
+        assert 0.9 < ratio < 1.1  # what is most likely would make 0.7 of it
+    again = drawn(replace(record, readings=np.where(missing, 0.0, record.readings)))
+    np.testing.assert_array_equal(again.readings, record.readings)
+
+
+def test_what_is_told_of_the_readings_is_in_them() -> None:
+    record = make_record(62, gain=0.0)
+    missing = np.random.default_rng(4).random(record.readings.shape) < 0.3
+    jump = 50e-6 * (np.arange(len(record)) >= 400)[:, None] * np.ones(record.readings.shape[1])
+    gone = replace(record, readings=np.where(missing, 0.0, record.readings + jump), filled=missing)
+    beyond = left(drawn(gone, jump)) - jump
+    assert np.abs(np.diff(beyond, axis=0)).max() < 5e-6
+    assert np.abs(np.diff(left(drawn(gone)) - jump, axis=0)).max() > 20e-6
+
+
+def test_a_healthy_ring_that_is_polled_has_no_cause() -> None:
+    for whole in (False, True):
+        record, _ = cleared(polled(make_record(63), 0.5, whole))
+        kinds = kinds_for(record)
+        accepted, _ = tournament(Workspace.of(record, kinds), kinds)
+        assert accepted == []
+
+
+def test_a_frozen_bpm_is_found_among_held_ones() -> None:
+    record = polled(make_record(64), 0.3, whole=False)
+    readings = record.readings.copy()
+    readings[300:, 5] = readings[300, 5]
+    checks = {one.check: one.devices for one in screen(replace(record, readings=readings))}
+    assert "held-readings" in checks
+    assert checks["frozen-bpm"] == ("B5 (x)",)
+
+
+def test_a_reading_beside_one_that_was_not_read_is_no_spike() -> None:
+    """The orbit steps while the reading is held: it looks as if it came back."""
+    record = make_record(65, gain=0.0, dither=0.2)
+    assert without_spikes(record)[1] == []
+    held = polled(record, 0.4, whole=True)
+    assert unread(held)[1:].mean() > 0.35
+    assert without_spikes(held)[1] == []
+
+
+def test_a_bpm_that_stays_at_its_extreme_for_good_is_frozen_and_not_clipped() -> None:
+    record = make_record(66)
+    readings = record.readings.copy()
+    row = 200 + int(np.argmax(readings[200:500, 7]))
+    readings[row:, 7] = readings[:, 7].max() + 1e-6
+    checks = {one.check for one in screen(replace(record, readings=readings))}
+    assert "frozen-bpm" in checks
+    assert "rail" not in checks
