@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from benchmarks.blind import engines, fodo, sources
+from benchmarks.blind import engines, fodo, many, sources
 from benchmarks.blind.compare import compare, rows
 from benchmarks.blind.experiments import Tried, asked, do_experiments, resolving, tried
 from benchmarks.blind.generator.suites import Suite
@@ -33,6 +33,10 @@ def gather(options: argparse.Namespace) -> list[Case]:
         folder = out / f"fodo-{seed}"
         chosen = fodo.generate(seed, folder, options.first or FODO)
         cases += read_folder(folder, source=f"fodo {seed}", chosen=chosen)
+    for seed in options.many or ():
+        folder = out / f"many-{seed}"
+        chosen = many.generate(seed, folder, options.first)
+        cases += read_folder(folder, source=f"many {seed}", chosen=chosen)
     if options.plant is not None:
         try:
             cases += sources.external(
@@ -186,6 +190,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     make.add_argument("--own", type=int, nargs="*", metavar="SEED", help="own generator, by seeds")
     make.add_argument(
         "--fodo", type=int, nargs="*", metavar="SEED", help=f"small ring, by seeds [{FODO} records]"
+    )
+    make.add_argument(
+        "--many", type=int, nargs="*", metavar="SEED", help="small rings of many kinds, by seeds"
     )
     make.add_argument("--suite", choices=get_args(Suite), default="fast", help="of the own [fast]")
     make.add_argument("--plant", type=Path, metavar="PATH", help="an external generator: a package")
