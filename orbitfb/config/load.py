@@ -139,6 +139,19 @@ def _fitted(config: AppConfig) -> tuple[AppConfig, list[str]]:
             f"interlocks.fast_feedback_channel = {fast!r}: the loop could never close, as "
             "epics.auxiliary has no channel of this name; name the PV of its status there"
         )
+    planes = [
+        plane for plane in config.fast_feedback.reference_pvs if plane not in config.ring.planes
+    ]
+    if planes:
+        problems.append(
+            f"fast_feedback.reference_pvs: {', '.join(planes)} is not under feedback; add it to "
+            "ring.planes, or leave its PV out"
+        )
+    if config.fast_feedback.reference_pvs and not config.interlocks.fast_feedback_channel:
+        problems.append(
+            "fast_feedback.reference_pvs: nobody knows when the fast feedback is closed; name its "
+            "status with interlocks.fast_feedback_channel"
+        )
     return config, problems
 
 

@@ -12,6 +12,7 @@ from orbitfb.config.defaults import DATA_DIRECTORY
 from orbitfb.core.settings import Settings
 from orbitfb.diagnose.settings import DiagnoseSettings
 from orbitfb.effects.settings import EffectSettings
+from orbitfb.epics.fast_reference import FastFeedbackSettings
 from orbitfb.epics.lease.lease import LeaseSettings
 from orbitfb.epics.settings import EpicsSettings
 from orbitfb.history.settings import ArchiveSettings
@@ -142,6 +143,10 @@ class AppConfig(Settings):
     )
     rf: RfSettings = Field(
         default=RfSettings(), description="The RF frequency, that follows the energy."
+    )
+    fast_feedback: FastFeedbackSettings = Field(
+        default=FastFeedbackSettings(),
+        description="A fast feedback that is handed our reference while it is closed.",
     )
     learn: LearnSettings = Field(default=LearnSettings(), description="The learner.")
     diagnose: DiagnoseSettings = Field(

@@ -1,7 +1,7 @@
 """Waiting for all channels at the start, and saying everything that is wrong with them at once."""
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ def wait_for_channels(
     settings: EpicsSettings,
     clock: Clock,
     waived: Collection[str] = (),
+    origin: Mapping[str, str] | None = None,
 ) -> None:
     """Wait until every channel is connected and every setpoint may be written.
 
@@ -36,6 +37,7 @@ def wait_for_channels(
         clock: Clock that says when the time is over.
         waived: PVs that need not be there, or, of setpoints, that need not be writable: the loop
             does not use them.
+        origin: Key of the configuration that names a PV, where it is none of `epics`.
 
     Raises:
         ConnectError: PVs that did not connect in time, all of them.
@@ -52,7 +54,7 @@ def wait_for_channels(
         advice = (
             f"Is the IOC running, and reachable at '{settings.searched}' port "
             f"{settings.server_port}? "
-            f"Are the names right ({_origin(missing, settings)})? "
+            f"Are the names right ({_origin(missing, settings, origin or {})})? "
             "`orbitfb doctor` with the same --ioc and --config counts them by kind."
         )
         raise ConnectError(missing, total, settings.connect_timeout, advice)
@@ -62,7 +64,8 @@ def wait_for_channels(
             f"{few(read_only)}\n"
             "Ask for write access for this host and user."
         )
-    if short := [told for group in groups for told in group.too_short]:
+    ours = [group for group in groups if not {pv.name for pv in group.pvs} & set(origin or ())]
+    if short := [told for group in ours for told in group.too_short]:
         raise MachineError(
             f"{len(short)} array PVs are too short:\n{few(short)}\nCount elements from 0 in the "
             "places table, and see how many values the record holds (NELM)."
@@ -110,12 +113,12 @@ def steps_of(setpoints: ChannelGroup, settings: EpicsSettings) -> NDArray[np.flo
     return np.where(setpoints.whole, max(np.ceil(step), 1.0), step)
 
 
-def _origin(missing: Sequence[str], settings: EpicsSettings) -> str:
+def _origin(missing: Sequence[str], settings: EpicsSettings, others: Mapping[str, str]) -> str:
     """Say where in the configuration the names are from."""
     slow = {its.pv: name for name, its in settings.auxiliary.items()}
     rf = (RF_FREQUENCY, RF_READBACK)
     sources = {
-        "the places table"
+        others.get(name, "the places table")
         if name not in slow
         else "epics.auxiliary, rf.setpoint_pv, rf.readback_pv"
         if slow[name] in rf

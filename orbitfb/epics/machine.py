@@ -23,6 +23,7 @@ from orbitfb.epics.connecting import (
     waived,
 )
 from orbitfb.epics.events import Monitor
+from orbitfb.epics.fast_reference import SECTION, EpicsFastReference, FastFeedbackSettings
 from orbitfb.epics.inbox import Inbox
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
@@ -34,7 +35,7 @@ from orbitfb.epics.servers import Doubles, ServerWatch
 from orbitfb.epics.setpoints.group import Setpoints
 from orbitfb.epics.settings import EpicsSettings
 
-KINDS = ("bpm", "setpoint", "readback", "auxiliary", "rf")
+KINDS = ("bpm", "setpoint", "readback", "auxiliary", "rf", "reference")
 """Kinds of channels, in the order in which they are opened."""
 
 
@@ -58,9 +59,11 @@ class EpicsMachine:
         movable: Correctors that are not masked, shape (m,): of the others the setpoint alone must
             be there; None: all.
         rf_pv: Setpoint of the RF frequency, if the loop may change it; empty: it may not.
+        fast: A fast feedback that takes our reference; None: there is none.
 
     Attributes:
         oscillator: The RF; None: the loop may not change it.
+        fast_reference: Reference of the fast feedback; None: there is none.
 
     Raises:
         ConnectError: PVs that cannot be reached within `connect_timeout`, all of them.
@@ -76,6 +79,7 @@ class EpicsMachine:
         counting: Mask | None = None,
         movable: Mask | None = None,
         rf_pv: str = "",
+        fast: FastFeedbackSettings | None = None,
     ) -> None:
         self._channels = channels
         self._settings = settings
@@ -97,17 +101,22 @@ class EpicsMachine:
         with environment_lock:
             use_network(settings)
             self._context = Context()
-            self._build(rf_pv)
+            self._build(rf_pv, fast)
             atexit.register(self.close)
             self._open()
         self._keeper.start()
         try:
             spared = waived(channels, counting, movable)
-            wait_for_channels(self._groups, self._setpoints.group, settings, self._clock, spared)
+            origin = {} if fast is None else dict.fromkeys(fast.reference_pvs.values(), SECTION)
+            wait_for_channels(
+                self._groups, self._setpoints.group, settings, self._clock, spared, origin
+            )
             self.setpoints()
             self._units = UnitWatch(self._context, self._groups, settings, channels.bpm_units)
             if self.oscillator is not None:
                 check_oscillator(self.oscillator)
+            if self.fast_reference is not None:
+                self.fast_reference.check()
         except MachineError:
             self.close()
             raise
@@ -148,7 +157,7 @@ class EpicsMachine:
         """Count the channels of each kind, those that are connected, and those that were lost."""
         return tuple(
             ChannelCounts(kind, len(group.pvs), len(group.present), group.losses)
-            for kind, group in zip(KINDS, self._groups, strict=False)
+            for kind, group in zip(self._kinds, self._groups, strict=True)
         )
 
     def auxiliary_ages(self) -> Mapping[str, float]:
@@ -261,7 +270,7 @@ class EpicsMachine:
         """Close."""
         self.close()
 
-    def _build(self, rf_pv: str) -> None:
+    def _build(self, rf_pv: str, fast: FastFeedbackSettings | None) -> None:
         context, channels, inbox = self._context, self._channels, self._inbox
         bpms = self._orbit_assembler
         self._auxiliary = AuxiliaryChannels(context, self._settings.auxiliary)
@@ -282,6 +291,12 @@ class EpicsMachine:
         if rf_pv:
             self.oscillator = EpicsOscillator(context, rf_pv, self._settings.answer_timeout)
             self._groups = (*self._groups, self.oscillator.group)
+        self.fast_reference: EpicsFastReference | None = None
+        if fast is not None:
+            wait = self._settings.answer_timeout
+            self.fast_reference = EpicsFastReference(context, channels, fast, wait)
+            self._groups = (*self._groups, self.fast_reference.group)
+        self._kinds = [*KINDS[:4], *(["rf"] if rf_pv else []), *([KINDS[5]] if fast else [])]
         self._servers, self._doubles = ServerWatch(self._groups), Doubles()
         context.listeners.append(self._doubles.hear)
         self._keeper = Keeper(

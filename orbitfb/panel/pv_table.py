@@ -17,6 +17,7 @@ from orbitfb.panel.pvs.forms import (
     pair_of,
     text_pv,
 )
+from orbitfb.panel.pvs.frequency import frequency_pvs, hand_over_pvs
 from orbitfb.panel.pvs.laws import restraint_pvs, trial_pvs
 from orbitfb.panel.pvs.measuring import measuring_pvs
 from orbitfb.panel.pvs.vectors import vector_pvs
@@ -79,7 +80,8 @@ def panel_pvs(settings: PanelSettings, extent: Extent) -> tuple[PanelPv, ...]:
         *_loop(),
         *_figures(extent),
         *_policies(),
-        *_frequency(),
+        *frequency_pvs(),
+        *hand_over_pvs(),
         *_adjustments(settings, extent),
         *bump_pvs(settings, extent.planes),
         *correction_pvs(),
@@ -176,41 +178,6 @@ def _policies() -> tuple[PanelPv, ...]:
         ),
         text_pv(
             "Activate-Cmd", "Puts the policy of this id in force.", Order("activate", "policy")
-        ),
-    )
-
-
-def _frequency() -> tuple[PanelPv, ...]:
-    orders = [{"command": "rf", "follow": follow} for follow in (True, False)]
-    return (
-        PanelPv(
-            "RfState-I",
-            Kind.CHOICE,
-            "Whether the RF frequency follows the energy; STOPPED is a MINOR alarm.",
-            states=("OFF", "FOLLOWS", "STOPPED"),
-            minor=("STOPPED",),
-        ),
-        text_pv("RfReason-I", "Why the frequency does not follow, or waits."),
-        number_pv("RfFrequency-I", "Frequency that the loop has set, or found.", "Hz", 3),
-        number_pv("RfStep-I", "Last step of the frequency.", "Hz", 3),
-        count_pv("RfSteps-I", "Steps of the frequency since the start."),
-        number_pv(
-            "RfEnergy-I", "Energy that the correctors make since the loop settled.", "1e-6", 3
-        ),
-        number_pv("RfColumn-I", "RF column in use, over that of the places table.", "1", 3),
-        *(
-            number_pv(f"RfFound{end}-I", f"RF column as the last refit found it, {what}.", "1", 3)
-            for end, what in (
-                ("", "over that of the places table"),
-                ("Low", "lower end of its 95 % interval"),
-                ("High", "upper end of its 95 % interval"),
-            )
-        ),
-        choice_pv(
-            "Rf-Cmd",
-            "Lets the frequency follow, or leaves it alone.",
-            ("-", "follow", "leave"),
-            *orders,
         ),
     )
 

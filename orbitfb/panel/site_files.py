@@ -33,6 +33,12 @@ _GUIDANCE = {
         "write follow to Rf-Cmd, or leave if the frequency is to stay.",
         10,
     ),
+    "HandOver-I": (
+        "Orbit feedback does not hand its reference to the fast feedback",
+        "The reference of the fast feedback is not what was put: somebody else sets it, or it does "
+        "not take puts. It stays. HandOverReason names the BPM. Agree on who sets it, then close.",
+        10,
+    ),
     "BpmsInvalid-I": (
         "Orbit feedback leaves out BPMs",
         "They are disconnected, invalid, frozen or implausible. The orbit is corrected without "

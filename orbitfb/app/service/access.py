@@ -108,7 +108,8 @@ def reach_ring(
     lease = take_lease(config, epics, lost, stack)
     counting, movable = mask_of(channels, config.masks)
     rf_pv = config.rf.setpoint_pv if follows else ""
-    machine = EpicsMachine(channels, epics, clock, counting, movable, rf_pv)
+    fast = config.fast_feedback if config.fast_feedback.reference_pvs else None
+    machine = EpicsMachine(channels, epics, clock, counting, movable, rf_pv, fast)
     stack.callback(machine.close)
     limit = config.limits.setpoint
     if told := narrower(limit, machine.drive_limits, channels.correctors):

@@ -12,6 +12,7 @@ from orbitfb.app.commands.answers import Remote
 from orbitfb.app.service.access import reach_ring
 from orbitfb.app.service.directory import journal_of, take_directory
 from orbitfb.app.service.display import show
+from orbitfb.app.service.hand_over import handing_over
 from orbitfb.app.service.interfaces import Parts, check_panel, open_doors
 from orbitfb.app.service.learning import start_learner
 from orbitfb.app.service.loop import build_loop
@@ -110,6 +111,15 @@ class Service:
             next((its.request for its in observers.recorders), None),
             policies.measured,
         )
+        handing = handing_over(
+            config,
+            access,
+            loop.runner,
+            observers.latest,
+            lambda text: self.statistics.happened("command", text),
+            clock,
+            stack,
+        )
         doors = Parts(
             ring,
             channels,
@@ -124,11 +134,13 @@ class Service:
             access.lease,
             access.bounds,
             loop.frequency,
+            handing,
             policies.measured,
             access.place,
             journal_of(directory, access, stack),
         )
         opened = open_doors(config, doors, remote, stack)
+        handing.start()
         http = show(config, access, observers, loop, opened, duration, stack)
         self.final = observers.statistics.snapshot()
         self._where = {

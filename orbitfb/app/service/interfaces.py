@@ -22,6 +22,7 @@ from orbitfb.app.commands.measuring import Sources as MeasuringSources
 from orbitfb.app.commands.preview import Latest, Trial
 from orbitfb.app.commands.vectors import Sources as VectorSources
 from orbitfb.app.commands.vectors import Vectors
+from orbitfb.app.service.hand_over import HandingOver
 from orbitfb.app.service.page_process import PageProcess
 from orbitfb.app.service.panel_process import PanelProcess
 from orbitfb.config.tree import AppConfig
@@ -64,6 +65,7 @@ class Parts:
         lease: Of the machine; None: there is none.
         bounds: Gives the limits of the setpoints that are in force.
         frequency: The RF.
+        handing: The hand-over of our reference to a fast feedback.
         measured: The response that was measured, if one was.
         where: The machine, as messages and journals call it.
         journal: Where a measurement of the response keeps its journal.
@@ -82,6 +84,7 @@ class Parts:
     lease: Lease | None
     bounds: Callable[[], Bounds]
     frequency: FrequencyCommands
+    handing: HandingOver
     measured: KnownResponse
     where: str
     journal: Path
@@ -241,7 +244,8 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
         {
             "": remote,
             "page": view,
-            "close": close,
+            "close": parts.handing.closing(close),
+            "open": parts.handing.opening(remote),
             **adjuster.handlers,
             **trial.handlers,
             **corrections.handlers,
@@ -257,6 +261,7 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
             **corrections.shown(),
             **measuring.shown(),
             **parts.frequency.shown(),
+            **parts.handing.shown(),
             **parts.lease_shown,
         },
     )
