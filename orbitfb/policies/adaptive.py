@@ -70,6 +70,12 @@ class AdaptiveSettings(Settings):
     tracking: TrackingSettings = Field(
         default=TrackingSettings(), description="The estimate of R at every tick."
     )
+    track_rf: bool = Field(
+        default=False,
+        description="Whether the RF column is tracked beside R. Under an energy that drifts "
+        "steadily it is found too small, and the loop lets go of the frequency; refits of the "
+        "learner are not misled.",
+    )
     caution: CautionSettings = Field(
         default=CautionSettings(period=10), description="How the gain is made of it, and when."
     )
@@ -165,7 +171,8 @@ class AdaptivePolicy:
         settings: As given.
         learns: That what it knows changes while it acts.
         known: What was known of R when the gain was last made; replaced as a whole.
-        rf: What it is told of the RF, which it then tracks beside R; None: the RF does not step.
+        rf: What is known of the RF, which it tracks beside R if the settings say so; None: the RF
+            does not step.
 
     Raises:
         RingError: A matrix is not finite or has the wrong shape.
@@ -209,21 +216,25 @@ class AdaptivePolicy:
         return None if known is None else tuple(part[:size, :size] for part in known)
 
     @property
+    def _tracked(self) -> KnownRf | None:
+        return self.rf if self.settings.track_rf else None
+
+    @property
     def learns_rf(self) -> bool:
         """Whether it wants to know of steps of the RF."""
-        return self.rf is not None
+        return self._tracked is not None
 
     @property
     def gain_matrix(self) -> Vector:
         """Gain on a raw reading at rest, shape (m, n) [A/m]."""
         known = self.known
         if self._rest is None or self._rest[0] is not known:
-            self._rest = known, frozen(Track(known, self.settings, self.rf).at_rest())
+            self._rest = known, frozen(Track(known, self.settings, self._tracked).at_rest())
         return self._rest[1]
 
     def initial_state(self) -> Track:
         """Begin with what is known of R by now, and nothing known of the orbit."""
-        return Track(self.known, self.settings, self.rf)
+        return Track(self.known, self.settings, self._tracked)
 
     def changes(self, errors: Vector) -> Vector:
         """Refuse: a decision depends on what was learnt.

@@ -1,6 +1,7 @@
 """The RF frequency follows an energy that drifts, over Channel Access, and is let go in time."""
 
 import csv
+import json
 import time
 from collections.abc import Iterator
 from importlib import resources
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ioc_clients import quick_ring, run_client
-from service_process import Service, refused, wait_for
+from service_process import Service, orbitfb, refused, wait_for
 
 from orbitfb.control.client import ask
 from orbitfb.core.errors import ControlError
@@ -81,6 +82,15 @@ def test_a_refit_tells_the_column_that_it_found(service: Service):
     )
     low, high = panel(service, "RfFoundLow-I", "RfFoundHigh-I")
     assert 0.5 < low < high < 1.5
+
+
+def test_a_refit_from_the_archive_tells_it_too(service: Service, tmp_path: Path):
+    archive = service.data / "archive"
+    done = orbitfb("refit", "--data", tmp_path, "--from", archive, "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["figures"]["rf_steps"] >= 10 and "RF column" in report["reason"]
+    assert 0.8 < report["figures"]["rf_ratio"] < 1.2
 
 
 def test_somebody_else_sets_the_frequency_and_has_it(service: Service):

@@ -73,10 +73,10 @@ def test_a_column_that_does_not_fit_is_refused():
         RecursiveResponse(matrix, STILL, rf=KnownRf(rf.response[1:], rf.energy))
 
 
-def law(rf):
+def law(rf, track=True):
     _, matrix, _ = ring()
     tracking = {"white": STEP, "prior_entry": 1e-6, "prior_relative": 1e-3, "drift_entry": 0.0}
-    settings = AdaptiveSettings.model_validate({"tracking": tracking})
+    settings = AdaptiveSettings.model_validate({"tracking": tracking, "track_rf": track})
     policy = AdaptivePolicy(matrix, settings)
     policy.rf = rf
     return MaskedPolicy(policy, matrix, np.ones(M, dtype=bool)), matrix
@@ -97,5 +97,6 @@ def test_the_law_that_learns_tracks_the_column_and_keeps_it():
     for estimate in (state.estimate, policy.initial_state().estimate):
         assert np.linalg.norm(estimate.column - column) < 0.3 * np.linalg.norm(rf.response - column)
     np.testing.assert_array_equal(policy.rf.response, rf.response)
-    deaf, _ = law(None)
-    assert not deaf.learns_rf and deaf.initial_state().estimate.column is None
+    for deaf, _ in (law(None), law(rf, track=False)):
+        assert not deaf.learns_rf and deaf.initial_state().estimate.column is None
+    assert not AdaptiveSettings().track_rf

@@ -249,3 +249,15 @@ def test_correctors_that_move_undo_the_dispersion_orbit():
     assert not change[~movable].any()
     left = MODEL.response + RESPONSE @ change
     assert np.linalg.norm(left) < 0.1 * np.linalg.norm(MODEL.response)
+
+
+def test_beside_the_law_that_learns_the_frequency_follows():
+    """A law that took the drift of the energy for the answer to steps would let it go."""
+    from orbitfb.policies.adaptive import AdaptivePolicy, AdaptiveSettings
+
+    bench = Bench()
+    law = with_rf(AdaptivePolicy(RESPONSE, AdaptiveSettings()), known(1.0))
+    bench.runner._engine._guard._slot.swap(law)
+    bench.run(600)
+    assert bench.follower.sight.following, bench.follower.sight.reason
+    assert np.abs(bench.energies).max() < 5e-6
