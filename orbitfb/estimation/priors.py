@@ -184,9 +184,9 @@ GRID_REACH = 2
 """Values of the grid on either side within which the best one is searched: the best one for one
 device at a grid's distance is the best one for all within two."""
 
-STOOD_IN = 0.1
-"""Share of the information on a law beyond the healthy errors of its devices up to which these
-stand in for it [1]: of every law it is near 1, or near 0 where its course is theirs."""
+STOOD_IN = 0.9
+"""Squared cosine between what a law does and the healthy error of its device from which the error
+stands in for it over a whole record [1]: it is 1 where their courses are the same."""
 
 ONSETS_EVERY = 10
 """Rows between the onsets that are tried first."""

@@ -289,8 +289,12 @@ class Scorer:
         if own is None:
             return False
         left, whole = self.apart(law, values, own)[1], self.apart(law, values, None)[1]
-        there = whole > 0.0
-        return bool(there.any()) and float(np.median(left[there] / whole[there])) < STOOD_IN
+        there = (whole > 0.0) & (own.variance > 0.0) & (own.information > 0.0)
+        if not there.any():
+            return False
+        known = 1.0 / own.variance[there] + own.information[there]
+        alike = (whole - left)[there] * known / (whole * own.information)[there]
+        return float(np.median(alike)) > STOOD_IN
 
     def apart(
         self, law: DeviceLaw, values: OwnValues, own: OwnError | None
