@@ -108,7 +108,7 @@ class EpicsFastReference:
             )
         self._metres = np.array([LENGTHS[its] for its in units])
 
-    def read(self) -> Vector:
+    def ask(self) -> Vector:
         """Ask for the reference in force, shape (k,) [m], of the BPMs of `which`.
 
         Raises:

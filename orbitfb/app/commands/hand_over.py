@@ -28,7 +28,7 @@ class FastReference(Protocol):
         """BPMs whose reference it has, shape (n,)."""
         ...
 
-    def read(self) -> Vector:
+    def ask(self) -> Vector:
         """Ask for the reference in force, shape (k,) [m], of the BPMs of `which`.
 
         Raises:
@@ -105,7 +105,7 @@ class HandOver:
         told = self._status() or self._refusal()
         if not told:
             try:
-                self._asked = self._reference.read()
+                self._asked = self._reference.ask()
             except MachineError as error:
                 told = str(error)
         if told:
@@ -128,7 +128,7 @@ class HandOver:
             self._wait(told)
             return
         try:
-            there = self._reference.read()
+            there = self._reference.ask()
             away = float(np.abs(there - asked).max(initial=0.0))
             if away > self._tolerance:
                 self._stop(away, there, asked)

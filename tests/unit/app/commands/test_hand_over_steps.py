@@ -21,7 +21,7 @@ class Fast:
         self.values, self.puts, self.away = np.zeros(3), [], ""
         self.takes = True
 
-    def read(self):
+    def ask(self):
         if self.away:
             raise MachineError(self.away)
         return self.values.copy()
