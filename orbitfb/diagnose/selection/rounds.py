@@ -7,7 +7,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.likelihood.redrawn import redrawn
+from orbitfb.diagnose.likelihood.redrawn import misses, redrawn
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.healthy_motion import with_motion
 from orbitfb.diagnose.selection.own_floors import refitted, settled
@@ -68,13 +68,16 @@ def tournament(
     accepted: list[Candidate] = []
     rounds: list[Round] = []
     space = redrawn(space)
+    again = misses(space)
     while True:
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
         enough = enough_beside(sum(one.evidence for one in accepted), space)
         candidates = candidates_of(space, left, tell, enough)
         candidates = [one for one in candidates if not _echo(one, accepted)]
-        candidates = _last_resort(refitted(candidates, space, enough), bool(accepted))
+        candidates = _last_resort(
+            refitted(candidates, space, enough), bool(accepted), misses(space)
+        )
         deaf = _coloured(accepted)
         free = [one for one in scan_free(Scorer.of(space)) if one.name not in deaf][:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
@@ -93,8 +96,12 @@ def tournament(
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
-        best, space = settled(candidates[0], space.trusting())
-        space = redrawn(space)
+        best, after = settled(candidates[0], space.trusting())
+        if again:  # with the first cause in what was not read: its values were told without
+            again, space = False, redrawn(space, after)
+            rounds.pop()
+            continue
+        space = redrawn(after)
         accepted.append(best)
 
 
@@ -138,12 +145,13 @@ def _coloured(accepted: Sequence[Candidate]) -> set[str]:
     return {name for one in accepted if one.coloured for name in one.names}
 
 
-def _last_resort(candidates: list[Candidate], accepted: bool) -> list[Candidate]:
+def _last_resort(candidates: list[Candidate], accepted: bool, drawn: bool) -> list[Candidate]:
     """Tell that the noise of a BPM is unlike the others' only where nothing else is told.
 
-    Whatever a BPM does that is in no law adds to its noise.
+    Whatever a BPM does that is in no law adds to its noise. Where many readings were drawn, so does
+    every law that is not known yet: nothing of it is in those.
     """
-    others = [one for one in candidates if not (one.noisy and one.courseless)]
+    others = [one for one in candidates if not (one.noisy and (drawn or one.courseless))]
     return others if accepted or (others and others[0].evidence >= SURE) else candidates
 
 
