@@ -19,6 +19,7 @@ from orbitfb.diagnose.hypotheses.ranking import (
     Ranked,
     any_size,
     cost_of,
+    scales,
     sign,
     within,
     worths_of,
@@ -108,7 +109,8 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     kicks = _kicks(law, scorer, spectra) if law.standing else None
     if kicks is not None:
         shown = shown + np.maximum(kicks.max(axis=0) - np.log(len(kicks)), 0.0)
-    usual = scorer.is_usual(kind) or scorer.stood_in(kind, law, values)
+    usual = scorer.is_usual(kind)
+    usual = usual or (not scales(kind) and scorer.stood_in(kind, law, values))
     sets = _hopeful_sets(law, scorer, pull, spectra, every=usual)
     if usual:
         hopeful = np.arange(count)
@@ -179,9 +181,10 @@ def _from(
     pull, information = scorer.score(law.patterns, spectra)
     information = scorer.marginal(kind, law.patterns, spectra, information)
     late = float(np.log(scorer.space.transform.rows))
-    for free in {free for _, free in worths_of(kind)}:
-        # Of any size, also where it has one: healthy errors stand in for a part of what is left.
-        gain, places = best_set(pull, information, law.groups, any_size, alone=not kind.collective)
+    for worth, free in worths_of(kind):
+        # One that has no size is sought of any: healthy errors stand in for a part of it.
+        its = worth if scales(kind) else any_size
+        gain, places = best_set(pull, information, law.groups, its, alone=not kind.collective)
         names = tuple(law.names[place] for place in places)
         yield Candidate(
             kind, places, names, values, gain - cost - late, onset=begin.row,

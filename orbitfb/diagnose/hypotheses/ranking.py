@@ -80,7 +80,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
     marks = (top, *together.T)
     best = {int(one) for mark in marks for one in np.argsort(-mark)[:RANKED_VALUES]}
     hopeful = np.max([top - HOPE, *together.T], axis=0) > 0.0
-    if kind.sudden and not scorer.is_usual(kind):
+    if kind.sudden and not scales(kind):
         # Of the grid's ends: a law whose course is that of an error has it at one of them.
         for number in {0, len(grid) - 1}:
             if scorer.stood_in(kind, law, grid[number]):
