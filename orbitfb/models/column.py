@@ -23,7 +23,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.columns import KnownRf
-from orbitfb.estimation.transform import Indices
+from orbitfb.physics.places import Indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
