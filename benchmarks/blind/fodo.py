@@ -6,8 +6,8 @@ step. A record takes a tenth of a second; its devices are in no table of places.
 """
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -152,41 +152,86 @@ def make(word: str, seed: int, out: Path, truths: Path) -> str:
     effect = EFFECTS[word](rng)  # the same once more, for its places
     without = run(Effect("none"), seed, 0.0, log["setpoint"])
     kept, after = slice(WARM, WARM + TICKS), slice(WARM + 1, WARM + TICKS + 1)
-    bpms, correctors = ([f"{kind}{k:02d}" for k in range(2 * CELLS)] for kind in ("B", "C"))
-    meta = {"dt_s": PERIOD, "planes": "x", "units": {"orbit": "mm", "action": "A", "setpoint": "A"}}
-    arrays: dict[str, Any] = {
+    names = label(range(2 * CELLS), range(2 * CELLS))
+    arrays = {
         "t": np.arange(TICKS) * PERIOD,
         "orbit": log["orbit"][kept] * 1e3,
         "next_orbit": log["orbit"][after] * 1e3,
         "setpoint": log["setpoint"][kept],
         "action": log["action"][kept],
-        "model_R": log["model"] * 1e3,
         "reference": log["golden"][kept] * 1e3,
-        "bpm_names": np.array(bpms),
-        "corr_names": np.array(correctors),
-        "meta": np.array(json.dumps(meta)),
     }
-    name = f"{seed:06d}"
-    for folder in (out, truths):
-        folder.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(out / f"{name}.npz", **arrays)
     whole, worst = _seen(log, without, kept, after)
     local = 0 < len(effect.bpms) + len(effect.correctors) < 2 * CELLS
     size = max(whole, worst / 2) if local else whole
     level = "null" if word == "none" else _level(size)
-    told = {
-        "effects": [
-            {
-                "effect": word,
-                "localised": local,
-                "bpm_names": [bpms[k] for k in effect.bpms],
-                "corr_names": [correctors[k] for k in effect.correctors],
-                "params": effect.figures,
-            }
-        ],
-        "difficulty": level,
-        "measured": {"shrink": None if word in ("none", "noise_level_drift") else 1.0},
+    shrink = None if word in ("none", "noise_level_drift") else 1.0
+    told = truth_of(replace(effect, word=word), names, local, level, shrink)
+    return save(f"{seed:06d}", out, truths, arrays, log["model"], names, told)
+
+
+def label(bpms: Iterable[int], correctors: Iterable[int]) -> tuple[list[str], list[str]]:
+    """Names of the devices at some lenses."""
+    return [f"B{k:02d}" for k in bpms], [f"C{k:02d}" for k in correctors]
+
+
+def truth_of(
+    effect: Effect,
+    names: tuple[list[str], list[str]],
+    local: bool,
+    level: str,
+    shrink: float | None,
+) -> dict[str, Any]:
+    """The truth of a record, as its file has it.
+
+    Args:
+        effect: What is wrong.
+        names: Of the BPMs and of the correctors.
+        local: Whether it sits at single devices.
+        level: How hard it is to see.
+        shrink: Share of what it does that knowing it removes; None: not told.
+    """
+    its = {
+        "effect": effect.word,
+        "localised": local,
+        "bpm_names": [names[0][k] for k in effect.bpms],
+        "corr_names": [names[1][k] for k in effect.correctors],
+        "params": effect.figures,
     }
+    return {"effects": [its], "difficulty": level, "measured": {"shrink": shrink}}
+
+
+def save(
+    name: str,
+    out: Path,
+    truths: Path,
+    arrays: dict[str, Any],
+    model: Array,
+    names: tuple[list[str], list[str]],
+    told: dict[str, Any],
+) -> str:
+    """Write a record and its truth; give its name.
+
+    Args:
+        name: Of both.
+        out: Folder for the record.
+        truths: Folder for its truth.
+        arrays: By name, in the units of the file.
+        model: Response, shape (n, m) [m/A].
+        names: Of the BPMs and of the correctors.
+        told: The truth.
+    """
+    meta = {"dt_s": PERIOD, "planes": "x", "units": {"orbit": "mm", "action": "A", "setpoint": "A"}}
+    for folder in (out, truths):
+        folder.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(
+        out / f"{name}.npz",
+        model_R=model * 1e3,
+        bpm_names=np.array(names[0]),
+        corr_names=np.array(names[1]),
+        meta=np.array(json.dumps(meta)),
+        **arrays,
+    )
     (truths / f"{name}.truth.json").write_text(json.dumps(told, indent=1), encoding="utf-8")
     return name
 

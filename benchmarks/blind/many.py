@@ -1,10 +1,9 @@
 """Small rings of many kinds: healthy ones, and the same with an effect.
 
-The rings are those of `fodo`. What differs is what healthy rings differ in: how their ground moves,
-what their BPMs are worth, how their readings were recorded, and which devices they have.
+The rings are those of `fodo`. They differ as healthy rings do: in how the ground moves, how noisy
+BPMs are, how readings were recorded, and which devices there are.
 """
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.blind.fodo import KICK, PERIOD, WARM, response
+from benchmarks.blind.fodo import KICK, PERIOD, WARM, Effect, label, response, save, truth_of
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
@@ -114,45 +113,26 @@ HEALTHY: dict[str, Machine] = USUAL | {
 """Machines that are recorded healthy."""
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """An effect on a machine.
-
-    Args:
-        word: What `external.toml` calls it.
-        bpms: Columns that it sits on.
-        correctors: Columns that it sits on.
-        act: From setpoints in force to currents, with the tick.
-        read: From what a BPM would read to what it does, with the tick.
-    """
-
-    word: str = "none"
-    bpms: tuple[int, ...] = ()
-    correctors: tuple[int, ...] = ()
-    act: Callable[[int, Array], Array] = lambda tick, currents: currents
-    read: Callable[[int, Array], Array] = lambda tick, readings: readings
-
-
-def _factors(rng: Rng, count: int) -> tuple[tuple[int, ...], Array]:
+def _factors(rng: Rng, count: int) -> tuple[NDArray[np.intp], Array]:
     places = np.sort(rng.choice(count, 2, replace=False))
     factors = np.ones(count)
     factors[places] += rng.choice([-1, 1], 2) * rng.uniform(0.15, 0.3, 2)
-    return tuple(places.tolist()), factors
+    return places, factors
 
 
-def _bpm_gain(rng: Rng, bpms: int, correctors: int, rows: int) -> Fault:
+def _bpm_gain(rng: Rng, bpms: int, correctors: int, rows: int) -> Effect:
     places, factors = _factors(rng, bpms)
-    return Fault("bpm_gain", bpms=places, read=lambda tick, readings: readings * factors)
+    return Effect("bpm_gain", bpms=places, read=lambda tick, readings: readings * factors)
 
 
-def _corrector_gain(rng: Rng, bpms: int, correctors: int, rows: int) -> Fault:
+def _corrector_gain(rng: Rng, bpms: int, correctors: int, rows: int) -> Effect:
     places, factors = _factors(rng, correctors)
-    return Fault(
+    return Effect(
         "corrector_calibration", correctors=places, act=lambda tick, currents: currents * factors
     )
 
 
-def _lag(rng: Rng, bpms: int, correctors: int, rows: int) -> Fault:
+def _lag(rng: Rng, bpms: int, correctors: int, rows: int) -> Effect:
     places = np.sort(rng.choice(correctors, 2, replace=False))
     left, there = float(np.exp(-PERIOD / rng.uniform(0.06, 0.12))), np.zeros(2)
 
@@ -162,10 +142,10 @@ def _lag(rng: Rng, bpms: int, correctors: int, rows: int) -> Fault:
         slow[places] = there
         return slow
 
-    return Fault("corrector_lag", correctors=tuple(places.tolist()), act=act)
+    return Effect("corrector_lag", correctors=places, act=act)
 
 
-def _delay(rng: Rng, bpms: int, correctors: int, rows: int) -> Fault:
+def _delay(rng: Rng, bpms: int, correctors: int, rows: int) -> Effect:
     last = np.zeros(correctors)
 
     def act(tick: int, currents: Array) -> Array:
@@ -173,7 +153,7 @@ def _delay(rng: Rng, bpms: int, correctors: int, rows: int) -> Fault:
         last[:] = currents
         return late
 
-    return Fault("transport_delay", act=act)
+    return Effect("transport_delay", act=act)
 
 
 def _held(place: int, onset: int) -> Callable[[int, Array], Array]:
@@ -189,27 +169,27 @@ def _held(place: int, onset: int) -> Callable[[int, Array], Array]:
     return hold
 
 
-def _stuck(rng: Rng, bpms: int, correctors: int, rows: int) -> Fault:
+def _stuck(rng: Rng, bpms: int, correctors: int, rows: int) -> Effect:
     place, onset = int(rng.integers(correctors)), WARM + int(rng.uniform(0.3, 0.5) * rows)
-    return Fault("corrector_stuck", correctors=(place,), act=_held(place, onset))
+    return Effect("corrector_stuck", correctors=np.array([place]), act=_held(place, onset))
 
 
-def _frozen(rng: Rng, bpms: int, correctors: int, rows: int) -> Fault:
+def _frozen(rng: Rng, bpms: int, correctors: int, rows: int) -> Effect:
     place, onset = int(rng.integers(bpms)), WARM + int(rng.uniform(0.3, 0.5) * rows)
-    return Fault("bpm_dead", bpms=(place,), read=_held(place, onset))
+    return Effect("bpm_dead", bpms=np.array([place]), read=_held(place, onset))
 
 
-def _play(rng: Rng, bpms: int, correctors: int, rows: int) -> Fault:
+def _play(rng: Rng, bpms: int, correctors: int, rows: int) -> Effect:
     half, there = rng.uniform(0.01, 0.02), np.zeros(correctors)
 
     def act(tick: int, currents: Array) -> Array:
         there[:] = np.clip(there, currents - half, currents + half)
         return there.copy()
 
-    return Fault("corrector_backlash", act=act)
+    return Effect("corrector_backlash", act=act)
 
 
-FAULTS: dict[str, Callable[[Rng, int, int, int], Fault]] = {
+FAULTS: dict[str, Callable[[Rng, int, int, int], Effect]] = {
     "bpm-gain": _bpm_gain,
     "corrector-gain": _corrector_gain,
     "lag": _lag,
@@ -248,45 +228,28 @@ def _write(name: str, fault: str, seed: int, out: Path) -> str:
     count = 2 * machine.cells
     bpms = np.sort(rng.choice(count, machine.bpms or count, replace=False))
     correctors = np.sort(rng.choice(count, machine.correctors or count, replace=False))
-    effect = Fault("missed_reads" if machine.together else "none")
+    effect = Effect("missed_reads" if machine.together else "none")
     if fault in FAULTS:
         effect = FAULTS[fault](rng, len(bpms), len(correctors), machine.rows)
     log = _run(machine, effect, rng, bpms, correctors)
-    names = [f"B{k:02d}" for k in bpms], [f"C{k:02d}" for k in correctors]
     keep = np.ones(machine.rows, dtype=bool)
     keep[rng.choice(machine.rows, machine.lost, replace=False)] = False
-    meta = {"dt_s": PERIOD, "planes": "x", "units": {"orbit": "mm", "action": "A", "setpoint": "A"}}
-    told = f"{name}-{fault}"
-    truths = out.with_name(f"{out.name}_truth")
-    for folder in (out, truths):
-        folder.mkdir(parents=True, exist_ok=True)
-    arrays: dict[str, Any] = {part: values[keep] for part, values in log.items()}
-    np.savez_compressed(
-        out / f"{told}.npz",
-        model_R=response(np.zeros(count))[np.ix_(bpms, correctors)] * KICK * 1e3,
-        bpm_names=np.array(names[0]),
-        corr_names=np.array(names[1]),
-        meta=np.array(json.dumps(meta)),
-        **arrays,
+    names = label(bpms, correctors)
+    healthy, local = effect.word == "none", len(effect.bpms) + len(effect.correctors) > 0
+    level, shrink = ("null", None) if healthy else ("easy", 1.0)
+    return save(
+        f"{name}-{fault}",
+        out,
+        out.with_name(f"{out.name}_truth"),
+        {part: values[keep] for part, values in log.items()},
+        response(np.zeros(count))[np.ix_(bpms, correctors)] * KICK,
+        names,
+        truth_of(effect, names, local, level, shrink),
     )
-    its = {
-        "effect": effect.word,
-        "localised": bool(effect.bpms or effect.correctors),
-        "bpm_names": [names[0][k] for k in effect.bpms],
-        "corr_names": [names[1][k] for k in effect.correctors],
-        "params": {},
-    }
-    truth = {
-        "effects": [its],
-        "difficulty": "null" if effect.word == "none" else "easy",
-        "measured": {"shrink": None if effect.word == "none" else 1.0},
-    }
-    (truths / f"{told}.truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
-    return told
 
 
 def _run(
-    machine: Machine, effect: Fault, rng: Rng, bpms: NDArray[np.intp], correctors: NDArray[np.intp]
+    machine: Machine, effect: Effect, rng: Rng, bpms: NDArray[np.intp], correctors: NDArray[np.intp]
 ) -> dict[str, Any]:
     """Run the loop, and record it in the units of the file."""
     count, rows = 2 * machine.cells, WARM + machine.rows + 1

@@ -15,8 +15,9 @@ class StepNoise:
     """Walk covariance Q and noise covariance N of n readings, and the modes that part them.
 
     W solves Wᵀ N W = 1, Wᵀ Q W = diag(q): in the modes z W the covariance of a step of frequency f
-    is diag(q + λ_f). The ground of a ring need not walk: where its spectrum is steeper, or flatter,
-    q is q λ_f^(−c/2), whose logarithm is on average that of q.
+    is diag(q + λ_f). Where the ground drifts more smoothly than a walk, or springs back, it is
+    diag(q λ_f^(−c/2) + λ_f): motion of spectrum f^(−2−c). The logarithm of the factor is zero on
+    average over all frequencies.
 
     Args:
         walk: Q, shape (n, n) [m²].
@@ -61,7 +62,7 @@ class StepNoise:
         return replace(self, walk=walk, white=white if self.shaken is None else white + self.shaken)
 
     def variance(self, transform: StepTransform) -> Matrix:
-        """Variance q + λ of every mode at every frequency, shape (T, n)."""
+        """Variance of every mode at every frequency, shape (T, n)."""
         return self.variance_at(transform.eigenvalue)
 
     def variance_at(self, eigenvalue: Vector) -> Matrix:
@@ -70,11 +71,7 @@ class StepNoise:
 
     def reddened(self, eigenvalue: Vector) -> Vector:
         """Factor of the walk at some λ, same shape."""
-        return (
-            np.asarray(eigenvalue ** (-0.5 * self.colour))
-            if self.colour
-            else np.ones_like(eigenvalue)
-        )
+        return np.asarray(eigenvalue ** (-0.5 * self.colour))
 
     def pull(self, spectrum: Matrix, transform: StepTransform) -> Matrix:
         """Ω_f z_f of a spectrum z, Ω = (Q + λN)⁻¹, shape (T, n) [1/m]."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.refit import Course, joined
+from orbitfb.diagnose.likelihood.corrected import driven, hearing
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.priors import HEARD, VALUE_SCATTER
@@ -86,7 +87,7 @@ class Candidate:
             exact, widened = undo(space)
             if np.isfinite(exact).all() and np.isfinite(widened):
                 field = exact
-                space = replace(space.hearing(field), widened=space.widened + widened)
+                space = replace(hearing(space, field), widened=space.widened + widened)
         elif field is not None and self.sources and self.kind.target == "bpm":
             space, field = self._heard(space, field)
         if field is not None:
@@ -126,7 +127,7 @@ class Candidate:
                 chosen = list(one.places) if one.places else slice(None)
                 currents[:, chosen] += one.of(signals, one.values)[0] * one.size
         moved = not np.array_equal(currents, signals.currents)
-        return space.driven(currents) if moved else space
+        return driven(space, currents) if moved else space
 
     def _undo(self) -> "Callable[[Workspace], tuple[Matrix, float]] | None":
         """How its sources are undone in the readings; None: they are not."""
@@ -147,7 +148,7 @@ class Candidate:
     def _heard(self, space: Workspace, field: Matrix) -> tuple[Workspace, Matrix]:
         """Tell what BPMs make of the orbit that is left when what they make of it is taken off."""
         for _ in range(HEARD):
-            space = space.hearing(field)
+            space = hearing(space, field)
             field = np.zeros_like(field)
             for one in self.sources:
                 chosen = list(one.places) if one.places else slice(None)

@@ -21,6 +21,7 @@ from orbitfb.diagnose.hypotheses.ranking import (
     cost_of,
     scales,
     sign,
+    stood_in,
     within,
     worths_of,
 )
@@ -110,7 +111,7 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     if kicks is not None:
         shown = shown + np.maximum(kicks.max(axis=0) - np.log(len(kicks)), 0.0)
     usual = scorer.is_usual(kind)
-    usual = usual or (not scales(kind) and scorer.stood_in(kind, law, values))
+    usual = usual or (not scales(kind) and stood_in(kind, law, values, scorer))
     sets = _hopeful_sets(law, scorer, pull, spectra, every=usual)
     if usual:
         hopeful = np.arange(count)

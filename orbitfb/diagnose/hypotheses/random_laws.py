@@ -172,7 +172,7 @@ def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate
     hopeful = np.argsort(-np.max(along**2, axis=0) / own)[:STROKE_PLACES]
     best: tuple[float, int, Vector] = (-np.inf, int(hopeful[0]), np.zeros(len(along)))
     for place in map(int, hopeful):
-        found = _pursued(along[:, place], weights[:, place], transform)
+        found = pursued(along[:, place], weights[:, place], transform)
         if found[0] > best[0]:
             best = (found[0], place, found[1])
     gain, place, strokes = best
@@ -184,7 +184,7 @@ def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate
     return [replace(whole, walk=None, field=field, cost=None)]
 
 
-def _pursued(pull: Vector, weights: Vector, transform: StepTransform) -> tuple[float, Vector]:
+def pursued(pull: Vector, weights: Vector, transform: StepTransform) -> tuple[float, Vector]:
     """Evidence of strokes at single rows, and the strokes of every row, shape (T,).
 
     Args:

@@ -11,7 +11,14 @@ from orbitfb.diagnose.hypotheses.sets import Worth
 from orbitfb.effects.kinds import EffectKind, OwnValues, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import best_size, given_size, normal_size
-from orbitfb.estimation.priors import HOPE, ONSET_SIGN, RANKED_VALUES, SIZE_WIDTH, VALUE_COST
+from orbitfb.estimation.priors import (
+    HOPE,
+    ONSET_SIGN,
+    RANKED_VALUES,
+    SIZE_WIDTH,
+    STOOD_IN,
+    VALUE_COST,
+)
 from orbitfb.estimation.transform import Matrix
 
 
@@ -83,7 +90,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
     if kind.sudden and not scales(kind):
         # Of the grid's ends: a law whose course is that of an error has it at one of them.
         for number in {0, len(grid) - 1}:
-            if scorer.stood_in(kind, law, grid[number]):
+            if stood_in(kind, law, grid[number], scorer):
                 shown[number] = np.inf
     late = np.argsort(-shown, kind="stable")[:RANKED_VALUES]
     return Ranked(
@@ -91,6 +98,24 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
         [grid[number] for number in sorted(best) if hopeful[number]],
         [grid[number] for number in sorted(late) if shown[number] > ONSET_SIGN],
     )  # fmt: skip
+
+
+def stood_in(kind: EffectKind, law: DeviceLaw, values: Values, scorer: Scorer) -> bool:
+    """Whether healthy errors of the devices make what a law does over the whole record.
+
+    A corrector that stands still is one of gain −1 as long as it does so: nothing of it shows
+    but where it begins.
+    """
+    own = scorer.own_error(kind, np.arange(law.patterns[0].shape[1]))
+    if own is None:
+        return False
+    left, whole = scorer.apart(law, values, own)[1], scorer.apart(law, values, None)[1]
+    there = (whole > 0.0) & (own.variance > 0.0) & (own.information > 0.0)
+    if not there.any():
+        return False
+    known = 1.0 / own.variance[there] + own.information[there]
+    alike = (whole - left)[there] * known / (whole * own.information)[there]
+    return float(np.median(alike)) > STOOD_IN
 
 
 def sign(pull: Vector, information: Vector) -> Vector:

@@ -15,7 +15,7 @@ from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, OwnValues
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalPriors, NormalTerms
-from orbitfb.estimation.priors import SAMPLED, SHARES, STOOD_IN
+from orbitfb.estimation.priors import SAMPLED, SHARES
 from orbitfb.estimation.transform import Indices, Matrix
 
 
@@ -278,23 +278,6 @@ class Scorer:
         if own is None:
             return None, terms.patterns[:, :0]
         return own, terms.patterns[:, terms.pattern[own.first + devices]]
-
-    def stood_in(self, kind: EffectKind, law: DeviceLaw, values: OwnValues) -> bool:
-        """Whether healthy errors of the devices make what a law does over the whole record.
-
-        A corrector that stands still is one of gain −1 as long as it does so: nothing of it shows
-        but where it begins.
-        """
-        own = self.own_error(kind, np.arange(law.patterns[0].shape[1]))
-        if own is None:
-            return False
-        left, whole = self.apart(law, values, own)[1], self.apart(law, values, None)[1]
-        there = (whole > 0.0) & (own.variance > 0.0) & (own.information > 0.0)
-        if not there.any():
-            return False
-        known = 1.0 / own.variance[there] + own.information[there]
-        alike = (whole - left)[there] * known / (whole * own.information)[there]
-        return float(np.median(alike)) > STOOD_IN
 
     def apart(
         self, law: DeviceLaw, values: OwnValues, own: OwnError | None

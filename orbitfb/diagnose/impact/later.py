@@ -11,6 +11,7 @@ from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.impact.explained import Explained
 from orbitfb.diagnose.impact.named import Named
 from orbitfb.diagnose.impact.pieces import Differences, columns_of
+from orbitfb.diagnose.likelihood.corrected import hearing
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, FieldLaw, PairLaw
@@ -127,7 +128,7 @@ def _field(
         field = _summed(kind, moved, own, space)
         if kind.target == "bpm":
             for _ in range(HEARD):
-                heard = (heard or space).hearing(field)
+                heard = hearing(heard or space, field)
                 field = _summed(kind, moved, own, heard)
         return field, heard
     for law in laws:

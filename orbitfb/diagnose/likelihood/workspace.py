@@ -10,7 +10,6 @@ from orbitfb.diagnose.likelihood.courses import Courses
 from orbitfb.diagnose.likelihood.errors import (
     ErrorBlock,
     fitted_scales,
-    following,
     healthy_errors,
     saturated,
     variances,
@@ -30,12 +29,10 @@ from orbitfb.estimation.priors import (
     AGAIN,
     AT_FIRST,
     EXACTLY,
-    FIRST_ORDER,
     FREELY,
     LEAST_SHARE,
     MATERIAL,
     MOST_STEPS,
-    NEAREST,
     TRUST,
     WIDE,
 )
@@ -189,21 +186,6 @@ class Workspace:
         """The same, factored."""
         return self._asked()[1]
 
-    @property
-    def misfit(self) -> float:
-        """Evidence that other laws may find because healthy errors are told to first order [nats].
-
-        What causes do that are not known yet is in the errors, too, but not in those that a healthy
-        ring has: they count up to twice their limits.
-        """
-        rough = NEAREST if self.signals.record.layout.ring is None else FIRST_ORDER
-        most = np.zeros(len(self.terms))
-        for block in self.blocks:
-            if not block.accepted:
-                most[block.columns] = 2.0 * block.limit
-        sizes = np.clip(self.priors.mean(self.errors.pull), -most, most)
-        return 0.5 * rough**2 * float(sizes @ self.known.information @ sizes)
-
     def _asked(self) -> tuple[NormalTerms, NormalPriors]:
         if not self.asked:
             its = NormalPriors.of(self.known.information, self.variance)
@@ -300,35 +282,6 @@ class Workspace:
         shares, _ = fitted_scales(self.blocks, terms, given, self.shares)
         return replace(self, shares=tuple(shares))
 
-    def hearing(self, field: Matrix) -> "Workspace":
-        """Predict the orbit anew, readings being wrong by a field, and forget what laws made of it.
-
-        Args:
-            field: Spectrum of what BPMs add to the readings, shape (T, n) [m].
-        """
-        record = self.signals.record
-        modelled = record.setpoints @ record.layout.response.T
-        added = self.transform.summed(field)
-        residual = record.readings - modelled - added
-        orbit = predicted(residual, self.noise, self.transform) + modelled
-        signals = replace(self.signals, orbit=orbit)
-        return replace(self, signals=signals, courses=self.courses.hearing(signals))
-
-    def driven(self, currents: Matrix) -> "Workspace":
-        """Take other currents for those that act on the beam: errors and laws follow them.
-
-        Args:
-            currents: Shape (N, m) [A].
-        """
-        signals = replace(self.signals, currents=currents)
-        return replace(
-            self,
-            signals=signals,
-            terms=following(self.blocks, signals, self.transform, self.terms),
-            courses=Courses(signals, self.transform),
-            known=Known.nothing(self.noise),
-        )
-
     def explaining(self, spectrum: Matrix) -> "Workspace":
         """Accept what a cause adds to the readings."""
         return replace(self, explained=self.explained + spectrum)
@@ -364,12 +317,6 @@ class Workspace:
             shares=(*self.shares, LEAST_SHARE),
             single=np.concatenate([self.single, np.zeros(count)]),
         )
-
-    def pulled(self) -> Matrix:
-        """Ω z with the healthy errors marginalised, shape (T, n) [1/m]."""
-        mean = self.priors.mean(self.errors.pull)
-        left = self.residual - self.terms.contribution(mean)
-        return self.noise.pull(left, self.transform)
 
     def log_likelihood(self) -> float:
         """Log density of the readings, healthy errors marginalised."""

@@ -56,20 +56,29 @@ def drawn(record: Record, told: Matrix | float = 0.0) -> Record:
 def _spread(left: Matrix, known: Mask, starts: Mask) -> tuple[Vector, Vector]:
     """Variance of the walk per row, and of the noise, of every BPM, shape (k,) each [m²].
 
-    Readings that are d rows apart differ by 2v + d q on average.
+    Readings that are d rows apart differ by 2v + d q on average. Where no stretch is long enough
+    for a walk to show, there is none.
     """
-    found = []
-    for apart in (1, _FAR):
-        both = known[apart:] & known[:-apart]
-        for row in range(apart):
-            both &= ~starts[1 + row : len(starts) - apart + 1 + row, None]
-        away = np.where(both, np.abs(left[apart:] - left[:-apart]), np.nan)
-        away[:, both.sum(axis=0) < _FEWEST] = np.nan
-        found.append(TO_SIGMA * np.nanmedian(away, axis=0))
-    near, far = (np.nan_to_num(usual, nan=float(np.nanmedian(usual))) ** 2 for usual in found)
+    near = _change(left, known, starts, 1) ** 2
+    far = _change(left, known, starts, _FAR) ** 2
+    near = np.where(np.isfinite(near), near, 2.0 * np.var(left, axis=0, where=known))
+    far = np.where(np.isfinite(far), far, near)
     least = _LEAST * near
     walk = np.clip((far - near) / (_FAR - 1), least, near - least)
     return walk, 0.5 * (near - walk)
+
+
+def _change(left: Matrix, known: Mask, starts: Mask, apart: int) -> Vector:
+    """Usual change over some rows, shape (k,) [m]; NaN where no BPM has enough of them."""
+    both = known[apart:] & known[:-apart]
+    for row in range(apart):
+        both &= ~starts[1 + row : len(starts) - apart + 1 + row, None]
+    away = np.abs(left[apart:] - left[:-apart])
+    several = both.sum(axis=0) >= _FEWEST
+    found = np.full(left.shape[1], np.nan)
+    for column in np.flatnonzero(several):
+        found[column] = TO_SIGMA * np.median(away[both[:, column], column])
+    return np.where(several, found, np.median(found[several])) if several.any() else found
 
 
 def _smoothed(left: Matrix, known: Mask, ratio: Vector, starts: Mask) -> Matrix:

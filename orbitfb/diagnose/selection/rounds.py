@@ -3,16 +3,27 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.likelihood.redrawn import misses, redrawn
+from orbitfb.diagnose.likelihood.corrected import misses, redrawn
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.healthy_motion import with_motion
 from orbitfb.diagnose.selection.own_floors import refitted, settled
 from orbitfb.effects.kinds import EffectKind
-from orbitfb.estimation.priors import AT_ONCE, FINALISTS, MISFIT, REMAINDER, ROUNDS, SURE
+from orbitfb.estimation.priors import (
+    AT_ONCE,
+    FINALISTS,
+    FIRST_ORDER,
+    MISFIT,
+    NEAREST,
+    REMAINDER,
+    ROUNDS,
+    SURE,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,10 +42,8 @@ class Round:
 
     def left(self, told: float) -> Candidate | None:
         """The best that is sure beside causes with that evidence [nats]; None: there is none."""
-        best = next(iter(self.candidates), None)
-        return (
-            best if best is not None and best.evidence > enough_beside(told, self.space) else None
-        )
+        enough = enough_beside(told, self.space)
+        return next((one for one in self.candidates[:1] if one.evidence > enough), None)
 
 
 def enough_beside(told: float, space: Workspace) -> float:
@@ -46,7 +55,22 @@ def enough_beside(told: float, space: Workspace) -> float:
         told: Evidence of the causes beside it [nats].
         space: That it was tried on: its healthy errors are a little wrong, too.
     """
-    return SURE + MISFIT * told + space.misfit
+    return SURE + MISFIT * told + _misfit(space)
+
+
+def _misfit(space: Workspace) -> float:
+    """Evidence that other laws may find because healthy errors are told to first order [nats].
+
+    What causes do that are not known yet is in the errors, too, but not in those that a healthy
+    ring has: they count up to twice their limits.
+    """
+    rough = NEAREST if space.signals.record.layout.ring is None else FIRST_ORDER
+    most = np.zeros(len(space.terms))
+    for block in space.blocks:
+        if not block.accepted:
+            most[block.columns] = 2.0 * block.limit
+    sizes = np.clip(space.priors.mean(space.errors.pull), -most, most)
+    return 0.5 * rough**2 * float(sizes @ space.known.information @ sizes)
 
 
 def tournament(
@@ -83,16 +107,15 @@ def tournament(
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())
-        if candidates and candidates[0].evidence > enough:
-            moving = with_motion(space, candidates[0].evidence)
-            if moving is not None:
-                tell("top healthy motion")
-                space = moving
-                rounds.pop()
-                continue
-        if len(accepted) == ROUNDS or not candidates or candidates[0].evidence < enough:
+        if not candidates or candidates[0].evidence < enough:
             return accepted, rounds
-        if _composed([*accepted, candidates[0]]):
+        moving = with_motion(space, candidates[0].evidence)
+        if moving is not None:
+            tell("top healthy motion")
+            space = moving
+            rounds.pop()
+            continue
+        if len(accepted) == ROUNDS or _composed([*accepted, candidates[0]]):
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name

@@ -93,3 +93,23 @@ def test_a_healthy_response_has_no_such_device() -> None:
         assert isinstance(law, ElementsLaw)
         best += scan_elements(effect(name), law, Scorer.of(space))
     assert all(one.evidence < 5.0 for one in best)
+
+
+@pytest.mark.parametrize(
+    ("size", "by_one_factor", "told"),
+    [(0.2, False, True), (0.2, True, False), (0.025, False, False)],
+    ids=["odd", "by one factor", "as in a healthy ring"],
+)
+def test_a_row_is_told_if_it_is_more_wrong_than_a_healthy_one_and_in_no_order(
+    size: float, by_one_factor: bool, told: bool
+) -> None:
+    record = make_record(36, dither=0.5)
+    change = np.zeros_like(record.layout.response)
+    row = record.layout.response[5]
+    odd = np.std(row) * np.random.default_rng(2).standard_normal(len(row))
+    change[5] = size * (row if by_one_factor else odd)
+    kind = effect("bpm-row")
+    space = Workspace.of(wrong(record, change), kinds_for(record))
+    (law,) = space.courses.laws(kind)
+    assert isinstance(law, ElementsLaw)
+    assert bool(scan_elements(kind, law, Scorer.of(space))) == told

@@ -110,3 +110,13 @@ def test_a_cause_in_a_polled_record_is_named_alone() -> None:
     kinds = kinds_for(record)
     accepted, _ = tournament(Workspace.of(record, kinds), kinds)
     assert [(one.kind.id, one.names) for one in accepted] == [("corrector-stuck", ("C4 (x)",))]
+
+
+def test_stretches_too_short_for_a_walk_to_show_are_filled_in_with_noise_alone() -> None:
+    record = make_record(68, gain=0.0)
+    starts = np.arange(len(record)) % 6 == 0
+    missing = np.random.default_rng(5).random(record.readings.shape) < 0.1
+    found = drawn(replace(record, starts=starts, filled=missing))
+    assert np.isfinite(found.readings).all()
+    steps = np.abs(np.diff(left(found), axis=0))[~starts[1:]]
+    assert steps.max() < 10.0 * np.median(steps)

@@ -122,3 +122,19 @@ def test_under_the_floor_of_another_one_none_has_more_than_under_its_own() -> No
     assert under[best] == pytest.approx(own[best], rel=0.01)
     for number, evidence in under.items():
         assert evidence < own[number] + 0.01 * own[best], told[number].describe()
+
+
+def test_a_form_of_an_effect_does_not_stand_for_another_one() -> None:
+    """Two BPMs whose gains are wrong from the beginning on, told after one that begins late."""
+    record = make_record(90, gain=0.0)
+    gains = np.ones(record.readings.shape[1])
+    gains[[3, 9]] = [1.25, 0.8]
+    record = replace(record, readings=record.readings * gains)
+    space = Workspace.of(record, kinds_for(record))
+    found = candidates_of(space, [effect("bpm-gain")])
+    late = next(one for one in found if one.onset)
+    some = next(one for one in found if one.columns)
+    assert some.evidence > 1.5 * late.evidence
+    best, *_ = refitted([replace(late, evidence=2.0 * some.evidence), some], space)
+    assert best.places == (3, 9)
+    assert best.evidence > 0.9 * some.evidence

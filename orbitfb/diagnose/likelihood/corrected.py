@@ -1,0 +1,76 @@
+"""What a workspace takes for known is corrected: the orbit, the currents, what was not read."""
+
+from dataclasses import replace
+
+from orbitfb.diagnose.likelihood.courses import Courses
+from orbitfb.diagnose.likelihood.errors import following
+from orbitfb.diagnose.likelihood.known import Known
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.screen.missing import drawn
+from orbitfb.estimation.prediction import predicted
+from orbitfb.estimation.priors import DRAWN_AGAIN
+from orbitfb.estimation.transform import Matrix
+
+
+def hearing(space: Workspace, field: Matrix) -> Workspace:
+    """Predict the orbit anew, readings being wrong by a field, and forget what laws made of it.
+
+    Args:
+        space: Of the record.
+        field: Spectrum of what BPMs add to the readings, shape (T, n) [m].
+    """
+    record = space.signals.record
+    modelled = record.setpoints @ record.layout.response.T
+    added = space.transform.summed(field)
+    residual = record.readings - modelled - added
+    orbit = predicted(residual, space.noise, space.transform) + modelled
+    signals = replace(space.signals, orbit=orbit)
+    return replace(space, signals=signals, courses=space.courses.hearing(signals))
+
+
+def driven(space: Workspace, currents: Matrix) -> Workspace:
+    """Take other currents for those that act on the beam: errors and laws follow them.
+
+    Args:
+        space: Of the record.
+        currents: Shape (N, m) [A].
+    """
+    signals = replace(space.signals, currents=currents)
+    return replace(
+        space,
+        signals=signals,
+        terms=following(space.blocks, signals, space.transform, space.terms),
+        courses=Courses(signals, space.transform),
+        known=Known.nothing(space.noise),
+    )
+
+
+def misses(space: Workspace) -> bool:
+    """Whether so much was not read that it matters how it is drawn."""
+    return bool(space.signals.record.filled.mean() >= DRAWN_AGAIN)
+
+
+def redrawn(space: Workspace, by: Workspace | None = None) -> Workspace:
+    """Draw what was not read with all that is known now: healthy errors, and accepted causes.
+
+    A draw that knows less says that they were not there at these rows. Records that miss next to
+    nothing are left as they are.
+
+    Args:
+        space: Whose readings are drawn.
+        by: What knows more of the same record; None: the same.
+    """
+    if not misses(space):
+        return space
+    its = space if by is None else by
+    made = its.explained + its.terms.contribution(its.priors.mean(its.errors.pull))
+    fresh = drawn(space.signals.record, space.transform.summed(made))
+    signals = replace(space.signals, record=fresh)
+    left = fresh.readings - fresh.setpoints @ fresh.layout.response.T
+    space = replace(
+        space,
+        signals=signals,
+        plain=space.transform.spectrum(left),
+        courses=space.courses.hearing(signals),
+    )
+    return space.with_floor()
