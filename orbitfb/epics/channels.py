@@ -13,6 +13,7 @@ from orbitfb.epics.events import Monitor, array_handler, scalar_handler
 from orbitfb.epics.libca import (
     ACCESS_HANDLER,
     CONNECTION_HANDLER,
+    DBR_CTRL_DOUBLE,
     DBR_DOUBLE,
     DBR_FLOAT,
     DBR_TIME_DOUBLE,
@@ -29,6 +30,7 @@ from orbitfb.epics.libca import (
     keep_thread_state,
 )
 from orbitfb.epics.records import RECORD
+from orbitfb.epics.statements import Statements
 
 FIELD_TYPES = {0: "text", 1: "a short integer", 3: "an enumeration", 4: "bytes", 5: "an integer"}
 """Native types that hold no real number, by their number in db_access.h."""
@@ -87,12 +89,14 @@ class ChannelGroup:
         self.losses = 0
         """How often a channel went away."""
         self.restated = 0
-        """How often a PV may have stated another unit or other limits."""
+        """How often a PV has stated another unit or other limits."""
         self.lock = threading.Lock()
         self._context = context
         self._library = context.library
         self._monitor = monitor
         self._changed, self._properties = changed, properties
+        self._statements = Statements(len(self.pvs))
+        self._property_events = (ctypes.c_void_p * len(self.pvs))()
         # libca keeps the addresses of these: they must live as long as the context.
         self._connection_handler = CONNECTION_HANDLER(self._on_connection)
         self._access_handler = ACCESS_HANDLER(self._on_access)
@@ -216,6 +220,23 @@ class ChannelGroup:
         self._context.flush()
         return int(away.size)
 
+    def end_repeating(self) -> int:
+        """End the subscriptions to properties whose events state nothing new.
+
+        Returns:
+            How many there were.
+        """
+        repeating = self._statements.repeating()
+        if not repeating:
+            return 0
+        with self.lock:
+            for number in repeating:
+                event, self._property_events[number] = self._property_events[number], None
+                if event is not None:
+                    self._library.ca_clear_subscription(event)
+        self._context.flush()
+        return len(repeating)
+
     def forget(self) -> None:
         """Take no request any more: the context is about to end."""
         with self.lock:
@@ -255,15 +276,17 @@ class ChannelGroup:
             )
             self._context.check(f"subscribing to {name}", status)
         if self._properties:
+            event = ctypes.c_void_p()
             status = library.ca_create_subscription(
-                DBR_TIME_DOUBLE,
-                0 if self.pvs[number].elements is not None else 1,
+                DBR_CTRL_DOUBLE,
+                1,
                 handle,
                 MONITOR_PROPERTY,
                 ctypes.cast(self._property_handler, ctypes.c_void_p),
                 number + 1,
-                None,
+                ctypes.byref(event),
             )
+            self._property_events[number] = event.value
             self._context.check(f"subscribing to the properties of {name}", status)
 
     def _on_connection(self, arguments: ConnectionArguments) -> None:
@@ -275,6 +298,7 @@ class ChannelGroup:
             # A circuit that answers again after a silence brings its channels back without an
             # access event, though it took their rights away by one.
             self.writable[pv.places] = bool(self._library.ca_write_access(arguments.channel))
+            self._statements.came(number)
             self.servers[number] = self._context.host_of(arguments.channel)
             self.arrivals += 1
             if pv.elements is not None and self._monitor is not None:
@@ -283,7 +307,8 @@ class ChannelGroup:
         self._set_connected(number, up)
 
     def _on_property(self, arguments: EventArguments) -> None:
-        self.restated += arguments.status == ECA_NORMAL
+        if arguments.status == ECA_NORMAL:
+            self.restated += self._statements.is_new(arguments.user - 1, arguments)
 
     def _on_access(self, arguments: AccessArguments) -> None:
         number = self._library.ca_puser(arguments.channel) - 1

@@ -154,6 +154,7 @@ def bind(path: str) -> ctypes.CDLL:
     library.ca_create_subscription.argtypes = [
         ctypes.c_long, ctypes.c_ulong, pointer, ctypes.c_long, pointer, pointer, pointer
     ]  # fmt: skip
+    library.ca_clear_subscription.argtypes = [pointer]
     library.ca_array_get.argtypes = [ctypes.c_long, ctypes.c_ulong, pointer, pointer]
     library.ca_pend_io.argtypes = [ctypes.c_double]
     library.ca_flush_io.argtypes = []

@@ -312,6 +312,8 @@ class EpicsMachine:
             raise
 
     def _after_look(self) -> None:
+        for group in self._groups:
+            group.end_repeating()
         self._orbit_assembler.look()
         self._readbacks.assembler.look()
         self._setpoints.refresh_limits()

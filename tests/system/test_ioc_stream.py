@@ -9,11 +9,13 @@ import time
 import pytest
 from ioc_clients import (
     CHANNELS,
+    CONTROL_DOUBLE,
     DOUBLE,
     KICK,
     READINGS,
     RMS,
     TICK,
+    TIME_DOUBLE,
     RawClient,
     quick_ring,
     same,
@@ -201,9 +203,17 @@ def test_late_subscribers_and_other_types_see_the_present(stepped):
     stepped.subscribe(READINGS[0], data_type=DOUBLE)
     assert stepped.event().value == orbit.value
     assert stepped.get(READINGS[0]) == orbit
-    for mask in (4, 8):  # alarms or properties alone: caproto serves these
-        stepped.subscribe(SETPOINTS[0], mask=mask)
-        assert stepped.event().value == 0.5
+    stepped.subscribe(SETPOINTS[0], mask=4)  # alarms alone: caproto serves these
+    assert stepped.event().value == 0.5
+
+
+@pytest.mark.parametrize("data_type", [TIME_DOUBLE, CONTROL_DOUBLE])
+def test_units_and_limits_that_never_change_are_told_once(stepped, data_type):
+    stepped.subscribe(SETPOINTS[0], mask=8, data_type=data_type)
+    assert stepped.event().name == SETPOINTS[0]
+    stepped.put(dict.fromkeys(SETPOINTS, 0.5))
+    stepped.subscribe(TICK)
+    assert [event.name for event in stepped.events(1)] == [TICK]
 
 
 def test_nothing_comes_after_a_cancellation_or_a_cleared_channel():

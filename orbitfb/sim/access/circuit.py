@@ -202,7 +202,7 @@ class FastCircuit(VirtualCircuit):
     async def _keep(self, command: Any) -> bool:
         """Carry out what is the feed's own; say whether caproto is not to see it."""
         if isinstance(command, ca.EventAddRequest):
-            return self._monitors(command)
+            return await self._states(command) or self._monitors(command)
         if isinstance(command, ca.EventCancelRequest):
             self.feed.remove(command.subscriptionid)
         elif isinstance(command, ca.ClearChannelRequest):
@@ -210,10 +210,7 @@ class FastCircuit(VirtualCircuit):
         return False
 
     def _monitors(self, command: Any) -> bool:
-        """Add a subscription if the feed can serve it: whole values of the usual types.
-
-        Units and limits never change, so that of a subscription to them only the first is sent.
-        """
+        """Add a subscription if the feed can serve it: whole values of the usual types."""
         channel = self.circuit.channels_sid.get(command.sid)
         entry = None if channel is None else self.context[channel.name]
         if (
@@ -222,7 +219,7 @@ class FastCircuit(VirtualCircuit):
             or command.data_type not in (DOUBLE, TIME_DOUBLE)
             or command.data_count not in (0, len(entry.places))
             or len(entry.places) > LONGEST
-            or not (command.mask & _VALUE_MASKS or command.mask == PROPERTY)
+            or not command.mask & _VALUE_MASKS
             or any(channel.channel_filter)
         ):
             return False
@@ -231,7 +228,36 @@ class FastCircuit(VirtualCircuit):
         except ca.CaprotoError:
             return False  # caproto answers what breaks the protocol
         what = (entry.places, command.subscriptionid, command.sid, int(command.data_type))
-        self.feed.add(Monitor(*what), once=command.mask == PROPERTY)
+        self.feed.add(Monitor(*what))
+        return True
+
+    async def _states(self, command: Any) -> bool:
+        """Answer a subscription to units and limits once: they never change."""
+        channel = self.circuit.channels_sid.get(command.sid)
+        entry = None if channel is None else self.context[channel.name]
+        if (
+            channel is None
+            or not isinstance(entry, BoardChannel | BoardArray)
+            or command.mask != PROPERTY
+            or any(channel.channel_filter)
+        ):
+            return False
+        try:
+            self.circuit.process_command(command)
+        except ca.CaprotoError:
+            return False  # caproto answers what breaks the protocol
+        metadata, values = await entry.read(command.data_type)
+        count = command.data_count or len(values)
+        await self.send(
+            channel.subscribe(
+                data=values[:count],
+                metadata=metadata,
+                data_type=command.data_type,
+                data_count=count,
+                subscriptionid=command.subscriptionid,
+                status=1,
+            )
+        )
         return True
 
     async def send(self, *commands: Any) -> None:

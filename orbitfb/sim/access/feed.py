@@ -36,16 +36,10 @@ class Feed:
         self._outdated = False
         self._pending: Mask = np.zeros(len(board.names), dtype=np.bool_)
 
-    def add(self, monitor: Monitor, once: bool = False) -> None:
-        """Take a subscription and send the present value at once.
-
-        Args:
-            monitor: The subscription.
-            once: Whether nothing is sent after that.
-        """
-        if not once:
-            self._monitors[monitor.subscription] = monitor
-            self._outdated = True
+    def add(self, monitor: Monitor) -> None:
+        """Take a subscription and send the present value at once."""
+        self._monitors[monitor.subscription] = monitor
+        self._outdated = True
         if self._transport.is_closing():
             return
         if not self._wanted():

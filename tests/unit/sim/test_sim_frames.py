@@ -163,13 +163,6 @@ def test_a_closed_connection_is_left_alone(feed, transport):
     assert transport.taken() == []
 
 
-def test_a_subscription_to_what_never_changes_is_answered_once(feed, transport):
-    feed.add(Monitor(np.array([1]), 50, 1, TIME_DOUBLE), once=True)
-    assert transport.taken() == [50]
-    feed.send_readings()
-    assert transport.taken() == [0, 8]
-
-
 def put(channel, value):
     command = ca.WriteRequest([value], ca.ChannelType.DOUBLE, 1, channel, 5)
     return b"".join([bytes(command.header), *map(bytes, command.buffers)])
