@@ -20,6 +20,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="directory for chaos.json and chaos.md")
     parser.add_argument("--keep", type=Path, help="directory for data and journals, kept")
     parser.add_argument("--alone", action="store_true", help="leave the plain loop out")
+    parser.add_argument("--first", type=int, default=0, help="number of the episode to begin with")
     arguments = parser.parse_args()
     if arguments.faults < 1 or arguments.seed < 0 or not 10 <= arguments.rate <= 200:
         parser.error("--faults must be at least 1, --seed 0, --rate between 10 and 200 Hz")
@@ -40,6 +41,7 @@ def main() -> int:
             arguments.rate,
             beside=not arguments.alone,
             say=lambda line: print(f"{time.monotonic() - began:7.1f} s  {line}", flush=True),
+            first=arguments.first,
         )
     print("\n" + write(result, arguments.out))
     return verdict(result)

@@ -12,7 +12,7 @@ from tests.chaos.growth import Life
 from tests.chaos.naive_side import Naive
 from tests.chaos.ours import Ours, needs_hand
 from tests.chaos.rings import DRIVE, LostError, Ring, wait
-from tests.chaos.schedule import Episode, Fault
+from tests.chaos.schedule import Episode, Fault, Lived
 
 PATIENCE = 12.0
 """Time that the loop has to come back once everything is whole [s]."""
@@ -46,7 +46,7 @@ class Campaign:
         self.trouble: list[dict[str, Any]] = []
         self.recoveries: list[float] = []
         self.lives: list[Life] = []
-        self.unanswered: list[tuple[float, float]] = []
+        self.lived: list[Lived] = []
         self._limits_until_restart = self._stopped = False
         self._later: list[dict[str, Any]] = []
         self._looked = 0.0
@@ -104,8 +104,7 @@ class Campaign:
                 self._tell_all(faults=list(on.values()))
             else:
                 self._process(fault, begins)
-        if all("blind" in f.what or "deaf" in f.what for f in episode.faults):
-            self.unanswered.append((wall, time.time()))
+        self.lived.append(Lived(episode, wall, time.time()))
         self.counts["episodes"] += 1
         self.counts[f"pattern: {episode.pattern}"] += 1
 

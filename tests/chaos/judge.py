@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from tests.chaos.schedule import Lived
+
 EXCESS = 1
 """Puts to one setpoint beyond the orbits to act on, of the last five: one may be under way when
 such an orbit is followed by one that may not be acted on."""
@@ -19,6 +21,12 @@ WELL = 20e-6
 """Rms [m] that users would not notice."""
 
 
+def not_to_act_on(rows: np.ndarray) -> np.ndarray:
+    """Whether a write in each record came on an orbit that may not be acted on."""
+    late = rows["tick"] - rows["good"] > LATE_TICKS
+    return (rows["puts"] > 0) & ((rows["excess"] > EXCESS) | late)
+
+
 def put_figures(rows: np.ndarray, rate: float) -> dict[str, Any]:
     """Count what was put, and what the beam did.
 
@@ -28,7 +36,6 @@ def put_figures(rows: np.ndarray, rate: float) -> dict[str, Any]:
     """
     puts = rows[rows["puts"] > 0]
     age = puts["tick"] - puts["good"]
-    stale = (puts["excess"] > EXCESS) | (age > LATE_TICKS)
     edges = np.diff((rows["peak"] > DUMP).astype(int), prepend=0)
     return {
         "ticks": len(rows),
@@ -39,7 +46,7 @@ def put_figures(rows: np.ndarray, rate: float) -> dict[str, Any]:
         "puts over the limit": int(puts["beyond"].sum()),
         "puts over the drive limit": int(puts["refused"].sum()),
         "steps over the limit": int(puts["steps"].sum()),
-        "writes on an orbit not to act on": int(stale.sum()),
+        "writes on an orbit not to act on": int(not_to_act_on(rows).sum()),
         "largest setpoint put [A]": round(float(puts["largest"].max(initial=0)), 4),
         "longest step [A]": round(float(puts["step"].max(initial=0)), 4),
         "oldest orbit written on [ticks]": int(age.max(initial=0)),
@@ -60,19 +67,24 @@ BEFORE = 3
 in the orbit after, or in the one after that."""
 
 
-def wandered(rows: np.ndarray, spans: list[tuple[float, float]]) -> list[str]:
+def wandered(rows: np.ndarray, lived: list[Lived]) -> list[str]:
     """Say where the beam was moved far by devices that do not answer.
 
     Args:
         rows: Records of a journal.
-        spans: Beginning and end of such faults [s].
+        lived: The episodes as they were; those with other faults are left out.
     """
     found = []
-    for begin, end in spans:
-        peaks = rows["peak"][(rows["wall"] >= begin) & (rows["wall"] <= end + 0.2)]
+    for each in lived:
+        if not each.episode.is_unanswered:
+            continue
+        peaks = rows["peak"][(rows["wall"] >= each.begin) & (rows["wall"] <= each.end + 0.2)]
         rise = float(peaks.max() - peaks[:BEFORE].max()) if len(peaks) else 0.0
         if rise > WANDERS:
-            found.append(f"|orbit| grew by {rise * 1e6:.0f} um while devices did not answer")
+            found.append(
+                f"episode {each.episode.number}: |orbit| grew by {rise * 1e6:.0f} um while devices "
+                f"did not answer"
+            )
     return found
 
 
@@ -91,6 +103,20 @@ MUST_BE_ZERO = (
 def broken_rules(figures: dict[str, Any]) -> list[str]:
     """Name the rules about puts that were broken."""
     return [f"{name}: {figures[name]}" for name in MUST_BE_ZERO if figures[name]]
+
+
+def broken_in(rows: np.ndarray, lived: list[Lived]) -> dict[int, int]:
+    """Count the records that broke a rule about puts, by the number of their episode.
+
+    Args:
+        rows: Records of a journal.
+        lived: The episodes as they were.
+    """
+    names = ("nonfinite", "beyond", "refused", "steps")
+    broken = not_to_act_on(rows) | np.any([rows[name] > 0 for name in names], axis=0)
+    begins = [each.begin for each in lived]
+    at = np.searchsorted(begins, rows["wall"][broken], "right") - 1
+    return dict(sorted(Counter(lived[max(index, 0)].episode.number for index in at).items()))
 
 
 def trips(

@@ -23,6 +23,7 @@ def run_once(
     beside: bool = True,
     say: Callable[[str], None] = lambda _: None,
     settled: float = 60.0,
+    first: int = 0,
 ) -> dict[str, Any]:
     """Run a campaign and judge it.
 
@@ -34,9 +35,10 @@ def run_once(
         beside: Whether the plain loop runs beside it.
         say: Gets a line now and then.
         settled: Time after a start from which growth is looked at [s].
+        first: Number of the episode to begin with.
     """
     began = time.monotonic()
-    episodes = list(schedule(seed, faults))
+    episodes = list(schedule(seed, faults))[first:]
     campaign = Campaign(directory, seed, rate, say, beside)
     try:
         campaign.run(episodes)
@@ -53,12 +55,17 @@ def run_once(
     longest = max(campaign.lives, key=lambda life: life.seconds)
     growth = longest.figures(settled)
     unexplained = judge.trips(changes, written, ours.unlogged)
+    broken_in = judge.broken_in(rings[0], campaign.lived)
     elsewhere = int(journal.read(campaign.other.journal)["puts"].sum())
     broken = [
         *judge.broken_rules(figures),
+        *(
+            f"episode {number}: puts after {n} orbits broke a rule"
+            for number, n in broken_in.items()
+        ),
         *(f"episode {t['episode']}: {t['what']}" for t in campaign.trouble),
         *unexplained,
-        *judge.wandered(rings[0], campaign.unanswered),
+        *judge.wandered(rings[0], campaign.lived),
         *([f"puts at another server: {elsewhere}"] if elsewhere else []),
         *(f"archive: {problem}" for problem in unreadable),
         *grown(growth),

@@ -36,10 +36,24 @@ class Episode:
         """How long it takes until the last fault is gone [s]."""
         return max(fault.end for fault in self.faults)
 
+    @property
+    def is_unanswered(self) -> bool:
+        """Whether all its faults are devices that look well and do not answer."""
+        return all("blind" in fault.what or "deaf" in fault.what for fault in self.faults)
+
     def changes(self) -> list[tuple[float, bool, int]]:
         """Give time, whether one begins, and which fault, in order of time."""
         ends = [(f.begin, True, i) for i, f in enumerate(self.faults)]
         return sorted(ends + [(f.end, False, i) for i, f in enumerate(self.faults)])
+
+
+@dataclass(frozen=True)
+class Lived:
+    """An episode as it was: when its faults began, and when the last was gone [s since 1970]."""
+
+    episode: Episode
+    begin: float
+    end: float
 
 
 def schedule(seed: int, faults: int) -> Iterator[Episode]:

@@ -6,10 +6,10 @@ import pytest
 from tests.chaos.devices import FaultyRing
 from tests.chaos.growth import Life, grown
 from tests.chaos.journal import RECORD, Journal, read
-from tests.chaos.judge import broken_rules, put_figures, trips, wandered
+from tests.chaos.judge import EXCESS, broken_in, broken_rules, put_figures, trips, wandered
 from tests.chaos.kinds import KINDS
 from tests.chaos.notes import FORGIVEN, Notes
-from tests.chaos.schedule import schedule
+from tests.chaos.schedule import Episode, Fault, Lived, schedule
 
 SIZE = 4
 ALL = np.arange(SIZE)
@@ -186,7 +186,21 @@ def test_a_beam_that_blind_devices_move_far_is_found():
     rows = np.zeros(10, dtype=RECORD)
     rows["wall"], rows["peak"] = np.arange(10), 30e-6
     rows["peak"][5:] = 90e-6
-    assert wandered(rows, [(0.0, 4.0), (6.0, 9.0)]) == []
-    assert "60 um" in wandered(rows, [(2.0, 5.0)])[0]
-    assert wandered(rows, [(4.0, 9.0)]) == []  # a kick before it ended
-    assert "60 um" in wandered(rows, [(2.0, 9.0)])[0]
+    assert wandered(rows, [lived(0.0, 4.0), lived(6.0, 9.0)]) == []
+    assert "60 um" in wandered(rows, [lived(2.0, 5.0)])[0]
+    assert wandered(rows, [lived(2.0, 5.0, blind=False)]) == []
+    assert wandered(rows, [lived(4.0, 9.0)]) == []  # a kick before it ended
+    assert "episode 7: |orbit| grew by 60 um" in wandered(rows, [lived(2.0, 9.0)])[0]
+
+
+def lived(begin, end, blind=True, number=7):
+    what = {"blind": [0]} if blind else {"slow": 3}
+    return Lived(Episode(number, "single", (Fault("", "ring", what, 0.0, 1.0),)), begin, end)
+
+
+def test_a_broken_rule_is_told_with_its_episode():
+    rows = np.zeros(10, dtype=RECORD)
+    rows["wall"], rows["tick"], rows["good"] = np.arange(10), np.arange(10), np.arange(10)
+    rows["puts"], rows["excess"][[2, 7, 8]] = 1, EXCESS + 1
+    times = [lived(0.5, 1.0, number=3), lived(4.0, 5.0, number=4), lived(6.5, 7.0, number=5)]
+    assert broken_in(rows, times) == {3: 1, 5: 2}
