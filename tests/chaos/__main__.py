@@ -8,6 +8,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from tests.chaos.kinds import KINDS
 from tests.chaos.report import verdict, write
 
 
@@ -21,9 +22,15 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, help="directory for data and journals, kept")
     parser.add_argument("--alone", action="store_true", help="leave the plain loop out")
     parser.add_argument("--first", type=int, default=0, help="number of the episode to begin with")
+    parser.add_argument("--kinds", default="", help="words, by commas: only kinds that have one")
     arguments = parser.parse_args()
     if arguments.faults < 1 or arguments.seed < 0 or not 10 <= arguments.rate <= 200:
         parser.error("--faults must be at least 1, --seed 0, --rate between 10 and 200 Hz")
+    words = [word.strip() for word in arguments.kinds.split(",")]
+    kinds = [kind for kind in KINDS if any(word in kind.name for word in words)]
+    if all(kind.early for kind in kinds):
+        names = ", ".join(kind.name for kind in KINDS if not kind.early)
+        parser.error(f"--kinds {arguments.kinds!r} names none of: {names}")
     prepare()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that no process is left behind
     from tests.chaos.once import run_once
@@ -42,6 +49,7 @@ def main() -> int:
             beside=not arguments.alone,
             say=lambda line: print(f"{time.monotonic() - began:7.1f} s  {line}", flush=True),
             first=arguments.first,
+            kinds=kinds,
         )
     print("\n" + write(result, arguments.out))
     return verdict(result)

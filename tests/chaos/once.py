@@ -1,7 +1,7 @@
 """One campaign from its seed to its figures."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from orbitfb.history.reader import segment_paths
 from tests.chaos import journal, judge
 from tests.chaos.campaign import Campaign
 from tests.chaos.growth import grown
+from tests.chaos.kinds import KINDS, Kind
 from tests.chaos.rings import LostError
 from tests.chaos.schedule import schedule
 
@@ -24,6 +25,7 @@ def run_once(
     say: Callable[[str], None] = lambda _: None,
     settled: float = 60.0,
     first: int = 0,
+    kinds: Sequence[Kind] = KINDS,
 ) -> dict[str, Any]:
     """Run a campaign and judge it.
 
@@ -36,9 +38,10 @@ def run_once(
         say: Gets a line now and then.
         settled: Time after a start from which growth is looked at [s].
         first: Number of the episode to begin with.
+        kinds: Of which faults are drawn.
     """
     began = time.monotonic()
-    episodes = list(schedule(seed, faults))[first:]
+    episodes = list(schedule(seed, faults, kinds))[first:]
     campaign = Campaign(directory, seed, rate, say, beside)
     try:
         campaign.run(episodes)

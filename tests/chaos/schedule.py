@@ -1,6 +1,6 @@
 """What happens when: drawn from a seed, before anything runs."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,13 +56,18 @@ class Lived:
     end: float
 
 
-def schedule(seed: int, faults: int) -> Iterator[Episode]:
+def schedule(seed: int, faults: int, kinds: Sequence[Kind] = KINDS) -> Iterator[Episode]:
     """Draw episodes until there are so many faults; a flap counts each time.
 
     Every kind comes once, in any order, before they come by their weights.
+
+    Args:
+        seed: Of the draw.
+        faults: How many.
+        kinds: Of which they are drawn; one at least may come at any time.
     """
     rng = np.random.default_rng([seed, 20])
-    deck = _Deck(rng)
+    deck = _Deck(rng, kinds)
     drawn = number = 0
     while drawn < faults:
         deck.late = drawn > 0.5 * faults
@@ -75,13 +80,13 @@ def schedule(seed: int, faults: int) -> Iterator[Episode]:
 class _Deck:
     """Kinds to draw from."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._rng = rng
-        self._new = [KINDS[index] for index in rng.permutation(len(KINDS))]
+    def __init__(self, rng: np.random.Generator, kinds: Sequence[Kind]) -> None:
+        self._rng, self._kinds = rng, kinds
+        self._new = [kinds[index] for index in rng.permutation(len(kinds))]
         self.late = False
 
-    def draw(self, busy: Collection[str] = ()) -> Kind:
-        """Draw a kind that does not do to a process what is being done to it."""
+    def draw(self, busy: Collection[str] = ()) -> Kind | None:
+        """Draw a kind that does not do to a process what is being done to it; None: all are."""
 
         def fits(kind: Kind) -> bool:
             return kind.where not in busy and not (kind.early and self.late)
@@ -90,7 +95,9 @@ class _Deck:
             if fits(kind):
                 self._new.remove(kind)
                 return kind
-        kinds = [kind for kind in KINDS if fits(kind)]
+        kinds = [kind for kind in self._kinds if fits(kind)]
+        if not kinds:
+            return None
         weights = np.array([kind.weight for kind in kinds])
         return kinds[int(self._rng.choice(len(kinds), p=weights / weights.sum()))]
 
@@ -101,9 +108,13 @@ def _episode(rng: np.random.Generator, number: int, deck: _Deck, left: int) -> E
         drawn: list[Fault] = []
         for _ in range(min(left, int(rng.integers(2, 4)))):
             kind = deck.draw({fault.where for fault in drawn} - {"ring"})
-            drawn.append(_fault(rng, kind, float(rng.uniform(0, 0.6))))
+            if kind is not None:
+                drawn.append(_fault(rng, kind, float(rng.uniform(0, 0.6))))
         return Episode(number, pattern, tuple(drawn))
-    fault = _fault(rng, deck.draw(), 0.0)
+    kind = deck.draw()
+    if kind is None:
+        raise ValueError("every kind of fault that was asked for ends the life of a process")
+    fault = _fault(rng, kind, 0.0)
     if pattern != "flapping" or fault.where in ("ioc", "controller") or left < 2:
         return Episode(number, "single", (fault,))
     flaps, at = [], 0.0

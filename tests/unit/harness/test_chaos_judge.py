@@ -140,6 +140,15 @@ def test_a_seed_is_a_schedule():
     assert {episode.pattern for episode in first} == {"single", "overlapping", "flapping"}
 
 
+def test_a_schedule_of_some_kinds_has_only_these():
+    some = [kind for kind in KINDS if kind.name in ("IOC killed", "disk full")]
+    found = list(schedule(3, 40, some))
+    assert sum(len(episode.faults) for episode in found) == 40
+    assert {fault.kind for each in found for fault in each.faults} == {kind.name for kind in some}
+    with pytest.raises(ValueError, match="ends the life"):
+        list(schedule(3, 40, [kind for kind in KINDS if kind.early]))
+
+
 @pytest.mark.parametrize(
     ("told", "good"),
     [
