@@ -25,9 +25,6 @@ from orbitfb.models.linear import LinearModel
 from orbitfb.models.rows import select_rows
 from orbitfb.policies.rf_known import rf_of, with_rf
 
-_REFUTED = 10.0
-"""R̂ is given up when the rows speak against it by so many times what refuses a candidate."""
-
 Build = Callable[[LinearModel, Policy], Policy]
 """Makes a candidate of the posterior and of the incumbent."""
 
@@ -108,7 +105,7 @@ class Learner:
         absorbed = self._identifier.absorb(
             rows, self._response_of(incumbent), self._column_of(incumbent)
         )
-        self._since.add(rows, absorbed)
+        self._since.add(rows, absorbed, self.settings.chi2_trigger)
         self._look(absorbed)
         return absorbed
 
@@ -217,21 +214,22 @@ class Learner:
         figures = since.figures() | model_figures(model, self._response_of(incumbent))
         figures |= rf_figures(model.rf, since.rf_steps)
         candidate, verdict = None, self._obstacle(since)
+        refuted = since.nats < -self.settings.judge.evidence
         if verdict is None:
             candidate, refused = self._build(model, incumbent), rf_refusal(model.rf)
             if model.rf is not None and candidate is not incumbent:
                 with_rf(candidate, (rf_of(incumbent) or self._rf) if refused else model.rf.known)
             evidence = Evidence(since.take_nats(), since.page)
-            nats, cost = evidence.nats, swap_cost(self.settings)
             verdict = judge(
-                candidate, incumbent, model, evidence, self.settings.judge, self._generator, cost,
-                self._unreachable(model, candidate), since.hertz_square / max(since.rows, 1),
+                candidate, incumbent, model, evidence, self.settings.judge, self._generator,
+                swap_cost(self.settings), self._unreachable(model, candidate),
+                since.hertz_square / max(since.rows, 1),
             )  # fmt: skip
-            if nats < -_REFUTED * self.settings.judge.evidence:
-                self.forget(incumbent)
-                verdict = replace(
-                    verdict, reason=f"{verdict.reason}; R̂ starts again from that of the incumbent"
-                )
+        if refuted:
+            self.forget(incumbent)
+            verdict = replace(
+                verdict, reason=f"{verdict.reason}; R̂ starts again from that of the incumbent"
+            )
         self._number += 1
         report = RefitReport(
             number=self._number,
@@ -259,6 +257,14 @@ class Learner:
             return Verdict(
                 False,
                 f"no excitation: nothing was written in {since.rows} rows; close the loop",
+                {},
+            )
+        if since.chi2 > self.settings.chi2_trigger:
+            return Verdict(
+                False,
+                f"the newest rows are no answer that R̂ explains (χ² {since.chi2:.3g}, limit "
+                f"{self.settings.chi2_trigger:g}); a ring that stays as it is now teaches R̂, one "
+                "that answers oddly for a while does not",
                 {},
             )
         if self._learns and since.page < self.settings.judge.evidence:

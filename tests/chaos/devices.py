@@ -87,7 +87,6 @@ class FaultyRing:
                 reading += bump
         shift = next((fault["shift"] for fault in faults if "shift" in fault), 0)
         reading = np.roll(reading, shift)
-        self._misread(reading, faults)
         for fault in faults:
             if "blind" in fault:
                 blind = self._chosen.setdefault(fault["id"], reading[fault["blind"]].copy())
@@ -95,6 +94,7 @@ class FaultyRing:
                 reading[fault["blind"]] = blind + noise
             if "deaf" in fault:
                 readback[fault["deaf"]] = setpoints[fault["deaf"]]
+        self._misread(reading, faults)  # what is shown of it: a blind BPM may read NaN, too
         for index, error in errors.items():
             readback[index] += error
         self.good = self._may_act(faults, now)

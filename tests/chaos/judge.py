@@ -75,10 +75,12 @@ def wandered(rows: np.ndarray, lived: list[Lived]) -> list[str]:
         lived: The episodes as they were; those with other faults are left out.
     """
     found = []
-    for each in lived:
+    following = [one.begin for one in lived[1:]] + [float("inf")]
+    for each, after in zip(lived, following, strict=True):
         if not each.episode.is_unanswered:
             continue
-        peaks = rows["peak"][(rows["wall"] >= each.begin) & (rows["wall"] <= each.end + 0.2)]
+        end = min(each.end + 0.2, after)
+        peaks = rows["peak"][(rows["wall"] >= each.begin) & (rows["wall"] <= end)]
         rise = float(peaks.max() - peaks[:BEFORE].max()) if len(peaks) else 0.0
         if rise > WANDERS:
             found.append(

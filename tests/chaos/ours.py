@@ -16,6 +16,7 @@ from orbitfb.history.archive import read_archive
 from orbitfb.history.reader import segment_paths
 from orbitfb.loop.inquiry import WAITS
 from orbitfb.safety.bpms import LATCHED
+from tests.chaos.judge import LATE_TICKS
 from tests.chaos.rings import LIMIT, STEP, Ring, Side, wait
 from tests.chaos.second import Second
 
@@ -48,6 +49,7 @@ port = 0
 time = 1.0
 required = true
 [epics]
+stale_after = {stale}
 address_list = "{ports}"
 connect_timeout = 60.0
 reconnect_period = 0.5
@@ -74,7 +76,9 @@ class Ours:
         directory.mkdir(parents=True)
         config, self._mode = directory / "c.toml", directory / "mode"
         ports = f"127.0.0.1:{ring.port} 127.0.0.1:{other.port}"
-        text = CONFIG.format(rate=rate, ramp=3.0 / rate, limit=LIMIT, step=STEP, ports=ports)
+        text = CONFIG.format(
+            rate=rate, ramp=3.0 / rate, stale=LATE_TICKS / rate, limit=LIMIT, step=STEP, ports=ports
+        )
         config.write_text(text)
         self._mode.write_text(".")
         command = ["-m", "tests.chaos.controller", self._mode, "run", "--config", config]

@@ -39,6 +39,13 @@ def test_blind_bpms_do_not_follow_and_look_alive(ring, name):
         assert np.abs(shown[0] - before)[~blind].max() > 100e-6
 
 
+def test_a_blind_bpm_that_reads_nan_shows_it(ring):
+    """It had shown a number, and a write that followed counted as one on an orbit not to act on."""
+    wrapped, fault = faulty(ring, "BPMs all blind")
+    wrapped.faults = [fault, {"id": "2", "bpms": {"3": "nan"}}]
+    assert np.flatnonzero(np.isnan(wrapped.step(np.zeros(180)).reading)).tolist() == [3]
+
+
 @pytest.mark.parametrize("name", ["supplies all deaf", "supplies of a cell deaf", "supply deaf"])
 def test_deaf_supplies_echo_their_setpoint_and_jump_when_they_are_back(ring, name):
     wrapped, fault = faulty(ring, name)

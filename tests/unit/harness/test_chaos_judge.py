@@ -200,6 +200,8 @@ def test_a_beam_that_blind_devices_move_far_is_found():
     assert wandered(rows, [lived(2.0, 5.0, blind=False)]) == []
     assert wandered(rows, [lived(4.0, 9.0)]) == []  # a kick before it ended
     assert "episode 7: |orbit| grew by 60 um" in wandered(rows, [lived(2.0, 9.0)])[0]
+    soon = [lived(2.0, 4.9), lived(4.95, 5.0, blind=False)]
+    assert wandered(rows, soon) == []  # what came next moved it
 
 
 def lived(begin, end, blind=True, number=7):

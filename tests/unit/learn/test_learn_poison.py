@@ -1,6 +1,7 @@
 """Rows that lie: nothing is promoted while they come, or it is rolled back within 20 ticks."""
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ from test_learn_worker import Bench
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.refit import Decision
+from orbitfb.learn.since import Since
+from orbitfb.models.absorbed import Absorbed
 from orbitfb.physics.places import Ring
 
 FROM, TO, END = 120, 220, 300
@@ -84,6 +87,29 @@ def test_r_that_rows_refute_is_given_up():
     assert any("starts again" in report.reason for report in bench.reports)
     off = bench.learner.model.response - bench.loop.plant.response
     assert np.linalg.norm(off) < 0.05 * np.linalg.norm(bench.loop.plant.response)
+
+
+def rows_that_say(chi2, nats):
+    said = Absorbed(rows=10, kicks=0, chi2=chi2, chi2_other=9.0, nats=nats)
+    since = Since("svd-1")
+    since.add(SimpleNamespace(left_out={}, change=np.ones((10, 3)), hertz=None), said, 1.3)
+    return since
+
+
+def test_rows_that_no_response_explains_are_no_evidence():
+    """A BPM that read −1 times the orbit for a second had 317 nats, and what it taught acted."""
+    assert rows_that_say(1.0, 5.0).page == 50.0
+    assert rows_that_say(8.2, 5.0).page == 0.0
+    assert rows_that_say(8.2, -5.0).nats == -50.0
+
+
+def test_nothing_is_promoted_while_the_newest_rows_are_not_explained():
+    bench = Poisoned(ten_times)
+    bench.loop.advance(TO)
+    bench.learner.absorb(bench.snapshot(), bench.slot.current)
+    bench.learner._since.chi2 = 8.2
+    report, candidate = bench.learner.conclude(bench.slot.current, "on-demand")
+    assert candidate is None and "χ² 8.2, limit 1.3" in report.reason
 
 
 def test_stuck_bpms_teach_nothing():
