@@ -13,8 +13,13 @@ COLUMNS = {
 """Arrays by kind of place and column; the braces stand for the plane."""
 
 
-def array_places(file: Path) -> Path:
-    """Write the default ring's table with one array for all devices of a kind and plane."""
+def array_places(file: Path, over: str = "") -> Path:
+    """Write the default ring's table with one array for all devices of a kind and plane.
+
+    Args:
+        file: To write.
+        over: What their names begin with: `pva://`, or nothing for Channel Access.
+    """
     text = (files("orbitfb") / "data" / "places.csv").read_text()
     rows = list(csv.DictReader(io.StringIO(text)))
     counts: dict[str, int] = {}
@@ -23,7 +28,7 @@ def array_places(file: Path) -> Path:
             for plane in "xy":
                 its = column[:-1] + plane
                 if row["kind"] == kind and row[its]:
-                    name = pattern.format("{" + plane.upper() + "}")
+                    name = over + pattern.format("{" + plane.upper() + "}")
                     row[its] = f"{name}.[{counts.get(name, 0)}]"
                     counts[name] = counts.get(name, 0) + 1
     with file.open("w", newline="") as out:

@@ -24,7 +24,7 @@ from epicscorelibs.ioc import dbCore
 from softioc import builder, softioc
 
 from benchmarks.rings import build_ring
-from orbitfb.core.names import NamedPv, named_pvs
+from orbitfb.core.names import NamedPv, any_over_pva, named_pvs
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.layout import Layout, lay_out
 
@@ -47,7 +47,7 @@ class Fields:
         self._put, self._get = dbCore["dbPutField"], dbCore["dbGetField"]
         self._puts, self._gets = [], []
         for pv in named_pvs(names):
-            address, count = _address(pv.name), ctypes.c_long(pv.length)
+            address, count = _address(pv.served), ctypes.c_long(pv.length)
             pointer = ctypes.c_void_p(self.values.ctypes.data + 8 * int(pv.places[0]))
             self._puts.append((address, _DOUBLE, pointer, count))
             its = (address, _DOUBLE, pointer, ctypes.byref(options), ctypes.byref(count), None)
@@ -85,16 +85,16 @@ def database(layout: Layout) -> str:
     for pv in named_pvs([spec.name for spec in layout.readings]):
         kind = "ai" if pv.elements is None else "waveform"
         fields = reading if pv.elements is None else f'{_array(pv)} field(TSEL, "{STAMP}.TIME")'
-        records.append(f'record({kind}, "{pv.name}") {{ {fields} }}')
+        records.append(f'record({kind}, "{pv.served}") {{ {fields} }}')
     for pv in named_pvs([spec.name for spec in layout.setpoints]):
         link = f'field(FLNK, "{DONE}")' if pv.name == correctors[-1].name else ""
         if pv.elements is None:
             low, high = specs[pv.name].drive
             drive = f'field(DRVH, "{high}") field(DRVL, "{low}")'
             value = f'field(VAL, "{specs[pv.name].initial}") field(PINI, "YES")'
-            records.append(f'record(ao, "{pv.name}") {{ {drive} {value} {link} }}')
+            records.append(f'record(ao, "{pv.served}") {{ {drive} {value} {link} }}')
         else:
-            records.append(f'record(waveform, "{pv.name}") {{ {_array(pv)} {link} }}')
+            records.append(f'record(waveform, "{pv.served}") {{ {_array(pv)} {link} }}')
     return "\n".join(records)
 
 
@@ -117,7 +117,7 @@ def main() -> None:
         records = Path(folder, "ring.db")
         records.write_text(database(layout))
         softioc.dbLoadDatabase(str(records))
-        softioc.iocInit(dispatcher=_at_once, enable_pva=False)
+        softioc.iocInit(dispatcher=_at_once, enable_pva=any_over_pva(ring.channels.pvs))
     stamp = Fields([STAMP])
     readings = Fields([spec.name for spec in layout.readings])
     setpoints = Fields([spec.name for spec in layout.setpoints])

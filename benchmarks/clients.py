@@ -46,6 +46,7 @@ class ClientJob:
 
     run: Run
     port: int
+    pva_port: int
     server_pid: int
     sim: SimJob
 
@@ -56,8 +57,10 @@ class ClientJob:
 
     def dump(self) -> str:
         """Write it as one line."""
-        fields = {"port": self.port, "server_pid": self.server_pid, "run": asdict(self.run)}
-        return json.dumps({**fields, "sim": self.sim.model_dump(mode="json")})
+        fields = {name: getattr(self, name) for name in ("port", "pva_port", "server_pid")}
+        return json.dumps(
+            {**fields, "run": asdict(self.run), "sim": self.sim.model_dump(mode="json")}
+        )
 
     @classmethod
     def load(cls, text: str) -> "ClientJob":
@@ -66,6 +69,7 @@ class ClientJob:
         return cls(
             Run(**fields["run"]),
             fields["port"],
+            fields["pva_port"],
             fields["server_pid"],
             SimJob.model_validate(fields["sim"]),
         )
@@ -75,7 +79,11 @@ def measure(run: Run) -> dict[str, Any]:
     """Start the server and the client of a run and return what the client measured."""
     job = job_of(run.server, run.rate_hz, run.seed)
     with serving(run.server, job, run.size) as server:
-        return {**asdict(run), **_ask_client(ClientJob(run, server.port, server.pid, job), server)}
+        return {**asdict(run), **_ask_client(_job(run, server, job), server)}
+
+
+def _job(run: Run, server: Running, job: SimJob) -> ClientJob:
+    return ClientJob(run, server.port, server.pva_port, server.pid, job)
 
 
 def _ask_client(job: ClientJob, server: Running) -> dict[str, Any]:

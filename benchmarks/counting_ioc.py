@@ -10,6 +10,7 @@ import sys
 from benchmarks.rings import build_ring
 from orbitfb.sim.environment import server_environment
 from orbitfb.sim.job import SimJob
+from orbitfb.sim.served import Served
 
 
 async def _serve(job: SimJob, size: int) -> None:
@@ -24,9 +25,9 @@ async def _serve(job: SimJob, size: int) -> None:
     os._exit(0)
 
 
-def _announce(port: int, pvs: int) -> None:
+def _announce(served: Served) -> None:
     gc.freeze()
-    sys.stdout.write(f"READY port={port} pvs={pvs}\n")
+    sys.stdout.write(f"READY port={served.port} pvs={served.pvs}\n")
     sys.stdout.flush()
 
 

@@ -19,7 +19,12 @@ from orbitfb.core.clock import SystemClock
 from orbitfb.core.ports import Subscriber
 from orbitfb.core.signals import LoopState
 from orbitfb.epics.machine import EpicsMachine
-from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
+from orbitfb.epics.settings import (
+    PVA_SEARCH_PORT,
+    AuxiliarySettings,
+    EpicsSettings,
+    PvaSettings,
+)
 from orbitfb.loop.runner import Runner
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
@@ -54,11 +59,12 @@ def main() -> None:
     settings = EpicsSettings(server_port=job.port, connect_timeout=60.0)
     settings = settings.model_copy(
         update={
+            "pva": PvaSettings(port=job.pva_port or PVA_SEARCH_PORT),
             "auxiliary": {
                 **settings.auxiliary,
                 "tick": AuxiliarySettings(pv=TICK_PV),
                 "applied": AuxiliarySettings(pv=channels.setpoint_pvs[-1]),
-            }
+            },
         }
     )
     stop = threading.Event()

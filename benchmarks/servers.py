@@ -1,4 +1,5 @@
-"""The servers: ours, ours by caproto's documented calls alone, EPICS base; and with arrays."""
+"""The servers: ours, ours by caproto's documented calls alone, EPICS base; and with arrays, over
+Channel Access or pvAccess."""
 
 import atexit
 import os
@@ -16,11 +17,13 @@ from tempfile import TemporaryDirectory
 from typing import Literal
 
 from benchmarks.array_places import array_places
+from orbitfb.core.names import PVA
+from orbitfb.sim.access.pva import server_keys
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.settings import SimSettings
 
-Server = Literal["ours", "plain", "base", "ours-arrays", "base-arrays"]
-ARRAYS = "-arrays"
+Server = Literal["ours", "plain", "base", "ours-arrays", "base-arrays", "ours-pva", "base-pva"]
+ARRAYS, OVER_PVA = "-arrays", "-pva"
 """Of servers whose orbit, setpoints and readbacks are one PV each."""
 LOCKSTEP_PATIENCE = 0.3
 """After so long without a set of setpoints a ring in lockstep ticks by itself [s]."""
@@ -28,19 +31,23 @@ LOCKSTEP_PATIENCE = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A server that serves: its process and its Channel Access port."""
+    """A server that serves: its process, its Channel Access port, and that of pvAccess or 0."""
 
     pid: int
     port: int
+    pva_port: int
 
 
 def job_of(server: Server, rate_hz: float | None, seed: int) -> SimJob:
     """Say what a server serves; no rate means lockstep."""
     return SimJob(
-        places=_array_table() if server.endswith(ARRAYS) else None,
+        places=_array_table(PVA if server.endswith(OVER_PVA) else "")
+        if server.endswith((ARRAYS, OVER_PVA))
+        else None,
         seed=seed,
         sim=SimSettings(
             port=0,
+            pva_port=0,
             rate_hz=rate_hz or 1.0 / LOCKSTEP_PATIENCE,
             lockstep=rate_hz is None,
             plain=server == "plain",
@@ -49,10 +56,10 @@ def job_of(server: Server, rate_hz: float | None, seed: int) -> SimJob:
 
 
 @cache
-def _array_table() -> Path:
+def _array_table(over: str) -> Path:
     folder = TemporaryDirectory()
     atexit.register(folder.cleanup)
-    return array_places(Path(folder.name, "places.csv"))
+    return array_places(Path(folder.name, "places.csv"), over)
 
 
 @contextmanager
@@ -65,7 +72,7 @@ def serving(server: Server, job: SimJob, size: int | None = None) -> Iterator[Ru
         size: A counting ring of so many BPMs and correctors instead of the job's ring.
     """
     base = server.startswith("base")
-    port = _free_port() if base else 0
+    port, pva_port = (_free_port(), _free_port()) if base else (0, 0)
     if base:
         command = ["-m", "benchmarks.base_ioc", str(port), str(size or 0)]
     elif size is not None:
@@ -78,11 +85,12 @@ def serving(server: Server, job: SimJob, size: int | None = None) -> Iterator[Ru
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=words,
-        env=os.environ | _base_environment(port),
+        env=os.environ | _base_environment(port, pva_port),
     )
     try:
         said = _start(process, job)
-        yield Running(process.pid, int(said.partition("port=")[2].split()[0]))
+        told = dict(part.split("=") for part in said.split() if "=" in part)
+        yield Running(process.pid, int(told["port"]), int(told.get("pva", pva_port)))
     finally:
         if process.poll() is not None:
             words.seek(0)
@@ -111,7 +119,7 @@ def _start(process: subprocess.Popen[bytes], job: SimJob, timeout: float = 60.0)
     return said.decode()
 
 
-def _base_environment(port: int) -> dict[str, str]:
+def _base_environment(port: int, pva_port: int) -> dict[str, str]:
     if not port:
         return {}
     return {
@@ -122,6 +130,7 @@ def _base_environment(port: int) -> dict[str, str]:
         "EPICS_CAS_BEACON_PORT": str(_free_port()),
         "EPICS_CA_ADDR_LIST": "127.0.0.1",
         "EPICS_CA_AUTO_ADDR_LIST": "NO",
+        **server_keys("127.0.0.1", pva_port),
     }
 
 

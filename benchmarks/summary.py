@@ -61,6 +61,8 @@ def summarise(sections: Sections) -> dict[str, Any]:
             "our_ioc_over_base_plain_client": ratios(("ours", "plain"), ("base", "plain")),
             "arrays_over_scalars_on_our_ioc": ratios(("ours-arrays", "ours"), ("ours", "ours")),
             "arrays_over_scalars_on_base": ratios(("base-arrays", "ours"), ("base", "ours")),
+            "pva_arrays_over_scalars_on_our_ioc": ratios(("ours-pva", "ours"), ("ours", "ours")),
+            "pva_arrays_over_scalars_on_base": ratios(("base-pva", "ours"), ("base", "ours")),
             "our_ioc_over_plain_ioc_our_loop": ratios(("ours", "ours"), ("plain", "ours")),
         },
         "scaling_fit": {

@@ -140,6 +140,7 @@ def ioc(
     """Serve the simulated ring as a soft IOC until Ctrl-C."""
     from orbitfb.app.setup.stored_policies import sim_job
     from orbitfb.sim.process import run_job
+    from orbitfb.sim.served import Served
 
     settings = configure(
         config_file,
@@ -156,11 +157,15 @@ def ioc(
     )
     where = settings.sim.interface
 
-    def announce(taken: int, pvs: int) -> None:
+    def announce(served: Served) -> None:
+        taken, pvs = served.port, served.pvs
         reach = "this computer only" if where.startswith("127.") else "the network"
         print(f"serving {pvs} PVs on {where}, port {taken}, to {reach}; Ctrl-C stops", flush=True)
         print(f"  EPICS_CA_ADDR_LIST={where} EPICS_CA_AUTO_ADDR_LIST=NO ", end="")
         print(f"EPICS_CA_SERVER_PORT={taken}", flush=True)
+        if served.pva_port:
+            print(f"  EPICS_PVA_ADDR_LIST={where} EPICS_PVA_AUTO_ADDR_LIST=NO ", end="")
+            print(f"EPICS_PVA_BROADCAST_PORT={served.pva_port}", flush=True)
 
     run_job(sim_job(settings), announce)
 

@@ -1,12 +1,14 @@
-"""Names of PVs: those that all layers share, and elements of arrays.
+"""Names of PVs: those that all layers share, elements of arrays, and what is not Channel Access.
 
 `PV.[17]` is element 17 of the array in `PV`, counted from 0: so EPICS base spells one element of an
 array (`caget 'PV.[17]'`). Here all elements of one array that are named are read and written
 together, by one channel: they have one time stamp.
+
+`pva://PV` is a PV that is reached over pvAccess; every other one is of Channel Access.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +35,9 @@ RF_TOLERANCE = 0.1
 FAST_FEEDBACK = "fast_feedback_closed"
 """Slow channel that the loop adds beside a fast feedback: 0 while that is open, else 1."""
 
+PVA = "pva://"
+"""Begins the name of a PV that is reached over pvAccess, as Phoebus spells it."""
+
 _ELEMENT = re.compile(r"(?P<pv>.+?)(?:\.VAL|\.)\[(?P<index>\d{1,6})\]")
 
 
@@ -54,6 +59,16 @@ class NamedPv:
     def length(self) -> int:
         """Values that it must have at least."""
         return 1 if self.elements is None else int(self.elements.max()) + 1
+
+    @property
+    def over_pva(self) -> bool:
+        """Whether it is reached over pvAccess."""
+        return self.name.startswith(PVA)
+
+    @property
+    def served(self) -> str:
+        """Its name at its server."""
+        return self.name.removeprefix(PVA)
 
     @property
     def is_whole(self) -> bool:
@@ -81,3 +96,8 @@ def named_pvs(names: Sequence[str]) -> tuple[NamedPv, ...]:
         else:
             pvs += [NamedPv(name, np.array([place])) for place in places]
     return tuple(pvs)
+
+
+def any_over_pva(names: Iterable[str]) -> bool:
+    """Tell whether one of these PVs is reached over pvAccess."""
+    return any(name.startswith(PVA) for name in names)

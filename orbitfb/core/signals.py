@@ -43,6 +43,11 @@ class Channels:
     bpm_units: tuple[str, ...] = ()
 
     @property
+    def pvs(self) -> tuple[str, ...]:
+        """All PVs: readings, setpoints, readbacks."""
+        return (*self.orbit_pvs, *self.setpoint_pvs, *self.readback_pvs)
+
+    @property
     def bpm_parts(self) -> dict[str, slice]:
         """Where the BPMs of each plane are in an orbit."""
         return parts(self.planes, len(self.bpms), self.bpm_counts)

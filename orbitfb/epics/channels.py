@@ -3,19 +3,18 @@
 import ctypes
 import threading
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.names import NamedPv, named_pvs
 from orbitfb.core.signals import Mask
-from orbitfb.epics.events import Monitor, array_handler, scalar_handler
+from orbitfb.epics.events import Monitor, array_handler, array_taker, guarded, scalar_handler
 from orbitfb.epics.libca import (
     ACCESS_HANDLER,
     CONNECTION_HANDLER,
     DBR_CTRL_DOUBLE,
-    DBR_DOUBLE,
-    DBR_FLOAT,
     DBR_TIME_DOUBLE,
     ECA_NORMAL,
     EVENT_HANDLER,
@@ -29,14 +28,11 @@ from orbitfb.epics.libca import (
     EventArguments,
     keep_thread_state,
 )
+from orbitfb.epics.pva.channels import PvaChannels
+from orbitfb.epics.pva.held import Held
 from orbitfb.epics.records import RECORD
-from orbitfb.epics.statements import Statements
-
-FIELD_TYPES = {0: "text", 1: "a short integer", 3: "an enumeration", 4: "bytes", 5: "an integer"}
-"""Native types that hold no real number, by their number in db_access.h."""
-REAL, WHOLE = (DBR_FLOAT, DBR_DOUBLE), (1, 5)
-"""Native types that hold real numbers, and whole ones. An int64 is a real number to Channel
-Access: that its record rounds is not to be seen there."""
+from orbitfb.epics.stated.contents import Contents
+from orbitfb.epics.stated.statements import Statements
 
 NOT_HEARD = -1
 """Length of an array that has had no event."""
@@ -49,10 +45,10 @@ class ChannelGroup:
 
     A name is a PV, or an element of an array (`core.names`): then it shares a channel with all
     other elements of that array. `connected` and `writable` are by name, what belongs to a channel
-    is by PV.
+    is by PV. PVs over pvAccess (`pva://…`) have no handle: `pva` has their channels.
 
-    Handlers run on libca's threads, one at a time per context. `lock` is held while channels are
-    created anew: whoever uses `handles` from another thread must hold it.
+    Handlers run on libca's threads and on that of p4p, one at a time per context. `lock` is held
+    while channels are created anew: whoever uses `handles` from another thread must hold it.
 
     Args:
         context: Where they live; the thread that calls `open` and `reopen_away` is attached to it.
@@ -90,6 +86,8 @@ class ChannelGroup:
         """How often a channel went away."""
         self.restated = 0
         """How often a PV has stated another unit or other limits."""
+        self.put_refused: Callable[[NamedPv, str], None] = lambda pv, told: None
+        """Called when a put over pvAccess was refused, with what the server says."""
         self.lock = threading.Lock()
         self._context = context
         self._library = context.library
@@ -98,12 +96,17 @@ class ChannelGroup:
         self._statements = Statements(len(self.pvs))
         self._property_events = (ctypes.c_void_p * len(self.pvs))()
         # libca keeps the addresses of these: they must live as long as the context.
-        self._connection_handler = CONNECTION_HANDLER(self._on_connection)
-        self._access_handler = ACCESS_HANDLER(self._on_access)
-        self._property_handler = EVENT_HANDLER(self._on_property)
+        lock = context.telling
+        self._connection_handler = CONNECTION_HANDLER(guarded(self._on_connection, lock))
+        self._access_handler = ACCESS_HANDLER(guarded(self._on_access, lock))
+        self._property_handler = EVENT_HANDLER(guarded(self._on_property, lock))
         if monitor is not None:
-            self._scalar_handler = EVENT_HANDLER(scalar_handler(monitor))
-            self._array_handler = EVENT_HANDLER(array_handler(monitor, self.pvs, self.lengths))
+            array = array_handler(monitor, self.pvs, self.lengths)
+            self._scalar_handler = EVENT_HANDLER(guarded(scalar_handler(monitor), lock))
+            self._array_handler = EVENT_HANDLER(guarded(array, lock))
+            self._take_array = array_taker(monitor, self.pvs, self.lengths)
+        self.pva = self._over_pva()
+        self.contents = Contents(self.pvs, size, self._kinds, self._sizes)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -129,74 +132,45 @@ class ChannelGroup:
         return self._pvs_where(self.connected & ~self.writable)
 
     @property
-    def not_real(self) -> tuple[str, ...]:
-        """The PVs that are connected and hold no real number, each with what it holds."""
-        return self._told_of_other(REAL)
-
-    @property
-    def not_numbers(self) -> tuple[str, ...]:
-        """The PVs that are connected and hold no number, each with what it holds."""
-        return self._told_of_other((*REAL, *WHOLE))
-
-    @property
-    def too_short(self) -> tuple[str, ...]:
-        """The arrays that are connected and hold fewer values than are named, each with both."""
-        return tuple(
-            f"{self.pvs[number].name} holds {size} values, and element "
-            f"{self.pvs[number].length - 1} is named"
-            for number, size in self._ask_each(self._library.ca_element_count).items()
-            if size < self.pvs[number].length
-        )
-
-    @property
     def unheard(self) -> bool:
-        """Whether an array is connected and has not told its values yet."""
+        """Whether an array is connected and has not told its values yet.
+
+        Over pvAccess one that nobody has written to since its start has none; over Channel Access
+        its size is told all the same.
+        """
         return self._monitor is not None and any(
-            self.lengths[number] == NOT_HEARD
+            self.lengths[number] < (1 if self.pvs[number].over_pva else 0)
             for number in self.present
             if self.pvs[number].elements is not None
         )
 
-    @property
-    def not_whole(self) -> tuple[str, ...]:
-        """The arrays that are connected and hold values without a name, each with how many."""
-        return tuple(
-            f"{self.pvs[number].name} holds {size} values, of which {len(pv.places)} are named"
-            for number, size in self._ask_each(self._library.ca_element_count).items()
-            if (pv := self.pvs[number]).elements is not None and size != len(pv.places)
-        )
-
-    @property
-    def whole(self) -> Mask:
-        """Names whose PV is connected and holds whole numbers only, shape (k,)."""
-        mask = np.zeros(len(self), dtype=np.bool_)
-        for number, kind in self._kinds().items():
-            mask[self.pvs[number].places] = kind in WHOLE
-        return mask
-
-    def _told_of_other(self, kinds: tuple[int, ...]) -> tuple[str, ...]:
-        return tuple(
-            f"{self.pvs[number].name} is {FIELD_TYPES.get(kind, f'of type {kind}')}"
-            for number, kind in self._kinds().items()
-            if kind not in kinds
-        )
-
     def _kinds(self) -> dict[int, int]:
-        """Native types of those that are connected, by number of the PV."""
-        return self._ask_each(self._library.ca_field_type)
+        held = {} if self.pva is None else self.pva.kinds
+        return self._ask_each(self._library.ca_field_type) | held
+
+    def _sizes(self) -> dict[int, int]:
+        held = {} if self.pva is None else self.pva.sizes
+        return self._ask_each(self._library.ca_element_count) | held
 
     def _ask_each(self, what: Callable[[int | None], int]) -> dict[int, int]:
         """Ask libca for a number of each PV that is connected."""
         with self.lock:
-            return {number: int(what(self.handles[number])) for number in self.present}
+            return {
+                number: int(what(self.handles[number]))
+                for number in self.present
+                if not self.pvs[number].over_pva
+            }
 
     def open(self) -> None:
         """Create all channels and start to search for them."""
         with self.lock:
-            for number in range(len(self.pvs)):
-                self._create(number)
+            for number, pv in enumerate(self.pvs):
+                if not pv.over_pva:
+                    self._create(number)
             self.generation += 1
         self._context.flush()
+        if self.pva is not None:
+            self.pva.open()
 
     def reopen_away(self) -> int:
         """Clear and create anew the channels that are away.
@@ -210,8 +184,12 @@ class ChannelGroup:
         away = np.flatnonzero(~self.connected[self._first])
         if not away.size:
             return 0
+        if self.pva is not None:
+            self.pva.search()
         with self.lock:
             for number in away.tolist():
+                if self.pvs[number].over_pva:
+                    continue
                 self._library.ca_clear_channel(self.handles[number])
                 if self.connected[self._first[number]]:  # came back by itself just now
                     self._set_connected(number, False)
@@ -241,6 +219,8 @@ class ChannelGroup:
         """Take no request any more: the context is about to end."""
         with self.lock:
             self.connected[:] = False
+        if self.pva is not None:
+            self.pva.close()
 
     def _create(self, number: int) -> None:
         library, name = self._library, self.pvs[number].name
@@ -260,51 +240,83 @@ class ChannelGroup:
         )
         self._context.check(f"asking for the access rights of {name}", status)
         if self._monitor is not None:
-            # Of an array as many values as it has, so that a short one is not filled up by zeros.
-            is_array = self.pvs[number].elements is not None
             record = int(self._first[number]) * RECORD.itemsize
-            status = library.ca_create_subscription(
-                DBR_TIME_DOUBLE,
-                0 if is_array else 1,
-                handle,
-                MONITOR_VALUE_AND_ALARM,
-                ctypes.cast(
-                    self._array_handler if is_array else self._scalar_handler, ctypes.c_void_p
-                ),
-                number + 1 if is_array else self._monitor.records.ctypes.data + record,
-                None,
-            )
-            self._context.check(f"subscribing to {name}", status)
+            if self.pvs[number].elements is None:
+                its, user = self._scalar_handler, self._monitor.records.ctypes.data + record
+            else:
+                its, user = self._array_handler, number + 1
+            self._subscribe(handle, number, MONITOR_VALUE_AND_ALARM, its, user)
         if self._properties:
-            event = ctypes.c_void_p()
-            status = library.ca_create_subscription(
-                DBR_CTRL_DOUBLE,
-                1,
-                handle,
-                MONITOR_PROPERTY,
-                ctypes.cast(self._property_handler, ctypes.c_void_p),
-                number + 1,
-                ctypes.byref(event),
+            self._property_events[number] = self._subscribe(
+                handle, number, MONITOR_PROPERTY, self._property_handler, number + 1
             )
-            self._property_events[number] = event.value
-            self._context.check(f"subscribing to the properties of {name}", status)
+
+    def _subscribe(
+        self, handle: ctypes.c_void_p, number: int, what: int, handler: Any, user: int
+    ) -> int | None:
+        pv, event = self.pvs[number], ctypes.c_void_p()
+        states = what == MONITOR_PROPERTY
+        # Of an array as many values as it has, so that a short one is not filled up by zeros.
+        count = 1 if pv.elements is None or states else 0
+        status = self._library.ca_create_subscription(
+            DBR_CTRL_DOUBLE if states else DBR_TIME_DOUBLE,
+            count,
+            handle,
+            what,
+            ctypes.cast(handler, ctypes.c_void_p),
+            user,
+            ctypes.byref(event),
+        )
+        self._context.check(f"subscribing to {pv.name}", status)
+        return event.value
 
     def _on_connection(self, arguments: ConnectionArguments) -> None:
         up = arguments.operation == OPERATION_UP
         number = self._library.ca_puser(arguments.channel) - 1
-        pv = self.pvs[number]
         if up:
             keep_thread_state()
             # A circuit that answers again after a silence brings its channels back without an
             # access event, though it took their rights away by one.
-            self.writable[pv.places] = bool(self._library.ca_write_access(arguments.channel))
+            writable = bool(self._library.ca_write_access(arguments.channel))
             self._statements.came(number)
-            self.servers[number] = self._context.host_of(arguments.channel)
-            self.arrivals += 1
-            if pv.elements is not None and self._monitor is not None:
-                # What it held before it went away may be another value of nobody's doing.
-                self._monitor.records["value"][pv.places] = np.nan
+            self._came(number, writable, self._context.host_of(arguments.channel))
         self._set_connected(number, up)
+
+    def _came(self, number: int, writable: bool, server: str) -> None:
+        pv = self.pvs[number]
+        self.writable[pv.places] = writable
+        self.servers[number] = server
+        self.arrivals += 1
+        if pv.elements is not None and self._monitor is not None:
+            # What it held before it went away may be another value of nobody's doing.
+            self._monitor.records["value"][pv.places] = np.nan
+
+    def _over_pva(self) -> PvaChannels | None:
+        """Make the channels of PVs over pvAccess, if there are any."""
+        over_pva = {number: pv for number, pv in enumerate(self.pvs) if pv.over_pva}
+        lock = self._context.telling
+        if not over_pva or lock is None:
+            return None
+        return PvaChannels(self._context.pva, lock, over_pva, self)
+
+    def pva_came(self, number: int) -> None:
+        """Take that a PV over pvAccess is connected."""
+        self._came(number, True, "")
+        self._set_connected(number, True)
+
+    def pva_gone(self, number: int) -> None:
+        """Take that it is away."""
+        self._set_connected(number, False)
+
+    def pva_told(self, number: int, held: Held, changed: bool) -> None:
+        """Take a new value; changed: it states another unit or other limits than before."""
+        self.restated += changed
+        if self._monitor is not None:
+            self._take_array(number, held.head, held.values)
+
+    def pva_refused(self, number: int, words: str) -> None:
+        """Take that its server refuses a put."""
+        self.put_refused(self.pvs[number], words)
 
     def _on_property(self, arguments: EventArguments) -> None:
         if arguments.status == ECA_NORMAL:

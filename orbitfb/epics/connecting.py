@@ -65,18 +65,18 @@ def wait_for_channels(
             "Ask for write access for this host and user."
         )
     ours = [group for group in groups if not {pv.name for pv in group.pvs} & set(origin or ())]
-    if short := [told for group in ours for told in group.too_short]:
+    if short := [told for group in ours for told in group.contents.odd_arrays]:
         raise MachineError(
-            f"{len(short)} array PVs are too short:\n{few(short)}\nCount elements from 0 in the "
-            "places table, and see how many values the record holds (NELM)."
+            f"{len(short)} array PVs do not hold what is named:\n{few(short)}\nCount elements from "
+            "0 in the places table, and see how many values the record holds (NELM)."
         )
-    if unnamed := setpoints.not_whole:
+    if unnamed := setpoints.contents.not_whole:
         raise MachineError(
             f"{len(unnamed)} array PVs of setpoints can only be written as a whole:\n"
             f"{few(unnamed)}\nName each element in the places table, with a corrector that is "
             "disabled where nothing is to be moved."
         )
-    if wrong := setpoints.not_numbers:
+    if wrong := setpoints.contents.not_numbers:
         raise MachineError(
             f"{len(wrong)} of {len(setpoints.pvs)} setpoints cannot hold a current:\n"
             f"{few(wrong)}\n"
@@ -110,7 +110,7 @@ def steps_of(setpoints: ChannelGroup, settings: EpicsSettings) -> NDArray[np.flo
         settings: Has the step that records round to.
     """
     step = settings.setpoint_step
-    return np.where(setpoints.whole, max(np.ceil(step), 1.0), step)
+    return np.where(setpoints.contents.whole, max(np.ceil(step), 1.0), step)
 
 
 def _origin(missing: Sequence[str], settings: EpicsSettings, others: Mapping[str, str]) -> str:
@@ -262,7 +262,7 @@ def check_oscillator(oscillator: EpicsOscillator) -> None:
             f"the RF setpoint {read_only[0]} may not be written; ask for write access for this "
             f"host and user, {advice}"
         )
-    if not_real := oscillator.group.not_real:
+    if not_real := oscillator.group.contents.not_real:
         raise MachineError(
             f"the RF setpoint cannot hold a frequency: {not_real[0]}; name another PV with "
             f"rf.setpoint_pv, {advice}"

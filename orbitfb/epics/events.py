@@ -3,13 +3,19 @@
 import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from threading import Lock
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orbitfb.core.names import NamedPv
+from orbitfb.core.signals import Vector
 from orbitfb.epics.libca import ECA_NORMAL, EventArguments, move_memory
 from orbitfb.epics.records import RECORD
+
+Head = tuple[int, int, int, int]
+"""What comes before the values: status, severity, seconds since the EPICS epoch, nanoseconds."""
 
 BEFORE_VALUES = np.dtype(
     {
@@ -38,6 +44,21 @@ class Monitor:
     arrived: Callable[[int], bool] | None = None
     complete: Callable[[], None] | None = None
     heard: Callable[[int], None] | None = None
+
+
+Event = TypeVar("Event")
+
+
+def guarded(handler: Callable[[Event], None], lock: "Lock | None") -> Callable[[Event], None]:
+    """Let no handler of another thread run beside this one; without a lock there is none."""
+    if lock is None:
+        return handler
+
+    def alone(event: Event) -> None:
+        with lock:
+            handler(event)
+
+    return alone
 
 
 def scalar_handler(monitor: Monitor) -> Callable[[EventArguments], None]:
@@ -71,10 +92,10 @@ def scalar_handler(monitor: Monitor) -> Callable[[EventArguments], None]:
     return keep_and_count
 
 
-def array_handler(
+def array_taker(
     monitor: Monitor, pvs: Sequence[NamedPv], lengths: NDArray[np.int64]
-) -> Callable[[EventArguments], None]:
-    """Return the handler of events of arrays; the user word is the number of the PV, from 1 on.
+) -> Callable[[int, Head, Vector], None]:
+    """Return what takes the values of a whole PV: number of the PV, head, and values.
 
     An element that the array does not have is NaN, as one that the machine marks so.
 
@@ -89,29 +110,47 @@ def array_handler(
         monitor.complete,
         monitor.heard,
     )
-    columns = [(records[name], name) for name in BEFORE_VALUES.names or ()]
-    header = BEFORE_VALUES.itemsize
+    columns = [records[name] for name in BEFORE_VALUES.names or ()]
     values = records["value"]
 
-    def keep(arguments: EventArguments) -> None:
-        if arguments.status != ECA_NORMAL:
-            return
-        number = arguments.user - 1
-        places, elements = pvs[number].places, pvs[number].elements
-        data = ctypes.string_at(arguments.data, header + 8 * arguments.count)
-        first, given = np.frombuffer(data, BEFORE_VALUES, 1)[0], np.frombuffer(data[header:])
+    def take(number: int, head: Head, given: Vector) -> None:
+        pv = pvs[number]
+        places, elements = pv.places, pv.elements
         lengths[number] = len(given)
-        if elements is None or pvs[number].length > len(given):
-            given = np.append(given, np.full(pvs[number].length - len(given), np.nan))
-        new = given if elements is None else given[elements]
-        for column, name in columns:
-            column[places] = first[name]
-        changed = places[values[places] != new] if heard is not None else ()
-        values[places] = new
+        if pv.length > len(given):
+            given = np.append(given, np.full(pv.length - len(given), np.nan))
+        new = given[:1] if elements is None else given[elements]
+        for column, its in zip(columns, head, strict=True):
+            column[places] = its
         if heard is not None:
+            changed = places[values[places] != new].tolist()
+            values[places] = new
             for place in changed:
-                heard(int(place))
-        elif arrived is not None and complete is not None and arrived(len(places)):
+                heard(place)
+            return
+        values[places] = new
+        if arrived is not None and complete is not None and arrived(len(places)):
             complete()
+
+    return take
+
+
+def array_handler(
+    monitor: Monitor, pvs: Sequence[NamedPv], lengths: NDArray[np.int64]
+) -> Callable[[EventArguments], None]:
+    """Return the handler of events of arrays; the user word is the number of the PV, from 1 on.
+
+    Args:
+        monitor: What to do with them.
+        pvs: The PVs of the group.
+        lengths: Gets how many values each of them had in its last event, shape (k,).
+    """
+    take, header = array_taker(monitor, pvs, lengths), BEFORE_VALUES.itemsize
+
+    def keep(arguments: EventArguments) -> None:
+        if arguments.status == ECA_NORMAL:
+            data = ctypes.string_at(arguments.data, header + 8 * arguments.count)
+            head = np.frombuffer(data, BEFORE_VALUES, 1)[0].item()
+            take(arguments.user - 1, head, np.frombuffer(data[header:]))
 
     return keep

@@ -85,7 +85,8 @@ class EpicsFastReference:
         """
         group, advice = self.group, f"see {SECTION}, or leave it out"
         wrong = [f"{name} may not be written; ask for write access" for name in group.read_only]
-        wrong += [*group.not_real, *group.too_short, *group.not_whole]
+        holds = group.contents
+        wrong += [*holds.not_real, *holds.odd_arrays, *holds.not_whole]
         if wrong:
             told = "\n".join(dict.fromkeys(wrong))
             raise MachineError(

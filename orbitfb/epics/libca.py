@@ -13,6 +13,7 @@ import os
 import threading
 from collections.abc import Callable
 from types import ModuleType
+from typing import Any
 
 from orbitfb.core.errors import MachineError
 
@@ -99,7 +100,7 @@ move_memory = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_
 
 
 def keep_thread_state() -> None:
-    """Let the calling thread of libca keep its Python thread state until it ends.
+    """Let the calling thread of libca, or of p4p, keep its Python thread state until it ends.
 
     ctypes would make one and destroy it around every callback, which costs 7 µs instead of 0.8.
     The interpreter lock itself is still given up between callbacks: only the count of claims on
@@ -168,9 +169,15 @@ class Context:
 
     A context is left with its threads by whoever made it: all handlers have returned, and none
     is called any more, when `destroy` returns.
+
+    Args:
+        pva: Client of pvAccess for the same groups (`pva_client`); None: there is none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, pva: Any = None) -> None:
+        self.pva = pva
+        self.telling = None if pva is None else threading.Lock()
+        """Held by handlers where there are two kinds of threads that call them."""
         layer = pyepics()
         self.library = bind(layer.libca._name)
         # The thread may be in another machine's context, or in pyepics' own; leave that alone.
@@ -241,6 +248,8 @@ class Context:
         libca waits for ever for a name server that does not answer. Where there are any the wait is
         bounded; what does not end by then ends with the process.
         """
+        if self.pva is not None:
+            self.pva.close()
         if not self._has_name_servers:
             self._end()
             return

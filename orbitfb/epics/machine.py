@@ -1,4 +1,4 @@
-"""The storage ring behind Channel Access."""
+"""The storage ring behind Channel Access, or where PVs are named so, pvAccess."""
 
 import atexit
 from collections.abc import Mapping
@@ -29,6 +29,7 @@ from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.orbit.assembler import Assembler
 from orbitfb.epics.oscillator import EpicsOscillator
+from orbitfb.epics.pva.provider import pva_client
 from orbitfb.epics.readbacks import Readbacks
 from orbitfb.epics.reconnecting import Keeper
 from orbitfb.epics.servers import Doubles, ServerWatch
@@ -98,9 +99,12 @@ class EpicsMachine:
             settings,
             self._describe,
         )
+        slow = [its.pv for its in settings.auxiliary.values()]
+        references = [] if fast is None else list(fast.reference_pvs.values())
+        names = (*channels.pvs, *slow, rf_pv, *references)
         with environment_lock:
             use_network(settings)
-            self._context = Context()
+            self._context = Context(pva_client(settings, names))
             self._build(rf_pv, fast)
             atexit.register(self.close)
             self._open()

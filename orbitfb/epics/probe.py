@@ -14,6 +14,7 @@ from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.orbit.assembler import Assembler
 from orbitfb.epics.orbit.snapshot import Snapshot
+from orbitfb.epics.pva.provider import pva_client
 from orbitfb.epics.requests import Putter
 from orbitfb.epics.settings import EpicsSettings
 
@@ -49,7 +50,7 @@ class Probe:
 
         with environment_lock:
             use_network(settings)
-            self._context = Context()
+            self._context = Context(pva_client(settings, (*followed, knob)))
             monitor = Monitor(assembler.records, assembler.arrived, complete)
             self._knob = ChannelGroup(self._context, (knob,))
             self._groups = (

@@ -72,10 +72,24 @@ class Getter:
         return [unit.decode("latin-1") for unit in records["units"].tolist()]
 
     def _fetch(self, kind: int, answers: NDArray[Any]) -> NDArray[Any]:
+        answers = self._fetch_ca(kind, answers)
+        pva = self._group.pva
+        for number, held in {} if pva is None else pva.ask(pva.present, self._timeout).items():
+            pv = self._group.pvs[number]
+            if kind == DBR_DOUBLE:
+                its = np.append(held.values, np.full(pv.length, np.nan))
+                answers[pv.places] = its[0 if pv.elements is None else pv.elements]
+            else:
+                unit = held.units.replace("μ", "µ").encode("latin-1", "replace")
+                answers["units"][pv.places] = unit
+                answers["lower_limit"][pv.places], answers["upper_limit"][pv.places] = held.limits
+        return answers
+
+    def _fetch_ca(self, kind: int, answers: NDArray[Any]) -> NDArray[Any]:
         group, get = self._group, self._context.library.ca_array_get
         arrays: list[tuple[NamedPv, NDArray[Any]]] = []
         with self._context.asking, group.lock:
-            present = group.present
+            present = [number for number in group.present if not group.pvs[number].over_pva]
             if not present:
                 return answers
             self._context.attach()
@@ -122,7 +136,9 @@ class Putter:
         self._group = group
         self._values = np.zeros(len(group))
         self._calls: list[tuple[Any, ...]] = []
+        self._numbers: list[int] = []
         self._arrays: list[tuple[NamedPv, Vector]] = []
+        self._over_pva: dict[int, Vector] = {}
         self._generation = -1
         # A function object of its own, without prototype: its arguments are converted beforehand.
         self._put: Callable[..., int] = context.library["ca_array_put"]
@@ -147,34 +163,41 @@ class Putter:
                 self._prepare()
             self._values[:] = values
             for pv, array in self._arrays:
-                array[pv.elements] = self._values[pv.places]
+                array[[0] if pv.elements is None else pv.elements] = self._values[pv.places]
             self._context.attach()
             put, calls = self._put, self._calls
             if not which.all():
-                wanted = [bool(which[pv.places].any()) for pv in group.pvs]
+                pvs = group.pvs
+                wanted = [bool(which[pvs[number].places].any()) for number in self._numbers]
                 calls = list(compress(calls, wanted))
             for sent, call in enumerate(calls):
                 if (status := put(*call)) != ECA_NORMAL:
                     self._refused(call, status, sent)
             self._context.flush()
+            for number, array in self._over_pva.items():
+                if group.pva is not None and which[group.pvs[number].places].any():
+                    group.pva.put(number, array)
 
     def _prepare(self) -> None:
         kind, one = ctypes.c_long(DBR_DOUBLE), ctypes.c_ulong(1)
         addresses = _addresses(self._values)
-        self._arrays = [
-            (pv, np.zeros(pv.length)) for pv in self._group.pvs if pv.elements is not None
-        ]
-        arrays = iter(self._arrays)
-        self._calls = []
+        self._arrays, self._over_pva = [], {}
+        self._calls, self._numbers = [], []
         for number, pv in enumerate(self._group.pvs):
             handle = ctypes.c_void_p(self._group.handles[number])
-            if pv.elements is None:
+            if pv.elements is None and not pv.over_pva:
                 address = ctypes.c_void_p(addresses[pv.places[0]])
                 self._calls.append((kind, one, handle, address))
-            else:
-                _, array = next(arrays)
-                address = ctypes.c_void_p(array.ctypes.data)
-                self._calls.append((kind, ctypes.c_ulong(len(array)), handle, address))
+                self._numbers.append(number)
+                continue
+            array = np.zeros(pv.length)
+            self._arrays.append((pv, array))
+            if pv.over_pva:
+                self._over_pva[number] = array
+                continue
+            address = ctypes.c_void_p(array.ctypes.data)
+            self._calls.append((kind, ctypes.c_ulong(len(array)), handle, address))
+            self._numbers.append(number)
         self._generation = self._group.generation
 
     def _refusal(self, which: Mask) -> str:
@@ -190,14 +213,14 @@ class Putter:
         return "; ".join([*parts, "nothing was sent"])
 
     def _refused(self, call: tuple[Any, ...], status: int, before: int) -> None:
-        index = self._calls.index(call)
+        number = self._numbers[self._calls.index(call)]
         sent = (
             "nothing was sent"
             if before == 0
             else f"{before} setpoints before it may have been sent: read them back"
         )
         raise WriteError(
-            f"{self._group.pvs[index].name} refused: {self._context.message(status)}; {sent}"
+            f"{self._group.pvs[number].name} refused: {self._context.message(status)}; {sent}"
         )
 
 

@@ -1,4 +1,4 @@
-"""How to reach the machine over Channel Access."""
+"""How to reach the machine over Channel Access, and over pvAccess where PVs are named so."""
 
 from typing import Annotated, Literal
 
@@ -22,6 +22,30 @@ def _separated_by_blanks(addresses: str) -> str:
 
 
 AddressList = Annotated[str, AfterValidator(_separated_by_blanks)]
+
+
+PVA_SEARCH_PORT = 5076
+"""UDP port to which every client of pvAccess searches unless told otherwise."""
+
+
+class PvaSettings(Settings):
+    """Where PVs named `pva://…` are searched for; what `epics` says holds for them, too."""
+
+    address_list: AddressList = Field(
+        default="",
+        description="Addresses to search, separated by blanks (EPICS_PVA_ADDR_LIST); empty: the "
+        "hosts of `epics.address_list`.",
+    )
+    name_servers: AddressList = Field(
+        default="",
+        description="Servers to ask over TCP, separated by blanks (EPICS_PVA_NAME_SERVERS).",
+    )
+    port: int = Field(
+        default=PVA_SEARCH_PORT,
+        gt=0,
+        lt=65536,
+        description="UDP port to which searches go (EPICS_PVA_BROADCAST_PORT).",
+    )
 
 
 class AuxiliarySettings(Settings):
@@ -121,6 +145,9 @@ class EpicsSettings(Settings):
         ge=0.1,
         description="Silence after which a circuit is suspected dead [s] (EPICS_CA_CONN_TMO).",
     )
+    pva: PvaSettings = Field(
+        default=PvaSettings(), description="Where PVs named `pva://…` are searched for."
+    )
     auxiliary: dict[str, AuxiliarySettings] = Field(
         default_factory=_default_auxiliary, description="Slow channels by name."
     )
@@ -129,3 +156,9 @@ class EpicsSettings(Settings):
     def searched(self) -> str:
         """Where PVs are searched for: addresses and name servers, separated by blanks."""
         return " ".join(filter(None, (self.address_list, self.name_servers)))
+
+    @property
+    def pva_addresses(self) -> str:
+        """Addresses that are searched for PVs over pvAccess, separated by blanks."""
+        hosts = (word.partition(":")[0] for word in self.address_list.split())
+        return self.pva.address_list or " ".join(hosts)

@@ -38,6 +38,8 @@ class Sources:
         noise: Noise of one BPM reading to believe before a refit has found it, rms [m].
         rf: Gives how the RF frequency is.
         measurement: Gives how far a measurement of the response is.
+        hand_over: Gives how our reference is handed to a fast feedback, `state`, `reason` and
+            `left_um`; None: there is none that takes it.
     """
 
     snapshot: Callable[[], LoopSnapshot]
@@ -49,6 +51,7 @@ class Sources:
     noise: float = math.nan
     rf: Callable[[], Sight] = Sight
     measurement: Callable[[], Progress] = Progress
+    hand_over: Callable[[], Mapping[str, Any] | None] = lambda: None
 
 
 class PageView:
@@ -95,6 +98,7 @@ class PageView:
                     "rms_peak_um": self._peaks(snapshot),
                     "rf": _rf(self._sources.rf(), snapshot.last_refit),
                     "measurement": _measurement(self._sources.measurement()),
+                    "hand_over": self._sources.hand_over(),
                     "gap": _gap(snapshot, self._sources.gap(snapshot)),
                     "happenings": [
                         {"time": its.time, "kind": its.kind, "text": its.text}

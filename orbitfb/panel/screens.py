@@ -43,12 +43,17 @@ def overview(prefix: str, pvs: Sequence[PanelPv]) -> str:
         box = (780 - number * 110, 15, 100, 40)
         screen.way_to(f"orbit {plane}", box, ORBIT.format(plane=plane))
     lines = ("Reason-I", "LastTrip-I", "LogLine-I", "GapText-I", "Policy-I", "LastRefit-I")
+    fast = (("HandOver-I", 150, 130), ("HandOverReason-I", 290, 590))
     top = 130
     for name in lines:
         tall = _ROW if name == "Policy-I" else 50
         screen.label(_title(its[name]), (_MARGIN, top, 130, tall))
         screen.value(its[name], (150, top, 730, tall - 4))
         top += tall
+    screen.label(_title(its["HandOver-I"]), (_MARGIN, top, 130, _ROW))
+    for name, left, wide in fast:
+        screen.value(its[name], (left, top, wide, _ROW - 4))
+    top += _ROW
     figures = (*(pv.name for pv in rms), "BpmsInvalid-I", "Missed-I", "Heartbeat-I")
     for number, name in enumerate(figures):
         left = _MARGIN + number * 175

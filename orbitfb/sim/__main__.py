@@ -7,6 +7,7 @@ from pydantic import ValidationError
 from orbitfb.core.errors import ConfigError, OrbitFeedbackError, OwnershipError
 from orbitfb.sim.job import PORT_TAKEN, SimJob
 from orbitfb.sim.process import run_job
+from orbitfb.sim.served import Served
 
 
 def main() -> int:
@@ -31,8 +32,9 @@ def _read_job() -> SimJob:
         raise ConfigError(f"the job on standard input is wrong: {error}") from error
 
 
-def _announce(port: int, pvs: int) -> None:
-    sys.stdout.write(f"READY port={port} pvs={pvs}\n")
+def _announce(served: Served) -> None:
+    pva = f" pva={served.pva_port}" if served.pva_port else ""
+    sys.stdout.write(f"READY port={served.port} pvs={served.pvs}{pva}\n")
     sys.stdout.flush()
 
 

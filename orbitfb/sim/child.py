@@ -16,7 +16,7 @@ from orbitfb.core.settings import Settings
 from orbitfb.sim.environment import client_environment
 from orbitfb.sim.job import PORT_TAKEN, SimJob
 
-_READY = re.compile(rb"^READY port=(\d+) pvs=(\d+)\n", re.MULTILINE)
+_READY = re.compile(rb"^READY port=(\d+) pvs=(\d+)(?: pva=(\d+))?\n", re.MULTILINE)
 _LAST_WORDS = 4000
 
 
@@ -37,6 +37,8 @@ class ServerChild:
         self._process: subprocess.Popen[bytes] | None = None
         self._errors: IO[bytes] | None = None
         self._port: int | None = None
+        self.pva_port = 0
+        """Where searches over pvAccess come (UDP), once it is started; 0: it serves none."""
 
     @property
     def pid(self) -> int:
@@ -160,6 +162,7 @@ class ServerChild:
                     kind = OwnershipError if process.wait() == PORT_TAKEN else MachineError
                     raise kind(f"{self._what} did not start: {self._reason()}")
                 said += piece
+        self.pva_port = int(found.group(3) or 0)
         return int(found.group(1))
 
     def _reason(self) -> str:

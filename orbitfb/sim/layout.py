@@ -140,11 +140,18 @@ def check_served(channels: Channels, settings: SimSettings) -> None:
         settings: Of the soft IOC.
 
     Raises:
-        RingError: An array has elements without a name, or of several kinds; or arrays are to be
-            served by `sim.plain`.
+        RingError: An array has elements without a name, or of several kinds; arrays are to be
+            served by `sim.plain`; or a scalar over pvAccess.
     """
     kinds = (channels.orbit_pvs, channels.setpoint_pvs, tuple(filter(None, channels.readback_pvs)))
-    arrays = [pv for names in kinds for pv in named_pvs(names) if pv.elements is not None]
+    pvs = [pv for names in kinds for pv in named_pvs(names)]
+    for pv in pvs:
+        if pv.over_pva and pv.elements is None:
+            raise RingError(
+                f"{pv.name} is a scalar over pvAccess, of which the simulated ring serves none; "
+                f"name an element of an array, {pv.name}.[0], or a PV of Channel Access"
+            )
+    arrays = [pv for pv in pvs if pv.elements is not None]
     names = [pv.name for pv in arrays]
     for pv in arrays:
         if not pv.is_whole:

@@ -7,18 +7,18 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable
 
 from orbitfb.sim.environment import server_environment
 from orbitfb.sim.job import SimJob
+from orbitfb.sim.served import Announce, Served
 
 
-def run_job(job: SimJob, announce: Callable[[int, int], None], parent: int | None = None) -> None:
+def run_job(job: SimJob, announce: Announce, parent: int | None = None) -> None:
     """Serve until SIGTERM or SIGINT, or until the parent is gone; then end the process with 0.
 
     Args:
         job: What to serve.
-        announce: Gets the port and the number of PVs once clients can connect.
+        announce: Told where it is found once clients can connect.
         parent: File descriptor that ends when the parent does; None: there is no such parent.
 
     Raises:
@@ -28,7 +28,7 @@ def run_job(job: SimJob, announce: Callable[[int, int], None], parent: int | Non
     asyncio.run(_serve(job, announce, parent))
 
 
-async def _serve(job: SimJob, announce: Callable[[int, int], None], parent: int | None) -> None:
+async def _serve(job: SimJob, announce: Announce, parent: int | None) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -41,9 +41,9 @@ async def _serve(job: SimJob, announce: Callable[[int, int], None], parent: int 
 
     logging.getLogger("caproto").setLevel(logging.CRITICAL)  # a refused write is no accident
 
-    def ready(port: int, pvs: int) -> None:
+    def ready(served: Served) -> None:
         gc.freeze()
-        announce(port, pvs)
+        announce(served)
 
     await serve(ring, settings, ready, stop)
     # caproto's tasks can miss that they are cancelled (asyncio.wait_for before Python 3.12), and

@@ -1,7 +1,6 @@
 """The soft IOC: a ring that ticks, and its PVs."""
 
 import asyncio
-from collections.abc import Callable
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from orbitfb.sim.access.plain import PlainFront
 from orbitfb.sim.access.stamp import now
 from orbitfb.sim.layout import KICK_PV, MILLI, lay_out
 from orbitfb.sim.ring import SimulatedRing
+from orbitfb.sim.served import Announce, Served
 from orbitfb.sim.settings import SimSettings
 from orbitfb.sim.ticker import Ticker, start_ticker
 
@@ -100,15 +100,15 @@ def send_buffer(ring: SimulatedRing, settings: SimSettings) -> int | None:
 async def serve(
     ring: SimulatedRing,
     settings: SimSettings,
-    announce: Callable[[int, int], None],
+    announce: Announce,
     stop: asyncio.Event,
 ) -> None:
-    """Serve a ring over Channel Access until told to stop.
+    """Serve a ring over Channel Access, and arrays that are named so over pvAccess, until stopped.
 
     Args:
         ring: The simulated ring.
         settings: Where and how.
-        announce: Called with the port and the number of PVs once clients can connect.
+        announce: Called once clients can connect.
         stop: Ends it when set.
 
     Raises:
@@ -117,7 +117,8 @@ async def serve(
     sockets = claim(settings.interface, settings.port, send_buffer(ring, settings))
     try:
         server = RingServer(ring, settings)
-        context = server.front.context(sockets)
+        context, pva = server.front.context(sockets), server.front.pva
+        searched = 0 if pva is None else pva.start(settings.interface, settings.pva_port)
         server.start()
         ready = asyncio.Event()
 
@@ -129,11 +130,13 @@ async def serve(
         try:
             await asyncio.wait([running, waiting[0]], return_when=asyncio.FIRST_COMPLETED)
             if ready.is_set():
-                announce(sockets.port, len(server.layout))
+                announce(Served(sockets.port, len(server.layout), searched))
             ends = [running, waiting[1], server.failed]
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         finally:
             server.stop()
+            if pva is not None:
+                pva.stop()
             for task in (*waiting, running):
                 task.cancel()
             await asyncio.wait([*waiting, running], timeout=_PATIENCE)

@@ -21,6 +21,13 @@ class SimSettings(Settings):
         le=65535,
         description="Channel Access port, TCP and UDP; 0 takes any free one. Production is 5064.",
     )
+    pva_port: int = Field(
+        default=15076,
+        ge=0,
+        le=65535,
+        description="UDP port where searches over pvAccess come, if the places table names arrays "
+        "`pva://…`; 0 takes any free one. Production is 5076.",
+    )
     interface: str = Field(
         default="127.0.0.1", description="Address to listen on; the default is this computer alone."
     )

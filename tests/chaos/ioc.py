@@ -24,6 +24,7 @@ from orbitfb.sim.access.circuit import FastCircuit, FastContext
 from orbitfb.sim.access.stamp import Stamp
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.process import run_job
+from orbitfb.sim.served import Served
 from orbitfb.sim.server import RingServer
 from tests.chaos.devices import FaultyRing
 from tests.chaos.journal import Journal
@@ -234,8 +235,8 @@ def main() -> None:
         for line in sys.stdin:
             print(json.dumps(desk.told(json.loads(line))), flush=True)
 
-    def announce(port: int, _pvs: int) -> None:
-        print(port, flush=True)
+    def announce(served: Served) -> None:
+        print(served.port, flush=True)
         threading.Thread(target=listen, daemon=True).start()
 
     run_job(job, announce)

@@ -3,12 +3,11 @@
     python base_ioc.py JOB.json
 
 JOB is `{orbit_pvs, setpoint_pvs, readback_pvs, auxiliary: {pv: value}, rate_hz, read_only,
-plant_seed, setpoint_record, bpm_unit}`. All readings of a tick carry the stamp of one record
-(TSEL). Without a plant BPM i reads `(tick % 1000) * 1e-3 + i * 1e-6` mm, so that a torn orbit is
-seen in the values alone; with a `plant_seed` the BPMs see the default ring of that seed, which
-answers the setpoints. A PV that is an element of an array (`PV.[3]`) makes a waveform record.
-Faults are switched on by PVs: TEST:SKIP, TEST:NAN, TEST:INVALID hold the
-index of a BPM or -1.
+plant_seed, setpoint_record, bpm_unit, pva, records}`. All readings of a tick carry the stamp of one
+record (TSEL). Without a plant BPM i reads `(tick % 1000) * 1e-3 + i * 1e-6` mm, so that a torn
+orbit is seen in the values alone; with a `plant_seed` the BPMs see the default ring of that seed,
+which answers the setpoints. A PV that is an element of an array (`PV.[3]`) makes a waveform record.
+Faults are switched on by PVs: TEST:SKIP, TEST:NAN, TEST:INVALID hold the index of a BPM or -1.
 Prints READY when it serves.
 """
 
@@ -57,16 +56,16 @@ def database(job: dict) -> str:
     ):
         for pv in named_pvs(pvs):
             if pv.elements is None:
-                records.append(f'record({kind}, "{pv.name}") {{ {fields} }}')
+                records.append(f'record({kind}, "{pv.served}") {{ {fields} }}')
                 continue
             size = f'field(FTVL, "DOUBLE") field(NELM, "{pv.length}")'
             stamp = "" if pvs is job["setpoint_pvs"] else f'field(TSEL, "{STAMP}.TIME")'
-            records.append(f'record(waveform, "{pv.name}") {{ {size} {stamp} {of_array} }}')
+            records.append(f'record(waveform, "{pv.served}") {{ {size} {stamp} {of_array} }}')
     records += [
         f'record(ai, "{pv}") {{ field(VAL, "{value}") field(PINI, "YES") field(MDEL, "-1") }}'
         for pv, value in job["auxiliary"].items()
     ]
-    return "\n".join(records)
+    return "\n".join([*records, job["records"]])
 
 
 class Field:
@@ -91,7 +90,7 @@ class Vector:
 
     def __init__(self, names: list[str]) -> None:
         self._size = len(names)
-        self._fields = [(pv, Field(pv.name, pv.length)) for pv in named_pvs(names)]
+        self._fields = [(pv, Field(pv.served, pv.length)) for pv in named_pvs(names)]
 
     def put(self, values: np.ndarray, skipped: int = -1) -> None:
         for pv, field in self._fields:
@@ -117,7 +116,7 @@ def start(job: dict) -> None:
         records.write_text(database(job))
         dbCore.asSetFilename(str(access).encode())
         softioc.dbLoadDatabase(str(records))
-        softioc.iocInit(dispatcher=lambda function, *arguments: None, enable_pva=False)
+        softioc.iocInit(dispatcher=lambda function, *arguments: None, enable_pva=job["pva"])
 
 
 def run(job: dict) -> None:

@@ -14,7 +14,10 @@ from pathlib import Path
 import numpy as np
 from free_ports import free_port
 
+from orbitfb.core.names import any_over_pva
 from orbitfb.core.signals import Channels
+from orbitfb.epics.settings import EpicsSettings, PvaSettings
+from orbitfb.sim.access.pva import server_keys
 
 SCRIPT = Path(__file__).with_name("base_ioc.py")
 CURRENT, RF_FREQUENCY = 400.0, 499.68e6
@@ -34,14 +37,14 @@ def small_ring(size: int) -> Channels:
     )
 
 
-def as_arrays(channels: Channels) -> Channels:
-    """The same devices as elements of three arrays."""
+def as_arrays(channels: Channels, over: str = "") -> Channels:
+    """The same devices as elements of three arrays, whose names begin so."""
     n, m = len(channels.orbit_pvs), len(channels.setpoint_pvs)
     return replace(
         channels,
-        orbit_pvs=tuple(f"SR:Orbit-I.[{index}]" for index in range(n)),
-        setpoint_pvs=tuple(f"SR:Currents-SP.[{index}]" for index in range(m)),
-        readback_pvs=tuple(f"SR:Currents-I.[{index}]" for index in range(m)),
+        orbit_pvs=tuple(f"{over}SR:Orbit-I.[{index}]" for index in range(n)),
+        setpoint_pvs=tuple(f"{over}SR:Currents-SP.[{index}]" for index in range(m)),
+        readback_pvs=tuple(f"{over}SR:Currents-I.[{index}]" for index in range(m)),
     )
 
 
@@ -64,8 +67,10 @@ class BaseIoc:
         plant_seed: int | None = None,
         setpoint_record: str = "ao",
         bpm_unit: str = "",
+        records: str = "",
+        pva: bool = False,
     ) -> None:
-        self.port = port or free_port()
+        self.port, self.pva_port = port or free_port(), free_port()
         self._job = {
             "orbit_pvs": channels.orbit_pvs,
             "setpoint_pvs": channels.setpoint_pvs,
@@ -76,9 +81,16 @@ class BaseIoc:
             "plant_seed": plant_seed,
             "setpoint_record": setpoint_record,
             "bpm_unit": bpm_unit,
+            "pva": pva or any_over_pva(channels.pvs),
+            "records": records,
         }
         self._process: subprocess.Popen[bytes] | None = None
         self._folder = tempfile.TemporaryDirectory()
+
+    @property
+    def settings(self) -> EpicsSettings:
+        """How a machine finds it."""
+        return EpicsSettings(server_port=self.port, pva=PvaSettings(port=self.pva_port))
 
     def start(self) -> float:
         """Start and wait for READY; returns that moment, monotonic clock [s]."""
@@ -92,6 +104,7 @@ class BaseIoc:
             "EPICS_CAS_BEACON_PORT": str(free_port()),
             "EPICS_CA_ADDR_LIST": "127.0.0.1",
             "EPICS_CA_AUTO_ADDR_LIST": "NO",
+            **server_keys("127.0.0.1", self.pva_port),
         }
         self._process = subprocess.Popen(
             [sys.executable, str(SCRIPT), str(job)],

@@ -119,7 +119,7 @@ def main() -> None:
     server.now = wrong_now
     SimJob.build = lambda self: (faulty, settings)
     threading.Thread(target=listen, daemon=True).start()
-    run_job(job, lambda port, _pvs: print(port, flush=True))
+    run_job(job, lambda served: print(served.port, flush=True))
 
 
 if __name__ == "__main__":

@@ -62,7 +62,7 @@ def quick_ring(**sim: Any) -> Iterator[QuickRing]:
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.process import run_job
 job = SimJob.model_validate_json({job.model_dump_json()!r})
-run_job(job, lambda port, pvs: print(port, flush=True))
+run_job(job, lambda served: print(served.port, flush=True))
 """
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         process = start([], out, err, os.environ, script)

@@ -12,8 +12,9 @@ from machine_contract import CHECKS, Bench
 
 from benchmarks.array_places import array_places
 from orbitfb.core.clock import ManualClock
+from orbitfb.core.names import PVA
 from orbitfb.epics.machine import EpicsMachine
-from orbitfb.epics.settings import EpicsSettings
+from orbitfb.epics.settings import PVA_SEARCH_PORT, EpicsSettings, PvaSettings
 from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import Plant, PlantSettings
 from orbitfb.physics.plant_machine import PlantMachine
@@ -49,6 +50,15 @@ def array_bench(stack: ExitStack) -> Bench:
     return Bench(machine, 1 / RATE_HZ, time.sleep)
 
 
+def pva_bench(stack: ExitStack) -> Bench:
+    """The same records over pvAccess."""
+    pytest.importorskip("p4p", reason="the extra `pva` is not installed")
+    ring = as_arrays(small_ring(12), PVA)
+    ioc = stack.enter_context(BaseIoc(ring, RATE_HZ))
+    machine = stack.enter_context(EpicsMachine(ring, ioc.settings))
+    return Bench(machine, 1 / RATE_HZ, time.sleep)
+
+
 def sim_bench(stack: ExitStack) -> Bench:
     child = stack.enter_context(SimChild(SimJob(sim=SimSettings(rate_hz=RATE_HZ, port=0))))
     settings = EpicsSettings(server_port=child.port)
@@ -57,21 +67,37 @@ def sim_bench(stack: ExitStack) -> Bench:
     return Bench(machine, 1 / RATE_HZ, time.sleep)
 
 
-def sim_array_bench(stack: ExitStack) -> Bench:
+def sim_array_bench(stack: ExitStack, over: str = "") -> Bench:
     """The same ring, three arrays instead of 540 scalars."""
     folder = stack.enter_context(TemporaryDirectory())
-    places = array_places(Path(folder, "places.csv"))
-    job = SimJob(places=places, sim=SimSettings(rate_hz=RATE_HZ, port=0))
+    places = array_places(Path(folder, "places.csv"), over)
+    job = SimJob(places=places, sim=SimSettings(rate_hz=RATE_HZ, port=0, pva_port=0))
     child = stack.enter_context(SimChild(job))
-    settings = EpicsSettings(server_port=child.port)
+    pva = PvaSettings(port=child.pva_port or PVA_SEARCH_PORT)
+    settings = EpicsSettings(server_port=child.port, pva=pva)
     machine = EpicsMachine(Ring.load(places).channels("x"), settings)
     stack.enter_context(machine)
     return Bench(machine, 1 / RATE_HZ, time.sleep)
 
 
-@pytest.fixture(
-    scope="module", params=[plant_bench, base_bench, array_bench, sim_bench, sim_array_bench]
+def sim_pva_bench(stack: ExitStack) -> Bench:
+    """The same arrays over pvAccess."""
+    pytest.importorskip("p4p", reason="the extra `pva` is not installed")
+    return sim_array_bench(stack, PVA)
+
+
+BENCHES = (
+    plant_bench,
+    base_bench,
+    array_bench,
+    pva_bench,
+    sim_bench,
+    sim_array_bench,
+    sim_pva_bench,
 )
+
+
+@pytest.fixture(scope="module", params=BENCHES)
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     build: Callable[[ExitStack], Bench] = request.param
     with ExitStack() as stack:

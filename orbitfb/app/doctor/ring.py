@@ -2,12 +2,13 @@
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 
 from orbitfb.app.doctor.finding import Finding, Verdict
 from orbitfb.app.doctor.orbits import ENOUGH, Listener, judge
-from orbitfb.app.setup.production_guard import check_live
+from orbitfb.app.setup.production_guard import check_live, pvs_of
 from orbitfb.app.setup.startup import SIMULATED, find_ring, servers_of
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError, MachineError
@@ -17,6 +18,7 @@ from orbitfb.epics.connecting import UnitWatch, steps_of
 from orbitfb.epics.events import Monitor
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
+from orbitfb.epics.pva.provider import pva_client
 from orbitfb.epics.records import stamps_of, usable, wall_time
 from orbitfb.epics.requests import Getter
 from orbitfb.epics.servers import Doubles, ServerWatch
@@ -72,7 +74,7 @@ def look_at_ring(
                       "set epics.address_list or EPICS_CA_ADDR_LIST")  # fmt: skip
         return
     servers = servers_of(settings)
-    check_live(settings, ioc, None, live)
+    check_live(settings, ioc, None, live, pvs_of(config))
     beyond = [server for server in servers if not server.startswith("127.")]
     if beyond and not live:
         raise ConfigError(
@@ -102,7 +104,7 @@ def _search(
     records = assembler.records
     with environment_lock:
         use_network(settings)
-        context = Context()
+        context = Context(pva_client(settings, chain.from_iterable(kinds.values())))
         context.listeners.append(doubles.hear)
         heard = Monitor(records, listener.arrived, listener.complete)
         groups = {
@@ -240,7 +242,8 @@ def _writable(group: ChannelGroup) -> Finding:
 
 def _real(group: ChannelGroup, matrix: Vector, settings: EpicsSettings) -> Finding:
     """Tell whether the setpoints can hold a current, and what rounding does to the orbit."""
-    wrong = (*group.not_numbers, *group.too_short, *group.not_whole)
+    holds = group.contents
+    wrong = tuple(dict.fromkeys((*holds.not_numbers, *holds.odd_arrays, *holds.not_whole)))
     told = rounding_told(steps_of(group, settings), matrix, group.names)
     verdict = Verdict.WARNING if told else Verdict.OK
     return Finding(

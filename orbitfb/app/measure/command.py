@@ -15,7 +15,7 @@ from orbitfb.app.response.procedure import Choice, Subject, measure_on, place_of
 from orbitfb.app.response.unfinished import Say
 from orbitfb.app.setup.lease import take_lease
 from orbitfb.app.setup.loop_in_force import loop_of
-from orbitfb.app.setup.production_guard import check_live
+from orbitfb.app.setup.production_guard import check_live, pvs_of
 from orbitfb.app.setup.simulated_ring import SimulatedRing
 from orbitfb.app.setup.startup import SIMULATED, find_ring, make_directory, take_ring
 from orbitfb.app.setup.stored_policies import sim_job
@@ -90,7 +90,7 @@ def measure_response(
     loop = loop_of(config, ring)
     simulated = request.ioc == SIMULATED
     epics = find_ring(config, request.ioc)
-    check_live(epics, request.ioc, None, request.live)
+    check_live(epics, request.ioc, None, request.live, pvs_of(config))
     make_directory(config.data_directory)
     out = place_of(config, request.out)
     clock = SystemClock()

@@ -7,7 +7,7 @@ from typing import Any
 
 import structlog
 
-from orbitfb.app.commands.hand_over import HANDS_OVER, STOPPED, Handing, HandOver
+from orbitfb.app.commands.hand_over import HANDS_OVER, OFF, STOPPED, HandOver
 from orbitfb.app.commands.preview import Latest
 from orbitfb.app.commands.vectors import MICRO
 from orbitfb.app.service.access import RingAccess
@@ -73,14 +73,22 @@ class HandingOver:
 
         return opened
 
+    @property
+    def sight(self) -> dict[str, Any] | None:
+        """How it is: `state`, `reason`, `left_um`; None: there is no such fast feedback."""
+        if self._hand_over is None:
+            return None
+        sight = self._hand_over.sight
+        left = sight.left / MICRO if sight.left == sight.left else None
+        return {"state": sight.state, "reason": sight.reason, "left_um": left}
+
     def shown(self) -> dict[str, Any]:
         """Give how it is, by PV of the panel, in its units."""
-        sight = Handing() if self._hand_over is None else self._hand_over.sight
-        left = sight.left / MICRO
+        sight = self.sight or {"state": OFF, "reason": "", "left_um": None}
         return {
-            "HandOver-I": sight.state,
-            "HandOverReason-I": sight.reason,
-            "HandOverLeft-I": left if left == left else None,
+            "HandOver-I": sight["state"],
+            "HandOverReason-I": sight["reason"],
+            "HandOverLeft-I": sight["left_um"],
         }
 
     def _run(self) -> None:

@@ -209,6 +209,7 @@ def open_doors(config: AppConfig, parts: Parts, remote: Handler, stack: ExitStac
             config.learn.identify.reading_noise,
             lambda: parts.frequency.sight,
             lambda: measuring.sight,
+            lambda: parts.handing.sight,
         ),
         SystemClock(),
         config.observe.stale_after,

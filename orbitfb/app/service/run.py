@@ -9,7 +9,7 @@ import structlog
 
 from orbitfb.app.service.assemble import Service
 from orbitfb.app.setup.heap import give_large_blocks_back
-from orbitfb.app.setup.production_guard import check_live
+from orbitfb.app.setup.production_guard import check_live, pvs_of
 from orbitfb.app.setup.startup import check_duration, find_ring, start_state
 from orbitfb.app.setup.stop_signals import StopSignals
 from orbitfb.config.tree import AppConfig
@@ -54,7 +54,7 @@ def run_service(
     begun = time.monotonic()
     give_large_blocks_back()
     state = LoopState.OPEN if live and start is None else start_state(start, ioc)
-    check_live(find_ring(config, ioc), ioc, start, live)
+    check_live(find_ring(config, ioc), ioc, start, live, pvs_of(config))
     check_duration(duration)
     if summary_file is not None:
         check_place(summary_file)

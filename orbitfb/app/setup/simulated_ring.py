@@ -7,7 +7,7 @@ from contextlib import ExitStack
 import structlog
 
 from orbitfb.config.tree import AppConfig
-from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
+from orbitfb.epics.settings import PVA_SEARCH_PORT, AuxiliarySettings, EpicsSettings, PvaSettings
 from orbitfb.observe.statistics.running import TRUE_RMS
 from orbitfb.sim.child import SimChild
 from orbitfb.sim.job import SimJob
@@ -58,6 +58,7 @@ class SimulatedRing:
                 "name_servers": "",
                 "auto_address_list": False,
                 "server_port": self._port,
+                "pva": PvaSettings(port=self._child.pva_port or PVA_SEARCH_PORT),
                 "auxiliary": {**config.epics.auxiliary, TRUE_RMS: true_rms},
             }
         )

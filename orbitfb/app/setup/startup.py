@@ -15,7 +15,7 @@ from orbitfb.core.files import state
 from orbitfb.core.files.ownership import Lock
 from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.signals import Channels, LoopState
-from orbitfb.epics.settings import LOWEST_PORT, EpicsSettings
+from orbitfb.epics.settings import LOWEST_PORT, PVA_SEARCH_PORT, EpicsSettings, PvaSettings
 from orbitfb.loop.excitation.design import check_excitation
 from orbitfb.loop.excitation.dither import DitherSettings
 from orbitfb.loop.excitation.file import read_excitation
@@ -102,6 +102,7 @@ def find_ring(config: AppConfig, ioc: str) -> EpicsSettings:
             "name_servers": "",
             "auto_address_list": False,
             "server_port": number,
+            "pva": PvaSettings(port=config.epics.pva.port if port else config.sim.pva_port),
         }
     settings = config.epics.model_copy(update=update)
     named = settings.address_list.split() or settings.name_servers.split()
@@ -125,7 +126,21 @@ def _from_environment(environment: Mapping[str, str]) -> dict[str, object]:
         "server_port": _port(
             environment.get(name, str(PRODUCTION_PORT)), f"environment variable {name}"
         ),
+        "pva": _pva_from_environment(environment),
     }
+
+
+def _pva_from_environment(environment: Mapping[str, str]) -> PvaSettings:
+    """Take where to search over pvAccess from the EPICS_PVA_… variables."""
+    name = "EPICS_PVA_BROADCAST_PORT"
+    port = environment.get(name, str(PVA_SEARCH_PORT))
+    if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        raise ConfigError(f"environment variable {name}: {port!r} is no port; give one to 65535")
+    return PvaSettings(
+        address_list=environment.get("EPICS_PVA_ADDR_LIST", ""),
+        name_servers=environment.get("EPICS_PVA_NAME_SERVERS", ""),
+        port=int(port),
+    )
 
 
 def _port(text: str, where: str) -> int:
@@ -144,7 +159,9 @@ def servers_of(settings: EpicsSettings) -> list[str]:
         ConfigError: A host is not known; libca would go on without it.
     """
     servers = [f"any:{settings.server_port}"] if settings.auto_address_list else []
-    for word in (*settings.address_list.split(), *settings.name_servers.split()):
+    pva = (*settings.pva.address_list.split(), *settings.pva.name_servers.split())
+    usual = dict.fromkeys(pva, settings.pva.port)
+    for word in (*settings.address_list.split(), *settings.name_servers.split(), *pva):
         host, _, port = word.partition(":")
         if port and not port.isdigit():
             raise ConfigError(
@@ -158,7 +175,7 @@ def servers_of(settings: EpicsSettings) -> list[str]:
                 f"the host {host!r}{did_you_mean(host, _PLACES)}, where PVs are to be searched "
                 "for, is not known; give a name that resolves, or an IPv4 address"
             ) from None
-        servers.append(f"{address}:{port or settings.server_port}")
+        servers.append(f"{address}:{port or usual.get(word, settings.server_port)}")
     return servers
 
 

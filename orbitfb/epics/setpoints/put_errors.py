@@ -2,6 +2,7 @@
 
 import threading
 
+from orbitfb.core.names import NamedPv
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.libca import Context, ExceptionArguments
 
@@ -22,6 +23,7 @@ class PutErrors:
         self._heard: dict[int, str] = {}
         self._lock = threading.Lock()
         context.listeners.append(self.hear)
+        group.put_refused = self._refused
 
     def hear(self, arguments: ExceptionArguments) -> None:
         """Take an exception of libca; called on its threads.
@@ -34,9 +36,11 @@ class PutErrors:
         number = self._context.library.ca_puser(arguments.channel) - 1
         pvs, handles = self._group.pvs, self._group.handles
         if 0 <= number < len(pvs) and handles[number] == arguments.channel:
-            told = f"refuses puts: {self._context.message(arguments.status)}"
-            with self._lock:
-                self._heard.update(dict.fromkeys(pvs[number].places.tolist(), told))
+            self._refused(pvs[number], self._context.message(arguments.status))
+
+    def _refused(self, pv: NamedPv, words: str) -> None:
+        with self._lock:
+            self._heard.update(dict.fromkeys(pv.places.tolist(), f"refuses puts: {words}"))
 
     def take(self) -> dict[int, str]:
         """Return the refusals that came since the last call, by index, with those read-only now."""

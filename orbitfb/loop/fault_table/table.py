@@ -5,6 +5,7 @@ The page on safety is written from it, and a test looks every setting and every 
 
 from orbitfb.core.signals import LoopState
 from orbitfb.loop.fault_table.devices import DEVICE_FAULTS
+from orbitfb.loop.fault_table.fast_feedback import FAST_FEEDBACK_FAULTS
 from orbitfb.loop.fault_table.row import Fault
 
 _OPEN, _CLOSED, _HELD, _TRIPPED = (
@@ -66,13 +67,7 @@ FAULTS = (
             "test_a_value_stamped_in_the_future_grows_old_from_when_it_was_seen",
         ),
     ),
-    Fault(
-        "a fast orbit feedback is closed, or its status is not known",
-        "The command close is refused. A closed loop is HELD until the fast one is open.",
-        (_HELD,),
-        ("interlocks.fast_feedback_channel", "epics.auxiliary"),
-        ("test_beside_a_fast_feedback_that_is_closed_nothing_is_written",),
-    ),
+    *FAST_FEEDBACK_FAULTS,
     Fault(
         "the orbit error is too large (rms, largest) or grows too fast",
         "The loop trips. Setpoints stay; or, if so configured, they return to the last good ones "

@@ -221,8 +221,17 @@ function loop(its) {
   const [ratio, low, high] = (rf.found || []).map((value) => value.toFixed(3));
   const found = rf.found ? `, column found ${ratio} [${low}, ${high}] of the one told` : "";
   say("rf", (rf.follows ? `follows, ${rf.steps} steps${energy}` : `not adjusted: ${rf.reason}`) + found);
+  handOver(its.hand_over);
   say("latency", `p50 ${quantity(its.latency50_ms, "ms")}, p99 ${quantity(its.latency99_ms, "ms")}`);
   say("service", `orbitfb ${its.version}, since ${moment(its.started, its.time)}`);
+}
+
+function handOver(its) {
+  at("hand-over-title").hidden = at("hand-over").hidden = !its;
+  if (!its) return;
+  const left = its.left_um === null ? "" : `, ${quantity(its.left_um, "µm")} left`;
+  const why = its.reason ? `: ${its.reason}` : "";
+  say("hand-over", `reference ${its.state === "HANDS OVER" ? `handed over${left}` : `not handed over, ${its.state}`}${why}`);
 }
 
 // The page shows the command and does not give it: whoever reads the page is not known to it.

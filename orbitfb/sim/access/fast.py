@@ -1,14 +1,14 @@
 """The front that keeps up: values on a board, one write per client and tick."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from caproto import SubscriptionType
 from numpy.typing import NDArray
 
-from orbitfb.core.names import named_pvs
+from orbitfb.core.names import NamedPv, named_pvs
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.sim.access.arrays import BoardArray, BoardArraySetpoint
 from orbitfb.sim.access.board import Board
@@ -23,6 +23,7 @@ from orbitfb.sim.access.channels import (
 from orbitfb.sim.access.circuit import FastContext
 from orbitfb.sim.access.feed import Feed
 from orbitfb.sim.access.listening import Sockets
+from orbitfb.sim.access.pva import PvaArrays
 from orbitfb.sim.access.stamp import Stamp, now
 from orbitfb.sim.layout import Layout, PvSpec
 
@@ -39,6 +40,7 @@ class FastFront:
     Attributes:
         board: Values, stamps and alarms.
         feeds: One per client that is connected.
+        pva: Arrays over pvAccess; None: there are none.
         on_written: Called when setpoints have been written.
     """
 
@@ -46,7 +48,11 @@ class FastFront:
         self.board = Board(layout, now())
         self.feeds: set[Feed] = set()
         self.on_written: Callable[[], None] = lambda: None
-        self._channels = self._make_channels((*layout.readings, *layout.setpoints))
+        specs = (*layout.readings, *layout.setpoints)
+        pvs = named_pvs(self.board.names)
+        self._channels = self._make_channels(pvs, specs)
+        over_pva = [pv for pv in pvs if pv.over_pva]
+        self.pva = PvaArrays(over_pva, specs, self.board, self.put) if over_pva else None
         self._knobs = knob_channels(layout, turned)
         self._leases = lease_channels(layout.planes)
         self._taken = False
@@ -73,6 +79,8 @@ class FastFront:
         """Publish the readings of a tick."""
         self.board.show(values, stamp)
         self.board.written[:] = False
+        if self.pva is not None:
+            self.pva.show(readings=True)
         for feed in self.feeds:
             feed.send_readings()
             feed.send_setpoints()
@@ -118,10 +126,14 @@ class FastFront:
         pvdb: dict[str, Any] = {channel.pv: channel for channel in self._channels}
         return FastContext(pvdb | self._knobs | self._leases, sockets, self)
 
-    def _make_channels(self, specs: tuple[PvSpec, ...]) -> list[BoardChannel | BoardArray]:
+    def _make_channels(
+        self, pvs: Sequence[NamedPv], specs: Sequence[PvSpec]
+    ) -> list[BoardChannel | BoardArray]:
         board = self.board
         channels: list[BoardChannel | BoardArray] = []
-        for pv in named_pvs(board.names):
+        for pv in pvs:
+            if pv.over_pva:
+                continue
             first = int(pv.places[0])
             is_reading, spec = first < board.readings, specs[first]
             if pv.elements is None:
@@ -137,6 +149,8 @@ class FastFront:
         for feed in self.feeds:
             feed.send_setpoints()
         self.on_written()
+        if self.pva is not None:
+            self.pva.show(readings=False)
 
     def _publish(self, channels: set[Watched]) -> None:
         """Tell caproto of what it serves itself; updates that it is late for are merged."""

@@ -5,6 +5,7 @@ from typing import Any, Protocol
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.sim.access.listening import Sockets
+from orbitfb.sim.access.pva import PvaArrays
 from orbitfb.sim.access.stamp import Stamp
 
 
@@ -13,9 +14,11 @@ class Front(Protocol):
 
     Attributes:
         on_written: Called when setpoints have been written.
+        pva: Arrays over pvAccess; None: there are none.
     """
 
     on_written: Callable[[], None]
+    pva: PvaArrays | None
 
     @property
     def setpoints(self) -> Vector:

@@ -16,6 +16,7 @@ from orbitfb.sim.access.channels import (
 )
 from orbitfb.sim.access.context import ClaimedContext
 from orbitfb.sim.access.listening import Sockets
+from orbitfb.sim.access.pva import PvaArrays
 from orbitfb.sim.access.stamp import Stamp
 from orbitfb.sim.layout import Layout, PvSpec
 
@@ -42,10 +43,12 @@ class PlainFront:
 
     Attributes:
         on_written: Called when a setpoint has been written.
+        pva: There are no arrays.
     """
 
     def __init__(self, layout: Layout, turned: Callable[[str, float], None]) -> None:
         self.on_written: Callable[[], None] = lambda: None
+        self.pva: PvaArrays | None = None
         self._names = layout
         self._readings = [ReadOnlyChannel(spec) for spec in layout.readings]
         self._written: Mask = np.zeros(len(layout.setpoints), dtype=np.bool_)

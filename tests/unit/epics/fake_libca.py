@@ -83,8 +83,9 @@ class FakeLibrary:
 class FakeContext:
     """Its calls all go well."""
 
-    def __init__(self) -> None:
+    def __init__(self, _pva=None) -> None:
         self.library, self.listeners = FakeLibrary(), []
+        self.telling = None
         self.asking = threading.Lock()
 
     def attach(self) -> None:

@@ -26,7 +26,7 @@ class Library:
 
 def test_a_circuit_that_answers_again_without_an_access_event_is_writable():
     """libca takes the rights away by an event when a server is silent; none gives them back."""
-    context: Any = SimpleNamespace(library=Library(), host_of=lambda _: "here:5064")
+    context: Any = SimpleNamespace(library=Library(), host_of=lambda _: "here:5064", telling=None)
     group = ChannelGroup(context, ("A",))
     group._on_access(AccessArguments(1, WRITE_ACCESS))
     group._on_connection(ConnectionArguments(1, OPERATION_UP))

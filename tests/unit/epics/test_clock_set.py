@@ -44,7 +44,7 @@ class Bench:
         settings = EpicsSettings(readback_wait=0.0)
         self.inbox = Inbox(self.bpms, Assembler(1), self.clock, settings, lambda: "described")
         slow = {"current": AuxiliarySettings(pv="I", stale_after=10.0)}
-        context: Any = SimpleNamespace(library=None)
+        context: Any = SimpleNamespace(library=None, telling=None)
         self.slow = AuxiliaryChannels(context, slow)
         self.slow.group.connected[:] = True
         self.tick()

@@ -40,6 +40,7 @@ class Group:
 
     names, lock, pvs, handles = NAMES, nullcontext(), named_pvs(NAMES), tuple(range(4))
     connected = np.ones(len(NAMES), dtype=bool)
+    pva = None
     lengths, present = np.full(3, NOT_HEARD), [0, 1, 2]
 
     def __len__(self) -> int:

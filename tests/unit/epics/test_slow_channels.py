@@ -18,7 +18,7 @@ class Bench:
     def __init__(self, stale_after: float | None) -> None:
         self.clock = ManualClock(2.0e9)
         self.time = Timekeeper(self.clock, 1.0)
-        context: Any = SimpleNamespace(library=None)
+        context: Any = SimpleNamespace(library=None, telling=None)
         its = {"current": AuxiliarySettings(pv="I", stale_after=stale_after)}
         self.slow = AuxiliaryChannels(context, its)
         self.slow.group.connected[:] = True

@@ -6,7 +6,7 @@ import pytest
 
 from orbitfb.epics.libca import EventArguments
 from orbitfb.epics.requests import CONTROL_RECORD
-from orbitfb.epics.statements import IDLE, Statements
+from orbitfb.epics.stated.statements import IDLE, Statements
 
 
 def event(units: bytes = b"mm", high: float = 5.0, value: float = 0.0, severity: int = 0):

@@ -37,6 +37,7 @@ class Loop:
             Channels("x", NAMES, NAMES, NAMES, NAMES, NAMES), 18.0, self.clock
         )
         self.last, self.peaks = None, Peaks("x")
+        self.hand_over = {"state": "HANDS OVER", "reason": "", "left_um": 3.1}
         sources = Sources(
             self.statistics.snapshot,
             lambda: self.last,
@@ -46,6 +47,7 @@ class Loop:
             self.peaks.since,
             0.2e-6,
             measurement=lambda: Progress(Stage.MEASURING, 12, 180, 0.0667, 790.0, "goes on"),
+            hand_over=lambda: self.hand_over,
         )
         self.view = PageView(sources, self.clock, 5.0)
 
@@ -91,6 +93,12 @@ def test_figures_have_the_units_of_the_pvs(loop):
     assert (its["worst_bpm"], its["worst_um"]) == ("D", pytest.approx(5.0))
     assert (its["policy"], its["reason"], its["ticks"]) == ("svd-1", "why", 1)
     assert its["gap"] == {"headline": "gap of 1 ticks", "resolved": False, "time": None}
+
+
+def test_a_hand_over_is_shown_where_a_fast_feedback_takes_it(loop):
+    assert loop.shown()["hand_over"] == {"state": "HANDS OVER", "reason": "", "left_um": 3.1}
+    loop.hand_over = None
+    assert loop.shown()["hand_over"] is None
 
 
 def test_a_measurement_of_the_response_is_shown(loop):

@@ -1,0 +1,1 @@
+"""PVs over pvAccess: p4p, the extra `pva`, behind the same groups of channels."""
