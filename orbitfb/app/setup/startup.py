@@ -159,9 +159,10 @@ def servers_of(settings: EpicsSettings) -> list[str]:
         ConfigError: A host is not known; libca would go on without it.
     """
     servers = [f"any:{settings.server_port}"] if settings.auto_address_list else []
-    pva = (*settings.pva.address_list.split(), *settings.pva.name_servers.split())
-    usual = dict.fromkeys(pva, settings.pva.port)
-    for word in (*settings.address_list.split(), *settings.name_servers.split(), *pva):
+    pva = f"{settings.pva.address_list} {settings.pva.name_servers}"
+    words = [(word, settings.server_port) for word in settings.searched.split()]
+    words += [(word, settings.pva.port) for word in pva.split()]
+    for word, usual in words:
         host, _, port = word.partition(":")
         if port and not port.isdigit():
             raise ConfigError(
@@ -175,7 +176,7 @@ def servers_of(settings: EpicsSettings) -> list[str]:
                 f"the host {host!r}{did_you_mean(host, _PLACES)}, where PVs are to be searched "
                 "for, is not known; give a name that resolves, or an IPv4 address"
             ) from None
-        servers.append(f"{address}:{port or usual.get(word, settings.server_port)}")
+        servers.append(f"{address}:{port or usual}")
     return servers
 
 

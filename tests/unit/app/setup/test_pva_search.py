@@ -42,11 +42,15 @@ def test_a_host_alone_is_that_of_a_simulated_ring():
 
 def test_the_environment_says_where(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("EPICS_CA_ADDR_LIST", "127.0.0.1")
+    monkeypatch.delenv("EPICS_CA_SERVER_PORT", raising=False)
+    monkeypatch.delenv("EPICS_CA_NAME_SERVERS", raising=False)
     monkeypatch.setenv("EPICS_PVA_ADDR_LIST", "127.0.0.2")
     monkeypatch.setenv("EPICS_PVA_BROADCAST_PORT", "15099")
     found = find_ring(load_config(), "env")
     assert (found.pva_addresses, found.pva.port) == ("127.0.0.2", 15099)
-    assert "127.0.0.2:15099" in servers_of(found)
+    assert servers_of(found)[-2:] == ["127.0.0.1:5064", "127.0.0.2:15099"]
+    monkeypatch.setenv("EPICS_PVA_ADDR_LIST", "127.0.0.1")
+    assert servers_of(find_ring(load_config(), "env"))[-2:] == ["127.0.0.1:5064", "127.0.0.1:15099"]
     monkeypatch.setenv("EPICS_PVA_BROADCAST_PORT", "0")
     with pytest.raises(ConfigError, match="EPICS_PVA_BROADCAST_PORT: '0' is no port"):
         find_ring(load_config(), "env")
