@@ -71,10 +71,10 @@ def test_a_server_that_goes_and_comes_back_is_asked_before_it_is_written_to():
             deadline = time.monotonic() + 20.0
             while machine.disconnected and time.monotonic() < deadline:
                 time.sleep(0.05)
+            machine.read(10.0)
             with pytest.raises(WriteError, match="have not been read since"):
                 machine.write(np.full(12, 0.2))
             np.testing.assert_array_equal(machine.setpoints(), np.zeros(12))
-            machine.read(2.0)
             machine.write(np.full(12, 0.2))
             machine.read(2.0)
             np.testing.assert_allclose(machine.setpoints(), np.full(12, 0.2))
