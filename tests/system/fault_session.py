@@ -17,10 +17,11 @@ from orbitfb.control.client import ask
 from orbitfb.core.errors import ControlError
 
 RATE = 40.0
+"""Of ring and loop, unless a test says another [Hz]."""
+SILENT = "does not answer the correctors"
 HERE = Path(__file__).parent
 CONFIG = """
 [loop]
-rate_hz = 40.0
 ramp = 0.3
 hold_after = 8.0  # a computer that is busy with other tests is no trouble of the ring
 policy_deadline = 40.0
@@ -42,10 +43,16 @@ class Session:
     """A closed loop on an IOC whose faults can be switched."""
 
     def __init__(
-        self, directory: Path, ioc: "subprocess.Popen[str]", port: int, more: str = ""
+        self,
+        directory: Path,
+        ioc: "subprocess.Popen[str]",
+        port: int,
+        more: str = "",
+        rate: float = RATE,
     ) -> None:
         self._ioc, self.port = ioc, port
-        (directory / "c.toml").write_text(CONFIG + more)
+        config = CONFIG.replace("[loop]", f"[loop]\nrate_hz = {rate}")
+        (directory / "c.toml").write_text(config + more)
         where = f"127.0.0.1:{port}"
         options = ("--config", directory / "c.toml", "--start", "closed")
         self.client = RawClient(port)
@@ -65,12 +72,21 @@ class Session:
         )
 
     def well(self, micrometres: float = 1.0) -> None:
+        """Wait until all is well again.
+
+        On a busy computer an answer may come late again and again. Then a device seems silent; as
+        an operator does, the loop is opened and closed: that is another test's business.
+        """
         self.fault()
-        self.service.wait_status(
+        status = self.service.wait_status(
             "recovery",
-            lambda status: status["state"] == "CLOSED" and not status["reason"],
+            lambda status: (
+                status["state"] == "CLOSED" and (not status["reason"] or SILENT in status["reason"])
+            ),
             START,
         )
+        if status["reason"]:
+            self.again()
         self.service.wait_below(micrometres)
 
     def again(self) -> None:
@@ -106,7 +122,7 @@ class Session:
 
 @contextmanager
 def fault_session(
-    directory: Path, more: str = "", micrometres: float = 1.0, **ring: Any
+    directory: Path, more: str = "", micrometres: float = 1.0, rate: float = RATE, **ring: Any
 ) -> Iterator[Session]:
     """Start IOC and loop; wait until the orbit is good.
 
@@ -114,17 +130,18 @@ def fault_session(
         directory: For their files.
         more: Configuration besides, as TOML.
         micrometres: Rms of an orbit that is good [µm].
+        rate: Of ring and loop [Hz].
         ring: More of the job of the IOC.
     """
     job = directory / "job.json"
-    job.write_text(json.dumps({"seed": 5, "sim": {"port": 0, "rate_hz": RATE}, **ring}))
+    job.write_text(json.dumps({"seed": 5, "sim": {"port": 0, "rate_hz": rate}, **ring}))
     command = [sys.executable, str(HERE / "faulty_ioc.py"), str(job)]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=os.environ
     ) as ioc:
         try:
             assert ioc.stdout is not None
-            session = Session(directory, ioc, int(ioc.stdout.readline()), more)
+            session = Session(directory, ioc, int(ioc.stdout.readline()), more, rate)
             with session.service, session.client:
                 session.well(micrometres)
                 yield session

@@ -18,7 +18,7 @@ import psutil
 import pytest
 from forked import finish, start
 from free_ports import free_port
-from ioc_clients import run_client
+from ioc_clients import RawClient
 
 from orbitfb.cli.app import main
 from orbitfb.control.client import ask
@@ -342,19 +342,7 @@ def rms(vectors: np.ndarray) -> np.ndarray:
 
 
 def setpoints(port: int, channels: Any = CHANNELS) -> np.ndarray:
-    """Read the setpoints [A] with caproto's own client, in a process of its own."""
-    names = list(channels.setpoint_pvs)
-    return np.array(
-        run_client(
-            port,
-            f"""
-            import json
-            from caproto.threading.client import Context
-            context = Context(timeout=60.0)
-            pvs = context.get_pvs(*{names!r})
-            values = [float(pv.read(timeout=60.0).data[0]) for pv in pvs]
-            context.disconnect()
-            print(json.dumps(values))
-            """,
-        )
-    )
+    """Read the setpoints [A], as any client may."""
+    with RawClient(port) as client:
+        client.create(*channels.setpoint_pvs)
+        return np.array([client.get(name).value for name in channels.setpoint_pvs])

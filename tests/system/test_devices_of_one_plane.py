@@ -31,7 +31,7 @@ def service(tmp_path: Path):
         prefix = "{PREFIX}"
         """
     )
-    with Service(tmp_path / "data", "sim", "--config", file, learn=True) as service:
+    with Service(tmp_path / "data", "sim", "--rate", 20, "--config", file, learn=True) as service:
         yield service
 
 

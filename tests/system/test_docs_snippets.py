@@ -16,10 +16,11 @@ from docs_terminals import Session, missing_line
 pytestmark = pytest.mark.system
 
 FIRST = "docs/tutorials/first-run.md"
+"""Its services do not watch their gap."""
 SHARED = (("docs/tutorials/find-the-cause.md", "docs/how-to/diagnose.md"),)
 """Pages that are done one after the other in one directory."""
 NIGHTLY = (pytest.mark.nightly, pytest.mark.timeout(600))
-"""Marks of all but the first page; `make nightly` does them, `make test-docs` them alone."""
+"""Marks of all pages; `make nightly` does them, `make test-docs` them alone."""
 
 
 def has_something_to_do(name):
@@ -37,7 +38,7 @@ def journeys():
     pages = [name for name in pages if not name.startswith("deploy/")]
     alone = [(name,) for name in pages if name not in together and has_something_to_do(name)]
     for names in (*SHARED, *alone):
-        yield pytest.param(names, id=names[-1], marks=() if names == (FIRST,) else NIGHTLY)
+        yield pytest.param(names, id=names[-1], marks=NIGHTLY)
 
 
 @pytest.mark.parametrize("names", [*journeys()])

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fault_session import RATE, Session, fault_session
+from fault_session import Session, fault_session
 from service_process import CHANNELS, START, transitions, wait_for
 
 from orbitfb.control.client import ask
@@ -14,10 +14,14 @@ from orbitfb.core.errors import ControlError
 
 pytestmark = pytest.mark.system
 
+RATE = 20.0
+"""Of the ring [Hz]: half of what other tests of faults have. Here the response is judged, and on a
+busy computer every other change would come a tick late."""
+
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
-    with fault_session(tmp_path_factory.mktemp("loop-faults")) as session:
+    with fault_session(tmp_path_factory.mktemp("loop-faults"), rate=RATE) as session:
         yield session
 
 
@@ -105,7 +109,7 @@ def test_what_an_operator_sets_on_a_disabled_corrector_stays_and_is_gone_on_from
 
 def test_a_frozen_orbit_is_not_integrated(session: Session):
     session.fault(bpms={str(index): "frozen" for index in range(180)})
-    session.wait("HELD", "all 180 readings are those of the orbit before")
+    session.wait("HELD", "readings are those of the orbit before")
     left = session.setpoints()
     time.sleep(0.3)
     np.testing.assert_array_equal(session.setpoints(), left)

@@ -5,10 +5,12 @@ import json
 from itertools import cycle
 from pathlib import Path
 
-import at
 import pytest
 from free_ports import free_port
+from lazily import Lazy
 from service_process import orbitfb
+
+at = Lazy("at")
 
 pytestmark = pytest.mark.system
 

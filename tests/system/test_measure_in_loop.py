@@ -231,6 +231,7 @@ def test_somebody_elses_hand_ends_it_and_what_it_moved_stays(session: Session):
     np.testing.assert_allclose(session.setpoints(), before, atol=1e-9)
 
 
+@pytest.mark.nightly
 def test_a_service_that_stops_puts_back_first_and_one_that_is_killed_at_its_next_start(
     session: Session,
 ):

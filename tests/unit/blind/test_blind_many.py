@@ -9,6 +9,8 @@ from benchmarks.blind import many
 from benchmarks.blind.many import HEALTHY, USUAL
 from benchmarks.blind.records import read_folder
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -13,17 +13,12 @@ from orbitfb.estimation.transform import StepTransform
 
 RING = small_ring()
 TICKS = 1000
-QUICK = (
-    "bpm-lowpass",
-    "corrector-gain",
-    "noise-correlated",
-    "quadrupole-gradient",
-    "telegraph",
-)
-"""One of every family, in every run of the tests; the others at night."""
+QUICK = ("corrector-gain", "noise-correlated")
+"""A law and a noise, in every run of the tests; the others at night."""
 SLOW = (
     "bpm-current",
     "bpm-gain",
+    "bpm-lowpass",
     "bpm-nonlinearity",
     "bpm-roll",
     "bpm-walk",
@@ -35,8 +30,10 @@ SLOW = (
     "loop-delay",
     "missed-write",
     "periodic-disturbance",
+    "quadrupole-gradient",
     "sextupole",
     "skew-coupling",
+    "telegraph",
 )
 KINDS = {name: kind for name, kind in all_effects().items() if name not in SCREENED}
 each_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))

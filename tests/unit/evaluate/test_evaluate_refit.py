@@ -51,6 +51,7 @@ def test_files_hold_figures_settings_and_series(still, tmp_path):
     assert (tmp_path / "new" / "refit.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.nightly
 def test_drift_is_followed():
     figures = evaluate_refit(RefitEvaluationSettings(drift="paper", ticks=600, seed=5)).figures
     assert figures["rms_ratio_frozen"] != 1.0

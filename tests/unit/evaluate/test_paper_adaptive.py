@@ -79,6 +79,7 @@ def test_is_told_what_a_physicist_knows() -> None:
     assert doubled.drift_entry == pytest.approx(2.0 * told.drift_entry)
 
 
+@pytest.mark.nightly
 def test_every_variant_runs_and_can_be_written_as_json() -> None:
     rows = ablation(["E2"], trajectories=1, steps=30, after=5, variants=VARIANTS)
     assert [row["variant"] for row in rows] == list(VARIANTS)

@@ -6,14 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import at
 import numpy as np
 import pytest
+from lazily import Lazy
 
 from orbitfb.core.errors import ExchangeError
 from orbitfb.exchange.lattice.table import LatticeRequest, import_lattice
 from orbitfb.physics.optics import green
 from orbitfb.physics.places import Ring
+
+at = Lazy("at")
 
 CELLS = 8
 BEND = 2 * np.pi / (2 * CELLS)

@@ -59,6 +59,7 @@ def test_a_family_that_families_hide_is_told_and_a_device_beside_its_own() -> No
     assert found.estimates["calibration:x"].spread < 0.02
 
 
+@pytest.mark.nightly
 def test_a_device_that_nearly_stands_out_is_told_beside_the_answer() -> None:
     truth = synthetic(21, gains=0.02)
     spread = diagnose(truth.ring, truth.measured).estimates["gain:x"].spread

@@ -266,6 +266,7 @@ def test_a_row_that_shows_something_else_is_a_dead_bpm() -> None:
     assert told == ["bpm-dead"]
 
 
+@pytest.mark.nightly
 def test_a_noise_that_is_stated_far_too_large_is_not_believed_and_told() -> None:
     truth = synthetic(16, known=True)
     stated = {pair: 10 * its for pair, its in truth.measured.sigma.items()}

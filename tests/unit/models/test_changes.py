@@ -206,5 +206,6 @@ def test_the_ring_drifting_strongly_alarms_long_before_the_mean_square_does():
     assert chi2 < 1.1
 
 
+@pytest.mark.nightly
 def test_the_ring_as_it_was_does_not_alarm():
     assert first_alarm(DriftSettings(), 1, 1000)[0] is None

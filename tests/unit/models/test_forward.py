@@ -150,6 +150,7 @@ def test_a_wrong_first_response_is_corrected():
     assert net.figures["validation_chi2"] < net.figures["validation_chi2_response"]
 
 
+@pytest.mark.nightly
 def test_learns_what_no_matrix_can_say_and_is_less_sure_where_it_has_not_been():
     """A cubic answer, explored in open loop: better than the best of all matrices."""
     response = 1e-3 * np.eye(4) + 1e-4 * np.random.default_rng(0).standard_normal((4, 4))

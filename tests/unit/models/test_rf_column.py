@@ -90,6 +90,7 @@ def test_a_dispersion_that_is_wrong_by_a_tenth_is_found(rows, first):
     assert np.linalg.norm(found.response - truth) < before
 
 
+@pytest.mark.nightly
 def test_the_response_is_no_worse_than_without_steps(rows):
     still = select_rows(recorded(False), 0.05)
     alone = miss(model_of(still, rf=None).response)

@@ -5,12 +5,14 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import at
 import numpy as np
 import pytest
+from lazily import Lazy
 
 from orbitfb.physics.places import Ring
 from orbitfb.physics.table import COLUMNS
+
+at = Lazy("at")
 
 CELLS = 8
 CALIBRATION = (4e-5, 6e-5)
@@ -20,7 +22,7 @@ CALIBRATION = (4e-5, 6e-5)
 class TrackedRing:
     """The oracle: the same ring as a lattice to track through and as a table of places."""
 
-    lattice: at.Lattice
+    lattice: "at.Lattice"
     ring: Ring
     bpms: list[int]
     correctors: list[int]

@@ -1,13 +1,15 @@
 """Closed bumps against tracking, and against what a drift says."""
 
-import at
 import numpy as np
 import pytest
+from lazily import Lazy
 
 from orbitfb.core.errors import RingError
 from orbitfb.physics.bump import closed_bump, find_source
 from orbitfb.physics.optics import green
 from orbitfb.physics.places import Ring
+
+at = Lazy("at")
 
 STRAIGHT = "PL1B_C30,PL1A_C01"
 

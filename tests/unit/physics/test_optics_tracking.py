@@ -1,8 +1,8 @@
 """The optics against tracking by accelerator-toolbox: an oracle that shares no equation."""
 
-import at
 import numpy as np
 import pytest
+from lazily import Lazy
 from numpy.testing import assert_allclose
 
 from orbitfb.core.errors import RingError
@@ -15,6 +15,8 @@ from orbitfb.physics.optics import (
 )
 from orbitfb.physics.response import quadrupole_displacement_response, response
 from orbitfb.physics.sextupoles import SextupoleOrbit
+
+at = Lazy("at")
 
 CORRECTORS = 16
 

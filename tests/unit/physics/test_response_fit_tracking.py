@@ -1,11 +1,13 @@
 """The fit of a response against tracking: gradients, gains and tunes by an independent way."""
 
-import at
 import numpy as np
 import pytest
+from lazily import Lazy
 
 from orbitfb.loco.measured import Measured
 from orbitfb.loco.run import diagnose
+
+at = Lazy("at")
 
 
 def test_gradients_and_gains_of_a_tracked_ring_come_back(tracked) -> None:

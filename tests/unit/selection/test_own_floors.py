@@ -91,6 +91,7 @@ def test_of_a_bpm_whose_noise_remembers_no_law_of_its_readings_is_told(
     assert accepted == ([noise] if coloured else [noise, late])
 
 
+@pytest.mark.nightly
 def test_a_rival_shows_under_the_floor_of_what_leads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Over the floor of all, which has learned what a corrector does not do, nothing tells them."""
     record = record_with(np.zeros(len(LAYOUT.bpms)), 22)
@@ -109,6 +110,7 @@ def test_a_rival_shows_under_the_floor_of_what_leads(monkeypatch: pytest.MonkeyP
     assert best.evidence > 1.1 * true.evidence
 
 
+@pytest.mark.nightly
 def test_under_the_floor_of_another_one_none_has_more_than_under_its_own() -> None:
     """And that of the one whose floor it is has there what it has."""
     space, found = scanned(record_with(np.outer(5e-6 * np.sin(0.2 * np.arange(ROWS)), PATTERN), 23))
