@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfb.core.ports import Policy
 from orbitfb.core.robust import median
 from orbitfb.core.signals import LoopState, Mask, Reading, Vector
 from orbitfb.core.values import replace
@@ -13,7 +14,7 @@ from orbitfb.loop.tick import Checked
 from orbitfb.loop.timing.waiting import too_early
 from orbitfb.safety.answers.answering import Found, Seen, interrupted, look, note
 from orbitfb.safety.answers.owing import Sent
-from orbitfb.safety.answers.questions import Question
+from orbitfb.safety.answers.questions import Question, Rings
 from orbitfb.safety.verdict import FINE, Action, Verdict, name_some
 
 WAITS = "no corrections until the orbit has answered a test excitation"
@@ -54,6 +55,18 @@ class Inquiry:
         self._random = random or np.random.default_rng()
         self._asked: Question | None = None
         self._early = False
+        self._rings, self._mine = Rings(), np.zeros(0, dtype=np.bool_)
+
+    def prepare(self, policy: Policy) -> None:
+        """Look at the response of a policy before it is in force: that takes longer than a tick.
+
+        Args:
+            policy: It is about to be swapped in, by whichever thread this is.
+        """
+        response: Vector | None = getattr(policy, "response", None)
+        mine = self._mine
+        if response is not None and response.shape[1] == len(mine):
+            self._rings.of(response, mine)
 
     def look(self, memory: LoopMemory, reading: Reading, mine: Mask) -> tuple[Verdict, LoopMemory]:
         """Compare an orbit with what was asked of it.
@@ -76,8 +89,9 @@ class Inquiry:
         self._early = closed and too_early(memory, reading, mine)
         if self._early:
             return FINE, memory
+        self._mine = mine
         seen = Seen(orbit.position, orbit.valid, response, mine, closed, reading.received, held)
-        found, answering = look(seen, memory.answering, self._settings)
+        found, answering = look(seen, memory.answering, self._settings, self._rings)
         memory = replace(memory, answering=answering)
         return self._heed(found, memory)
 

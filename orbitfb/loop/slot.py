@@ -24,6 +24,8 @@ class PolicySlot:
         self._policy, self._dress = policy, dress
         self._acting = dress(policy)
         self._swaps = 0
+        self.prepare: Callable[[Policy], None] = lambda policy: None
+        """Told of a policy that is about to be swapped in, in the thread that swaps."""
 
     @property
     def current(self) -> Policy:
@@ -57,6 +59,7 @@ class PolicySlot:
         while True:
             dress = self._dress
             dressed = dress(policy)  # not under the lock: a tick must not wait for it
+            self.prepare(dressed)
             with self._lock:
                 if self._policy is not expected:
                     return False

@@ -77,6 +77,7 @@ class Supervisor:
         self._rules, self._dither = rules, dither
         self._random = random or np.random.default_rng()
         self._inquiry = Inquiry(rules, self._guard, self._random)
+        slot.prepare = self._inquiry.prepare
         self._counting, self._heed = rules.counting, heed
         loop, channels = rules.loop, rules.channels
         self.wanted: Adjustments = replace(

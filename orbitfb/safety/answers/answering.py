@@ -27,7 +27,7 @@ from orbitfb.safety.answers.owing import (
     Session,
     rms,
 )
-from orbitfb.safety.answers.questions import Ring, Sight
+from orbitfb.safety.answers.questions import Ring, Rings, Sight
 from orbitfb.safety.interlocks import InterlockSettings
 
 ANSWERED = 4.0
@@ -91,15 +91,18 @@ class Found:
 NOTHING = Found()
 
 
-def look(seen: Seen, memory: Answering, settings: InterlockSettings) -> tuple[Found, Answering]:
+def look(
+    seen: Seen, memory: Answering, settings: InterlockSettings, rings: Rings | None = None
+) -> tuple[Found, Answering]:
     """Compare an orbit with what was asked of it.
 
     Args:
         seen: The orbit.
         memory: What the last call, or `note`, returned.
         settings: What may be asked for without an answer, and how loud a question may be.
+        rings: Remembers what was made of a response; None: it is made anew for another one.
     """
-    memory, ring = _prepared(seen, memory)
+    memory, ring = _prepared(seen, memory, rings or Rings())
     expected = memory.expected
     n, m = len(seen.position), len(seen.response.T)
     valid = seen.valid & np.isfinite(seen.position)
@@ -185,13 +188,13 @@ def opened(memory: Answering) -> Answering:
     return replace(memory, owed=None, session=None, sent=(), left=None)
 
 
-def _prepared(seen: Seen, memory: Answering) -> tuple[Answering, Ring]:
+def _prepared(seen: Seen, memory: Answering, rings: Rings) -> tuple[Answering, Ring]:
     """Take the response of the policy in force, and the correctors that move."""
     ring = memory.ring
     same = ring is not None and ring.response is seen.response
     if ring is not None and same and np.array_equal(ring.movable, seen.movable):
         return memory, ring
-    ring = Ring.of(seen.response, seen.movable)
+    ring = rings.of(seen.response, seen.movable)
     expected = memory.expected
     if expected is not None and expected.model.shape != seen.position.shape:
         memory = Answering(found=memory.found)

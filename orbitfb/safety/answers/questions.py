@@ -3,6 +3,8 @@
 What an answer proves stands in `evidence`.
 """
 
+import threading
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +22,10 @@ SINGULAR = 1e-6
 
 MEDIAN = 0.455
 """Median of the square of a normal number [1]."""
+
+KEPT = 4
+"""Rings that are remembered: that of the policy in force and of the one before, each with and
+without what is left out."""
 
 CLIP = 4.0
 """Largest deviation from the guess that counts, over its usual size: one kick is one question."""
@@ -75,6 +81,35 @@ class Ring:
         mixed = apart * square
         swing = np.sum((mixed @ patterns) ** 2, axis=1)
         return cls(response, movable, sizes, patterns, moves, reach, apart, mixed, swing)
+
+
+class Rings:
+    """Keeps what was made of the matrices seen last, which takes longer than a tick.
+
+    Any thread may ask. Two that meet a new matrix at once may both look at it; what they see is
+    the same.
+    """
+
+    def __init__(self) -> None:
+        self._known: deque[Ring] = deque(maxlen=KEPT)
+        self._lock = threading.Lock()
+
+    def of(self, response: Vector, movable: Mask) -> Ring:
+        """Look at a ring, or remember it.
+
+        Args:
+            response: R, shape (n, m) [m/A]; it does not change.
+            movable: Correctors that may be asked, shape (m,).
+        """
+        with self._lock:
+            known = tuple(self._known)
+        for ring in known:
+            if ring.response is response and np.array_equal(ring.movable, movable):
+                return ring
+        ring = Ring.of(response, movable)
+        with self._lock:
+            self._known.append(ring)
+        return ring
 
 
 def _inverse(matrix: Vector) -> Vector:

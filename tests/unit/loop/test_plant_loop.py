@@ -13,6 +13,7 @@ from orbitfb.physics.places import Ring
 from orbitfb.physics.plant import Plant
 from orbitfb.physics.plant_machine import PlantMachine
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
+from orbitfb.safety.answers.questions import Ring as AnsweringRing
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 
@@ -22,13 +23,13 @@ def ring():
     return Ring.load()
 
 
-def build(ring, seed=0, counting=None, **keywords):
+def build(ring, seed=0, counting=None, slot=None, **keywords):
     clock, records = ManualClock(), []
     machine = PlantMachine(Plant(ring, "x", seed=seed), clock)
     policy = SvdPolicy(machine.plant.nominal_response, SvdSettings())
     runner = Runner(
         machine if counting is None else MaskedMachine(machine, counting),
-        PolicySlot(policy),
+        slot or PolicySlot(policy),
         LoopSettings(),
         LimitSettings(),
         InterlockSettings(**keywords),
@@ -57,6 +58,19 @@ def test_closing_takes_the_orbit_from_250_um_to_below_1_um_within_5_s(ring, seed
     assert all(record.state is LoopState.CLOSED for record in records[closed:])
     assert max(np.abs(record.setpoints).max() for record in records) <= 17.5
     assert sum(record.missed for record in records) == 0
+
+
+def test_who_swaps_the_policy_looks_at_its_ring_and_the_tick_does_not_wait(ring, monkeypatch):
+    policy = SvdPolicy(Plant(ring, "x", seed=0).nominal_response, SvdSettings())
+    slot = PolicySlot(policy)
+    _, runner, _ = build(ring, slot=slot)
+    for _ in range(10):
+        runner.step()
+    slot.swap(SvdPolicy(1.01 * policy.response, policy.settings))
+    monkeypatch.setattr(AnsweringRing, "of", None)
+    assert runner.step().state is LoopState.CLOSED
+    slot.swap(policy)
+    assert runner.step().state is LoopState.CLOSED
 
 
 def test_a_flapping_machine_is_never_written_blind(ring):

@@ -8,7 +8,7 @@ import pytest
 from orbitfb.safety.answers.evidence import Test as Sums
 from orbitfb.safety.answers.evidence import ask_at_any, ask_devices, ask_ring
 from orbitfb.safety.answers.owing import Answering, Sent, Session
-from orbitfb.safety.answers.questions import Question, Ring, Sight
+from orbitfb.safety.answers.questions import KEPT, Question, Ring, Rings, Sight
 
 N, M, LAGS = 30, 24, 3
 NOISE = SIZE = 0.2e-6
@@ -170,3 +170,14 @@ def test_a_ring_of_which_no_corrector_moves_is_asked_nothing(ring):
     assert not nobody.patterns.any()
     assert not nobody.moves.any()
     assert np.isfinite(nobody.apart).all()
+
+
+def test_a_ring_is_looked_at_once_for_each_choice_of_correctors(ring):
+    rings, few = Rings(), ring.movable & (np.arange(M) > 2)
+    first, other = rings.of(ring.response, ring.movable), rings.of(ring.response, few)
+    assert rings.of(ring.response, ring.movable.copy()) is first
+    assert rings.of(ring.response, few) is other is not first
+    np.testing.assert_array_equal(other.apart, Ring.of(ring.response, few).apart)
+    for _ in range(KEPT):
+        assert rings.of(ring.response.copy(), ring.movable) is not first
+    assert rings.of(ring.response, ring.movable) is not first  # forgotten
