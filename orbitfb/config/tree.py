@@ -32,9 +32,9 @@ from orbitfb.policies.settings import PolicySettings
 from orbitfb.policies.training.supervised_settings import SupervisedSettings
 from orbitfb.policies.training.trajectory_settings import StructuredSettings, TrajectorySettings
 from orbitfb.postmortem.settings import PostMortemSettings
-from orbitfb.safety.frequency import RfSettings
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
+from orbitfb.safety.rf_settings import RfSettings
 from orbitfb.sim.settings import SimSettings
 
 

@@ -20,7 +20,6 @@ from orbitfb.safety.frequency import (
     UNKNOWN,
     Frequency,
     Pattern,
-    RfSettings,
     SentStep,
     answer,
     closed,
@@ -30,6 +29,7 @@ from orbitfb.safety.frequency import (
     noted,
     stepped,
 )
+from orbitfb.safety.rf_settings import RfSettings
 
 LEAST_SHARE = 0.3
 """Least part of the energy of a step that the correctors must take back. On the default ring it is

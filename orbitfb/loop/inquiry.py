@@ -12,7 +12,8 @@ from orbitfb.loop.guard import Guard
 from orbitfb.loop.memory import LoopMemory, Rules
 from orbitfb.loop.tick import Checked
 from orbitfb.loop.timing.waiting import too_early
-from orbitfb.safety.answers.answering import Found, Seen, interrupted, look, note
+from orbitfb.safety.answers.answering import interrupted, look, note
+from orbitfb.safety.answers.findings import Found, Seen
 from orbitfb.safety.answers.owing import Sent
 from orbitfb.safety.answers.questions import Question, Rings
 from orbitfb.safety.verdict import FINE, Action, Verdict, name_some

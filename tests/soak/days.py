@@ -26,9 +26,9 @@ from orbitfb.physics.plant import Plant, PlantSettings
 from orbitfb.physics.plant_machine import PlantMachine
 from orbitfb.policies.masking import without
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
-from orbitfb.safety.frequency import RfSettings
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
+from orbitfb.safety.rf_settings import RfSettings
 from tests.soak.flat import Soak, first_and_last
 from tests.soak.surroundings import Surroundings
 

@@ -8,14 +8,13 @@ out by name. While the ring as a whole owes as much the loop corrects nothing; a
 owe too much have no say, it corrects without them.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.core.values import replace
 from orbitfb.safety.answers.evidence import Test, ask_at_any, ask_devices, ask_ring
 from orbitfb.safety.answers.expectation import Expectation, Owed, shown
+from orbitfb.safety.answers.findings import NOTHING, Found, Seen
 from orbitfb.safety.answers.owing import (
     HALF,
     LAGS,
@@ -48,47 +47,6 @@ SUSPECT = 3.0
 PATIENCE = 300
 """Orbits of only asking after which no answer counts as none: a hundred times what a ring needs
 whose noise is as large as the question, and twice what one device needs."""
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """An orbit, and of what.
-
-    Args:
-        position: Shape (n,) [m].
-        valid: BPMs that count, shape (n,).
-        response: R of the policy in force, shape (n, m) [m/A].
-        movable: Correctors that the loop moves, shape (m,).
-        closed: Whether the loop is CLOSED.
-        time: When it was complete, monotonic [s].
-        held: Whether it is HELD: it asks for nothing, and what it had asked for is still owed.
-    """
-
-    position: Vector
-    valid: Mask
-    response: Vector
-    movable: Mask
-    closed: bool
-    time: float
-    held: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """What does not answer.
-
-    Args:
-        ring: Why the ring as a whole is not believed; empty when it is.
-        bpms: BPMs that do not answer, by index.
-        correctors: Correctors that the orbit does not answer, by index.
-    """
-
-    ring: str = ""
-    bpms: tuple[int, ...] = ()
-    correctors: tuple[int, ...] = ()
-
-
-NOTHING = Found()
 
 
 def look(

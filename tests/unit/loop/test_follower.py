@@ -22,9 +22,9 @@ from orbitfb.physics.plant_machine import PlantMachine
 from orbitfb.physics.response import response
 from orbitfb.policies.rf_known import with_rf
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
-from orbitfb.safety.frequency import RfSettings
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
+from orbitfb.safety.rf_settings import RfSettings
 
 RING = Ring.load()
 RESPONSE = response(RING, "x")

@@ -25,9 +25,9 @@ from orbitfb.physics.plant import PlantSettings
 from orbitfb.physics.plant_machine import PlantMachine
 from orbitfb.physics.response import response
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
-from orbitfb.safety.frequency import RfSettings
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
+from orbitfb.safety.rf_settings import RfSettings
 
 TOLD = Ring.load()
 MODEL = frequency_model(TOLD, "x")

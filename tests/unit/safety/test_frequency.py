@@ -11,7 +11,6 @@ from orbitfb.safety.frequency import (
     DRIFT_TICKS,
     Frequency,
     Pattern,
-    RfSettings,
     SentStep,
     answer,
     closed,
@@ -20,6 +19,7 @@ from orbitfb.safety.frequency import (
     noted,
     stepped,
 )
+from orbitfb.safety.rf_settings import RfSettings
 
 HOME, NOISE, N = 5e8, 0.2e-6, 50
 SETTINGS = RfSettings()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from orbitfb.safety.answers.answering import PATIENCE, interrupted, look, note
-from orbitfb.safety.answers.answering import Seen as Orbit
 from orbitfb.safety.answers.expectation import Expectation, Owed
+from orbitfb.safety.answers.findings import Seen as Orbit
 from orbitfb.safety.answers.owing import FEW, GRACE, Answering, Sent, Session
 from orbitfb.safety.answers.questions import Question, Ring
 from orbitfb.safety.interlocks import InterlockSettings
