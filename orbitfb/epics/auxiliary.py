@@ -8,9 +8,9 @@ from orbitfb.core.signals import Mask, Vector
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.events import Monitor
 from orbitfb.epics.libca import Context
+from orbitfb.epics.orbit.timekeeper import Timekeeper
 from orbitfb.epics.records import INVALID, blank_records, stamps_of, usable, wall_time
 from orbitfb.epics.settings import AuxiliarySettings
-from orbitfb.epics.timekeeper import Timekeeper
 
 
 class AuxiliaryChannels:

@@ -3,7 +3,6 @@
 import ctypes
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,25 +13,21 @@ from orbitfb.epics.events import Monitor, array_handler, array_taker, guarded, s
 from orbitfb.epics.libca import (
     ACCESS_HANDLER,
     CONNECTION_HANDLER,
-    DBR_CTRL_DOUBLE,
     DBR_TIME_DOUBLE,
-    ECA_NORMAL,
     EVENT_HANDLER,
-    MONITOR_PROPERTY,
     MONITOR_VALUE_AND_ALARM,
     OPERATION_UP,
     WRITE_ACCESS,
     AccessArguments,
     ConnectionArguments,
     Context,
-    EventArguments,
     keep_thread_state,
 )
 from orbitfb.epics.pva.channels import PvaChannels
 from orbitfb.epics.pva.held import Held
 from orbitfb.epics.records import RECORD
 from orbitfb.epics.stated.contents import Contents
-from orbitfb.epics.stated.statements import Statements
+from orbitfb.epics.stated.property_events import PropertyEvents
 
 NOT_HEARD = -1
 """Length of an array that has had no event."""
@@ -56,6 +51,9 @@ class ChannelGroup:
         monitor: What to do with their events; None: no subscription.
         changed: Called with the place of each name and its state when its channel has come or gone.
         properties: Whether to be told when units or limits change.
+
+    Attributes:
+        properties: Hears of that.
     """
 
     def __init__(
@@ -92,14 +90,12 @@ class ChannelGroup:
         self._context = context
         self._library = context.library
         self._monitor = monitor
-        self._changed, self._properties = changed, properties
-        self._statements = Statements(len(self.pvs))
-        self._property_events = (ctypes.c_void_p * len(self.pvs))()
+        self._changed, self._stating = changed, properties
+        self.properties = PropertyEvents(context, len(self.pvs), self._restate)
         # libca keeps the addresses of these: they must live as long as the context.
         lock = context.telling
         self._connection_handler = CONNECTION_HANDLER(guarded(self._on_connection, lock))
         self._access_handler = ACCESS_HANDLER(guarded(self._on_access, lock))
-        self._property_handler = EVENT_HANDLER(guarded(self._on_property, lock))
         if monitor is not None:
             array = array_handler(monitor, self.pvs, self.lengths)
             self._scalar_handler = EVENT_HANDLER(guarded(scalar_handler(monitor), lock))
@@ -198,23 +194,6 @@ class ChannelGroup:
         self._context.flush()
         return int(away.size)
 
-    def end_repeating(self) -> int:
-        """End the subscriptions to properties whose events state nothing new.
-
-        Returns:
-            How many there were.
-        """
-        repeating = self._statements.repeating()
-        if not repeating:
-            return 0
-        with self.lock:
-            for number in repeating:
-                event, self._property_events[number] = self._property_events[number], None
-                if event is not None:
-                    self._library.ca_clear_subscription(event)
-        self._context.flush()
-        return len(repeating)
-
     def forget(self) -> None:
         """Take no request any more: the context is about to end."""
         with self.lock:
@@ -241,34 +220,16 @@ class ChannelGroup:
         self._context.check(f"asking for the access rights of {name}", status)
         if self._monitor is not None:
             record = int(self._first[number]) * RECORD.itemsize
+            # Of an array as many values as it has, so that a short one is not filled up by zeros.
             if self.pvs[number].elements is None:
-                its, user = self._scalar_handler, self._monitor.records.ctypes.data + record
+                count, its = 1, self._scalar_handler
+                user = self._monitor.records.ctypes.data + record
             else:
-                its, user = self._array_handler, number + 1
-            self._subscribe(handle, number, MONITOR_VALUE_AND_ALARM, its, user)
-        if self._properties:
-            self._property_events[number] = self._subscribe(
-                handle, number, MONITOR_PROPERTY, self._property_handler, number + 1
-            )
-
-    def _subscribe(
-        self, handle: ctypes.c_void_p, number: int, what: int, handler: Any, user: int
-    ) -> int | None:
-        pv, event = self.pvs[number], ctypes.c_void_p()
-        states = what == MONITOR_PROPERTY
-        # Of an array as many values as it has, so that a short one is not filled up by zeros.
-        count = 1 if pv.elements is None or states else 0
-        status = self._library.ca_create_subscription(
-            DBR_CTRL_DOUBLE if states else DBR_TIME_DOUBLE,
-            count,
-            handle,
-            what,
-            ctypes.cast(handler, ctypes.c_void_p),
-            user,
-            ctypes.byref(event),
-        )
-        self._context.check(f"subscribing to {pv.name}", status)
-        return event.value
+                count, its, user = 0, self._array_handler, number + 1
+            what = (DBR_TIME_DOUBLE, count, MONITOR_VALUE_AND_ALARM)
+            self._context.subscribe(name, handle, what, its, user)
+        if self._stating:
+            self.properties.subscribe(number, name, handle)
 
     def _on_connection(self, arguments: ConnectionArguments) -> None:
         up = arguments.operation == OPERATION_UP
@@ -278,7 +239,7 @@ class ChannelGroup:
             # A circuit that answers again after a silence brings its channels back without an
             # access event, though it took their rights away by one.
             writable = bool(self._library.ca_write_access(arguments.channel))
-            self._statements.came(number)
+            self.properties.came(number)
             self._came(number, writable, self._context.host_of(arguments.channel))
         self._set_connected(number, up)
 
@@ -318,9 +279,8 @@ class ChannelGroup:
         """Take that its server refuses a put."""
         self.put_refused(self.pvs[number], words)
 
-    def _on_property(self, arguments: EventArguments) -> None:
-        if arguments.status == ECA_NORMAL:
-            self.restated += self._statements.is_new(arguments.user - 1, arguments)
+    def _restate(self) -> None:
+        self.restated += 1
 
     def _on_access(self, arguments: AccessArguments) -> None:
         number = self._library.ca_puser(arguments.channel) - 1

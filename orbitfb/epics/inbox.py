@@ -18,9 +18,9 @@ from orbitfb.core.ports import Clock
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.epics.orbit.assembler import Assembler
 from orbitfb.epics.orbit.snapshot import Snapshot
+from orbitfb.epics.orbit.timekeeper import Timekeeper
 from orbitfb.epics.records import NANOSECONDS, stamps_of, usable
 from orbitfb.epics.settings import EpicsSettings
-from orbitfb.epics.timekeeper import Timekeeper
 
 MISSES_UNTIL_NOT_WAITED_FOR = 5
 

@@ -232,6 +232,34 @@ class Context:
         if status != ECA_NORMAL:
             raise MachineError(f"{call}: {self.message(status)}")
 
+    def subscribe(
+        self,
+        name: str,
+        handle: ctypes.c_void_p,
+        what: tuple[int, int, int],
+        handler: Any,
+        user: int,
+    ) -> int | None:
+        """Subscribe to a channel; gives the handle of the subscription.
+
+        Args:
+            name: Of the PV.
+            handle: Of its channel.
+            what: Type and count of the values (0: all), and the kinds of events.
+            handler: Must live as long as the context.
+            user: Handed to it.
+
+        Raises:
+            MachineError: libca refused.
+        """
+        (kind, count, mask), event = what, ctypes.c_void_p()
+        address = ctypes.cast(handler, ctypes.c_void_p)
+        status = self.library.ca_create_subscription(
+            kind, count, handle, mask, address, user, ctypes.byref(event)
+        )
+        self.check(f"subscribing to {name}", status)
+        return event.value
+
     def host_of(self, channel: int | None) -> str:
         """Say which server a channel is connected to, `host:port`."""
         text = ctypes.create_string_buffer(_LONGEST_HOST)

@@ -13,31 +13,24 @@ from orbitfb.core.errors import MachineError, NoOrbitError, WriteError
 from orbitfb.core.ports import Clock
 from orbitfb.core.signals import Applied, Channels, Mask, Orbit, Reading, Vector
 from orbitfb.core.status import ChannelCounts
-from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.connecting import (
     UnitWatch,
-    check_oscillator,
     steps_of,
     wait_for_channels,
     waived,
 )
 from orbitfb.epics.events import Monitor
-from orbitfb.epics.fast_reference import SECTION, EpicsFastReference, FastFeedbackSettings
+from orbitfb.epics.fast_reference import FastFeedbackSettings
 from orbitfb.epics.inbox import Inbox
 from orbitfb.epics.libca import Context
 from orbitfb.epics.network import environment_lock, use_network
 from orbitfb.epics.orbit.assembler import Assembler
-from orbitfb.epics.oscillator import EpicsOscillator
+from orbitfb.epics.parts import Parts, all_pvs
 from orbitfb.epics.pva.provider import pva_client
 from orbitfb.epics.readbacks import Readbacks
 from orbitfb.epics.reconnecting import Keeper
-from orbitfb.epics.servers import Doubles, ServerWatch
-from orbitfb.epics.setpoints.group import Setpoints
 from orbitfb.epics.settings import EpicsSettings
-
-KINDS = ("bpm", "setpoint", "readback", "auxiliary", "rf", "reference")
-"""Kinds of channels, in the order in which they are opened."""
 
 
 class EpicsMachine:
@@ -99,28 +92,26 @@ class EpicsMachine:
             settings,
             self._describe,
         )
-        slow = [its.pv for its in settings.auxiliary.values()]
-        references = [] if fast is None else list(fast.reference_pvs.values())
-        names = (*channels.pvs, *slow, rf_pv, *references)
         with environment_lock:
             use_network(settings)
+            names = all_pvs(channels, settings, rf_pv, fast)
             self._context = Context(pva_client(settings, names))
             self._build(rf_pv, fast)
             atexit.register(self.close)
-            self._open()
+            try:
+                self._parts.open()
+            except MachineError:
+                self.close()
+                raise
         self._keeper.start()
         try:
-            spared = waived(channels, counting, movable)
-            origin = {} if fast is None else dict.fromkeys(fast.reference_pvs.values(), SECTION)
+            spared, origin = waived(channels, counting, movable), self._parts.origin
             wait_for_channels(
                 self._groups, self._setpoints.group, settings, self._clock, spared, origin
             )
             self.setpoints()
             self._units = UnitWatch(self._context, self._groups, settings, channels.bpm_units)
-            if self.oscillator is not None:
-                check_oscillator(self.oscillator)
-            if self.fast_reference is not None:
-                self.fast_reference.check()
+            self._parts.check()
         except MachineError:
             self.close()
             raise
@@ -146,27 +137,24 @@ class EpicsMachine:
     @property
     def disconnected(self) -> tuple[str, ...]:
         """PVs that are away now."""
-        return tuple(name for group in self._groups for name in group.disconnected)
+        return self._parts.disconnected
 
     @property
     def doubled(self) -> str:
         """PVs that more than one server has, in words; empty as long as none was seen."""
-        return self._doubles.describe()
+        return self._parts.doubles.describe()
 
     def servers(self) -> dict[str, int]:
         """Count the PVs of each server, `host:port`, where they were connected to last."""
-        return self._servers.servers()
+        return self._parts.servers.servers()
 
     def channel_counts(self) -> tuple[ChannelCounts, ...]:
         """Count the channels of each kind, those that are connected, and those that were lost."""
-        return tuple(
-            ChannelCounts(kind, len(group.pvs), len(group.present), group.losses)
-            for kind, group in zip(self._kinds, self._groups, strict=True)
-        )
+        return self._parts.counts()
 
     def auxiliary_ages(self) -> Mapping[str, float]:
         """Return how old each slow channel is by its stamp [s]; NaN where nothing is known."""
-        return self._auxiliary.ages(self._inbox.time)
+        return self._parts.auxiliary.ages(self._inbox.time)
 
     def count_bpms(self, counting: Mask) -> None:
         """Take to heart which BPMs count for the loop: an orbit does not wait for the others.
@@ -192,8 +180,9 @@ class EpicsMachine:
             raise NoOrbitError(told)
         snapshot = frame.arrival.snapshot
         orbit = Orbit(snapshot.values * self._units.metres, snapshot.valid, snapshot.time)
-        auxiliary, unknown = self._auxiliary.read(self._inbox.time)
-        self._servers.look()
+        auxiliary, unknown = self._parts.auxiliary.read(self._inbox.time)
+        servers = self._parts.servers
+        servers.look()
         received = frame.arrival.received
         readback, behind = self._readbacks.complete(frame, self._setpoints.posted)
         return Reading(
@@ -206,8 +195,8 @@ class EpicsMachine:
             snapshot.left_out,
             self._setpoints.errors.take(),
             unknown,
-            self._servers.changes,
-            self._servers.told,
+            servers.changes,
+            servers.told,
             self._setpoints.watch.take(),
         )
 
@@ -275,71 +264,36 @@ class EpicsMachine:
         self.close()
 
     def _build(self, rf_pv: str, fast: FastFeedbackSettings | None) -> None:
-        context, channels, inbox = self._context, self._channels, self._inbox
-        bpms = self._orbit_assembler
-        self._auxiliary = AuxiliaryChannels(context, self._settings.auxiliary)
-        self._setpoints = Setpoints(context, channels, self._settings)
-        self._groups = (
-            ChannelGroup(
-                context,
-                channels.orbit_pvs,
-                Monitor(bpms.records, bpms.arrived, inbox.orbit_complete),
-                bpms.set_connected,
-                properties=True,
-            ),
-            self._setpoints.group,
-            self._readbacks.group(context, inbox.readbacks_complete),
-            self._auxiliary.group,
+        context, channels, settings = self._context, self._channels, self._settings
+        bpms, inbox = self._orbit_assembler, self._inbox
+        orbit = ChannelGroup(
+            context,
+            channels.orbit_pvs,
+            Monitor(bpms.records, bpms.arrived, inbox.orbit_complete),
+            bpms.set_connected,
+            properties=True,
         )
-        self.oscillator: EpicsOscillator | None = None
-        if rf_pv:
-            self.oscillator = EpicsOscillator(context, rf_pv, self._settings.answer_timeout)
-            self._groups = (*self._groups, self.oscillator.group)
-        self.fast_reference: EpicsFastReference | None = None
-        if fast is not None:
-            wait = self._settings.answer_timeout
-            self.fast_reference = EpicsFastReference(context, channels, fast, wait)
-            self._groups = (*self._groups, self.fast_reference.group)
-        self._kinds = [*KINDS[:4], *(["rf"] if rf_pv else []), *([KINDS[5]] if fast else [])]
-        self._servers, self._doubles = ServerWatch(self._groups), Doubles()
-        context.listeners.append(self._doubles.hear)
-        self._keeper = Keeper(
-            context, self._groups, self._settings.reconnect_period, self._after_look
-        )
-
-    def _open(self) -> None:
-        try:
-            for group in self._groups:
-                group.open()
-        except MachineError:
-            self.close()
-            raise
+        readbacks = self._readbacks.group(context, inbox.readbacks_complete)
+        parts = self._parts = Parts(context, channels, settings, orbit, readbacks, rf_pv, fast)
+        self._groups, self._setpoints = parts.groups, parts.setpoints
+        self.oscillator, self.fast_reference = parts.oscillator, parts.fast_reference
+        self._keeper = Keeper(context, parts.groups, settings.reconnect_period, self._after_look)
 
     def _after_look(self) -> None:
-        for group in self._groups:
-            group.end_repeating()
         self._orbit_assembler.look()
         self._readbacks.assembler.look()
-        self._setpoints.refresh_limits()
-        if self.oscillator is not None:
-            self.oscillator.refresh()
+        self._parts.look()
 
     def _refuse_if_closed(self, error: type[MachineError]) -> None:
         if self._closed:
             raise error("the machine is closed")
 
     def _describe(self) -> str:
-        total = sum(len(group.pvs) for group in self._groups)
+        total = self._parts.total
         if self._closed:
             return "the machine is closed"
         if len(self.disconnected) == total:
             text = f"all {total} channels are disconnected"
-        elif (apart := self._orbit_assembler.apart) is not None:
-            window = self._settings.stamp_window
-            text = (
-                f"the BPMs stamp themselves: their stamps lie {apart:.3g} s apart, "
-                f"epics.stamp_window = {window:g} s allows less; set it as `orbitfb doctor` says"
-            )
         else:
             text = self._orbit_assembler.describe(self._channels.orbit_pvs)
         return f"{text}; {self._keeper.trouble}" if self._keeper.trouble else text

@@ -21,6 +21,7 @@ from orbitfb.loop.slot import PolicySlot
 from orbitfb.safety.interlocks import InterlockSettings
 from orbitfb.safety.limits import LimitSettings
 from orbitfb.sim.access.context import ClaimedContext
+from orbitfb.sim.served import Served
 from orbitfb.sim.server import serve
 from orbitfb.sim.settings import SimSettings
 
@@ -66,7 +67,7 @@ class Wander:
         return np.full(SIZE, 1e-3 if state % 2 else -1e-3), state + 1
 
 
-class Served:
+class Server:
     """The ring behind caproto's documented calls, on an event loop of its own."""
 
     def __init__(self) -> None:
@@ -84,8 +85,8 @@ class Served:
         settings = SimSettings(port=0, rate_hz=RATE_HZ, plain=True)
         await serve(ring, settings, self._announce, self._stop)
 
-    def _announce(self, port: int, _pvs: int) -> None:
-        self.port = port
+    def _announce(self, served: Served) -> None:
+        self.port = served.port
         self.ready.set()
 
 
@@ -105,14 +106,14 @@ def answers(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
 def test_a_tick_costs_caproto_one_event_of_each_pv_and_nothing_else(answers: Counter[str]):
     """caproto 1.3 sends events of units and limits with every value, if asked for them."""
-    ring, served = StillRing(), Served()
-    server = threading.Thread(target=served.run, args=(ring,))
+    ring, background = StillRing(), Server()
+    server = threading.Thread(target=background.run, args=(ring,))
     server.start()
     try:
-        assert served.ready.wait(10.0)
-        watch_loop(served.port, ring, answers)
+        assert background.ready.wait(10.0)
+        watch_loop(background.port, ring, answers)
     finally:
-        served.end()
+        background.end()
         server.join()
 
 

@@ -182,6 +182,12 @@ class Assembler:
         Args:
             names: The n PVs.
         """
+        if (apart := self.apart) is not None:
+            window = self._window / NANOSECONDS
+            return (
+                f"the BPMs stamp themselves: their stamps lie {apart:.3g} s apart, "
+                f"epics.stamp_window = {window:g} s allows less; set it as `orbitfb doctor` says"
+            )
         return Waiting(
             stamps_of(self.records),
             self.connected.copy(),

@@ -103,6 +103,9 @@ class FakeContext:
     def check(self, _call, status) -> None:
         assert status == ECA_NORMAL
 
+    def subscribe(self, *_arguments) -> None:
+        pass
+
     def message(self, status) -> str:
         return {PUT_FAILED: "Channel write request failed"}.get(status, f"status {status}")
 

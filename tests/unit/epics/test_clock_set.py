@@ -12,9 +12,9 @@ from orbitfb.core.errors import NoOrbitError
 from orbitfb.epics.auxiliary import AuxiliaryChannels
 from orbitfb.epics.inbox import Inbox
 from orbitfb.epics.orbit.assembler import Assembler
+from orbitfb.epics.orbit.timekeeper import Timekeeper
 from orbitfb.epics.records import EPICS_EPOCH
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
-from orbitfb.epics.timekeeper import Timekeeper
 
 HOUR = 3600.0
 

@@ -8,9 +8,9 @@ import pytest
 
 from orbitfb.core.clock import ManualClock
 from orbitfb.epics.auxiliary import AuxiliaryChannels
+from orbitfb.epics.orbit.timekeeper import Timekeeper
 from orbitfb.epics.records import EPICS_EPOCH, INVALID
 from orbitfb.epics.settings import AuxiliarySettings
-from orbitfb.epics.timekeeper import Timekeeper
 from orbitfb.safety.interlocks import InterlockSettings, stored_current
 
 
