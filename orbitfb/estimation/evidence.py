@@ -192,3 +192,16 @@ class NormalTerms:
     def mean(self) -> Vector:
         """Posterior mean of every size, shape (k,)."""
         return NormalPriors.of(self.information, self.variance).mean(self.pull)
+
+    def held(self, first: float) -> Vector:
+        """Posterior mean of every size, shape (k,), where the first one has a given size."""
+        mean = self.mean()
+        known = self.information + np.diag(1.0 / self.variance)
+        others = np.linalg.solve(known[1:, 1:], known[1:, 0]) * (first - mean[0])
+        return np.concatenate([[first], mean[1:] - others])
+
+    def evidence_at(self, sizes: Vector) -> float:
+        """Log evidence, less what is lost with these sizes, shape (k,), in place of the best."""
+        beyond = sizes - self.mean()
+        lost = beyond @ self.information @ beyond + np.sum(beyond**2 / self.variance)
+        return self.evidence() - 0.5 * float(lost)

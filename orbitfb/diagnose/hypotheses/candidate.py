@@ -105,7 +105,7 @@ class Candidate:
             for column, variance in self.columns.items():
                 single[column] = variance
             space = replace(space, single=single)
-        if spread and field is not None and undo is None:
+        if field is not None and undo is None:
             space = self._driven(space)
         columns = [
             column

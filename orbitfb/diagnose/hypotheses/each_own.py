@@ -168,12 +168,11 @@ def _candidate(
     pull, information = scorer.columns(patterns, spectrum)
     if free:
         terms = NormalTerms(pull, information, np.full(len(chosen), SIZE_WIDTH**2))
-        best, evidence = terms.mean(), terms.evidence()
+        best = terms.mean().tolist()
         sizes = np.array(
-            [within(kind, one.values, float(size)) for one, size in zip(sources, best, strict=True)]
+            [within(kind, one.values, size) for one, size in zip(sources, best, strict=True)]
         )
-        beyond = sizes - best
-        evidence -= 0.5 * float(beyond @ (information @ beyond) + beyond @ beyond / SIZE_WIDTH**2)
+        evidence = terms.evidence_at(sizes)
     else:
         sizes = np.ones(len(chosen))
         evidence = float(pull.sum() - 0.5 * information.sum())

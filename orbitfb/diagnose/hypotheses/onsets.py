@@ -277,10 +277,10 @@ def _kicking(
     pull, information = scorer.evaluate(fields)
     variance = np.array([SIZE_WIDTH**2, *np.ones(len(fields) - 1)])
     terms = NormalTerms(pull, information, variance)
-    sizes = terms.mean()
-    size = within(kind, values, float(sizes[0]))
-    added = size * fields[0] + sum(k * one for k, one in zip(sizes[1:], fields[1:], strict=True))
-    gain = terms.evidence() - cost - choices(law, places) - np.log(space.transform.rows)
+    sizes = terms.held(within(kind, values, float(terms.mean()[0])))
+    size = float(sizes[0])
+    added = sum(k * one for k, one in zip(sizes, fields, strict=True))
+    gain = terms.evidence_at(sizes) - cost - choices(law, places) - np.log(space.transform.rows)
     scaled = {**values, **{one.name: size * values[one.name] for one in kind.sizes}}
     return Candidate(
         kind, places, tuple(law.names[one] for one in places), scaled, float(gain), onset=onset,
