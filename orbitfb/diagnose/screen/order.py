@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.screen.steps import SURE, Steps, few_turned, likelier, one_way
+from orbitfb.diagnose.screen.steps import SURE, Steps, likelier, one_way
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 from orbitfb.records.finding import Finding
@@ -71,8 +71,8 @@ def _bpms_elsewhere(steps: Steps, response: Matrix) -> int:
     own, best = np.diag(likeness), likeness.max(axis=1)
     left, otherwise = 1 - own * np.abs(own), 1 - np.minimum(best, 0.999999) ** 2
     seen = np.sum(steps.orbit**2, axis=0)
-    turned = np.divide(few_turned(steps, response), seen, out=np.ones_like(seen), where=seen > 0)
-    left = np.minimum(left, turned)
+    scaled = _left_by_gains(steps, response)
+    left = np.minimum(left, np.divide(scaled, seen, out=np.ones_like(seen), where=seen > 0))
     elsewhere = likelier(len(steps.first), left, otherwise) > SURE
     elsewhere &= own < _HARDLY * best  # one large error makes BPMs follow others a little better
     n = len(own)
@@ -120,13 +120,13 @@ def best_order(steps: Steps, response: Matrix) -> tuple[Indices, Vector]:
     own = np.sum((steps.orbit - steps.predicted) ** 2, axis=0)
     if m < _FEWEST_CHANNELS or not seen.any():
         return as_is, own
-    # Against a gain of its own of every BPM, so that wrong gains are no other order.
+    # Against a gain of its own of every BPM or corrector, so that wrong gains are no other order.
     made = np.sum(steps.predicted**2, axis=0)
     along = np.sum(steps.orbit * steps.predicted, axis=0)
     slope = np.divide(along, made, out=np.zeros_like(made), where=made > 0)
     weights = np.divide(1.0, seen, out=np.zeros_like(seen), where=seen > 0)
     rest = np.minimum(own, seen - slope * along)
-    rest = np.maximum(np.minimum(rest, few_turned(steps, response)), 0.0)
+    rest = np.maximum(np.minimum(rest, _left_by_gains(steps, response)), 0.0)
     order = _approached(steps, response, weights, _EXPLAINED * float(rest @ weights))
     if order is None or (order != as_is).sum() < max(_LEAST_MOVED, _MANY * m):
         return as_is, own
@@ -134,6 +134,20 @@ def best_order(steps: Steps, response: Matrix) -> tuple[Indices, Vector]:
     gain = float(np.sum(likelier(len(steps.first), rest, left))) / np.sqrt(len(own))
     convincing = float(np.median(left / np.where(rest > 0, rest, _TINY))) < _EXPLAINED
     return (order, left) if gain > SURE and convincing else (as_is, own)
+
+
+def _left_by_gains(steps: Steps, response: Matrix) -> Vector:
+    """Squares left at every BPM where each corrector has a gain of its own, shape (n,) [m²].
+
+    One that stands still or kicks the other way leaves so much that another order would leave less.
+    """
+    seen = np.sum(steps.orbit**2, axis=0)
+    weights = np.divide(1.0, seen, out=np.zeros_like(seen), where=seen > 0)
+    moves = steps.setpoints.T @ steps.setpoints
+    known = moves * (response.T @ (weights[:, None] * response))
+    pull = np.einsum("kj,kj->j", steps.setpoints, (steps.orbit * weights) @ response)
+    gains = np.linalg.lstsq(known, pull, rcond=None)[0]
+    return np.sum((steps.orbit - (steps.setpoints * gains) @ response.T) ** 2, axis=0)
 
 
 def _approached(steps: Steps, response: Matrix, weights: Vector, enough: float) -> Indices | None:

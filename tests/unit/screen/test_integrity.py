@@ -538,14 +538,14 @@ def test_bpms_that_follow_their_neighbours_a_little_better_are_in_order(turn, to
     assert [finding.check for finding in check_order(made, response(phase))] == told
 
 
-def small_ring(turned=()):
+def small_ring(turned=(), boost=9):
     """Steps of 24 correctors of a ring of 30 BPMs at their own random walks, some turned."""
     rng = np.random.default_rng(6)
     bpms, magnets = (2 * np.pi * (np.arange(k) + rng.uniform(size=k)) / k for k in (30, 24))
     apart = np.abs(np.subtract.outer(bpms, magnets))
     sizes = np.sqrt(np.outer(rng.uniform(8, 20, 30), rng.uniform(8, 20, 24)))
     response = 1e-4 * sizes * np.cos(7.23 * (apart - np.pi)) / (2 * np.sin(7.23 * np.pi))
-    setpoints = 1e-3 * rng.normal(size=(400, 24)) * np.where(np.isin(np.arange(24), turned), 9, 1)
+    setpoints = 1e-3 * rng.normal(size=(400, 24)) * np.where(np.isin(np.arange(24), turned), boost, 1)
     signs = np.where(np.isin(np.arange(24), turned), -1.0, 1.0)
     orbit = (setpoints * signs) @ response.T + 5e-7 * rng.normal(size=(400, 30))
     return Steps(np.arange(400), orbit, setpoints, setpoints @ response.T), response
@@ -556,6 +556,13 @@ def test_few_correctors_that_kick_the_wrong_way_are_no_other_order_or_sign(turne
     steps, response = small_ring(turned)
     assert check_order(steps, response) == []
     assert _turned(steps, response) == []
+
+
+@pytest.mark.parametrize(("turned", "boost"), [((0, 8, 16), 3), (tuple(range(0, 24, 3)), 1)])
+def test_many_that_kick_the_wrong_way_are_no_other_order(turned, boost):
+    """So it was with one that stood still while its loop asked it for more and more."""
+    steps, response = small_ring(turned, boost)
+    assert check_order(steps, response) == []
 
 
 def test_all_of_them_are_a_wrong_sign():
