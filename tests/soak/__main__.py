@@ -6,6 +6,7 @@ The exit code is 1 if something is not flat, or the energy of the beam does not 
 import argparse
 import json
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -36,6 +37,7 @@ def main() -> int:
     from tests.chaos.__main__ import prepare
 
     prepare()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that no process is left behind
     from tests.soak.days import live
     from tests.soak.over_ca import over_ca
     from tests.soak.simulated import simulate
