@@ -105,7 +105,7 @@ class Candidate:
             for column, variance in self.columns.items():
                 single[column] = variance
             space = replace(space, single=single)
-        if field is not None and undo is None:
+        if undo is None:
             space = self._driven(space)
         columns = [
             column
@@ -121,13 +121,20 @@ class Candidate:
         """Let the healthy errors follow the currents that its correctors have."""
         signals = space.signals
         response = signals.record.layout.response
-        currents = signals.currents.copy()
+        currents, kept = signals.currents.copy(), np.zeros(len(space.terms), dtype=bool)
         for one in self.sources:
             if one.law.patterns[0] is response:
                 chosen = list(one.places) if one.places else slice(None)
                 currents[:, chosen] += one.of(signals, one.values)[0] * one.size
+        kept[list(self.columns)] = True
+        for number in self.raised:
+            kept[space.blocks[number].columns] = True
+        for block in space.blocks if kept.any() else ():
+            if block.law.patterns[0] is response and not block.accepted:
+                sizes = np.where(kept, space.priors.mean(space.errors.pull), 0.0)[block.columns]
+                currents += sizes * block.unit(signals)[0]
         moved = not np.array_equal(currents, signals.currents)
-        return driven(space, currents) if moved else space
+        return driven(space, currents, kept) if moved else space
 
     def _undo(self) -> "Callable[[Workspace], tuple[Matrix, float]] | None":
         """How its sources are undone in the readings; None: they are not."""

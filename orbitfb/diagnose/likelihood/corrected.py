@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from orbitfb.core.signals import Mask
 from orbitfb.diagnose.likelihood.courses import Courses
 from orbitfb.diagnose.likelihood.errors import following
 from orbitfb.diagnose.likelihood.known import Known
@@ -28,18 +29,19 @@ def hearing(space: Workspace, field: Matrix) -> Workspace:
     return replace(space, signals=signals, courses=space.courses.hearing(signals))
 
 
-def driven(space: Workspace, currents: Matrix) -> Workspace:
+def driven(space: Workspace, currents: Matrix, kept: Mask) -> Workspace:
     """Take other currents for those that act on the beam: errors and laws follow them.
 
     Args:
         space: Of the record.
         currents: Shape (N, m) [A].
+        kept: Columns of errors that made these currents, shape (k,): they stay as they are.
     """
     signals = replace(space.signals, currents=currents)
     return replace(
         space,
         signals=signals,
-        terms=following(space.blocks, signals, space.transform, space.terms),
+        terms=following(space.blocks, signals, space.transform, space.terms, kept),
         courses=Courses(signals, space.transform),
         known=Known.nothing(space.noise),
     )

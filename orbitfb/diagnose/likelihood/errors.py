@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.likelihood.terms import Terms
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import DeviceLaw, Signals
@@ -34,6 +34,17 @@ class ErrorBlock:
     limit: Vector
     accepted: bool = False
 
+    def unit(self, signals: Signals) -> tuple[Matrix, ...]:
+        """Courses of an error of one, one for every plane, shape (N, D) each."""
+        return unit_courses(self.kind, self.law, signals)
+
+
+def unit_courses(kind: EffectKind, law: DeviceLaw, signals: Signals) -> tuple[Matrix, ...]:
+    """Courses of a law whose linear parameter is one, shape (N, D) each."""
+    size = next(p.typical for p in kind.parameters if p.name == kind.linear)
+    parts = law.course({p.name: p.typical for p in kind.parameters}, signals)
+    return tuple(part / size for part in parts)
+
 
 def healthy_errors(
     kinds: Sequence[EffectKind], signals: Signals, transform: StepTransform
@@ -58,14 +69,11 @@ def healthy_errors(
         limit = kind.healthy_scatter(signals.record.layout)
         if limit is None or kind.linear is None:
             continue
-        size = next(p.typical for p in kind.parameters if p.name == kind.linear)
         law = next(one for one in kind.laws(signals) if isinstance(one, DeviceLaw))
-        parts = law.course({p.name: p.typical for p in kind.parameters}, signals)
         count = len(limit)
-        for block, part in zip(law.patterns, parts, strict=True):
+        for block, unit in zip(law.patterns, unit_courses(kind, law, signals), strict=True):
             if not np.any(block):
                 continue
-            unit = part / size
             late = [_delayed(unit, rows, transform) - unit for rows in range(1, kind.delays + 1)]
             patterns.append(block)
             pattern += [known + np.arange(count)] * (1 + kind.delays)
@@ -89,7 +97,11 @@ def healthy_errors(
 
 
 def following(
-    blocks: Sequence[ErrorBlock], signals: Signals, transform: StepTransform, terms: Terms
+    blocks: Sequence[ErrorBlock],
+    signals: Signals,
+    transform: StepTransform,
+    terms: Terms,
+    kept: Mask,
 ) -> Terms:
     """The same columns for other currents; those of accepted causes stay.
 
@@ -98,10 +110,11 @@ def following(
         signals: With the other currents.
         transform: Of the record.
         terms: The columns before.
+        kept: Columns of errors that are causes: they made these currents, shape (k,).
     """
     kinds = dict.fromkeys(block.kind for block in blocks if not block.accepted)
     fresh, _ = healthy_errors(tuple(kinds), signals, transform)
-    return terms.instead(fresh, transform)
+    return terms.instead(fresh, transform, kept)
 
 
 def fitted_scales(

@@ -53,9 +53,16 @@ class Terms:
             _grams(spectrum, transform, self.grams),
         )
 
-    def instead(self, first: "Terms", transform: StepTransform) -> "Terms":
-        """Columns of the same patterns with other courses instead of the first ones of these."""
+    def instead(self, first: "Terms", transform: StepTransform, kept: Mask) -> "Terms":
+        """Columns of the same patterns with other courses instead of the first ones of these.
+
+        Args:
+            first: With the other courses.
+            transform: Of the record.
+            kept: Columns that stay as they are, shape (k,).
+        """
         spectrum = np.asfortranarray(np.hstack([first.spectrum, self.spectrum[:, len(first) :]]))
+        spectrum[:, kept] = self.spectrum[:, kept]
         return Terms(self.patterns, self.pattern, spectrum, _grams(spectrum, transform))
 
     def pull(
