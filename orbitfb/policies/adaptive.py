@@ -63,6 +63,13 @@ class TrackingSettings(RecursiveSettings):
         "the modes, each in proportion to its singular value [m/tick]; 0: no such coefficient.",
     )
 
+    rf_creep: float = Field(
+        default=0.02,
+        ge=0.0,
+        description="The part of the creep that an energy which drifts makes, where the RF column "
+        "is tracked, as a drift of the frequency would, rms [Hz/tick].",
+    )
+
 
 class AdaptiveSettings(Settings):
     """Configuration of the law that learns while it acts."""
@@ -72,9 +79,8 @@ class AdaptiveSettings(Settings):
     )
     track_rf: bool = Field(
         default=False,
-        description="Whether the RF column is tracked beside R. Under an energy that drifts "
-        "steadily it is found too small, and the loop lets go of the frequency; refits of the "
-        "learner are not misled.",
+        description="Whether the RF column is tracked beside R; otherwise it is left to refits of "
+        "the learner.",
     )
     caution: CautionSettings = Field(
         default=CautionSettings(period=10), description="How the gain is made of it, and when."

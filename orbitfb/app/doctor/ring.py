@@ -12,6 +12,7 @@ from orbitfb.app.setup.production_guard import check_live, pvs_of
 from orbitfb.app.setup.startup import SIMULATED, find_ring, servers_of
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import ConfigError, MachineError
+from orbitfb.core.names import any_over_pva
 from orbitfb.core.signals import Vector
 from orbitfb.epics.channels import ChannelGroup
 from orbitfb.epics.connecting import UnitWatch, steps_of
@@ -227,9 +228,11 @@ def _fresh(records: np.ndarray, settings: EpicsSettings) -> Finding:
 
 
 def _writable(group: ChannelGroup) -> Finding:
-    """Tell what Channel Access says of the rights; nothing is tried."""
+    """Tell what servers say of the rights; nothing is tried."""
     read_only = group.read_only
     told = f"{int(group.writable.sum())} of {len(group)} setpoints may be written by this user"
+    if any_over_pva(group.names):
+        told += "; over pvAccess only a put tells"
     return Finding(
         _PART,
         "write access",

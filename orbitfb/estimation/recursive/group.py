@@ -134,6 +134,9 @@ def make_groups(
         if creeping:
             creep = settings.creep**2 * _middle(power[part]) / float(np.mean(power))
             creep += settings.creep_white**2
+            if count > m:  # an energy that drifts moves the orbit as so many Hz a tick would
+                energy = rows[part, m] * settings.rf_creep / columns.unit
+                creep += float(np.mean(energy**2))
             start[count, count] = creep
             drift = np.append(drift, creep / settings.creep_memory)
         groups.append(

@@ -55,6 +55,12 @@ class RecursiveSettings(Settings):
     creep_white: float = Field(
         default=1e-9, ge=0.0, description="The part of the creep that all modes have, rms [m/tick]."
     )
+    rf_creep: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="The part of the creep that an energy which drifts makes, where the RF column "
+        "is tracked, as a drift of the frequency would [Hz/tick].",
+    )
     creep_memory: float = Field(
         default=10_000.0, gt=0.0, description="Ticks in which the creep is renewed [ticks]."
     )

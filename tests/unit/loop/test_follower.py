@@ -251,13 +251,17 @@ def test_correctors_that_move_undo_the_dispersion_orbit():
     assert np.linalg.norm(left) < 0.1 * np.linalg.norm(MODEL.response)
 
 
-def test_beside_the_law_that_learns_the_frequency_follows():
+@pytest.mark.parametrize(("track", "size"), [(False, 1.0), (True, 1.3)])
+def test_beside_the_law_that_learns_the_frequency_follows(track: bool, size: float):
     """A law that took the drift of the energy for the answer to steps would let it go."""
     from orbitfb.policies.adaptive import AdaptivePolicy, AdaptiveSettings
 
     bench = Bench()
-    law = with_rf(AdaptivePolicy(RESPONSE, AdaptiveSettings()), known(1.0))
-    bench.runner._engine._guard._slot.swap(law)
-    bench.run(600)
+    law = AdaptivePolicy(RESPONSE, AdaptiveSettings(track_rf=track))
+    bench.runner._engine._guard._slot.swap(with_rf(law, known(size)))
+    bench.run(450)
     assert bench.follower.sight.following, bench.follower.sight.reason
     assert np.abs(bench.energies).max() < 5e-6
+    if law.known.column is not None:
+        found = float(law.known.column @ MODEL.response / (MODEL.response @ MODEL.response))
+        assert min(size, 1.0) - 0.05 < found < size + 0.01
