@@ -7,7 +7,7 @@ from statistics import median
 from typing import Any
 
 from benchmarks.newcomer_page import newcomer
-from benchmarks.page_text import HEAD, TAIL
+from benchmarks.page_text import HEAD, MISSED, TAIL
 from benchmarks.summary import rate_name
 from benchmarks.viewers_page import viewers
 
@@ -21,6 +21,8 @@ SERVERS = {
     "base": "EPICS base",
     "ours-arrays": "our soft IOC, arrays",
     "base-arrays": "EPICS base, arrays",
+    "ours-pva": "our soft IOC, arrays over pvAccess",
+    "base-pva": "EPICS base, arrays over pvAccess",
 }
 CLIENTS = {
     "service": "orbitfb, whole service",
@@ -38,7 +40,8 @@ def page(result: Result) -> str:
     Args:
         result: What `benchmarks.loop` wrote.
     """
-    parts = [HEAD, _circumstances(result["about"]), "\n## Targets\n\n", _targets(result)]
+    parts = [HEAD, _circumstances(result["about"]), _again(result["runs"])]
+    parts += ["\n## Targets\n\n", _targets(result), MISSED]
     parts += ["\n## Every pair\n\n", LEGEND, _pairs(result["runs"])]
     parts += ["\n## Sixty seconds at 100 Hz\n\n", _long(result["long_runs"])]
     parts += ["\n## More PVs\n\n", SCALING, _scaling(result["scaling"], result["scaling_fit"])]
@@ -84,6 +87,21 @@ def _circumstances(about: Result) -> str:
         f"Python {about['python']}, {versions}. Load average (1, 5, 15 minutes) before "
         f"{_list(about['load_before'])} and after {_list(about['load_after'])}; the benchmark "
         "itself contributes about 1.\n"
+    )
+
+
+def _again(rows: list[Result]) -> str:
+    """Say which pairs were measured at another commit than the rest."""
+    later = [row for row in rows if "commit" in row]
+    if not later:
+        return ""
+    pairs = dict.fromkeys((SERVERS[row["server"]], CLIENTS[row["client"]]) for row in later)
+    which = " and ".join(f"{client} on {server}" for server, client in pairs)
+    commits = " and ".join(sorted({row["commit"] for row in later}))
+    loads = [row["load_before"][0] for row in later]
+    return (
+        f"\nMeasured again at commit {commits}, beside other programs (load average over 1 minute "
+        f"{min(loads):g} to {max(loads):g}): {which}.\n"
     )
 
 
