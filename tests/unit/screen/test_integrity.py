@@ -545,7 +545,9 @@ def small_ring(turned=(), boost=9):
     apart = np.abs(np.subtract.outer(bpms, magnets))
     sizes = np.sqrt(np.outer(rng.uniform(8, 20, 30), rng.uniform(8, 20, 24)))
     response = 1e-4 * sizes * np.cos(7.23 * (apart - np.pi)) / (2 * np.sin(7.23 * np.pi))
-    setpoints = 1e-3 * rng.normal(size=(400, 24)) * np.where(np.isin(np.arange(24), turned), boost, 1)
+    setpoints = (
+        1e-3 * rng.normal(size=(400, 24)) * np.where(np.isin(np.arange(24), turned), boost, 1)
+    )
     signs = np.where(np.isin(np.arange(24), turned), -1.0, 1.0)
     orbit = (setpoints * signs) @ response.T + 5e-7 * rng.normal(size=(400, 30))
     return Steps(np.arange(400), orbit, setpoints, setpoints @ response.T), response
