@@ -48,8 +48,10 @@ def test_a_rehearsal_measures_every_kind_of_run(tmp_path):
         ("base", "ours"),
         ("ours-arrays", "ours"),
         ("base-arrays", "ours"),
+        ("ours-pva", "ours"),
     }
-    assert result["ratios"]["arrays_over_scalars_on_base"]["lockstep"] > 0.0
+    for ratio in ("arrays_over_scalars_on_base", "pva_arrays_over_scalars_on_our_ioc"):
+        assert result["ratios"][ratio]["lockstep"] > 0.0
     for row in result["runs"] + result["scaling"]:
         assert row["ticks"] > 1 and row["torn"] == 0
         assert row["round_trip_ms"]["count"] == row["ticks"] - 1
