@@ -148,9 +148,9 @@ class FastFront:
     def _tell_setpoints(self) -> None:
         for feed in self.feeds:
             feed.send_setpoints()
-        self.on_written()
         if self.pva is not None:
             self.pva.show(readings=False)
+        self.on_written()
 
     def _publish(self, channels: set[Watched]) -> None:
         """Tell caproto of what it serves itself; updates that it is late for are merged."""
