@@ -17,9 +17,9 @@ from caproto.asyncio.server import VirtualCircuit
 from orbitfb.core.clock import SystemClock
 from orbitfb.core.connections import Connections
 from orbitfb.panel.intake import Intake
-from orbitfb.sim.access.circuit import DroppingQueue
 from orbitfb.sim.access.context import ClaimedContext
 from orbitfb.sim.access.listening import Sockets
+from orbitfb.sim.access.queues import DroppingQueue
 from orbitfb.sim.access.under_way import WritesUnderWay
 
 MOST_CLIENTS = 128

@@ -1,7 +1,5 @@
 """One client of the fast front: puts and reads from the byte stream, monitors from the feed."""
 
-import asyncio
-from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Any, Protocol
 
@@ -26,6 +24,7 @@ from orbitfb.sim.access.puts import (
     leading_puts,
     message_end,
 )
+from orbitfb.sim.access.queues import Commands, DroppingQueue
 from orbitfb.sim.access.reads import READ, READ_COMMAND, answers, leading_reads
 from orbitfb.sim.access.under_way import WritesUnderWay
 
@@ -47,47 +46,6 @@ class BoardFront(Protocol):
     def puts_taken(self) -> None:
         """Tell every client what was taken, once for all puts that came together."""
         ...
-
-
-class DroppingQueue(asyncio.Queue[Any]):
-    """A bounded queue that refuses instead of waiting.
-
-    caproto waits for room in a slow client's queue and with it lets every other client wait;
-    what it does on QueueFull, which this raises, is to clear the queue of that client.
-    """
-
-    async def put(self, item: Any) -> None:
-        """Put at once, or raise QueueFull."""
-        self.put_nowait(item)
-
-    def clear(self) -> None:
-        """Forget everything."""
-        while not self.empty():
-            self.get_nowait()
-
-
-class Commands(asyncio.Queue[Any]):
-    """A client's commands on their way to caproto, which asks for one when the last one is done.
-
-    Args:
-        keep: Says whether a command is carried out without caproto.
-        done: Told of one that caproto has carried out; its writes may be under way still.
-    """
-
-    def __init__(self, keep: Callable[[Any], Awaitable[bool]], done: Callable[[Any], None]) -> None:
-        super().__init__(ca.MAX_COMMAND_BACKLOG)
-        self._keep, self._done, self._last = keep, done, None
-
-    async def get(self) -> Any:
-        """Give the next one that is for caproto."""
-        if self._last is not None:
-            self._done(self._last)
-            self._last = None
-        command = await super().get()
-        while await self._keep(command):
-            command = await super().get()
-        self._last = command
-        return command
 
 
 class FastCircuit(VirtualCircuit):
