@@ -99,9 +99,8 @@ def tournament(
         enough = enough_beside(sum(one.evidence for one in accepted), space)
         candidates = candidates_of(space, left, tell, enough)
         candidates = [one for one in candidates if not _echo(one, accepted)]
-        candidates = _last_resort(
-            refitted(candidates, space, enough), bool(accepted), misses(space)
-        )
+        drawn = bool(space.signals.record.filled.any())
+        candidates = _last_resort(refitted(candidates, space, enough), bool(accepted), drawn)
         deaf = _coloured(accepted)
         free = [one for one in scan_free(Scorer.of(space)) if one.name not in deaf][:FINALISTS]
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
@@ -171,8 +170,8 @@ def _coloured(accepted: Sequence[Candidate]) -> set[str]:
 def _last_resort(candidates: list[Candidate], accepted: bool, drawn: bool) -> list[Candidate]:
     """Tell that the noise of a BPM is unlike the others' only where nothing else is told.
 
-    Whatever a BPM does that is in no law adds to its noise. Where many readings were drawn, so does
-    every law that is not known yet: nothing of it is in those.
+    Whatever a BPM does that is in no law adds to its noise. Where readings were drawn, so does every
+    law that is not known yet: nothing of it is in those.
     """
     others = [one for one in candidates if not (one.noisy and (drawn or one.courseless))]
     return others if accepted or (others and others[0].evidence >= SURE) else candidates
