@@ -99,20 +99,21 @@ class Expectation:
         """
         surprise = self.surprise(position, moved)
         square, orbits = surprise**2, self.orbits + 1
-        kicked = _quiet(square[seen], self.power[seen]) > CLIP**2
+        fresh = seen & (position != self.before)  # a reading that is repeated says nothing of noise
+        kicked = _quiet(square[fresh], self.power[fresh]) > CLIP**2
         following, still = (1.0, 1.0) if kicked else (FOLLOWING, STILL)
         settled = orbits > 2 * CLIP  # before, the first orbits are not known to be usual
         if settled:  # a kick is no noise; if it were, that would be known after a while
             square = np.minimum(square, (KICKED if kicked else CLIP**2) * self.power)
         power = self.power + max(1.0 / MEMORY, 1.0 / orbits) * (square - self.power)
-        quiet = _quiet(square[seen], power[seen])
+        quiet = _quiet(square[fresh], power[fresh])
         if quiet < CALM**2:  # after a kick, or the closing, the whole ring is calm again
             power = power * np.sqrt(quiet)
         return replace(
             self,
             model=self.model + moved + np.where(seen, following * surprise, 0.0),
             still=self.still + np.where(seen, still * (position - self.still), 0.0),
-            power=np.where(seen, np.maximum(power, LEAST**2), self.power),
+            power=np.where(fresh, np.maximum(power, LEAST**2), self.power),
             recent=self.left + change,
             left=(1.0 - following) * (self.left + change),
             before=position,
