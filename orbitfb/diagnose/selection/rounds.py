@@ -170,7 +170,7 @@ def _coloured(accepted: Sequence[Candidate]) -> set[str]:
 def _last_resort(candidates: list[Candidate], accepted: bool, drawn: bool) -> list[Candidate]:
     """Tell that the noise of a BPM is unlike the others' only where nothing else is told.
 
-    Whatever a BPM does that is in no law adds to its noise. Where readings were drawn, so does every
+    Whatever a BPM does that is in no law adds to its noise. Where readings were drawn, so does any
     law that is not known yet: nothing of it is in those.
     """
     others = [one for one in candidates if not (one.noisy and (drawn or one.courseless))]
