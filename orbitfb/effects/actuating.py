@@ -128,7 +128,14 @@ Law = Callable[[Arithmetic, Any, Any], Any]
 """What comes of what is wanted now and what was held before."""
 
 
-def followed(courses: Matrix, record: Record, law: Law, by_column: bool = False) -> Matrix:
+def followed(
+    courses: Matrix,
+    record: Record,
+    law: Law,
+    by_column: bool = False,
+    first: Vector | float = 0.0,
+    lasts: bool = False,
+) -> Matrix:
     """Pass all columns through a memory, row by row; at the start of a stretch it is at rest.
 
     Args:
@@ -136,25 +143,32 @@ def followed(courses: Matrix, record: Record, law: Law, by_column: bool = False)
         record: Where the stretches begin.
         law: Of one column.
         by_column: Whether the law has values of every column's own, so that it needs whole rows.
+        first: What is held in the first row beyond the courses, one for all or of shape (k,).
+        lasts: Whether what is held lasts until it is moved, so that stretches do not end it.
 
     Returns:
         Shape (N, k).
     """
     held = np.empty_like(courses)
-    starts = record.starts.tolist()
+    starts = [True] + [False] * (len(courses) - 1) if lasts else record.starts.tolist()
+    beyond = np.broadcast_to(first, courses.shape[1])
     if by_column or courses.shape[1] > _FEW:
-        _follow(courses, held, starts, law, _ROWS)
+        _follow(courses, held, starts, law, _ROWS, beyond)
     else:
         for column, wanted in enumerate(courses.T.tolist()):
             kept = wanted.copy()
-            _follow(wanted, kept, starts, law, _NUMBERS)
+            _follow(wanted, kept, starts, law, _NUMBERS, float(beyond[column]))
             held[:, column] = kept
     return held
 
 
-def _follow(wanted: Any, held: Any, starts: list[bool], law: Law, arithmetic: Arithmetic) -> None:
+def _follow(
+    wanted: Any, held: Any, starts: list[bool], law: Law, arithmetic: Arithmetic, first: Any
+) -> None:
     for row, starting in enumerate(starts):
         held[row] = wanted[row] if starting else law(arithmetic, wanted[row], held[row - 1])
+        if row == 0:
+            held[row] = held[row] + first
 
 
 def changes(courses: Matrix, record: Record) -> Matrix:

@@ -36,6 +36,9 @@ ring differ by 2 to 4 %."""
 Values = Mapping[str, float]
 """Values of the parameters by name, SI."""
 
+FIRST_STATE = "first_state"
+"""Beside the parameters of a kind that remembers: its state in the first row, from −1 to 1."""
+
 OwnValues = Mapping[str, float | Vector]
 """The same, some of them of every device's own, shape (D,)."""
 
@@ -99,6 +102,8 @@ class EffectKind(ABC):
             given a record whose time is `np.maximum(time − t, 0)`; mixing would make a step of it.
         elemental: Whether it acts on single elements of the response, which may be given one by
             one: see `with_elements`.
+        remembers: Whether what it did before the record stays in it until its device has moved far:
+            its courses then take `FIRST_STATE` beside the parameters.
         delays: Rows by which a free answer of such devices may be delayed while the noise of the
             record is estimated.
     """
@@ -120,6 +125,7 @@ class EffectKind(ABC):
     grows: ClassVar[bool] = False
     elemental: ClassVar[bool] = False
     delays: ClassVar[int] = 0
+    remembers: ClassVar[bool] = False
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:

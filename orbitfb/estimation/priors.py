@@ -180,6 +180,13 @@ ROUGHNESS = 1.0 / 30.0
 """The same where the devices that are struck are sought with the value. By hand: an eighth of a
 step of the grid; the value alone is then sought to FINENESS."""
 
+FIRST_STATES = 9
+"""States, from one end to the other, that a device that remembers may have had in the first row."""
+
+WIDER = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""Factors of a value that was told with all states in the middle, at which the states are sought: a
+play of polled BPMs looked thirty times too narrow with these."""
+
 GRID_REACH = 2
 """Values of the grid on either side within which the best one is searched: the best one for one
 device at a grid's distance is the best one for all within two."""

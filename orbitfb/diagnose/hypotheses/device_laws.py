@@ -127,17 +127,17 @@ def _finer(
             some = [one for one in sets if one.places and one.free == top.free]
             return max(some, default=top, key=lambda one: one.evidence)
 
-        found = scanned(_highest(lambda value: scanned(value).evidence, ends, ROUGHNESS))
+        found = scanned(highest(lambda value: scanned(value).evidence, ends, ROUGHNESS))
         places, values = found.places, found.values
 
     def near(value: float) -> float:
         return exact(places, {**values, name: value}).evidence
 
-    fine = exact(places, {**values, name: _highest(near, ends, FINENESS)})
+    fine = exact(places, {**values, name: highest(near, ends, FINENESS)})
     return max(best, fine, key=lambda one: one.evidence)
 
 
-def _highest(worth: Callable[[float], float], ends: tuple[float, float], fine: float) -> float:
+def highest(worth: Callable[[float], float], ends: tuple[float, float], fine: float) -> float:
     """Where a function is highest between two values, along their logarithm if they have one.
 
     Args:
@@ -190,6 +190,7 @@ def evaluated(
     free: bool,
     cost: float,
     kick: bool = False,
+    first: Vector | None = None,
 ) -> Candidate:
     """Evaluate a set of devices exactly, and give it its size.
 
@@ -203,9 +204,10 @@ def evaluated(
         free: Whether it may have any size.
         cost: Of its values [nats].
         kick: Whether what it has reached by the onset comes at once.
+        first: State of the devices in the first row, shape (k,); None: not asked.
     """
     count = len(places) or len(law.names)
-    source = Course(law, places, values, np.ones(count), onset, kick)
+    source = Course(law, places, values, np.ones(count), onset, kick, first)
     courses = source.of(scorer.space.signals, values)
     field = field_of(law, scorer, courses, places, source.size)
     pull, information = scorer.evaluate([field])

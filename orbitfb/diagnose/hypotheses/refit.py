@@ -7,11 +7,12 @@ is tried later is weighed with all δ marginalised (a joint refit).
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.kinds import FIRST_STATE, EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, Signals
 from orbitfb.estimation.transform import Indices, Matrix
 
@@ -30,6 +31,8 @@ class Course:
         size: By which the courses are multiplied, of every device, shape (k,).
         onset: Row at which it begins.
         kick: Whether what it has reached by then comes at once.
+        first: State of every device in the first row, from −1 to 1, shape (k,), of a law that
+            remembers; None: in the middle.
         elements: Errors of single elements of the response, by the name of what they are with
             [m/A]; empty of a law that has none.
     """
@@ -40,11 +43,16 @@ class Course:
     size: Vector
     onset: int = 0
     kick: bool = False
+    first: Vector | None = None
     elements: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, signals: Signals, values: Values) -> tuple[Matrix, ...]:
         """Courses of the devices for given values, nothing before the onset, (N, k) or (N, 1)."""
         chosen = list(self.places) if self.places else slice(None)
+        if self.first is not None:
+            states = np.zeros(len(self.law.names))
+            states[chosen] = self.first
+            values = cast(Values, {**values, FIRST_STATE: states})
         found = []
         for course in self.law.course(values, signals):
             part = course if course.shape[1] == 1 else course[:, chosen]

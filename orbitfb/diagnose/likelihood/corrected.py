@@ -47,6 +47,25 @@ def driven(space: Workspace, currents: Matrix, kept: Mask) -> Workspace:
     )
 
 
+def over(space: Workspace, other: Workspace) -> Workspace:
+    """The same causes over the floor of another workspace, with its healthy scatters.
+
+    Args:
+        space: Whose causes they are.
+        other: With more of them, whose errors may follow other currents.
+    """
+    lower = replace(
+        space,
+        shape=other.shape,
+        weights=other.weights,
+        trust=other.trust,
+        shares=other.shares[: len(space.shares)],
+    )
+    if other.terms is space.terms:
+        return replace(lower, noise=other.noise, known=other.known)
+    return lower.with_noise(other.noise)
+
+
 def misses(space: Workspace) -> bool:
     """Whether so much was not read that it matters how it is drawn."""
     return bool(space.signals.record.filled.mean() >= DRAWN_AGAIN)

@@ -7,7 +7,9 @@ import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection.first_states import with_first_states
 from orbitfb.estimation.priors import CLOSE, HEARD, LEADING, MISFIT, SETTLED, SURE
 
 
@@ -57,6 +59,7 @@ def refitted(
     """
     if not candidates or candidates[0].evidence < 0.5 * enough or candidates[0].noisy:
         return list(candidates)  # what is said of the noise alone is not weighed so
+    candidates = [with_first_states(one, space) for one in candidates]
     space = space.saturable()
     # As often as with a cause: what a floor gains that was not at its best yet is of no cause.
     base = space.with_floor().log_posterior()
@@ -154,10 +157,7 @@ def _under(
         after: With one of them accepted.
         base: Log posterior without any.
     """
-    lower = replace(
-        space, noise=after.noise, shape=after.shape, weights=after.weights, trust=after.trust,
-        known=after.known, shares=after.shares,
-    )  # fmt: skip
+    lower = over(space, after)
     without = lower.log_posterior() - base
     scorer = Scorer.of(lower)
     found = {}

@@ -16,7 +16,7 @@ from orbitfb.effects.actuating import (
     widths,
 )
 from orbitfb.effects.device_kinds import SteppingKind
-from orbitfb.effects.kinds import Parameter, Values
+from orbitfb.effects.kinds import FIRST_STATE, Parameter, Values
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
@@ -32,7 +32,7 @@ class CorrectorHysteresis(SteppingKind):
 
     What is lost after a reversal (u − play, a stop) grows linearly and then stays at half the
     width, as the first loop of a Bouc–Wen model does; `share` is its slope. Where within the
-    play it was before the record began is not known: it is taken to be in the middle.
+    play it was before the record began is not known: it is sought with the rest.
     """
 
     id = "corrector-hysteresis"
@@ -71,6 +71,7 @@ class CorrectorHysteresis(SteppingKind):
         ),
     )
     linear = "share"
+    remembers = True
     confused_with = ("corrector-deadband", "corrector-lag", "corrector-gain", "corrector-slew")
     splits = (
         "Triangular ramps with reversals at three amplitudes. Only the effect of play depends on "
@@ -82,11 +83,15 @@ class CorrectorHysteresis(SteppingKind):
     ) -> Matrix:
         """Drag, row by row."""
         half, share = 0.5 * values["width"], values["share"]
+        first = half * values.get(FIRST_STATE, 0.0)
 
         def law(own: Arithmetic, wanted: Any, held: Any) -> Any:
             return own.least(own.most(held, wanted - half), wanted + half)
 
-        return setpoints + share * (followed(setpoints, record, law, np.ndim(half) > 0) - setpoints)
+        own = np.ndim(half) > 0
+        return setpoints + share * (
+            followed(setpoints, record, law, own, first, lasts=True) - setpoints
+        )
 
     def fitted(self, record: Record) -> tuple[Parameter, ...]:
         """Both, the width up to half the range: within a wider play what is lost is a gain."""
