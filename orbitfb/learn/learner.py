@@ -105,7 +105,7 @@ class Learner:
         absorbed = self._identifier.absorb(
             rows, self._response_of(incumbent), self._column_of(incumbent)
         )
-        self._since.add(rows, absorbed, self.settings.chi2_trigger)
+        self._since.add(rows, absorbed, self.settings.chi2_trigger, self.settings.check)
         self._look(absorbed)
         return absorbed
 

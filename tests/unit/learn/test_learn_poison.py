@@ -10,7 +10,7 @@ from test_learn_worker import Bench
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.refit import Decision
 from orbitfb.learn.since import Since
-from orbitfb.models.absorbed import Absorbed
+from orbitfb.models.absorbed import Absorbed, total
 from orbitfb.physics.places import Ring
 
 FROM, TO, END = 120, 220, 300
@@ -92,7 +92,7 @@ def test_r_that_rows_refute_is_given_up():
 def rows_that_say(chi2, nats):
     said = Absorbed(rows=10, kicks=0, chi2=chi2, chi2_other=9.0, nats=nats)
     since = Since("svd-1")
-    since.add(SimpleNamespace(left_out={}, change=np.ones((10, 3)), hertz=None), said, 1.3)
+    since.add(SimpleNamespace(left_out={}, change=np.ones((10, 3)), hertz=None), said, 1.3, 20)
     return since
 
 
@@ -103,11 +103,19 @@ def test_rows_that_no_response_explains_are_no_evidence():
     assert rows_that_say(8.2, -5.0).nats == -50.0
 
 
+def test_each_piece_counts_for_itself_and_the_newest_are_asked():
+    pieces = [Absorbed(10, 0, chi2, 9.0, 5.0) for chi2 in (8.2, 1.0, 1.0)]
+    since = Since("svd-1")
+    rows = SimpleNamespace(left_out={}, change=np.ones((30, 3)), hertz=None)
+    since.add(rows, total(pieces), 1.3, 20)
+    assert since.page == 100.0 and since.chi2 == 1.0
+
+
 def test_nothing_is_promoted_while_the_newest_rows_are_not_explained():
     bench = Poisoned(ten_times)
     bench.loop.advance(TO)
     bench.learner.absorb(bench.snapshot(), bench.slot.current)
-    bench.learner._since.chi2 = 8.2
+    bench.learner._since._latest = [(20, 8.2)]
     report, candidate = bench.learner.conclude(bench.slot.current, "on-demand")
     assert candidate is None and "χ² 8.2, limit 1.3" in report.reason
 
