@@ -22,7 +22,7 @@ from orbitfb.models.absorbed import Absorbed
 from orbitfb.models.changes import ChangeDetector
 from orbitfb.models.identify import Identifier
 from orbitfb.models.linear import LinearModel
-from orbitfb.models.rows import select_rows
+from orbitfb.models.rows import Rows, select_rows
 from orbitfb.policies.rf_known import rf_of, with_rf
 
 Build = Callable[[LinearModel, Policy], Policy]
@@ -67,6 +67,7 @@ class Learner:
         self._alarm: Alarm | None = None
         self._degraded = False
         self._error: Vector | None = None
+        self._newest: Rows | None = None
         self._learns = False
 
     @property
@@ -105,7 +106,9 @@ class Learner:
         absorbed = self._identifier.absorb(
             rows, self._response_of(incumbent), self._column_of(incumbent)
         )
-        self._since.add(rows, absorbed, self.settings.chi2_trigger, self.settings.check)
+        self._since.add(rows, absorbed)
+        if len(rows):
+            self._newest = rows.take(max(len(rows) - self.settings.check, 0))
         self._look(absorbed)
         return absorbed
 
@@ -213,7 +216,7 @@ class Learner:
         model = self.model
         figures = since.figures() | model_figures(model, self._response_of(incumbent))
         figures |= rf_figures(model.rf, since.rf_steps)
-        candidate, verdict = None, self._obstacle(since)
+        candidate, verdict = None, self._obstacle(since) or self._unexplained(model)
         refuted = since.nats < -self.settings.judge.evidence
         if verdict is None:
             candidate, refused = self._build(model, incumbent), rf_refusal(model.rf)
@@ -259,14 +262,6 @@ class Learner:
                 f"no excitation: nothing was written in {since.rows} rows; close the loop",
                 {},
             )
-        if since.chi2 > self.settings.chi2_trigger:
-            return Verdict(
-                False,
-                f"the newest rows are no answer that R̂ explains (χ² {since.chi2:.3g}, limit "
-                f"{self.settings.chi2_trigger:g}); a ring that stays as it is now teaches R̂, one "
-                "that answers oddly for a while does not",
-                {},
-            )
         if self._learns and since.page < self.settings.judge.evidence:
             # What it does is more than its gain at rest, by which a judge would compare it.
             return Verdict(
@@ -276,6 +271,24 @@ class Learner:
                 {},
             )
         return None
+
+    def _unexplained(self, model: LinearModel) -> Verdict | None:
+        """Refuse while R̂ does not explain the newest rows either; kicks among them count little."""
+        rows, limit = self._newest, self.settings.chi2_trigger
+        if rows is None:
+            return None
+        still = np.ones(len(rows), dtype=np.bool_) if rows.hertz is None else rows.hertz == 0.0
+        if not still.any():
+            return None
+        told = model.surprises(rows.change[still], rows.difference[still], rows.valid[still])
+        if (found := float(np.median(told))) <= limit:
+            return None
+        return Verdict(
+            False,
+            f"R̂ does not explain the newest rows (χ² {found:.3g}, limit {limit:g}): a ring that "
+            "stays as it is now teaches it, one that answers oddly for a while does not",
+            {},
+        )
 
     def _unreachable(self, model: LinearModel, candidate: Policy) -> float:
         """Of the last orbit errors, what no corrector that moves reaches, rms [m]."""

@@ -121,7 +121,8 @@ class LearnSettings(Settings):
         default=1.3,
         gt=1.0,
         description="Mean squared normalised innovation of the running policy's response that "
-        "brings a refit forward at once [1].",
+        "brings a refit forward at once; while R̂ leaves more of the newest rows, no candidate is "
+        "judged [1].",
     )
     follow_drift: bool = Field(
         default=True,

@@ -29,52 +29,30 @@ class Since:
         self.change_square = 0.0
         self.hertz_square = 0.0
         self.rf_steps = 0
-        self._latest: list[tuple[int, float]] = []
+        self.chi2 = float("nan")
         self.chi2_incumbent = float("nan")
         self.dither_pull = 0.0
         self.dither_information = 0.0
         self.left_out: dict[str, int] = {}
 
-    @property
-    def chi2(self) -> float:
-        """Mean squared normalised innovation of the newest rows under R̂ [1]; NaN: of none."""
-        rows = sum(count for count, _ in self._latest)
-        return sum(count * chi2 for count, chi2 in self._latest) / rows if rows else float("nan")
-
-    def add(self, rows: Rows, absorbed: Absorbed, surprise: float, newest: int) -> None:
-        """Count rows, and what the identifier made of them.
-
-        Rows that R̂ does not explain either say nothing for it: whatever the ring did there, it was
-        the answer of neither response.
-
-        Args:
-            rows: That taught.
-            absorbed: What they say.
-            surprise: Mean squared normalised innovation from which R̂ does not explain them [1].
-            newest: Rows that are the newest, at least.
-        """
+    def add(self, rows: Rows, absorbed: Absorbed) -> None:
+        """Count rows, and what the identifier made of them."""
         for reason, count in rows.left_out.items():
             self.left_out[reason] = self.left_out.get(reason, 0) + count
         if absorbed.rows == 0:
             return
         self.rows += absorbed.rows
         self.kicks += absorbed.kicks
-        for piece in absorbed.pieces or (absorbed,):
-            nats = piece.rows * piece.nats
-            if piece.chi2 > surprise:
-                nats = min(nats, 0.0)
-            self.nats += nats
-            self.page = max(0.0, self.page + nats)
-            self._latest.append((piece.rows, piece.chi2))
-        while sum(count for count, _ in self._latest[1:]) >= newest:
-            del self._latest[0]
+        nats = absorbed.rows * absorbed.nats
+        self.nats += nats
+        self.page = max(0.0, self.page + nats)
         self.change_square += float(np.sum(rows.change**2))
         if rows.hertz is not None:
             self.hertz_square += float(np.sum(rows.hertz**2))
             self.rf_steps += int(np.count_nonzero(rows.hertz))
         self.dither_pull += absorbed.dither_pull
         self.dither_information += absorbed.dither_information
-        self.chi2_incumbent = absorbed.chi2_other
+        self.chi2, self.chi2_incumbent = absorbed.chi2, absorbed.chi2_other
 
     def take_nats(self) -> float:
         """Give the evidence for R̂ since the last judgement, and begin anew."""

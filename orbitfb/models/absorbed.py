@@ -26,8 +26,6 @@ class Absorbed:
             information is the share by which R exceeds R̂, known to 1/√information.
         contrasts: One for every block: whether R has changed from the response that was compared
             with; none if none was. For `orbitfb.models.changes.ChangeDetector`.
-        pieces: The blocks that it is the sum of, in order: R̂ was made anew between them. None of a
-            single one.
     """
 
     rows: int
@@ -38,7 +36,6 @@ class Absorbed:
     dither_pull: float = 0.0
     dither_information: float = 0.0
     contrasts: tuple[Contrast, ...] = field(default=())
-    pieces: "tuple[Absorbed, ...]" = field(default=())
 
 
 def total(pieces: Sequence[Absorbed]) -> Absorbed:
@@ -54,5 +51,4 @@ def total(pieces: Sequence[Absorbed]) -> Absorbed:
         dither_pull=sum(piece.dither_pull for piece in pieces),
         dither_information=sum(piece.dither_information for piece in pieces),
         contrasts=tuple(contrast for piece in pieces for contrast in piece.contrasts),
-        pieces=tuple(pieces),
     )
