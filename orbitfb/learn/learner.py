@@ -22,7 +22,7 @@ from orbitfb.models.absorbed import Absorbed
 from orbitfb.models.changes import ChangeDetector
 from orbitfb.models.identify import Identifier
 from orbitfb.models.linear import LinearModel
-from orbitfb.models.rows import Rows, select_rows
+from orbitfb.models.rows import select_rows
 from orbitfb.policies.rf_known import rf_of, with_rf
 
 Build = Callable[[LinearModel, Policy], Policy]
@@ -67,7 +67,6 @@ class Learner:
         self._alarm: Alarm | None = None
         self._degraded = False
         self._error: Vector | None = None
-        self._newest: Rows | None = None
         self._learns = False
 
     @property
@@ -81,12 +80,16 @@ class Learner:
         last = self._identifier.last_tick
         return self._forgotten if last is None else last
 
-    def absorb(self, transitions: Transitions, incumbent: Policy) -> Absorbed:
+    def absorb(
+        self, transitions: Transitions, incumbent: Policy, at_once: bool = False
+    ) -> Absorbed:
         """Take in the transitions that are new; cheap, decides nothing.
 
         Args:
             transitions: May begin with rows that were taken in before.
             incumbent: The policy in force, whose response is compared.
+            at_once: Whether it is a whole record: then R̂ is not asked whether it explains rows
+                before they are used, which on a ring that drifts it cannot over hundreds of them.
 
         Returns:
             What the new rows say; `chi2_other` is about the incumbent's response.
@@ -106,9 +109,7 @@ class Learner:
         absorbed = self._identifier.absorb(
             rows, self._response_of(incumbent), self._column_of(incumbent)
         )
-        self._since.add(rows, absorbed)
-        if len(rows):
-            self._newest = rows.take(max(len(rows) - self.settings.check, 0))
+        self._since.add(rows, absorbed, float("inf") if at_once else self.settings.chi2_trigger)
         self._look(absorbed)
         return absorbed
 
@@ -187,7 +188,7 @@ class Learner:
             EstimationError: No row has ever been fit to learn from; says why.
         """
         began = self._clock.monotonic()
-        self.absorb(transitions, incumbent)
+        self.absorb(transitions, incumbent, at_once=True)
         return self.conclude(incumbent, trigger, began)
 
     def conclude(
@@ -216,7 +217,7 @@ class Learner:
         model = self.model
         figures = since.figures() | model_figures(model, self._response_of(incumbent))
         figures |= rf_figures(model.rf, since.rf_steps)
-        candidate, verdict = None, self._obstacle(since) or self._unexplained(model)
+        candidate, verdict = None, self._obstacle(since)
         refuted = since.nats < -self.settings.judge.evidence
         if verdict is None:
             candidate, refused = self._build(model, incumbent), rf_refusal(model.rf)
@@ -262,6 +263,14 @@ class Learner:
                 f"no excitation: nothing was written in {since.rows} rows; close the loop",
                 {},
             )
+        if since.chi2 > self.settings.chi2_trigger and not since.at_once:
+            return Verdict(
+                False,
+                f"R̂ does not explain the newest rows (χ² {since.chi2:.3g}, limit "
+                f"{self.settings.chi2_trigger:g}): a ring that stays as it is now teaches it, one "
+                "that answers oddly for a while does not",
+                {},
+            )
         if self._learns and since.page < self.settings.judge.evidence:
             # What it does is more than its gain at rest, by which a judge would compare it.
             return Verdict(
@@ -271,24 +280,6 @@ class Learner:
                 {},
             )
         return None
-
-    def _unexplained(self, model: LinearModel) -> Verdict | None:
-        """Refuse while R̂ does not explain the newest rows either; kicks among them count little."""
-        rows, limit = self._newest, self.settings.chi2_trigger
-        if rows is None:
-            return None
-        still = np.ones(len(rows), dtype=np.bool_) if rows.hertz is None else rows.hertz == 0.0
-        if not still.any():
-            return None
-        told = model.surprises(rows.change[still], rows.difference[still], rows.valid[still])
-        if (found := float(np.median(told))) <= limit:
-            return None
-        return Verdict(
-            False,
-            f"R̂ does not explain the newest rows (χ² {found:.3g}, limit {limit:g}): a ring that "
-            "stays as it is now teaches it, one that answers oddly for a while does not",
-            {},
-        )
 
     def _unreachable(self, model: LinearModel, candidate: Policy) -> float:
         """Of the last orbit errors, what no corrector that moves reaches, rms [m]."""

@@ -30,13 +30,25 @@ class Since:
         self.hertz_square = 0.0
         self.rf_steps = 0
         self.chi2 = float("nan")
+        self.at_once = False
         self.chi2_incumbent = float("nan")
         self.dither_pull = 0.0
         self.dither_information = 0.0
         self.left_out: dict[str, int] = {}
 
-    def add(self, rows: Rows, absorbed: Absorbed) -> None:
-        """Count rows, and what the identifier made of them."""
+    def add(self, rows: Rows, absorbed: Absorbed, surprise: float) -> None:
+        """Count rows, and what the identifier made of them.
+
+        Rows that R̂ does not explain either say nothing for it: whatever the ring did there, it was
+        the answer of neither response.
+
+        Args:
+            rows: That taught.
+            absorbed: What they say.
+            surprise: Mean squared normalised innovation from which R̂ does not explain them [1];
+                infinite: it is not asked.
+        """
+        self.at_once = bool(np.isinf(surprise))
         for reason, count in rows.left_out.items():
             self.left_out[reason] = self.left_out.get(reason, 0) + count
         if absorbed.rows == 0:
@@ -44,6 +56,8 @@ class Since:
         self.rows += absorbed.rows
         self.kicks += absorbed.kicks
         nats = absorbed.rows * absorbed.nats
+        if absorbed.chi2 > surprise:
+            nats = min(nats, 0.0)
         self.nats += nats
         self.page = max(0.0, self.page + nats)
         self.change_square += float(np.sum(rows.change**2))

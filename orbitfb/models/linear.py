@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.signals import Vector
 from orbitfb.models.column import RfColumn
 
 
@@ -46,22 +46,6 @@ class LinearModel:
         """Covariance of a row of R̂, mean over the rows, shape (m, m) [(m/A)²]."""
         counts = np.bincount(self.levels, minlength=len(self.covariances)) / len(self.levels)
         return np.tensordot(counts, self.covariances, axes=1)
-
-    def surprises(self, change: Vector, difference: Vector, valid: Mask) -> Vector:
-        """Mean squared difference of each row from R̂ a and the creep, over its variance, (T,) [1].
-
-        1 where the model is that of the rows; of one row of n BPMs it scatters by √(2/n).
-
-        Args:
-            change: Of the setpoints, shape (T, m) [A].
-            difference: Of the orbit that answers it, shape (T, n) [m].
-            valid: Elements of it that count, shape (T, n).
-        """
-        left = np.where(valid, difference - change @ self.response.T, 0.0) @ self.modes
-        doubt = np.sum((change @ self.row_covariance) * change, axis=1)
-        variance = 2.0 * self.reading_variance + self.ground_variances + doubt[:, None]
-        counted = np.maximum(valid.mean(axis=1), 1.0 / valid.shape[1])
-        return np.mean((left - self.creep) ** 2 / variance, axis=1) / counted
 
     def sample(self, generator: np.random.Generator) -> Vector:
         """Draw a response that the data allow, shape (n, m) [m/A]."""

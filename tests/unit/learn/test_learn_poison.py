@@ -1,6 +1,7 @@
 """Rows that lie: nothing is promoted while they come, or it is rolled back within 20 ticks."""
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ from test_learn_worker import Bench
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.refit import Decision
+from orbitfb.learn.since import Since
+from orbitfb.models.absorbed import Absorbed
 from orbitfb.physics.places import Ring
 
 FROM, TO, END = 120, 220, 300
@@ -86,19 +89,30 @@ def test_r_that_rows_refute_is_given_up():
     assert np.linalg.norm(off) < 0.05 * np.linalg.norm(bench.loop.plant.response)
 
 
-def test_nothing_is_promoted_while_r_does_not_explain_the_newest_rows():
+def rows_that_say(chi2, nats, surprise=1.3):
+    said = Absorbed(rows=10, kicks=0, chi2=chi2, chi2_other=9.0, nats=nats)
+    since = Since("svd-1")
+    since.add(SimpleNamespace(left_out={}, change=np.ones((10, 3)), hertz=None), said, surprise)
+    return since
+
+
+def test_rows_that_no_response_explains_are_no_evidence():
     """A BPM that read −1 times the orbit for a second had 317 nats, and what it taught acted."""
+    assert rows_that_say(1.0, 5.0).page == 50.0
+    assert rows_that_say(8.2, 5.0).page == 0.0
+    assert rows_that_say(8.2, -5.0).nats == -50.0
+    assert rows_that_say(8.2, 5.0, float("inf")).page == 50.0  # a whole record
+
+
+def test_nothing_is_promoted_while_r_does_not_explain_the_newest_rows():
     bench = Poisoned(constant)
     bench.loop.advance(FROM)
     bench.learner.absorb(bench.snapshot(), bench.slot.current)
-    newest = bench.learner._newest
-    told = bench.learner.model.surprises(newest.change, newest.difference, newest.valid)
-    assert np.median(told) == pytest.approx(1.0, abs=0.2)
     _, candidate = bench.learner.conclude(bench.slot.current, "on-demand")
     assert candidate is not None
-    bench.learner._newest = replace(newest, difference=3.0 * newest.difference)
+    bench.learner._since.chi2 = 8.2
     report, candidate = bench.learner.conclude(bench.slot.current, "on-demand")
-    assert candidate is None and "R̂ does not explain the newest rows" in report.reason
+    assert candidate is None and "newest rows (χ² 8.2, limit 1.3)" in report.reason
 
 
 def test_stuck_bpms_teach_nothing():
