@@ -92,17 +92,17 @@ def _circumstances(about: Result) -> str:
 
 def _again(rows: list[Result]) -> str:
     """Say which pairs were measured at another commit than the rest."""
-    later = [row for row in rows if "commit" in row]
-    if not later:
-        return ""
-    pairs = dict.fromkeys((SERVERS[row["server"]], CLIENTS[row["client"]]) for row in later)
-    which = " and ".join(f"{client} on {server}" for server, client in pairs)
-    commits = " and ".join(sorted({row["commit"] for row in later}))
-    loads = [row["load_before"][0] for row in later]
-    return (
-        f"\nMeasured again at commit {commits}, beside other programs (load average over 1 minute "
-        f"{min(loads):g} to {max(loads):g}): {which}.\n"
-    )
+    told = ""
+    for commit in dict.fromkeys(row["commit"] for row in rows if "commit" in row):
+        later = [row for row in rows if row.get("commit") == commit]
+        pairs = dict.fromkeys((SERVERS[row["server"]], CLIENTS[row["client"]]) for row in later)
+        which = ", ".join(f"{client} on {server}" for server, client in pairs)
+        loads = [row["load_before"][0] for row in later]
+        told += (
+            f"\nMeasured again at commit {commit}, side by side, at a load average (1 minute) of "
+            f"{min(loads):g} to {max(loads):g}: {which}.\n"
+        )
+    return told
 
 
 def _list(values: list[float]) -> str:
