@@ -181,11 +181,12 @@ ROUGHNESS = 1.0 / 30.0
 step of the grid; the value alone is then sought to FINENESS."""
 
 FIRST_STATES = 9
-"""States, from one end to the other, that a device that remembers may have had in the first row."""
+"""States, from one end to the other, that a device that remembers may have had in the first row. By
+hand: an eighth of a play is left between them."""
 
 WIDER = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""Factors of a value that was told with all states in the middle, at which the states are sought: a
-play of polled BPMs looked thirty times too narrow with these."""
+"""Factors of a value that was told with all states in the middle, at which states are sought. By
+hand: with states in the middle a play of polled BPMs looked thirty times too narrow."""
 
 GRID_REACH = 2
 """Values of the grid on either side within which the best one is searched: the best one for one

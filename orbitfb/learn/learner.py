@@ -109,7 +109,7 @@ class Learner:
         absorbed = self._identifier.absorb(
             rows, self._response_of(incumbent), self._column_of(incumbent)
         )
-        self._since.add(rows, absorbed, float("inf") if at_once else self.settings.chi2_trigger)
+        self._since.add(rows, absorbed, None if at_once else self.settings.chi2_trigger)
         self._look(absorbed)
         return absorbed
 
@@ -263,7 +263,7 @@ class Learner:
                 f"no excitation: nothing was written in {since.rows} rows; close the loop",
                 {},
             )
-        if since.chi2 > self.settings.chi2_trigger and not since.at_once:
+        if since.asked and since.chi2 > self.settings.chi2_trigger:
             return Verdict(
                 False,
                 f"R̂ does not explain the newest rows (χ² {since.chi2:.3g}, limit "

@@ -30,13 +30,13 @@ class Since:
         self.hertz_square = 0.0
         self.rf_steps = 0
         self.chi2 = float("nan")
-        self.at_once = False
+        self.asked = False
         self.chi2_incumbent = float("nan")
         self.dither_pull = 0.0
         self.dither_information = 0.0
         self.left_out: dict[str, int] = {}
 
-    def add(self, rows: Rows, absorbed: Absorbed, surprise: float) -> None:
+    def add(self, rows: Rows, absorbed: Absorbed, surprise: float | None) -> None:
         """Count rows, and what the identifier made of them.
 
         Rows that R̂ does not explain either say nothing for it: whatever the ring did there, it was
@@ -46,9 +46,9 @@ class Since:
             rows: That taught.
             absorbed: What they say.
             surprise: Mean squared normalised innovation from which R̂ does not explain them [1];
-                infinite: it is not asked.
+                None: it is not asked.
         """
-        self.at_once = bool(np.isinf(surprise))
+        self.asked = surprise is not None
         for reason, count in rows.left_out.items():
             self.left_out[reason] = self.left_out.get(reason, 0) + count
         if absorbed.rows == 0:
@@ -56,7 +56,7 @@ class Since:
         self.rows += absorbed.rows
         self.kicks += absorbed.kicks
         nats = absorbed.rows * absorbed.nats
-        if absorbed.chi2 > surprise:
+        if surprise is not None and absorbed.chi2 > surprise:
             nats = min(nats, 0.0)
         self.nats += nats
         self.page = max(0.0, self.page + nats)

@@ -119,7 +119,7 @@ def _field(
     first, laws = its.space.courses.laws(kind), space.courses.laws(kind)
     values = kind.long_after(part.values)
     if part.sources:
-        moved = [replace(one, law=_same(one, first, laws), onset=0, kick=False,
+        moved = [replace(one, law=_same(one, first, laws), onset=0, kick=False, first=None,
                          values=kind.long_after(one.values)) for one in part.sources]  # fmt: skip
         if any(one.law.periodic for one in moved):
             return None, None

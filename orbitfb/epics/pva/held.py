@@ -15,6 +15,7 @@ from orbitfb.epics.stated.contents import INTEGER, STRUCTURE, TEXT
 _KINDS = {"f": DBR_DOUBLE, "i": INTEGER, "u": INTEGER, "b": 3, "U": TEXT, "S": TEXT}
 """Native types of Channel Access by the kind of an array of numpy."""
 _LAST_SECOND = 2**32 - 1
+"""Largest count of seconds since the EPICS epoch that a stamp holds: 32 bits."""
 NO_LIMITS = (math.nan, math.nan)
 """Always this object: it equals itself, as no other NaN does."""
 

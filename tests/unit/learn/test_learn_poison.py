@@ -101,7 +101,7 @@ def test_rows_that_no_response_explains_are_no_evidence():
     assert rows_that_say(1.0, 5.0).page == 50.0
     assert rows_that_say(8.2, 5.0).page == 0.0
     assert rows_that_say(8.2, -5.0).nats == -50.0
-    assert rows_that_say(8.2, 5.0, float("inf")).page == 50.0  # a whole record
+    assert rows_that_say(8.2, 5.0, None).page == 50.0  # a whole record
 
 
 def test_nothing_is_promoted_while_r_does_not_explain_the_newest_rows():
