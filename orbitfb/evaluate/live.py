@@ -6,37 +6,35 @@ looks on between two ticks, so that its arithmetic takes hardly any simulated ti
 the same on any computer. With a `rate_hz` both tick at that rate and the learner is a thread, as
 in operation. Every law gets a ring of its own with the same seed, one after the other:
 
-- `told`: the policy is rebuilt from the true R_t every few ticks, the bound;
+- `told`: the policy is rebuilt from the true R_t every few ticks, the bound; beside a law that
+  learns while it acts it is the noise-aware one (`modal`), which has nothing to learn;
 - `frozen`: keeps the R of the first tick, watched for a degradation that nobody acts upon;
 - `ours`: the learner, with its judge, its trial in shadow and its roll-back.
 """
 
+import multiprocessing
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field
 
 from orbitfb.core.refit import Alarm, Decision, RefitReport
-from orbitfb.core.settings import Settings
 from orbitfb.core.signals import LoopState, TickRecord, Vector
-from orbitfb.effects.settings import EffectSettings
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 from orbitfb.evaluate.closed import accelerated, closed_loop
+from orbitfb.evaluate.live_settings import LiveSettings
 from orbitfb.history.buffer import History
 from orbitfb.learn.builders import ResponsePolicy, builder, first_policy
 from orbitfb.learn.learner import Learner
-from orbitfb.learn.settings import LearnSettings
 from orbitfb.learn.trainer import InlineTrainer
 from orbitfb.learn.worker import LearnerThread
 from orbitfb.loop.settings import LoopSettings
 from orbitfb.loop.slot import PolicySlot
-from orbitfb.physics.drift import DriftSettings, Preset
-from orbitfb.physics.places import Planes, Ring
-from orbitfb.physics.plant import Plant, PlantSettings
-from orbitfb.policies.settings import PolicySettings
+from orbitfb.physics.places import Ring
+from orbitfb.physics.plant import Plant
 from orbitfb.sim.child import SimChild
 from orbitfb.sim.job import SimJob
 from orbitfb.sim.layout import TICK_PV, TRUE_RMS_PV
@@ -55,32 +53,6 @@ _EFFECTS_PERIOD = 0.1
 _LOCKSTEP_RING = SimSettings(port=0, lockstep=True, rate_hz=0.5)
 _LOCKSTEP_LOOP = LoopSettings(rate_hz=1000.0, hold_after=9000.0, ramp=0.02)
 """Waits for a refit of several seconds, and takes every orbit of a ring in lockstep."""
-
-
-class LiveSettings(Settings):
-    """What to run."""
-
-    drift: Preset = Field(default="strong", description="Drift of the ring over the whole run.")
-    ticks: int = Field(default=6000, ge=200, description="Length of each run [ticks].")
-    seed: int = Field(default=1, ge=0, description="Seed of ring, noise and drift.")
-    planes: Planes = Field(default="x", description="Planes under feedback.")
-    rate_hz: float | None = Field(
-        default=None, gt=0, le=500, description="Ticks per second [Hz]; unset: in lockstep."
-    )
-    policy: PolicySettings = Field(
-        default=PolicySettings(), description="Kind and settings of all the laws."
-    )
-    effects: tuple[EffectSettings, ...] = Field(
-        default=(), description="Effects that the ring has besides."
-    )
-    learn: LearnSettings = Field(default=LearnSettings(), description="The learner.")
-
-    def plant(self) -> PlantSettings:
-        """Return what the ring suffers from."""
-        if self.drift == "none":
-            return PlantSettings()
-        drift = {"preset": self.drift, "ticks": self.ticks}
-        return PlantSettings(drift=DriftSettings.model_validate(drift))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,23 +83,57 @@ class LiveRun:
 
 
 def evaluate_live(
-    settings: LiveSettings, progress: Callable[[str], None] = lambda _: None
-) -> Mapping[str, LiveRun]:
+    each: Sequence[LiveSettings],
+    progress: Callable[[str], None] = lambda _: None,
+    at_once: int = 1,
+) -> Iterator[tuple[LiveSettings, Mapping[str, LiveRun]]]:
     """Run every law.
 
     Args:
-        settings: What to run.
+        each: What to run, a seed each.
         progress: Told what begins.
+        at_once: Runs side by side, each in a process of its own; 1: one after the other, in this.
+
+    Yields:
+        What was run, and the run of every law, in the order of `each`.
 
     Raises:
         OrbitFeedbackError: The soft IOC could not be started or reached.
     """
-    runs: dict[str, LiveRun] = {}
-    for law in LAWS:
-        progress(f"seed {settings.seed}, {settings.drift} drift: {law}")
-        with ExitStack() as stack:
-            runs[law] = _Live(settings, law, stack).run()
-    return runs
+    if at_once == 1:
+        for settings in each:
+            runs: dict[str, LiveRun] = {}
+            for law in LAWS:
+                progress(_words(settings, law))
+                runs[law] = run_live(settings, law)
+            yield settings, runs
+        return
+    spawning = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(at_once, mp_context=spawning) as pool:
+        asked: list[dict[str, Future[LiveRun]]] = []
+        for settings in each:
+            progress(", ".join((_words(settings, LAWS[0]), *LAWS[1:])))
+            asked.append({law: pool.submit(run_live, settings, law) for law in LAWS})
+        for settings, futures in zip(each, asked, strict=True):
+            yield settings, {law: future.result() for law, future in futures.items()}
+
+
+def run_live(settings: LiveSettings, law: str) -> LiveRun:
+    """Run one law on a ring of its own.
+
+    Args:
+        settings: What to run.
+        law: One of `LAWS`.
+
+    Raises:
+        OrbitFeedbackError: The soft IOC could not be started or reached.
+    """
+    with ExitStack() as stack:
+        return _Live(settings, law, stack).run()
+
+
+def _words(settings: LiveSettings, law: str) -> str:
+    return f"seed {settings.seed}, {settings.drift} drift: {law}"
 
 
 def figures(runs: Mapping[str, LiveRun]) -> dict[str, float]:
@@ -200,7 +206,10 @@ class _Live:
         )
 
     def _build(self, response: Vector) -> ResponsePolicy:
-        return first_policy(response, self._settings.policy)
+        policy = self._settings.policy
+        if self._law == "told" and policy.kind == "adaptive":
+            policy = policy.model_copy(update={"kind": "modal"})
+        return first_policy(response, policy)
 
     def _learner(self, response: Vector) -> LearnerThread:
         """Make the learner; beside a frozen law it only watches."""

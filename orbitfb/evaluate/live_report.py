@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.evaluate.live import LiveRun, LiveSettings, figures
+from orbitfb.evaluate.live import LiveRun, figures
+from orbitfb.evaluate.live_settings import LiveSettings
 
 _COLOURS = {"told": "black", "frozen": "tab:blue", "ours": "tab:green"}
 _LABELS = {"told": "told the true R", "frozen": "frozen R", "ours": "ours"}

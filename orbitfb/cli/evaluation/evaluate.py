@@ -72,13 +72,20 @@ def evaluate_live_command(
             "lockstep, as fast as they go]."
         ),
     ] = None,
+    at_once: Annotated[
+        int,
+        typer.Option(
+            min=1, help="Runs side by side, each in a process of its own: three for every seed."
+        ),
+    ] = 1,
     effect: EffectSpecs = None,
     effects: EffectsFile = None,
     config_file: ConfigFile = None,
 ) -> None:
     """The learner in the real loop over Channel Access, on a drifting ring."""
-    from orbitfb.evaluate.live import LiveSettings, evaluate_live, figures
+    from orbitfb.evaluate.live import evaluate_live, figures
     from orbitfb.evaluate.live_report import LiveResult, write
+    from orbitfb.evaluate.live_settings import LiveSettings
 
     settings = configure(
         config_file,
@@ -92,12 +99,14 @@ def evaluate_live_command(
         "learn": settings.learn,
         "effects": settings.effect,
     }
+    asked = {"drift": drift, "ticks": ticks, "rate_hz": rate, **common}
+    each = [
+        validated(LiveSettings, {**asked, "seed": number}) for number in range(seed, seed + seeds)
+    ]
     results: list[LiveResult] = []
-    for number in range(seed, seed + seeds):
-        asked = {"drift": drift, "ticks": ticks, "seed": number, "rate_hz": rate}
-        live = validated(LiveSettings, {**asked, **common})
-        results.append(LiveResult(live, evaluate_live(live, print)))
-        show({"seed": number, **figures(results[-1].runs)}, as_json=False)
+    for live, runs in evaluate_live(each, print, at_once):
+        results.append(LiveResult(live, runs))
+        show({"seed": live.seed, **figures(runs)}, as_json=False)
         write(results, out)
     print(f"written: {out / 'live.json'}, {out / 'live.png'}")
 
