@@ -60,6 +60,14 @@ def healthy_errors(
         Their terms, per unit of each effect's size, and the blocks that they form. A device that
         acts in two planes has its two columns summed in one block per plane.
     """
+    patterns, pattern, courses, blocks = _laid_out(kinds, signals, transform)
+    return Terms.of(patterns, pattern, courses, transform), blocks
+
+
+def _laid_out(
+    kinds: Sequence[EffectKind], signals: Signals, transform: StepTransform
+) -> tuple[Matrix, np.ndarray, Matrix, tuple[ErrorBlock, ...]]:
+    """Give patterns, which of them a column has, courses of shape (N, k), and the blocks."""
     patterns: list[Matrix] = []
     pattern: list[np.ndarray] = []
     courses: list[Matrix] = []
@@ -84,16 +92,8 @@ def healthy_errors(
             first, known = rest.stop, known + count
     if not blocks:
         rows = signals.record.layout.response.shape[0]
-        return (
-            Terms.of(
-                np.zeros((rows, 0)), np.zeros(0, np.intp), np.zeros((transform.rows, 0)), transform
-            ),
-            (),
-        )
-    return (
-        Terms.of(np.hstack(patterns), np.concatenate(pattern), np.hstack(courses), transform),
-        tuple(blocks),
-    )
+        return np.zeros((rows, 0)), np.zeros(0, np.intp), np.zeros((transform.rows, 0)), ()
+    return np.hstack(patterns), np.concatenate(pattern), np.hstack(courses), tuple(blocks)
 
 
 def following(
@@ -113,8 +113,8 @@ def following(
         kept: Columns of errors that are causes: they made these currents, shape (k,).
     """
     kinds = dict.fromkeys(block.kind for block in blocks if not block.accepted)
-    fresh, _ = healthy_errors(tuple(kinds), signals, transform)
-    return terms.instead(fresh, transform, kept)
+    _, _, courses, _ = _laid_out(tuple(kinds), signals, transform)
+    return terms.instead(courses, transform, kept)
 
 
 def fitted_scales(

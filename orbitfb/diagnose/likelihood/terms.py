@@ -35,7 +35,7 @@ class Terms:
         cls, patterns: Matrix, pattern: Indices, courses: Matrix, transform: StepTransform
     ) -> "Terms":
         """Transform courses, shape (N, k), and sum their products by band."""
-        spectrum = np.asfortranarray(transform.spectrum(courses).astype(np.float32))
+        spectrum = spectrum_of(courses, transform)
         return cls(patterns, pattern, spectrum, _grams(spectrum, transform))
 
     def __len__(self) -> int:
@@ -46,24 +46,30 @@ class Terms:
     ) -> "Terms":
         """These columns and others behind them."""
         spectrum = np.asfortranarray(np.hstack([self.spectrum, transform.quick_spectrum(courses)]))
+        count, more = len(self), spectrum.shape[1] - len(self)
+        grams = np.pad(self.grams, ((0, 0), (0, more), (0, more)))
         return Terms(
             np.hstack([self.patterns, patterns]),
             np.concatenate([self.pattern, self.patterns.shape[1] + pattern]),
             spectrum,
-            _grams(spectrum, transform, self.grams),
+            _grams(spectrum, transform, grams, np.arange(count + more) >= count),
         )
 
-    def instead(self, first: "Terms", transform: StepTransform, kept: Mask) -> "Terms":
+    def instead(self, first: Matrix, transform: StepTransform, kept: Mask) -> "Terms":
         """Columns of the same patterns with other courses instead of the first ones of these.
 
         Args:
-            first: With the other courses.
+            first: The other courses, shape (N, k').
             transform: Of the record.
             kept: Columns that stay as they are, shape (k,).
         """
-        spectrum = np.asfortranarray(np.hstack([first.spectrum, self.spectrum[:, len(first) :]]))
-        spectrum[:, kept] = self.spectrum[:, kept]
-        return Terms(self.patterns, self.pattern, spectrum, _grams(spectrum, transform))
+        spectrum, fresh = self.spectrum.copy(order="F"), np.zeros(len(self), dtype=bool)
+        its = spectrum_of(first, transform)
+        count = its.shape[1]
+        fresh[:count] = ~kept[:count] & np.any(its != spectrum[:, :count], axis=0)
+        spectrum[:, fresh] = its[:, fresh[:count]]
+        grams = _grams(spectrum, transform, self.grams.copy(), fresh)
+        return Terms(self.patterns, self.pattern, spectrum, grams)
 
     def pull(
         self, pulled: "Matrix | Single", used: Mask | None = None, patterns: Single | None = None
@@ -181,22 +187,34 @@ class Terms:
         return found.T
 
 
-def _grams(spectrum: Single, transform: StepTransform, known: "Matrix | None" = None) -> Matrix:
+def spectrum_of(courses: Matrix, transform: StepTransform) -> Single:
+    """Transformed steps of courses, shape (N, k): (T, k), column after column in memory."""
+    return np.asfortranarray(transform.spectrum(courses).astype(np.float32))
+
+
+def _grams(
+    spectrum: Single,
+    transform: StepTransform,
+    known: "Matrix | None" = None,
+    fresh: "Mask | None" = None,
+) -> Matrix:
     """Products of courses by band, shape (B, k, k).
 
     Args:
         spectrum: Of the courses, shape (T, k).
         transform: Of the record.
-        known: Those of the first k' courses, shape (B, k', k'); None: none are known.
+        known: Products of those that are not fresh, shape (B, k, k); written into. None: all are
+            fresh.
+        fresh: Courses whose products are not known, shape (k,).
     """
     count = spectrum.shape[1]
-    first = 0 if known is None else known.shape[1]
-    found = np.empty((len(transform.count), count, count))
+    found = np.empty((len(transform.count), count, count)) if known is None else known
     for band, its in enumerate(found):
         part = spectrum[transform.members(band)].astype(np.float64)
-        more = part.T @ part[:, first:]
-        its[:, first:] = more
-        its[first:, :first] = more[:first].T
-        if known is not None:
-            its[:first, :first] = known[band]
+        if known is None:
+            its[:] = part.T @ part
+        else:
+            more = part.T @ part[:, fresh]
+            its[:, fresh] = more
+            its[fresh] = more.T
     return found

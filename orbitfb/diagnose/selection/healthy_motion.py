@@ -23,6 +23,9 @@ from orbitfb.estimation.transform import Matrix
 
 _TURNS, _ROUNDS = 3, 6
 """Turns in which walk and shaking are fitted one beside the other, and the rounds of each."""
+_NEAR = 0.5
+"""Share of what it has to have that it must have over one floor, before both have floors of their
+own, which take twice as long as all else here."""
 _LEVELS = np.geomspace(0.01, 100.0, 41)
 """Factors of the walk's covariance that are tried for a colour of the ground."""
 
@@ -35,18 +38,17 @@ def with_motion(space: Workspace, enough: float) -> Workspace | None:
         enough: Evidence that it has to have [nats]: that of the best cause.
     """
     left, scatter = space.unmodelled()
-    base = space.with_floor().log_posterior()
     found = []
     if space.noise.shaken is None:
-        found.append(_shaken(space, left, scatter, base, enough))
+        found.append(_shaken(space, left, scatter, enough))
     if not space.noise.colour:
-        found.append(_coloured(space, left, scatter, base))
+        found.append(_coloured(space, left, scatter, enough))
     gain, after = max(found, key=lambda one: one[0], default=(0.0, space))
     return after if gain > enough else None
 
 
 def _shaken(
-    space: Workspace, left: Matrix, scatter: Matrix, base: float, enough: float
+    space: Workspace, left: Matrix, scatter: Matrix, enough: float
 ) -> tuple[float, Workspace]:
     """Motion that is new at every row, and what it is worth [nats].
 
@@ -54,8 +56,11 @@ def _shaken(
     that they are fitted to than of others. Each half of them tells it for the other.
     """
     moments = Moments.of(left, space.transform).beside(scatter)
-    after = space.with_noise(_floor(space, moments, True)).with_floor()
-    gain = after.log_posterior() - base
+    noise = _floor(space, moments, True)
+    if moments.more(noise, _floor(space, moments, False)) < _NEAR * enough:
+        return 0.0, space
+    after = space.with_noise(noise).with_floor()
+    gain = after.log_posterior() - space.with_floor().log_posterior()
     if gain < enough:
         return gain, after
     chance = 0.0
@@ -80,7 +85,7 @@ def _floor(space: Workspace, moments: Moments, shaken: bool) -> StepNoise:
 
 
 def _coloured(
-    space: Workspace, left: Matrix, scatter: Matrix, base: float
+    space: Workspace, left: Matrix, scatter: Matrix, enough: float
 ) -> tuple[float, Workspace]:
     """A ground of another colour than a walk's, and what it is worth [nats]."""
     moments = Moments.of(left, space.transform).beside(scatter)
@@ -89,12 +94,13 @@ def _coloured(
     )
     worth = {colour: _worth(space.noise, colour, square, moments) for colour in (0.0, *COLOURS)}
     best = max(worth, key=lambda colour: worth[colour][0])
-    if not best or worth[best][0] - worth[0.0][0] < VALUE_COST:
+    if not best or worth[best][0] - worth[0.0][0] < _NEAR * enough:
         return 0.0, space
     level = worth[best][1]
     noise = replace(space.noise, colour=best, walk=level * space.noise.walk)
     after = replace(space, weights=level * space.weights).with_noise(noise).with_floor()
-    return after.log_posterior() - base - VALUE_COST, after
+    gain = after.log_posterior() - space.with_floor().log_posterior()
+    return gain - VALUE_COST, after
 
 
 def _worth(

@@ -99,6 +99,8 @@ def tournament(
         enough = enough_beside(sum(one.evidence for one in accepted), space)
         candidates = candidates_of(space, left, tell, enough)
         candidates = [one for one in candidates if not _echo(one, accepted)]
+        if candidates and candidates[0].evidence > 0.5 * enough:
+            space = space.saturable()  # every floor from here on begins with it
         drawn = bool(space.signals.record.filled.any())
         candidates = _last_resort(refitted(candidates, space, enough), bool(accepted), drawn)
         deaf = _coloured(accepted)
