@@ -5,10 +5,11 @@
 
 BPMs are exchanged, the response has the other sign, supplies of a cell are deaf, one corrector is
 stuck, or one BPM reads a multiple: for 0.1 to 1 s, every 20 s or so. The loop goes on, as it does
-until it has found out; where the orbit passes 100 µm rms it is open for the rest of the fault, as a
-loop that trips, and these rows teach nobody. Told for every drift: refits, promotions, those that
+until it has found out; where the orbit passes 100 µm rms it trips, and is closed again when the
+fault is over. The rows between teach nobody. Told for every drift: refits, promotions, those that
 made the loop on the true response worse than with the policy of the start by more than 5 % (with
-the 95 % interval of their share), the worst of them, and the true orbit while nothing was odd.
+the 95 % interval of their share), the worst of them, trips, and the true orbit while nothing was
+odd.
 """
 
 import os
@@ -23,6 +24,7 @@ from typing import Any  # noqa: E402
 import numpy as np  # noqa: E402
 
 from benchmarks.promotions import Bench, wilson  # noqa: E402
+from orbitfb.core.ports import take_back  # noqa: E402
 from orbitfb.core.transitions import Transitions  # noqa: E402
 from orbitfb.evaluate.simulate import ClosedLoop  # noqa: E402
 from orbitfb.physics.plant import Plant  # noqa: E402
@@ -93,23 +95,32 @@ class OddRing:
 
 
 class OpeningLoop(ClosedLoop):
-    """A loop that is open from where the orbit is far until the ring answers well."""
+    """A loop that trips where the orbit is far, and is closed again as soon as the ring is well."""
 
     def __init__(self, ring: Any, policy: Any, ticks: int) -> None:
         super().__init__(ring, policy, ticks)
-        self._ring = ring
+        self._ring, self._far = ring, FAR
         self.closed = np.ones(ticks, dtype=np.bool_)
         self.odd = np.zeros(ticks, dtype=np.bool_)
+        self.trips = 0
 
     def _step(self) -> None:
         tick = self.tick
-        before = self._setpoints[tick].copy()
+        before, was_closed = self._setpoints[tick].copy(), tick == 0 or self.closed[tick - 1]
         super()._step()
         self.odd[tick] = self._ring.odd
-        far = bool(self.observed_rms[tick] > FAR) or (tick > 0 and not self.closed[tick - 1])
-        if self._ring.odd and far:
-            self.closed[tick] = False
-            self._applied[tick], self._setpoints[tick + 1] = 0.0, before
+        rms = float(self.observed_rms[tick])
+        if was_closed and rms > self._far:
+            self.trips += 1
+            take_back(self.policy)
+        elif was_closed:
+            self._far = FAR
+            return
+        self.closed[tick] = self._applied[tick] = 0.0
+        self._setpoints[tick + 1] = before
+        if not self._ring.odd:
+            self.closed[tick], self._far = True, max(FAR, 1.5 * rms)
+            self._state = self.policy.initial_state()
 
     def transitions(self, since: int = 0) -> Transitions:
         """Give the transitions that begin at a tick or later."""
@@ -148,7 +159,9 @@ def main() -> None:
     options = parser.parse_args()
     ticks = int(options.minutes * 60 * options.rate)
     policy = PolicySettings(kind=options.policy)
-    print("drift   seed  refits promoted  harmful  worst gain  first useful   true um rms at rest")
+    print(
+        "drift   seed  refits promoted  harmful  worst gain  first useful  trips  true um at rest"
+    )
     for drift in options.drift.split(","):
         harmful = promoted = 0
         for seed in seeds_of(options.seeds):
@@ -165,7 +178,7 @@ def main() -> None:
             useful = "none" if first is None else f"{first} ticks"
             print(
                 f"{drift:<7}{seed:>5}{run.refits:>8}{run.promoted:>9}{bad:>9}"
-                f"{min(gains, default=0.0):>12.3g}{useful:>14}{rms:>14.4f}"
+                f"{min(gains, default=0.0):>12.3g}{useful:>14}{loop.trips:>7}{rms:>17.4f}"
                 f"{'  LOST' if loop.lost else ''}",
                 flush=True,
             )

@@ -115,6 +115,10 @@ class Learning(Policy, Protocol):
         """
         ...
 
+    def take_back(self) -> None:
+        """Forget what was learnt of late: the loop has tripped, maybe by that."""
+        ...
+
 
 def inform(
     policy: Policy,
@@ -134,6 +138,11 @@ def inform(
         return state
     more = {"hertz": hertz} if hertz else {}
     return learning(error, valid, applied, state, **more)
+
+
+def take_back(policy: Policy) -> None:
+    """Tell a policy that learns that the loop has tripped, see `Learning.take_back`."""
+    getattr(policy, "take_back", lambda: None)()
 
 
 class SystemModel(Protocol):

@@ -67,7 +67,7 @@ class Learner:
         self._alarm: Alarm | None = None
         self._degraded = False
         self._error: Vector | None = None
-        self._learns = False
+        self._learns, self._explains = False, float("inf")
 
     @property
     def model(self) -> LinearModel:
@@ -98,6 +98,7 @@ class Learner:
             self._since = Since(incumbent.policy_id)
             self.watch_afresh()
         self._learns = bool(getattr(incumbent, "learns", False))
+        self._explains = float(getattr(incumbent, "chi2", float("inf")))
         error = mean_error(transitions)
         self._error = self._error if error is None else error
         rows = select_rows(transitions, self.settings.tolerance, self._rf is not None)
@@ -263,20 +264,21 @@ class Learner:
                 f"no excitation: nothing was written in {since.rows} rows; close the loop",
                 {},
             )
-        if since.asked and since.chi2 > self.settings.chi2_trigger:
+        enough, trigger = self.settings.judge.evidence, self.settings.chi2_trigger
+        if since.asked and since.chi2 > trigger:
             return Verdict(
                 False,
-                f"R̂ does not explain the newest rows (χ² {since.chi2:.3g}, limit "
-                f"{self.settings.chi2_trigger:g}): a ring that stays as it is now teaches it, one "
-                "that answers oddly for a while does not",
+                f"R̂ does not explain the newest rows (χ² {since.chi2:.3g}, limit {trigger:g}): a "
+                "ring that stays as it is now teaches it, one that answers oddly for a while not",
                 {},
             )
-        if self._learns and since.page < self.settings.judge.evidence:
-            # What it does is more than its gain at rest, by which a judge would compare it.
+        if self._learns and (since.page < enough or self._explains < trigger):
+            # What it does is more than its gain at rest, and it knows how far it doubts its R̂.
             return Verdict(
                 False,
                 f"{since.policy_id} learns by itself, and the rows do not refute what it knows "
-                f"({since.page:.1f} of {self.settings.judge.evidence:.1f} nats)",
+                f"({since.page:.1f} of {enough:.1f} nats; its own χ² {self._explains:.3g}, limit "
+                f"{trigger:g})",
                 {},
             )
         return None

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orbitfb.core.ports import Clock, Policy, inform
+from orbitfb.core.ports import Clock, Policy, inform, take_back
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.estimation.columns import KnownRf
 from orbitfb.loop.slot import PolicySlot
@@ -216,6 +216,10 @@ class Guard:
                 fallback, f"policy {policy.policy_id} {trouble}: {fallback.policy_id} decides"
             )
             return fallback.initial_state()
+
+    def tripped(self) -> None:
+        """Let the policy in force forget what it learnt shortly before the loop tripped."""
+        take_back(self.policy)
 
     def _use(self, policy: Policy, alarm: str) -> None:
         self.policy, self.alarm, self._late = policy, alarm, 0

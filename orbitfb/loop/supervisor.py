@@ -161,6 +161,8 @@ class Supervisor:
                 self._guard.forgive()
             after = replace(after, policy_state=self.policy.initial_state())
             self._dither.restart(before is LoopState.HELD)
+        if after.state is LoopState.TRIPPED and before is not LoopState.TRIPPED:
+            self._guard.tripped()
         self.memory = after
 
     def without_orbit(self, intake: Intake) -> int:

@@ -15,76 +15,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field
 
 from orbitfb.core.errors import ConfigError
-from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.estimation.columns import KnownRf
 from orbitfb.estimation.recursive.caution import CautiousGain
 from orbitfb.estimation.recursive.estimate import RecursiveResponse
-from orbitfb.estimation.recursive.settings import CautionSettings, RecursiveSettings
+from orbitfb.policies.adaptive_settings import AdaptiveSettings
 from orbitfb.policies.inverse import checked_covariance, checked_response, content_hash, frozen
 from orbitfb.policies.masking import Infill
-
-
-class TrackingSettings(RecursiveSettings):
-    """What a loop knows of a ring beforehand. [R] is m/A.
-
-    The drift was chosen with `benchmarks.promotions --drift strong --policy adaptive`, on seeds
-    61, 62, 71, 74 and 75.
-    """
-
-    ground: float = Field(
-        default=0.04e-6,
-        ge=0.0,
-        description="Motion of the orbit per tick, as kicks along the ring make it, rms [m].",
-    )
-    prior_entry: float = Field(
-        default=1e-6, ge=0.0, description="Error of an element of the first R̂, rms [R]."
-    )
-    prior_relative: float = Field(
-        default=0.02,
-        ge=0.0,
-        description="Errors of the gains of BPMs and correctors in the first R̂, rms [1].",
-    )
-    drift_entry: float = Field(
-        default=2.5e-8, ge=0.0, description="Drift of an element of R in √tick, rms [R]."
-    )
-    drift_relative: float = Field(
-        default=2e-4,
-        ge=0.0,
-        description="Drift of the gains of BPMs and correctors in √tick, rms [1].",
-    )
-    creep: float = Field(
-        default=0.02e-6,
-        ge=0.0,
-        description="Creep of the orbit that a drift of R makes of setpoints that stay, rms over "
-        "the modes, each in proportion to its singular value [m/tick]; 0: no such coefficient.",
-    )
-
-    rf_creep: float = Field(
-        default=0.02,
-        ge=0.0,
-        description="The part of the creep that an energy which drifts makes, where the RF column "
-        "is tracked, as a drift of the frequency would, rms [Hz/tick].",
-    )
-
-
-class AdaptiveSettings(Settings):
-    """Configuration of the law that learns while it acts."""
-
-    tracking: TrackingSettings = Field(
-        default=TrackingSettings(), description="The estimate of R at every tick."
-    )
-    track_rf: bool = Field(
-        default=False,
-        description="Whether the RF column is tracked beside R; otherwise it is left to refits of "
-        "the learner.",
-    )
-    caution: CautionSettings = Field(
-        default=CautionSettings(period=10), description="How the gain is made of it, and when."
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,11 +36,23 @@ class Known:
             those of the settings.
         column: RF column, shape (n,) [m/Hz], with which each covariance has one row and one column
             more; None: as the policy was told.
+        chi2: Mean squared normalised innovation of late [1].
     """
 
     response: Vector
     covariances: tuple[Vector, ...] | None
     column: Vector | None = None
+    chi2: float = 1.0
+
+
+_LOOKED_BACK = 50.0
+"""Ticks over which it is asked how well readings are explained [ticks]: with 180 BPMs noise moves
+their mean χ² by 1 % then."""
+
+
+_SAFE = 200
+"""Ticks after which what was learnt is kept through a trip [ticks]: a ring that answers oddly trips
+the loop sooner, or not at all."""
 
 
 class Track:
@@ -111,6 +62,10 @@ class Track:
         known: What is known at first.
         settings: Of the law.
         rf: What is told of the RF; None: it does not step.
+
+    Attributes:
+        chi2: Mean squared normalised innovation of late; 1 where what is known of R, with its
+            doubt, explains the readings.
     """
 
     def __init__(self, known: Known, settings: AdaptiveSettings, rf: KnownRf | None = None) -> None:
@@ -118,6 +73,7 @@ class Track:
             rf = replace(rf, response=known.column)
         self.estimate = RecursiveResponse(known.response, settings.tracking, known.covariances, rf)
         self.gain = CautiousGain(self.estimate, settings.caution)
+        self.chi2 = known.chi2
         self._take_gains()
 
     def change(self, reading: Vector) -> Vector:
@@ -137,7 +93,10 @@ class Track:
         Returns:
             Whether there is a new gain.
         """
-        renewed = self.gain.follow(self.estimate.read(reading), both=True)
+        said = self.estimate.read(reading)
+        if not said.kick:
+            self.chi2 += (said.chi2 - self.chi2) / _LOOKED_BACK
+        renewed = self.gain.follow(said, both=True)
         self.estimate.predict(applied, hertz)
         if renewed:
             self._take_gains()
@@ -200,6 +159,7 @@ class AdaptivePolicy:
         self.settings = settings
         self._policy_id = policy_id or "adaptive-" + content_hash(settings, matrix, *(parts or ()))
         self.known = Known(matrix, parts)
+        self._kept, self._age = (self.known, self.known), 0
         self.rf: KnownRf | None = None
         self._infill = Infill(matrix)
         self._rest: tuple[Known, Vector] | None = None
@@ -208,6 +168,11 @@ class AdaptivePolicy:
     def policy_id(self) -> str:
         """Name under which the store and every record know it; learning does not change it."""
         return self._policy_id
+
+    @property
+    def chi2(self) -> float:
+        """Mean squared normalised innovation of late: 1 while it explains what it reads [1]."""
+        return self.known.chi2
 
     @property
     def response(self) -> Vector:
@@ -278,10 +243,22 @@ class AdaptivePolicy:
         Returns:
             The filter.
         """
+        self._age += 1
+        if self._age >= _SAFE:
+            self._kept, self._age = (self._kept[1], self.known), 0
         if state.learn(self._filled(error, valid, state), applied, hertz):
             its = state.estimate
-            self.known = Known(frozen(its.response), its.whole_covariances, its.column)
+            self.known = Known(frozen(its.response), its.whole_covariances, its.column, state.chi2)
         return state
+
+    def take_back(self) -> None:
+        """Know what was known some hundred ticks ago: the loop has tripped.
+
+        A ring that answers oddly for a second teaches a response that is not its own, and it is
+        with that one that the loop tripped.
+        """
+        self.known = self._kept[0]
+        self._kept, self._age = (self.known, self.known), 0
 
     def _filled(self, error: Vector, valid: Mask, state: Track) -> Vector:
         if np.count_nonzero(valid) == len(valid):

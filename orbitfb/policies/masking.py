@@ -32,7 +32,7 @@ from pydantic import Field
 
 from orbitfb.core.errors import ConfigError, RingError
 from orbitfb.core.near_names import did_you_mean
-from orbitfb.core.ports import Policy, inform
+from orbitfb.core.ports import Policy, inform, take_back
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.policies.inverse import frozen
@@ -142,6 +142,15 @@ class MaskedPolicy:
     def learns(self) -> bool:
         """Whether the policy inside learns while it acts."""
         return bool(getattr(self.policy, "learns", False))
+
+    @property
+    def chi2(self) -> float:
+        """How well the policy inside explains what it reads, if it learns; else infinite [1]."""
+        return float(getattr(self.policy, "chi2", np.inf))
+
+    def take_back(self) -> None:
+        """Tell the policy inside that the loop has tripped, if it learns."""
+        take_back(self.policy)
 
     @property
     def rf(self) -> Any:

@@ -6,7 +6,7 @@ from pydantic import Field, JsonValue, field_validator, model_validator
 
 from orbitfb.core.near_names import did_you_mean
 from orbitfb.core.settings import Settings
-from orbitfb.policies.adaptive import AdaptiveSettings
+from orbitfb.policies.adaptive_settings import AdaptiveSettings
 from orbitfb.policies.modal import ModalSettings
 from orbitfb.policies.network import NetworkSettings
 from orbitfb.policies.store.kinds import TAKEN, Kind, added_kinds

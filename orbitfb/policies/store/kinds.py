@@ -17,7 +17,8 @@ from orbitfb.core.plugins import POLICIES, added
 from orbitfb.core.ports import Policy
 from orbitfb.core.settings import Settings
 from orbitfb.estimation.recursive.settings import MOST_GROUPS
-from orbitfb.policies.adaptive import AdaptivePolicy, AdaptiveSettings
+from orbitfb.policies.adaptive import AdaptivePolicy
+from orbitfb.policies.adaptive_settings import AdaptiveSettings
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.modal import ModalPolicy, ModalSettings
 from orbitfb.policies.network import LAYERS, NetworkPolicy, NetworkSettings, hidden_width

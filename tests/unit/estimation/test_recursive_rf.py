@@ -8,7 +8,8 @@ from orbitfb.core.ports import inform
 from orbitfb.estimation.columns import KnownRf
 from orbitfb.estimation.recursive.estimate import RecursiveResponse
 from orbitfb.estimation.recursive.settings import RecursiveSettings
-from orbitfb.policies.adaptive import AdaptivePolicy, AdaptiveSettings
+from orbitfb.policies.adaptive import AdaptivePolicy
+from orbitfb.policies.adaptive_settings import AdaptiveSettings
 from orbitfb.policies.masking import MaskedPolicy
 
 NOISE, STEP, N, M, COUNT = 0.2e-6, 0.05e-6, 5, 4, 90

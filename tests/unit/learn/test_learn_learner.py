@@ -68,9 +68,9 @@ class Pupil:
 
     learns = True
 
-    def __init__(self, policy):
+    def __init__(self, policy, chi2=2.0):
         self.response, self.gain_matrix = policy.response, policy.gain_matrix
-        self.policy_id = "pupil"
+        self.policy_id, self.chi2 = "pupil", chi2
 
 
 def test_a_policy_that_learns_is_replaced_only_when_rows_refute_what_it_knows(truth, right, wrong):
@@ -81,6 +81,14 @@ def test_a_policy_that_learns_is_replaced_only_when_rows_refute_what_it_knows(tr
     learner = learner_from(0.4 * truth, identify={"prior_relative": 1.0})
     report, candidate = learner.refit(wrong.transitions(), Pupil(wrong.policy), "periodic")
     assert report.decision is Decision.ACCEPTED and candidate is not None
+
+
+def test_a_policy_that_learns_stays_while_it_explains_what_it_reads(truth, wrong):
+    """Rows say much against its R̂ alone where it doubts R̂ as much as they say."""
+    learner = learner_from(0.4 * truth, identify={"prior_relative": 1.0})
+    report, candidate = learner.refit(wrong.transitions(), Pupil(wrong.policy, 1.1), "periodic")
+    assert report.decision is Decision.REFUSED and candidate is None
+    assert "its own χ² 1.1, limit 1.3" in report.reason
 
 
 def test_rows_teach_once(truth, right):

@@ -254,7 +254,8 @@ def test_correctors_that_move_undo_the_dispersion_orbit():
 @pytest.mark.parametrize(("track", "size"), [(False, 1.0), (True, 1.3)])
 def test_beside_the_law_that_learns_the_frequency_follows(track: bool, size: float):
     """A law that took the drift of the energy for the answer to steps would let it go."""
-    from orbitfb.policies.adaptive import AdaptivePolicy, AdaptiveSettings
+    from orbitfb.policies.adaptive import AdaptivePolicy
+    from orbitfb.policies.adaptive_settings import AdaptiveSettings
 
     bench = Bench()
     law = AdaptivePolicy(RESPONSE, AdaptiveSettings(track_rf=track))

@@ -58,7 +58,8 @@ class Bench:
         # The questions of the loop are drawn without a seed; they have tests of their own.
         self.obstacle = ""
         self.clock, self.records = ManualClock(), []
-        self.machine = PlantMachine(Plant(RING, "x", seed=seed), self.clock)
+        self.plant = Plant(RING, "x", seed=seed)
+        self.machine = PlantMachine(self.plant, self.clock)
         self.bad = Bad(self.clock)
         self.slot = PolicySlot(policy or self.bad)
         self.baseline = SvdPolicy(response, SvdSettings(gain=0.6), "baseline")
@@ -113,6 +114,9 @@ class Pupil(Bad):
         self.told.append((error, valid, applied))
         return state
 
+    def take_back(self):
+        self.told.clear()
+
 
 def test_a_policy_that_learns_is_told_what_was_sent_in_every_tick_that_sends():
     bench = Bench()
@@ -127,6 +131,16 @@ def test_a_policy_that_learns_is_told_what_was_sent_in_every_tick_that_sends():
     bench.runner.command("open")
     bench.steps(3)
     assert len(pupil.told) == len(sent)
+
+
+def test_a_policy_that_learns_takes_back_what_it_learnt_when_the_loop_trips():
+    bench = Bench()
+    pupil = Pupil(bench.clock)
+    bench.slot.swap(pupil)
+    assert bench.steps(40).state is LoopState.CLOSED and pupil.told
+    bench.plant.kick(5e-3)
+    assert bench.steps(3).state is LoopState.TRIPPED
+    assert not pupil.told
 
 
 def test_the_baseline_goes_on_when_a_policy_cannot_learn():

@@ -9,7 +9,8 @@ import numpy as np
 
 import orbitfb.policies
 from orbitfb.core.ports import Policy
-from orbitfb.policies.adaptive import AdaptivePolicy, AdaptiveSettings
+from orbitfb.policies.adaptive import AdaptivePolicy
+from orbitfb.policies.adaptive_settings import AdaptiveSettings
 from orbitfb.policies.embedding import embed
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.modal import ModalPolicy, ModalSettings

@@ -5,7 +5,8 @@ import pytest
 from policy_examples import BPMS, CORRECTORS, make_response
 
 from orbitfb.core.ports import inform
-from orbitfb.policies.adaptive import AdaptivePolicy, AdaptiveSettings
+from orbitfb.policies.adaptive import AdaptivePolicy
+from orbitfb.policies.adaptive_settings import AdaptiveSettings
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.store.kinds import kind_of
 
@@ -139,3 +140,27 @@ def test_to_decide_teaches_nothing(size):
     again, _ = policy.act(np.full(BPMS, size), EVERY, state)
     np.testing.assert_array_equal(first, again)
     np.testing.assert_array_equal(state.estimate.response, before)
+
+
+def test_it_says_how_well_it_explains_what_it_reads():
+    """About 1 while R̂, with its doubt, explains the readings; more where R has the other sign."""
+    truth = make_response()
+    policy = AdaptivePolicy(wrong_response(relative=0.0), settings())
+    run(policy, truth)
+    assert policy.chi2 < 1.2
+    run(policy, -truth, ticks=20, seed=2)
+    assert MaskedPolicy(policy, truth, np.ones(CORRECTORS, dtype=bool)).chi2 > 1.3
+
+
+def test_a_trip_takes_back_what_was_learnt_shortly_before():
+    truth = make_response()
+    policy = AdaptivePolicy(wrong_response(), settings())
+    run(policy, truth, ticks=650)
+    before = policy.response
+    run(policy, -truth, ticks=50, seed=2)
+    assert off(policy.response, truth) > 2.0 * off(before, truth)
+    MaskedPolicy(policy, truth, np.ones(CORRECTORS, dtype=bool)).take_back()
+    assert off(policy.response, truth) < 1.2 * off(before, truth)
+    kept = policy.response
+    policy.take_back()
+    assert policy.response is kept
