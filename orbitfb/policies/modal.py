@@ -43,7 +43,7 @@ from orbitfb.policies.inverse import (
     frozen,
     regularised_inverse,
 )
-from orbitfb.policies.masking import Infill
+from orbitfb.policies.recent import Recent
 
 _ORTHONORMAL = 1e-6
 
@@ -87,8 +87,8 @@ class ModalSettings(Settings):
 class ModalPolicy:
     """Correct every mode with the gain that its signal and its noise call for.
 
-    Masked BPMs are filled in by what the valid ones let expect. There is no state, and the
-    tensors are copied and read-only, so a policy can be shared between threads.
+    Without some BPMs the law is made anew for the others. There is no state, and the tensors are
+    copied and read-only, so a policy can be shared between threads.
 
     Args:
         response: R, shape (n, m) [m/A].
@@ -160,7 +160,7 @@ class ModalPolicy:
         self._back = frozen(np.where(bent, far - near, 0.0) * units) if two_scales else None
         self._linear = not bent.any()
         self.gain_matrix = frozen(slopes @ self.modes.T)
-        self._infill = Infill(self.response)
+        self._without: Recent[ModalPolicy] = Recent(self._of)
 
     @property
     def policy_id(self) -> str:
@@ -183,7 +183,9 @@ class ModalPolicy:
             The change of setpoints, shape (m,) [A], and no state.
         """
         if np.count_nonzero(valid) != len(valid):  # a third of the time of valid.all()
-            error = self._infill.fill(error, valid)
+            if not valid.any():
+                return np.zeros(self.response.shape[1]), None
+            return self._without.get(valid).act(error[valid], valid[valid], None)
         if self._linear:
             return -self.gain_matrix.dot(error), None
         amplitudes = self._inward.dot(error)
@@ -210,6 +212,21 @@ class ModalPolicy:
             return amplitudes @ self._outward.T + bent @ self._back.T
         amplitudes -= self._bend * bent
         return amplitudes @ self._outward.T
+
+    def _of(self, valid: Mask) -> "ModalPolicy":
+        """Make the law of some of the BPMs: a mode of theirs has the gains of those it is made of.
+
+        Args:
+            valid: They, shape (n,).
+        """
+        response = self.response[valid]
+        modes = left_modes(response)
+        alike = (self.modes[valid].T @ modes) ** 2  # of mode i in mode j
+        gains = np.clip(self.gains @ alike / alike.sum(axis=0), 0.0, 1.0)
+        thresholds = self.thresholds[np.argmax(alike, axis=0)]
+        return ModalPolicy(
+            response, self.settings, modes, gains, thresholds, self.covariance, self.policy_id
+        )
 
     def _near_inverse(self) -> Vector:
         share, strength = self.settings.near_caution, self.damping

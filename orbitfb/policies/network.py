@@ -27,7 +27,7 @@ from orbitfb.core.errors import ConfigError, RingError
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.policies.inverse import checked_response, content_hash, frozen
-from orbitfb.policies.masking import Infill
+from orbitfb.policies.masking import NOISY, Infill
 
 Weights = tuple[NDArray[np.float32], ...]
 """Matrices from the first layer to the last, each of shape (out, in)."""
@@ -75,7 +75,7 @@ class NetworkPolicy:
         )
         self._per_scale = 1.0 / self.settings.input_scale
         self._layers, self._last = _without_zeros(self.weights)
-        self._infill = Infill(self.response)
+        self._infill = Infill(self.response, NOISY)
 
     @property
     def policy_id(self) -> str:
