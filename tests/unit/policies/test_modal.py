@@ -213,7 +213,7 @@ def test_what_makes_no_law_is_refused(given, error, words):
 
 
 def test_without_some_bpms_it_is_the_law_of_the_others():
-    """Readings that are filled in carry the noise of their neighbours; the floor rose by a tenth."""
+    """What is filled in carries the noise of its neighbours: the floor rose by a tenth."""
     matrix = response(Ring.load(), "x")
     valid = np.ones(len(matrix), dtype=bool)
     valid[np.random.default_rng(1).choice(len(valid), 9, replace=False)] = False
