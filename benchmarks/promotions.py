@@ -1,7 +1,7 @@
 """What the learner promotes on a ring that rests and on rings that drift.
 
     python -m benchmarks.promotions [--minutes 60] [--drift none,paper,mild,strong] [--seed 1]
-                                    [--rule before,now] [--policy svd]
+                                    [--rule before,now] [--policy svd] [--caution 0.1]
 
 The loop runs in process, as fast as it goes, with the service's own learner: identification,
 judge, shadow and watch, at 10 orbits a second. Every run is made twice on the same ring and the
@@ -33,6 +33,7 @@ from orbitfb.core.ports import Policy  # noqa: E402
 from orbitfb.core.refit import Decision, RefitReport  # noqa: E402
 from orbitfb.core.transitions import Transitions  # noqa: E402
 from orbitfb.estimation.recursive.estimate import RecursiveResponse  # noqa: E402
+from orbitfb.evaluate.live_settings import informed  # noqa: E402
 from orbitfb.evaluate.simulate import ClosedLoop  # noqa: E402
 from orbitfb.learn.builders import builder, first_policy  # noqa: E402
 from orbitfb.learn.forecast import predict_loop  # noqa: E402
@@ -224,16 +225,20 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of ring, noise and drift")
     parser.add_argument("--rule", default="before,now", help="rules, by commas")
     parser.add_argument("--policy", default="svd", help="kind of the policy")
+    parser.add_argument("--caution", type=float, help="of the law `adaptive`, if not its default")
     options = parser.parse_args()
     ticks = int(options.minutes * 60 * RATE)
     policy = PolicySettings(kind=options.policy)
-    informed = "modal" if options.policy == "adaptive" else options.policy
+    if options.caution is not None:
+        caution = policy.adaptive.caution.model_copy(update={"caution": options.caution})
+        law = policy.adaptive.model_copy(update={"caution": caution})
+        policy = policy.model_copy(update={"adaptive": law})
     print(
         "drift  seed  rule    refits promoted   share               first useful   true um rms"
         "   over told   covered"
     )
     for drift in options.drift.split(","):
-        bound = told(drift, options.seed, ticks, PolicySettings(kind=informed))
+        bound = told(drift, options.seed, ticks, informed(policy))
         for rule in options.rule.split(","):
             run = Bench(drift, options.seed, ticks, RULES[rule], policy).run()
             print(line(drift, options.seed, rule, run, bound), flush=True)

@@ -6,8 +6,7 @@ looks on between two ticks, so that its arithmetic takes hardly any simulated ti
 the same on any computer. With a `rate_hz` both tick at that rate and the learner is a thread, as
 in operation. Every law gets a ring of its own with the same seed, one after the other:
 
-- `told`: the policy is rebuilt from the true R_t every few ticks, the bound; beside a law that
-  learns while it acts it is the noise-aware one (`modal`), which has nothing to learn;
+- `told`: the policy is rebuilt from the true R_t every few ticks, the bound (`informed`);
 - `frozen`: keeps the R of the first tick, watched for a degradation that nobody acts upon;
 - `ours`: the learner, with its judge, its trial in shadow and its roll-back.
 """
@@ -25,7 +24,7 @@ from orbitfb.core.refit import Alarm, Decision, RefitReport
 from orbitfb.core.signals import LoopState, TickRecord, Vector
 from orbitfb.epics.settings import AuxiliarySettings, EpicsSettings
 from orbitfb.evaluate.closed import accelerated, closed_loop
-from orbitfb.evaluate.live_settings import LiveSettings
+from orbitfb.evaluate.live_settings import LiveSettings, informed
 from orbitfb.history.buffer import History
 from orbitfb.learn.builders import ResponsePolicy, builder, first_policy
 from orbitfb.learn.learner import Learner
@@ -207,9 +206,7 @@ class _Live:
 
     def _build(self, response: Vector) -> ResponsePolicy:
         policy = self._settings.policy
-        if self._law == "told" and policy.kind == "adaptive":
-            policy = policy.model_copy(update={"kind": "modal"})
-        return first_policy(response, policy)
+        return first_policy(response, informed(policy) if self._law == "told" else policy)
 
     def _learner(self, response: Vector) -> LearnerThread:
         """Make the learner; beside a frozen law it only watches."""

@@ -35,3 +35,8 @@ class LiveSettings(Settings):
             return PlantSettings()
         drift = {"preset": self.drift, "ticks": self.ticks}
         return PlantSettings(drift=DriftSettings.model_validate(drift))
+
+
+def informed(policy: PolicySettings) -> PolicySettings:
+    """Say which law is told R beside a law: the same; for one that learns, the noise-aware one."""
+    return policy.model_copy(update={"kind": "modal"}) if policy.kind == "adaptive" else policy

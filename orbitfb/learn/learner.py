@@ -268,8 +268,8 @@ class Learner:
         if since.asked and since.chi2 > trigger:
             return Verdict(
                 False,
-                f"R̂ does not explain the newest rows (χ² {since.chi2:.3g}, limit {trigger:g}): a "
-                "ring that stays as it is now teaches it, one that answers oddly for a while not",
+                f"R̂ does not explain the newest rows (χ² {since.chi2:.3g}, limit {trigger:g}): it "
+                "learns from them if the ring stays as it is now",
                 {},
             )
         if self._learns and (since.page < enough or self._explains < trigger):

@@ -51,8 +51,8 @@ their mean χ² by 1 % then."""
 
 
 _SAFE = 200
-"""Ticks after which what was learnt is kept through a trip [ticks]: a ring that answers oddly trips
-the loop sooner, or not at all."""
+"""Ticks after which what was learnt is kept through a trip [ticks]. By hand: four times the longest
+fault of `benchmarks.odd_answers --policy adaptive`, 50 ticks, after which no loop was lost."""
 
 
 class Track:

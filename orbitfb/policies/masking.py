@@ -41,8 +41,9 @@ from orbitfb.policies.recent import Recent
 FLOOR = 1e-4
 """Part of the orbit's variance that no corrector explains [1]."""
 NOISY = 1e-2
-"""The same for a law without memory, which answers the noise of the readings as it is: of 1e-6 to
-0.1, by decades, the one with the lowest floor of `benchmarks.policies` with nine BPMs masked."""
+"""The same for a law without memory, which answers the noise of the readings as it is. By hand, of
+the decades from 1e-6 to 0.1; what it leaves stands in the column `masked` of
+`benchmarks.policies`."""
 
 
 class Infill:

@@ -24,4 +24,4 @@ def true_orbit(folder, learning):
 def test_the_orbit_ends_where_the_tutorial_says_with_learning_and_without(tmp_path):
     with ThreadPoolExecutor() as both:
         ends = list(both.map(lambda learning: true_orbit(tmp_path, learning), ("true", "false")))
-    assert all(2.5 < end < 4.5 for end in ends)
+    assert all(3.0 < end < 4.0 for end in ends)

@@ -7,7 +7,9 @@ of smooth courses would. These are no causes: where one of them says more than t
 joins the floor, and the search begins anew.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -24,8 +26,8 @@ from orbitfb.estimation.transform import Matrix
 _TURNS, _ROUNDS = 3, 6
 """Turns in which walk and shaking are fitted one beside the other, and the rounds of each."""
 _NEAR = 0.5
-"""Share of what it has to have that it must have over one floor, before both have floors of their
-own, which take twice as long as all else here."""
+"""Share of what it has to have that it must have before it gets a floor of its own: half may be in
+the floor, as for a candidate (`own_floors.refitted`)."""
 _LEVELS = np.geomspace(0.01, 100.0, 41)
 """Factors of the walk's covariance that are tried for a colour of the ground."""
 
@@ -38,17 +40,18 @@ def with_motion(space: Workspace, enough: float) -> Workspace | None:
         enough: Evidence that it has to have [nats]: that of the best cause.
     """
     left, scatter = space.unmodelled()
+    base = cache(lambda: space.with_floor().log_posterior())
     found = []
     if space.noise.shaken is None:
-        found.append(_shaken(space, left, scatter, enough))
+        found.append(_shaken(space, left, scatter, base, enough))
     if not space.noise.colour:
-        found.append(_coloured(space, left, scatter, enough))
+        found.append(_coloured(space, left, scatter, base, enough))
     gain, after = max(found, key=lambda one: one[0], default=(0.0, space))
     return after if gain > enough else None
 
 
 def _shaken(
-    space: Workspace, left: Matrix, scatter: Matrix, enough: float
+    space: Workspace, left: Matrix, scatter: Matrix, base: Callable[[], float], enough: float
 ) -> tuple[float, Workspace]:
     """Motion that is new at every row, and what it is worth [nats].
 
@@ -60,7 +63,7 @@ def _shaken(
     if moments.more(noise, _floor(space, moments, False)) < _NEAR * enough:
         return 0.0, space
     after = space.with_noise(noise).with_floor()
-    gain = after.log_posterior() - space.with_floor().log_posterior()
+    gain = after.log_posterior() - base()
     if gain < enough:
         return gain, after
     chance = 0.0
@@ -85,7 +88,7 @@ def _floor(space: Workspace, moments: Moments, shaken: bool) -> StepNoise:
 
 
 def _coloured(
-    space: Workspace, left: Matrix, scatter: Matrix, enough: float
+    space: Workspace, left: Matrix, scatter: Matrix, base: Callable[[], float], enough: float
 ) -> tuple[float, Workspace]:
     """A ground of another colour than a walk's, and what it is worth [nats]."""
     moments = Moments.of(left, space.transform).beside(scatter)
@@ -99,8 +102,7 @@ def _coloured(
     level = worth[best][1]
     noise = replace(space.noise, colour=best, walk=level * space.noise.walk)
     after = replace(space, weights=level * space.weights).with_noise(noise).with_floor()
-    gain = after.log_posterior() - space.with_floor().log_posterior()
-    return gain - VALUE_COST, after
+    return after.log_posterior() - base() - VALUE_COST, after
 
 
 def _worth(
