@@ -104,7 +104,7 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     if not any(np.any(one) for one in spectra):
         return None
     count = len(law.names)
-    error = scorer.own_error(kind, np.arange(count))
+    error = scorer.own_error(kind)
     pull, information = scorer.apart(law, values, error)
     shown = sign(pull, information)
     kicks = _kicks(law, scorer, spectra) if law.standing else None
@@ -127,22 +127,15 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
         for turned in (scorer.space.transform.turn(one) for one in spectra)
     ]
     onsets = np.arange(0, len(steps[0]), ONSETS_EVERY)
+    among = [np.searchsorted(hopeful, its) for its in sets]
     parts = [
-        scorer.rows.since(pattern[:, hopeful], own[:, hopeful], onsets, error)
+        scorer.rows.since(pattern[:, hopeful], own[:, hopeful], onsets, error, among)
         for pattern, own in zip(law.patterns, steps, strict=True)
     ]
-    pulls = np.sum([pull for pull, _ in parts], axis=0)
-    weights = np.sum([weight for _, weight in parts], axis=0)
     # Of a law of one size, too: healthy errors stand in for a part of what is left of it.
-    gains = [any_size(pulls, weights)]
+    gain = any_size(*(np.sum(its, axis=0) for its in zip(*parts, strict=True)))
     if kicks is not None:
-        gains[0] = gains[0] + np.maximum.reduceat(kicks[:, hopeful], onsets, axis=0)
-    for its in sets:
-        patterns = np.hstack([one[:, its] for one in law.patterns])
-        own = np.hstack([one[:, its] for one in steps])
-        weight = scorer.rows.together(patterns, own, onsets, *scorer.own_errors(kind, its))
-        gains.append(any_size(pulls[:, np.searchsorted(hopeful, its)].sum(axis=1), weight)[:, None])
-    gain = np.hstack(gains)
+        gain = gain + np.maximum.reduceat(kicks[:, hopeful], onsets, axis=0)
     outside = (onsets < ONSET_MARGIN) | (onsets > len(scorer.space.transform) - ONSET_MARGIN)
     gain[outside] = -np.inf
     onset, place = map(int, np.unravel_index(int(np.argmax(gain)), gain.shape))

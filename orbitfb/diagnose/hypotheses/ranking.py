@@ -58,7 +58,7 @@ def ranked(kind: EffectKind, law: DeviceLaw, scorer: Scorer) -> Ranked:
     scorer.space.courses.ahead(law, grid)
     own = kind.own_grid(scorer.space.signals.record)
     devices = law.patterns[0].shape[1]
-    error = scorer.own_error(kind, np.arange(devices))
+    error = scorer.own_error(kind)
     alone = np.full((len(grid) + len(own), devices), -np.inf)
     together = np.full((len(grid), 2), -np.inf)  # of all devices, and of the best group
     shown = np.zeros(len(grid))
@@ -106,7 +106,7 @@ def stood_in(kind: EffectKind, law: DeviceLaw, values: Values, scorer: Scorer) -
     A corrector that stands still is one of gain −1 as long as it does so: nothing of it shows
     but where it begins.
     """
-    own = scorer.own_error(kind, np.arange(law.patterns[0].shape[1]))
+    own = scorer.own_error(kind)
     if own is None:
         return False
     left, whole = scorer.apart(law, values, own)[1], scorer.apart(law, values, None)[1]

@@ -1,6 +1,7 @@
 """Sums over rows instead of frequencies: what begins late is weighed from its beginning on."""
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,16 +29,26 @@ class OwnError:
     Args:
         first: Number of the first of its columns among all errors.
         spectrum: Transformed steps of its courses, shape (T, k).
-        steps: The same from row to row, shape (T, k).
+        whitened: The same from row to row, by the root of the filter, shape (T, k) each.
         variance: Of its size before the record is seen, shape (k,).
         information: Of its size, shape (k,).
     """
 
     first: int
     spectrum: Single
-    steps: Matrix
+    whitened: Mapping[float, Matrix]
     variance: Vector
     information: Vector
+
+    def of(self, devices: Indices) -> "OwnError":
+        """That of some of the devices."""
+        return replace(
+            self,
+            spectrum=self.spectrum[:, devices],
+            whitened={root: one[:, devices] for root, one in self.whitened.items()},
+            variance=self.variance[devices],
+            information=self.information[devices],
+        )
 
     def marginal(self, information: Vector, cross: Vector, own: Vector | None = None) -> Vector:
         """Information of other courses of the devices with the error marginalised.
@@ -140,74 +151,57 @@ class Rows:
         pull[rows - 1] -= along
         return pull
 
+    def whitened(self, steps: Matrix) -> dict[float, Matrix]:
+        """Innovations of steps in every group of modes, by its root."""
+        return {float(root): whitened_by(steps, float(root)) for root in self.roots}
+
     def since(
-        self, pattern: Matrix, steps: Matrix, onsets: Indices, own: OwnError | None
+        self,
+        pattern: Matrix,
+        steps: Matrix,
+        onsets: Indices,
+        own: OwnError | None,
+        sets: Sequence[Indices] = (),
     ) -> tuple[Matrix, Matrix]:
         """Pull and information of what is left of courses that begin late.
 
         A course that begins at a row has the steps after it. Its information is that of the
-        whitened steps, ε_n = Δ_n + r ε_{n−1}, r the root of the mode's moving average.
+        whitened steps, ε_n = Δ_n + r ε_{n−1}, r the root of the mode's moving average. Errors of
+        its devices take from a set the share that each takes from its own device.
 
         Args:
             pattern: Shape (n, D) [m].
             steps: Of the courses, shape (T, D).
             onsets: Steps at which they begin, shape (O,).
             own: Healthy error of the devices, which is marginalised.
+            sets: Devices that begin together.
 
         Returns:
-            Pull and information, shape (O, D) each.
+            Pull and information of every device, then of every set, shape (O, D + S) each.
         """
         pull = sums_since((self.late @ pattern) * steps, onsets)
-        seen = (pattern.T @ self.noise.modes) ** 2
-        information, cross = np.zeros_like(pull), np.zeros_like(pull)
-        usual = np.zeros(pull.shape[1])
+        modes = pattern.T @ self.noise.modes
+        alone, cross = np.zeros_like(pull), np.zeros_like(pull)
+        usual, square = np.zeros(pull.shape[1]), np.zeros((len(steps), len(sets)))
         for root, group in zip(self.roots, self.groups, strict=True):
-            weight = root * seen[:, group].sum(axis=1)
+            seen = modes[:, group]
+            weight = root * np.sum(seen**2, axis=1)
             whitened = whitened_by(steps, float(root))
-            information += weight * sums_since(whitened**2, onsets)
+            alone += weight * sums_since(whitened**2, onsets)
             if own is not None:
-                beside = whitened_by(own.steps, float(root))
+                beside = own.whitened[float(root)]
                 cross += weight * sums_since(whitened * beside, onsets)
                 usual += weight * np.sum(beside**2, axis=0)
-        if own is not None:
-            information = own.marginal(information, cross, usual)
-        return pull, information
-
-    def together(
-        self,
-        patterns: Matrix,
-        steps: Matrix,
-        onsets: Indices,
-        own: OwnError | None,
-        beside: Matrix,
-    ) -> Vector:
-        """Information of columns that begin late together, (O,).
-
-        Args:
-            patterns: Of the columns, shape (n, c) [m].
-            steps: Of their courses, shape (T, c).
-            onsets: Steps at which they begin.
-            own: Healthy errors of the devices, which are all marginalised.
-            beside: Patterns of these errors, shape (n, e) [m].
-        """
-        square = np.zeros((len(steps), 1))
-        count = 0 if own is None else len(own.variance)
-        cross, usual = np.zeros((len(steps), count)), np.zeros((count, count))
-        for root, group in zip(self.roots, self.groups, strict=True):
-            modes = self.noise.modes[:, group]
-            seen, course = patterns.T @ modes, whitened_by(steps, float(root))
-            square[:, 0] += root * np.sum((course @ (seen @ seen.T)) * course, axis=1)
-            if own is not None:
-                errors, their = beside.T @ modes, whitened_by(own.steps, float(root))
-                cross += root * their * (course @ (seen @ errors.T))
-                usual += root * (their.T @ their) * (errors @ errors.T)
-        information = sums_since(square, onsets)[:, 0]
-        if own is None:
-            return information
-        known = np.where(own.variance > 0.0, 1.0 / np.maximum(own.variance, 1e-300), 1e300)
-        since = sums_since(cross, onsets)
-        taken = np.linalg.solve(usual + np.diag(known), since.T)
-        return np.maximum(information - np.einsum("oe,eo->o", since, taken), 0.0)
+            for number, its in enumerate(sets):
+                course, along = whitened[:, its].astype(np.float32), seen[its].astype(np.float32)
+                square[:, number] += root * np.sum((course @ (along @ along.T)) * course, axis=1)
+        information = alone if own is None else own.marginal(alone, cross, usual)
+        pulls, left = [pull], [information]
+        for its, whole in zip(sets, sums_since(square, onsets).T, strict=True):
+            share = information[:, its].sum(axis=1) / np.maximum(alone[:, its].sum(axis=1), 1e-300)
+            pulls.append(pull[:, its].sum(axis=1, keepdims=True))
+            left.append((share * whole)[:, None])
+        return np.hstack(pulls), np.hstack(left)
 
     def quick(
         self, pattern: Vector, course: Matrix, own: OwnError | None, late: Matrix | None = None
@@ -235,7 +229,7 @@ class Rows:
             whitened = whitened_by(steps, float(root))
             information += weight * np.sum(whitened**2, axis=0)
             if own is not None:
-                beside = whitened_by(own.steps, float(root))
+                beside = own.whitened[float(root)]
                 cross += weight * np.sum(whitened * beside, axis=0)
                 usual += weight * np.sum(beside**2, axis=0)
         return pull, information if own is None else own.marginal(information, cross, usual)

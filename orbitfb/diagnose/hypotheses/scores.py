@@ -37,6 +37,7 @@ class Scorer:
         sample: Frequencies that stand for all where values are ranked, and for how many each.
         kept: What patterns see, by their identity.
         nearby: Errors of the devices of a kind, by the kind.
+        usual: The healthy error of each of them, by the kind.
         smaller: The healthy errors as they are, and as they may be once a cause is known.
     """
 
@@ -53,6 +54,7 @@ class Scorer:
     sample: tuple[Indices, Vector]
     kept: dict[int, Seen] = field(default_factory=dict)
     nearby: dict[str, Beside | None] = field(default_factory=dict)
+    usual: dict[str, OwnError | None] = field(default_factory=dict)
     smaller: list[NormalPriors] = field(default_factory=list)
 
     @classmethod
@@ -250,34 +252,31 @@ class Scorer:
         """Whether healthy devices have it, up to a limit."""
         return any(block.kind is kind and not block.accepted for block in self.space.blocks)
 
-    def own_error(self, kind: EffectKind, devices: Indices) -> OwnError | None:
-        """The healthy error of the same devices; None where they have none.
+    def own_error(self, kind: EffectKind, devices: Indices | None = None) -> OwnError | None:
+        """The healthy error of the devices of a kind; None where they have none.
 
         Args:
             kind: Whose devices they are.
-            devices: Numbers of k of them.
+            devices: Numbers of some of them; None: all.
         """
+        if kind.target not in self.usual:
+            self.usual[kind.target] = self._own_error(kind.target)
+        own = self.usual[kind.target]
+        return own if own is None or devices is None else own.of(devices)
+
+    def _own_error(self, target: str) -> OwnError | None:
+        terms = self.space.terms
         for block in self.space.blocks:
-            if block.kind.target != kind.target or block.accepted:
+            variance = self.errors.variance[block.columns]
+            if block.kind.target != target or block.accepted or not np.any(variance):
                 continue
-            columns = block.columns.start + devices
-            variance = self.errors.variance[columns]
-            if not np.any(variance):
-                continue
-            spectrum = self.space.terms.spectrum[:, columns]
-            steps = self.space.transform.turn(spectrum)
+            spectrum = terms.spectrum[:, block.columns]
             return OwnError(
-                block.columns.start, spectrum, steps, variance,
-                np.diag(self.errors.information)[columns],
+                block.columns.start, spectrum,
+                self.rows.whitened(self.space.transform.turn(spectrum)), variance,
+                np.diag(self.errors.information)[block.columns],
             )  # fmt: skip
         return None
-
-    def own_errors(self, kind: EffectKind, devices: Indices) -> tuple[OwnError | None, Matrix]:
-        """The same, and the patterns of the errors, shape (n, k) [m]."""
-        own, terms = self.own_error(kind, devices), self.space.terms
-        if own is None:
-            return None, terms.patterns[:, :0]
-        return own, terms.patterns[:, terms.pattern[own.first + devices]]
 
     def apart(
         self, law: DeviceLaw, values: OwnValues, own: OwnError | None

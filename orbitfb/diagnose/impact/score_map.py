@@ -46,8 +46,7 @@ def _rows(part: Candidate, scorer: Scorer, cause: Named | None) -> Iterator[Scor
     if not part.sources:
         values = {p.name: p.typical if p.name == kind.linear else values[p.name]
                   for p in kind.parameters}  # fmt: skip
-    devices = np.arange(len(law.names))
-    pull, information = scorer.apart(law, values, scorer.own_error(kind, devices))
+    pull, information = scorer.apart(law, values, scorer.own_error(kind))
     gain = np.max([worth(pull, information) for worth, _ in worths_of(kind)], axis=0)
     fitted: set[int] = set()
     if cause is not None:

@@ -63,8 +63,9 @@ def test_what_begins_soon_has_what_a_healthy_error_of_the_same_course_leaves_it(
     known = 1e-6 * both[0, 0]
     expected = both[1, 1] - both[0, 1] ** 2 / (known + both[0, 0])
     spectrum = transform.quick_spectrum(whole)
-    error = OwnError(0, spectrum, transform.turn(spectrum), np.array([1.0 / known]), both[:1, 0])
     rows = Rows.of(np.zeros((len(transform), BPMS)), noise, transform)
+    whitened = rows.whitened(transform.turn(spectrum))
+    error = OwnError(0, spectrum, whitened, np.array([1.0 / known]), both[:1, 0])
     _, found = rows.quick(pattern, late, error)
     assert expected / 3.4 < found[0] < 3.4 * expected
     onsets = np.arange(0, len(transform), 10)
@@ -75,8 +76,10 @@ def test_what_begins_soon_has_what_a_healthy_error_of_the_same_course_leaves_it(
 def test_what_begins_together_has_what_the_errors_of_all_its_devices_leave_it(
     noise: StepNoise, transform: StepTransform
 ) -> None:
+    """They share much of what they do here; the errors' part is that of each for itself."""
     rng, onset = np.random.default_rng(7), 600
-    patterns = rng.standard_normal((BPMS, 3))
+    shared = rng.standard_normal((BPMS, 1))
+    patterns = shared + 0.7 * rng.standard_normal((BPMS, 3))
     courses = rng.standard_normal((ROWS, 3)).cumsum(axis=0)
     late = np.where(np.arange(ROWS)[:, None] < onset, 0.0, courses - courses[onset])
     fields = [np.outer(its, p) for its, p in zip(courses.T, patterns.T, strict=True)]
@@ -88,10 +91,10 @@ def test_what_begins_together_has_what_the_errors_of_all_its_devices_leave_it(
     expected = exact[3, 3] - cross @ np.linalg.solve(inner, cross)
     spectrum = transform.quick_spectrum(courses)
     steps = transform.turn(spectrum)
-    errors = OwnError(0, spectrum, steps, 1.0 / known, np.diag(exact)[:3])
     rows, onsets = Rows.of(np.zeros((len(transform), BPMS)), noise, transform), np.array([onset])
-    alone = rows.together(patterns, steps, onsets, None, patterns[:, :0])
-    assert alone == pytest.approx(exact[3, 3], rel=0.15)
-    assert rows.together(patterns, steps, onsets, errors, patterns) == pytest.approx(
-        expected, rel=0.3
-    )
+    errors = OwnError(0, spectrum, rows.whitened(steps), 1.0 / known, np.diag(exact)[:3])
+    three = [np.arange(3)]
+    _, alone = rows.since(patterns, steps, onsets, None, three)
+    assert alone[0, 3] == pytest.approx(exact[3, 3], rel=0.15)
+    _, left = rows.since(patterns, steps, onsets, errors, three)
+    assert left[0, 3] == pytest.approx(expected, rel=0.35)
