@@ -170,8 +170,9 @@ HEARD = 3
 right to a thousandth."""
 
 SETTLED = 0.05
-"""Share of what is undone in the readings by which it may still move when its sizes are told [1].
-By hand: a floor that was estimated with the cause in it takes part of it, the next one less."""
+"""Share of what a cause does, weighed by the floor, by which it may still move when its sizes are
+told [1]. By hand: a floor that was estimated with the cause in it takes part of it, the next one
+less."""
 
 FINENESS = 1.0 / 300.0
 """Share of the interval between two values of the grid to which the best one is found."""

@@ -28,10 +28,12 @@ from orbitfb.diagnose.hypotheses.ranking import (
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import best_set
+from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.terms import Single
+from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
-from orbitfb.estimation.evidence import NormalTerms, normal_size
+from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
 from orbitfb.estimation.priors import (
     ONSET_MARGIN,
     ONSET_SIGN,
@@ -44,6 +46,9 @@ from orbitfb.estimation.transform import Indices, Matrix
 _HOPEFUL = 24
 """Devices whose onsets are looked for at most, those of which most shows."""
 
+_COLUMNS = 400
+"""Courses of single devices that are weighed at once, exactly: as many as healthy errors have."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Begin:
@@ -54,12 +59,15 @@ class _Begin:
         places: Numbers of the devices: a single one, a group, or all (empty).
         row: At which they begin.
         values: Of the parameters.
+        others: Rows that were scanned, the best first: healthy errors make a law look much the
+            same from many of them.
     """
 
     evidence: float
     places: tuple[int, ...]
     row: int
     values: Values
+    others: tuple[int, ...] = ()
 
 
 def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> list[Candidate]:
@@ -147,7 +155,9 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
         row += int(np.argmax(kicks[row : row + ONSETS_EVERY, hopeful[place]]))
     rows = scorer.space.transform.step_rows()
     told = tuple(map(int, places)) if single or len(places) < count else ()
-    return _Begin(float(gain[onset, place] - cost), told, int(rows[row]), values)
+    order = onsets[np.argsort(-gain[:, place], kind="stable")]
+    others = tuple(int(one) for one in rows[order] if np.isfinite(gain[one // ONSETS_EVERY, place]))
+    return _Begin(float(gain[onset, place] - cost), told, int(rows[row]), values, others)
 
 
 def _kicks(law: DeviceLaw, scorer: Scorer, spectra: Sequence[Single]) -> Matrix:
@@ -191,32 +201,52 @@ def _exactly(
 ) -> Candidate:
     """A set that begins late, with and without what its beginning kicks, row by row.
 
-    The row is told by at most `_HOPEFUL` of its devices, each for itself.
+    The row is told by at most `_HOPEFUL` of its devices: first among those that were scanned, then
+    around the best of them; and again over a floor that was estimated with it.
     """
-    places, onset, values = begin.places, begin.row, begin.values
-    courses = law.course(values, scorer.space.signals)
-    last = scorer.space.transform.rows - 2
-    tried = np.arange(max(onset - 2 * ONSETS_EVERY, 1), min(onset + 2 * ONSETS_EVERY, last))
-    best: tuple[float, int, bool] = (-np.inf, onset, False)
-    for kick in (False, True):
-        pull, information = np.zeros(len(tried)), np.zeros(len(tried))
-        for device in (places or range(len(law.names)))[:_HOPEFUL]:
-            error = scorer.own_error(kind, np.array([device]))
-            for pattern, course in zip(law.patterns, courses, strict=True):
-                own = course[:, 0] if course.shape[1] == 1 else course[:, device]
-                begun = np.stack([_begun(own, int(row), kick) for row in tried], axis=1)
-                part, weight = scorer.rows.quick(pattern[:, device], begun, error)
-                pull, information = pull + part, information + weight
-        gain = any_size(pull, information)
-        place = int(np.argmax(gain))
-        best = max(best, (float(gain[place]), int(tried[place]), kick))
+    places, values = begin.places, begin.values
+    devices = (places or tuple(range(len(law.names))))[:_HOPEFUL]
+    worth, last = any_size if free else given_size, scorer.space.transform.rows - 2
+    best, tried = (-np.inf, begin.row, False), begin.others[: _COLUMNS // len(devices)]
+    for _ in range(2):
+        for kick in (False, True):
+            gain = worth(*_by_row(law, scorer, values, devices, tried, kick))
+            place = int(np.argmax(gain))
+            best = max(best, (float(gain[place]), tried[place], kick))
+        near = range(best[1] - 2 * ONSETS_EVERY, best[1] + 2 * ONSETS_EVERY)
+        tried = tuple(one for one in near if 0 < one < last)
     _, row, kick = best
+
+    def again(after: Workspace) -> Candidate:
+        return _exactly(kind, law, Scorer.of(over(scorer.space, after)), begin, cost, free)
+
     found = evaluated(kind, law, scorer, places, values, row, free, cost, kick)
+    found = replace(found, again=again)
     if not (free and 0 < len(places) <= _HOPEFUL):
         return found
     # What stands in a device before it begins is in no record: it may kick by any of it.
     kicked = _kicking(kind, law, scorer, replace(begin, row=row), cost)
     return max(found, kicked, key=lambda one: one.evidence)
+
+
+def _by_row(
+    law: DeviceLaw,
+    scorer: Scorer,
+    values: Values,
+    devices: Sequence[int],
+    rows: Sequence[int],
+    kick: bool,
+) -> tuple[Vector, Vector]:
+    """Pull and information of devices that begin together at a row, exactly, for every row."""
+    patterns, begun = [], []
+    for pattern, course in zip(law.patterns, law.course(values, scorer.space.signals), strict=True):
+        for device in devices:
+            own = course[:, 0] if course.shape[1] == 1 else course[:, device]
+            patterns.append(np.repeat(pattern[:, [device]], len(rows), axis=1))
+            begun.append(np.stack([_begun(own, row, kick) for row in rows], axis=1))
+    spectrum = scorer.space.transform.quick_spectrum(np.hstack(begun))
+    pull, information = scorer.columns(patterns, spectrum)
+    return pull, np.diag(information)
 
 
 def _hopeful_sets(

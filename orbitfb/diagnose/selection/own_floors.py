@@ -11,6 +11,7 @@ from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.first_states import with_first_states
 from orbitfb.estimation.priors import CLOSE, HEARD, LEADING, MISFIT, SETTLED, SURE
+from orbitfb.estimation.transform import Matrix
 
 
 def settled(
@@ -28,12 +29,18 @@ def settled(
     for _ in range(times):
         if best.again is None or best.field is None:
             break
-        last, more = best.field, best.again(after)
+        more = best.again(after)
+        moved = _weight(np.asarray(more.field) - best.field, after)
+        if moved < SETTLED**2 * _weight(best.field, after):
+            break
         best = replace(more, cost=best.cost if more.cost is None else more.cost)
         after = best.accepted(replace(space, noise=after.noise), spread)
-        if np.linalg.norm(np.asarray(best.field) - last) < SETTLED * np.linalg.norm(last):
-            break
     return best, after
+
+
+def _weight(field: Matrix, space: Workspace) -> float:
+    """What a field, shape (T, n) [m], weighs under a floor: twice its evidence [nats]."""
+    return float(np.sum(space.noise.pull(field, space.transform) * field))
 
 
 def refitted(

@@ -9,7 +9,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.likelihood.corrected import misses, redrawn
+from orbitfb.diagnose.likelihood.corrected import misses, over, redrawn
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.healthy_motion import with_motion
 from orbitfb.diagnose.selection.own_floors import refitted, settled
@@ -91,7 +91,7 @@ def tournament(
     """
     accepted: list[Candidate] = []
     rounds: list[Round] = []
-    space = redrawn(space)
+    space = first = redrawn(space)
     again = misses(space)
     while True:
         told = {one.kind.id for one in accepted if one.noisy}
@@ -113,8 +113,9 @@ def tournament(
         moving = with_motion(space, candidates[0].evidence)
         if moving is not None:
             tell("top healthy motion")
-            space = moving
-            rounds.pop()
+            # What was accepted without it was told over a floor of another form.
+            space = over(first, moving).with_floor() if accepted else moving
+            accepted, rounds = [], []
             continue
         if len(accepted) == ROUNDS or _composed([*accepted, candidates[0]]):
             return accepted, rounds
