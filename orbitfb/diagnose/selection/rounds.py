@@ -15,6 +15,7 @@ from orbitfb.diagnose.selection.healthy_motion import with_motion
 from orbitfb.diagnose.selection.own_floors import refitted, settled
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.priors import (
+    ALONE,
     AT_ONCE,
     FINALISTS,
     FIRST_ORDER,
@@ -56,6 +57,31 @@ def enough_beside(told: float, space: Workspace) -> float:
         space: That it was tried on: its healthy errors are a little wrong, too.
     """
     return SURE + MISFIT * told + _misfit(space)
+
+
+def _sure(one: Candidate, accepted: Sequence[Candidate], space: Workspace) -> bool:
+    """Whether a candidate is sure beside causes.
+
+    A law that is a little wrong is so at all its devices, and shows at all devices of others. One
+    of few devices that leaves nothing to the others is nothing of it, however little it has.
+
+    Args:
+        one: The best of a round.
+        accepted: Causes.
+        space: That it was tried on.
+    """
+    if one.evidence >= enough_beside(sum(its.evidence for its in accepted), space):
+        return True
+    here = sum(its.evidence for its in accepted if _few(its, space))
+    if not _few(one, space) or one.evidence < enough_beside(here, space):
+        return False
+    best, after = settled(one, space.trusting())
+    rest = candidates_of(after, [one.kind])
+    return not rest or rest[0].evidence < ALONE * best.evidence
+
+
+def _few(one: Candidate, space: Workspace) -> bool:
+    return 0 < 2 * len(one.places) <= len(space.signals.record.layout.bpms)
 
 
 def _misfit(space: Workspace) -> float:
@@ -108,7 +134,7 @@ def tournament(
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())
-        if not candidates or candidates[0].evidence < enough:
+        if not candidates or not _sure(candidates[0], accepted, space):
             return accepted, rounds
         moving = with_motion(space, candidates[0].evidence)
         if moving is not None:

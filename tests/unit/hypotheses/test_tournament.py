@@ -20,7 +20,7 @@ from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind, Parameter, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.effects.registry import all_effects, effect
-from orbitfb.estimation.priors import SURE
+from orbitfb.estimation.priors import MISFIT, SURE
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
@@ -317,3 +317,37 @@ def test_floors_are_compared_though_the_prior_of_the_walk_is_singular() -> None:
     size[0] = 0.0
     singular = replace(space, shape=(modes * size) @ modes.T)
     assert np.isfinite(singular.log_posterior())
+
+
+def gain_of_one(orbit: Matrix) -> Matrix:
+    read = orbit.copy()
+    read[:, 5] *= 1.08
+    return read
+
+
+def test_a_small_error_of_one_device_is_told_beside_a_large_law_of_all() -> None:
+    """It has less than the law would leave to others if it were a little wrong."""
+    record = make_record(31, lagging, gain_of_one, dither=0.05)
+    kinds = kinds_for(record)
+    accepted, _ = tournament(Workspace.of(record, kinds), kinds)
+    assert [(one.kind.id, one.names) for one in accepted] == [
+        ("corrector-lag", ()), ("bpm-gain", ("B5",)),
+    ]  # fmt: skip
+    assert accepted[1].evidence < MISFIT * accepted[0].evidence
+
+
+def unlike(currents: Matrix) -> Matrix:
+    """Every corrector follows upwards a tenth faster than downwards."""
+    kept, state = np.exp(-1.0), currents[0].copy()
+    for row in currents:
+        step = row - state
+        state = state + (1.0 - kept) * step * np.where(step > 0.0, 1.1, 0.9)
+    return state[None]
+
+
+def test_a_law_that_is_a_little_wrong_is_no_further_cause() -> None:
+    record = make_record(32, unlike, dither=0.05)
+    kinds = kinds_for(record)
+    accepted, rounds = tournament(Workspace.of(record, kinds), kinds)
+    assert [one.kind.id for one in accepted] == ["corrector-lag"]
+    assert rounds[-1].candidates[0].evidence > SURE
