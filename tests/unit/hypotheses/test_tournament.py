@@ -331,7 +331,7 @@ def test_a_small_error_of_one_device_is_told_beside_a_large_law_of_all() -> None
     kinds = kinds_for(record)
     accepted, _ = tournament(Workspace.of(record, kinds), kinds)
     assert [(one.kind.id, one.names) for one in accepted] == [
-        ("corrector-lag", ()), ("bpm-gain", ("B5",)),
+        ("corrector-lag", ()), ("bpm-gain", ("B5 (x)",)),
     ]  # fmt: skip
     assert accepted[1].evidence < MISFIT * accepted[0].evidence
 
