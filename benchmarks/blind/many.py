@@ -217,11 +217,11 @@ def generate(seed: int, out: Path, first: int | None) -> list[str]:
     if first is not None and first < len(wanted):
         order = np.random.default_rng(seed).permutation(len(wanted))[:first]
         wanted = [wanted[place] for place in sorted(order.tolist())]
-    return [_write(machine, fault, seed, out) for machine, fault in wanted]
+    return [write(machine, fault, seed, out) for machine, fault in wanted]
 
 
-def _write(name: str, fault: str, seed: int, out: Path) -> str:
-    """Write one record and its truth."""
+def write(name: str, fault: str, seed: int, out: Path) -> str:
+    """Write the record of one machine with one fault, or healthy, and its truth; give its name."""
     machine = HEALTHY[name]
     drawn = [seed, list(HEALTHY).index(name), ["healthy", *FAULTS].index(fault)]
     rng = np.random.default_rng(drawn)
