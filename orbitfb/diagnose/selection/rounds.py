@@ -62,8 +62,9 @@ def enough_beside(told: float, space: Workspace) -> float:
 def _sure(one: Candidate, accepted: Sequence[Candidate], space: Workspace) -> bool:
     """Whether a candidate is sure beside causes.
 
-    A law that is a little wrong is so at all its devices, and shows at all devices of others. One
-    of few devices that leaves nothing to the others is nothing of it, however little it has.
+    A law that is a little wrong is so at all its devices, and shows at all devices of others. An
+    error that few devices have all the time, and that leaves nothing to the others, is nothing of
+    it, however little it has. What happens at one row may be: there any place can stand for all.
 
     Args:
         one: The best of a round.
@@ -73,7 +74,8 @@ def _sure(one: Candidate, accepted: Sequence[Candidate], space: Workspace) -> bo
     if one.evidence >= enough_beside(sum(its.evidence for its in accepted), space):
         return True
     here = sum(its.evidence for its in accepted if _few(its, space))
-    if not _few(one, space) or one.evidence < enough_beside(here, space):
+    lasting = (bool(one.sources) or bool(one.columns)) and not one.onset and not one.noisy
+    if not (lasting and _few(one, space)) or one.evidence < enough_beside(here, space):
         return False
     best, after = settled(one, space.trusting())
     rest = candidates_of(after, [one.kind])
