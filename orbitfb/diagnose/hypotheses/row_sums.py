@@ -77,7 +77,8 @@ def moving_root(ratio: Vector) -> Vector:
     Args:
         ratio: q, walk over noise.
     """
-    return 1.0 + ratio / 2.0 - np.sqrt(ratio + ratio**2 / 4.0)
+    # 1 + q/2 − √(q + q²/4), in the form that a large q does not cancel
+    return 1.0 / (1.0 + ratio / 2.0 + np.sqrt(ratio + ratio**2 / 4.0))
 
 
 def sums_since(values: Matrix, onsets: Indices) -> Matrix:

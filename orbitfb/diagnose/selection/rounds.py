@@ -141,9 +141,14 @@ def tournament(
         moving = with_motion(space, candidates[0].evidence)
         if moving is not None:
             tell("top healthy motion")
-            # What was accepted without it was told over a floor of another form.
-            space = over(first, moving).with_floor() if accepted else moving
-            accepted, rounds = [], []
+            if accepted:  # they were told over a floor of another form
+                moving, before = over(first, moving), accepted
+                accepted = []
+                for one in before:
+                    one, moving = settled(one, moving)
+                    accepted.append(one)
+            space = moving
+            rounds.pop()
             continue
         if len(accepted) == ROUNDS or _composed([*accepted, candidates[0]]):
             return accepted, rounds

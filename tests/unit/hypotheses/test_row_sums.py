@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from orbitfb.core.signals import Vector
-from orbitfb.diagnose.hypotheses.row_sums import OwnError, Rows
+from orbitfb.diagnose.hypotheses.row_sums import OwnError, Rows, moving_root
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.transform import Matrix, StepTransform
 
@@ -98,3 +98,9 @@ def test_what_begins_together_has_what_the_errors_of_all_its_devices_leave_it(
     assert alone[0, 3] == pytest.approx(exact[3, 3], rel=0.15)
     _, left = rows.since(patterns, steps, onsets, errors, three)
     assert left[0, 3] == pytest.approx(expected, rel=0.35)
+
+
+def test_a_mode_that_hardly_has_noise_has_a_root() -> None:
+    """Its motion is all that is read: the root is noise over walk, and not rounded to none."""
+    assert moving_root(np.array([1e12])) == pytest.approx(1e-12)
+    assert moving_root(np.array([0.5])) == pytest.approx(0.5)

@@ -19,10 +19,10 @@ def found(machine: str, fault: str, seed: int, folder: Path) -> list[str]:
     return [one.kind.id for one in accepted]
 
 
-@pytest.mark.parametrize("machine", ["shaking", "one-shaking"])
-def test_a_corrector_that_is_stuck(machine: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("machine", "seed"), [("shaking", 10), ("few-correctors", 12)])
+def test_a_corrector_that_is_stuck(machine: str, seed: int, tmp_path: Path) -> None:
     """A floor that knows of no shaking takes a wrong row for as good, and that leaves kicks."""
-    assert found(machine, "stuck", 10, tmp_path) == ["corrector-stuck"]
+    assert found(machine, "stuck", seed, tmp_path) == ["corrector-stuck"]
 
 
 def test_setpoints_that_act_late(tmp_path: Path) -> None:
