@@ -204,23 +204,17 @@ class Rows:
             left.append((share * whole)[:, None])
         return np.hstack(pulls), np.hstack(left)
 
-    def quick(
-        self, pattern: Vector, course: Matrix, own: OwnError | None, late: Matrix | None = None
+    def weighed(
+        self, pattern: Vector, steps: Matrix, own: OwnError | None, late: Matrix | None = None
     ) -> tuple[Vector, Vector]:
         """Pull and information of several courses of one pattern, each for itself.
 
         Args:
             pattern: Shape (n,) [m].
-            course: Shape (N, k).
+            steps: Of the courses, shape (T, k).
             own: Healthy error of the device, which is marginalised.
             late: Ω z from row to row, shape (T, n); None: that of all that is left to explain.
         """
-        return self.weighed(pattern, self.transform.steps(course), own, late)
-
-    def weighed(
-        self, pattern: Vector, steps: Matrix, own: OwnError | None, late: Matrix | None = None
-    ) -> tuple[Vector, Vector]:
-        """The same of courses whose steps are known, shape (T, k)."""
         pull = ((self.late if late is None else late) @ pattern) @ steps
         seen = (pattern @ self.noise.modes) ** 2
         information, cross = np.zeros(len(pull)), np.zeros(len(pull))

@@ -14,7 +14,7 @@ from orbitfb.diagnose.hypotheses.events import scan_events
 from orbitfb.diagnose.hypotheses.healthy import scan_errors
 from orbitfb.diagnose.hypotheses.jumps import jumps_of, scan_jumps
 from orbitfb.diagnose.hypotheses.lines import scan_lines
-from orbitfb.diagnose.hypotheses.onsets import scan_late
+from orbitfb.diagnose.hypotheses.onsets.scan import scan_late
 from orbitfb.diagnose.hypotheses.pairs import scan_pairs
 from orbitfb.diagnose.hypotheses.random_laws import scan_random
 from orbitfb.diagnose.hypotheses.ranking import ranked

@@ -4,7 +4,7 @@ The floor of a record is a walk and the noise of single readings. Some rings als
 they are read: vibration and ripple come down on all frequencies alike, and laws that jump to and
 fro would be named for them. The ground of some does not walk but drifts, or springs back, and laws
 of smooth courses would. These are no causes: where one of them says more than the best cause it
-joins the floor, and the search begins anew.
+joins the floor, and causes that were accepted are told again over it.
 """
 
 from collections.abc import Callable
@@ -29,8 +29,8 @@ _NEAR = 0.5
 """Share of what it has to have that it must have before it gets a floor of its own: half may be in
 the floor, as for a candidate (`own_floors.refitted`)."""
 _GLIMPSE = 0.25
-"""Share of that which one turn must show before the others are taken. By hand: the first of three
-had 0.45 to 1 of what all have, on ten small rings."""
+"""Share of that which one turn must show before the others are taken: the first has about half of
+what all have, or more (`test_healthy_motion` says so of rings that shake)."""
 _LEVELS = np.geomspace(0.01, 100.0, 41)
 """Factors of the walk's covariance that are tried for a colour of the ground."""
 

@@ -59,20 +59,18 @@ def enough_beside(told: float, space: Workspace) -> float:
     return SURE + MISFIT * told + _misfit(space)
 
 
-def _sure(one: Candidate, accepted: Sequence[Candidate], space: Workspace) -> bool:
-    """Whether a candidate is sure beside causes.
+def _stands_out(one: Candidate, accepted: Sequence[Candidate], space: Workspace) -> bool:
+    """Whether a candidate that has no more than causes may leave to others is none of it.
 
     A law that is a little wrong is so at all its devices, and shows at all devices of others. An
-    error that few devices have all the time, and that leaves nothing to the others, is nothing of
-    it, however little it has. What happens at one row may be: there any place can stand for all.
+    error that few devices have all the time, and that leaves nothing to the others, is a cause. An
+    event is not: whatever is wrong in one row shows as one at some place.
 
     Args:
         one: The best of a round.
         accepted: Causes.
         space: That it was tried on.
     """
-    if one.evidence >= enough_beside(sum(its.evidence for its in accepted), space):
-        return True
     here = sum(its.evidence for its in accepted if _few(its, space))
     lasting = (bool(one.sources) or bool(one.columns)) and not one.onset and not one.noisy
     if not (lasting and _few(one, space)) or one.evidence < enough_beside(here, space):
@@ -83,7 +81,22 @@ def _sure(one: Candidate, accepted: Sequence[Candidate], space: Workspace) -> bo
 
 
 def _few(one: Candidate, space: Workspace) -> bool:
+    """Whether it is of some devices, at most half as many as there are BPMs."""
     return 0 < 2 * len(one.places) <= len(space.signals.record.layout.bpms)
+
+
+def _told_again(causes: Sequence[Candidate], space: Workspace) -> tuple[list[Candidate], Workspace]:
+    """Accept causes anew on a workspace without them, whose floor they had no part in.
+
+    Args:
+        causes: In the order in which they were accepted.
+        space: With the floor.
+    """
+    told = []
+    for one in causes:
+        best, space = settled(one, space)
+        told.append(best)
+    return told, space
 
 
 def _misfit(space: Workspace) -> float:
@@ -136,18 +149,16 @@ def tournament(
         rounds.append(Round(space, tuple(_light(candidates)), tuple(free)))
         for one in candidates[:6]:
             tell("top " + one.describe())
-        if not candidates or not _sure(candidates[0], accepted, space):
+        if not candidates or not (
+            candidates[0].evidence >= enough or _stands_out(candidates[0], accepted, space)
+        ):
             return accepted, rounds
         moving = with_motion(space, candidates[0].evidence)
         if moving is not None:
             tell("top healthy motion")
-            if accepted:  # they were told over a floor of another form
-                moving, before = over(first, moving), accepted
-                accepted = []
-                for one in before:
-                    one, moving = settled(one, moving)
-                    accepted.append(one)
             space = moving
+            if accepted:  # they were told over a floor of another form
+                accepted, space = _told_again(accepted, over(first, moving))
             rounds.pop()
             continue
         if len(accepted) == ROUNDS or _composed([*accepted, candidates[0]]):

@@ -46,7 +46,7 @@ def test_information_by_rows_is_that_by_frequencies(
     rows = Rows.of(np.zeros((len(transform), BPMS)), noise, transform)
     for _ in range(5):
         pattern = rng.standard_normal(BPMS)
-        _, found = rows.quick(pattern, courses, None)
+        _, found = rows.weighed(pattern, transform.steps(courses), None)
         exact = np.diag(exactly(pattern, courses, noise, transform))
         assert found == pytest.approx(exact, rel=0.15)
 
@@ -66,7 +66,7 @@ def test_what_begins_soon_has_what_a_healthy_error_of_the_same_course_leaves_it(
     rows = Rows.of(np.zeros((len(transform), BPMS)), noise, transform)
     whitened = rows.whitened(transform.turn(spectrum))
     error = OwnError(0, spectrum, whitened, np.array([1.0 / known]), both[:1, 0])
-    _, found = rows.quick(pattern, late, error)
+    _, found = rows.weighed(pattern, transform.steps(late), error)
     assert expected / 3.4 < found[0] < 3.4 * expected
     onsets = np.arange(0, len(transform), 10)
     _, since = rows.since(pattern[:, None], transform.turn(spectrum), onsets, error)

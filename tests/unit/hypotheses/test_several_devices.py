@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.blind.fodo import response
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.onsets import _hopeful_sets
+from orbitfb.diagnose.hypotheses.onsets.scan import _hopeful_sets
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace

@@ -14,20 +14,21 @@ from orbitfb.diagnose.hypotheses.device_laws import _finer, _Found
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.selection import rounds
 from orbitfb.diagnose.selection.rounds import tournament
 from orbitfb.effects.build import layout_of
 from orbitfb.effects.device_kinds import ActuatorKind
 from orbitfb.effects.kinds import EffectKind, Parameter, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.effects.registry import all_effects, effect
-from orbitfb.estimation.priors import MISFIT, SURE
+from orbitfb.estimation.priors import ALONE, MISFIT, SURE
 from orbitfb.physics.effect import Effect
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
 from orbitfb.physics.response import response
 from orbitfb.records.layout import Devices, Layout
 from orbitfb.records.record import Record
-from tests.unit.hypotheses.small_records import BPMS, NOISE, kinds_for, make_record
+from tests.unit.hypotheses.small_records import BPMS, NOISE, ROWS, kinds_for, make_record
 
 
 def winner(record: Record, kinds: list[EffectKind]) -> Candidate:
@@ -325,15 +326,25 @@ def gain_of_one(orbit: Matrix) -> Matrix:
     return read
 
 
-def test_a_small_error_of_one_device_is_told_beside_a_large_law_of_all() -> None:
-    """It has less than the law would leave to others if it were a little wrong."""
+def test_a_small_error_of_one_device_is_told_beside_a_large_law_of_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It has less than the law would leave to others if it were a little wrong.
+
+    Unless the same effect then finds as much at other devices.
+    """
     record = make_record(31, lagging, gain_of_one, dither=0.05)
     kinds = kinds_for(record)
-    accepted, _ = tournament(Workspace.of(record, kinds), kinds)
+    accepted, tried = tournament(Workspace.of(record, kinds), kinds)
     assert [(one.kind.id, one.names) for one in accepted] == [
         ("corrector-lag", ()), ("bpm-gain", ("B5 (x)",)),
     ]  # fmt: skip
-    assert accepted[1].evidence < MISFIT * accepted[0].evidence
+    law, small = accepted
+    assert small.evidence < MISFIT * law.evidence
+    for share, alone in ((0.5 * ALONE, True), (5.0 * ALONE, False)):
+        rest = [replace(small, evidence=share * small.evidence)]
+        monkeypatch.setattr(rounds, "candidates_of", lambda space, kinds, its=rest: its)
+        assert rounds._stands_out(tried[1].candidates[0], [law], tried[1].space) == alone
 
 
 def unlike(currents: Matrix) -> Matrix:
@@ -348,6 +359,24 @@ def unlike(currents: Matrix) -> Matrix:
 def test_a_law_that_is_a_little_wrong_is_no_further_cause() -> None:
     record = make_record(32, unlike, dither=0.05)
     kinds = kinds_for(record)
-    accepted, rounds = tournament(Workspace.of(record, kinds), kinds)
+    accepted, tried = tournament(Workspace.of(record, kinds), kinds)
     assert [one.kind.id for one in accepted] == ["corrector-lag"]
-    assert rounds[-1].candidates[0].evidence > SURE
+    assert tried[-1].candidates[0].evidence > SURE
+
+
+def test_rows_of_a_record_in_pieces_are_told() -> None:
+    """Steps are numbered without the holes, rows with them; the law begins late in the record."""
+
+    def late(currents: Matrix) -> Matrix:
+        kicked = currents[-1:].copy()
+        if len(currents) > ROWS - 100:
+            kicked[:, 5] *= 1.6
+        return kicked
+
+    record = make_record(33, late)
+    starts = record.starts.copy()
+    starts[20 : ROWS - 120 : 30] = True
+    broken = replace(record, starts=starts)
+    best = winner(broken, [effect("corrector-gain")])
+    assert (best.kind.id, best.names) == ("corrector-gain", ("C5 (x)",))
+    assert abs(best.onset - (ROWS - 100)) <= 2

@@ -8,8 +8,10 @@ import pytest
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection import rounds
+from orbitfb.diagnose.selection.healthy_motion import _GLIMPSE, _TURNS, _floor
 from orbitfb.diagnose.selection.rounds import enough_beside, tournament
 from orbitfb.effects.registry import effect
+from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.priors import SURE
 from orbitfb.physics.optics import Matrix
 from orbitfb.records.record import Record
@@ -52,6 +54,17 @@ def test_it_is_no_cause(record: Record, monkeypatch: pytest.MonkeyPatch) -> None
     assert named(record) == []
     monkeypatch.setattr(rounds, "with_motion", lambda *given: None)
     assert named(record)  # a floor that has no such motion gives it a name
+
+
+@pytest.mark.parametrize("places", [1, 4])
+def test_one_turn_shows_enough_of_it(places: int) -> None:
+    """Else the other turns would not be taken: `_GLIMPSE`."""
+    record = shaking(places)
+    space = Workspace.of(record, kinds_for(record))
+    left, scatter = space.unmodelled()
+    moments = Moments.of(left, space.transform).beside(scatter)
+    one, all_of_them = (_floor(space, moments, True, turns) for turns in (1, _TURNS))
+    assert moments.more(one, space.noise) > 1.5 * _GLIMPSE * moments.more(all_of_them, space.noise)
 
 
 def test_a_source_that_switches_is_one() -> None:

@@ -6,15 +6,15 @@ whose course is a constant are in `jumps`.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
-from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of
 from orbitfb.diagnose.hypotheses.jumps import of_jumps
+from orbitfb.diagnose.hypotheses.onsets.exact import HOPEFUL, Begin, exactly, kicking, standing
 from orbitfb.diagnose.hypotheses.ranking import (
     Ranked,
     any_size,
@@ -22,52 +22,21 @@ from orbitfb.diagnose.hypotheses.ranking import (
     scales,
     sign,
     stood_in,
-    within,
     worths_of,
 )
 from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.hypotheses.sets import best_set
-from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.terms import Single
-from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
-from orbitfb.estimation.evidence import NormalTerms, given_size, normal_size
+from orbitfb.estimation.evidence import normal_size
 from orbitfb.estimation.priors import (
     ONSET_MARGIN,
     ONSET_SIGN,
     ONSETS_EVERY,
-    SIZE_WIDTH,
-    STANDING,
 )
 from orbitfb.estimation.transform import Indices, Matrix
-
-_HOPEFUL = 24
-"""Devices whose onsets are looked for at most, those of which most shows."""
-
-_COLUMNS = 400
-"""Courses of single devices that are weighed at once, exactly: as many as healthy errors have."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Begin:
-    """Devices that begin late.
-
-    Args:
-        evidence: As scanned, less the choice of devices and row.
-        places: Numbers of the devices: a single one, a group, or all (empty).
-        row: At which they begin.
-        values: Of the parameters.
-        others: Rows that were scanned, the best first: healthy errors make a law look much the
-            same from many of them.
-    """
-
-    evidence: float
-    places: tuple[int, ...]
-    row: int
-    values: Values
-    others: tuple[int, ...] = ()
 
 
 def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> list[Candidate]:
@@ -95,11 +64,11 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
         return []
     cost = cost_of(kind, best.values, scorer)
     if law.standing:
-        return [_kicking(kind, law, scorer, best, cost)]
+        return [kicking(kind, law, scorer, best, cost)]
     return list(_from(kind, law, scorer, best, cost))
 
 
-def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) -> _Begin | None:
+def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) -> Begin | None:
     """The best device, or group, that begins late; None: nothing is as if one did.
 
     Args:
@@ -125,7 +94,7 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
         hopeful = np.arange(count)
     else:
         hopeful = np.flatnonzero(shown > ONSET_SIGN)
-        hopeful = hopeful[np.argsort(-shown[hopeful], kind="stable")[:_HOPEFUL]]
+        hopeful = hopeful[np.argsort(-shown[hopeful], kind="stable")[:HOPEFUL]]
         hopeful = np.unique(np.concatenate([hopeful, *sets]))
     if not len(hopeful):
         return None
@@ -155,9 +124,9 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
         row += int(np.argmax(kicks[row : row + ONSETS_EVERY, hopeful[place]]))
     rows = scorer.space.transform.step_rows()
     told = tuple(map(int, places)) if single or len(places) < count else ()
-    order = onsets[np.argsort(-gain[:, place], kind="stable")]
-    others = tuple(int(one) for one in rows[order] if np.isfinite(gain[one // ONSETS_EVERY, place]))
-    return _Begin(float(gain[onset, place] - cost), told, int(rows[row]), values, others)
+    best = np.argsort(-gain[:, place], kind="stable")
+    others = tuple(map(int, rows[onsets[best[np.isfinite(gain[best, place])]]]))
+    return Begin(float(gain[onset, place] - cost), told, int(rows[row]), values, others)
 
 
 def _kicks(law: DeviceLaw, scorer: Scorer, spectra: Sequence[Single]) -> Matrix:
@@ -165,18 +134,13 @@ def _kicks(law: DeviceLaw, scorer: Scorer, spectra: Sequence[Single]) -> Matrix:
     total: Matrix | float = 0.0
     for pattern, spectrum in zip(law.patterns, spectra, strict=True):
         pull, own = of_jumps(pattern, scorer)
-        variance = _standing(spectrum) ** 2
+        variance = standing(spectrum) ** 2
         total = total + normal_size(pull, np.broadcast_to(own, pull.shape), variance)
     return np.asarray(total)
 
 
-def _standing(spectrum: Single) -> Vector:
-    """Size that a first kick may have, in the units of a course, (D,) or (1,) of (T, D or 1)."""
-    return STANDING * np.sqrt(np.mean(spectrum.astype(np.float64) ** 2, axis=0))
-
-
 def _from(
-    kind: EffectKind, law: DeviceLaw, scorer: Scorer, begin: _Begin, cost: float
+    kind: EffectKind, law: DeviceLaw, scorer: Scorer, begin: Begin, cost: float
 ) -> Iterator[Candidate]:
     """The devices that begin at a row: those that were scanned, and the best set of all."""
     signals, values = scorer.space.signals, begin.values
@@ -192,61 +156,8 @@ def _from(
         names = tuple(law.names[place] for place in places)
         yield Candidate(
             kind, places, names, values, gain - cost - late, onset=begin.row,
-            finer=partial(_exactly, kind, law, scorer, replace(begin, places=places), cost, free),
+            finer=partial(exactly, kind, law, scorer, replace(begin, places=places), cost, free),
         )  # fmt: skip
-
-
-def _exactly(
-    kind: EffectKind, law: DeviceLaw, scorer: Scorer, begin: _Begin, cost: float, free: bool
-) -> Candidate:
-    """A set that begins late, with and without what its beginning kicks, row by row.
-
-    The row is told by at most `_HOPEFUL` of its devices: first among those that were scanned, then
-    around the best of them; and again over a floor that was estimated with it.
-    """
-    places, values = begin.places, begin.values
-    devices = (places or tuple(range(len(law.names))))[:_HOPEFUL]
-    worth, last = any_size if free else given_size, scorer.space.transform.rows - 2
-    best, tried = (-np.inf, begin.row, False), begin.others[: _COLUMNS // len(devices)]
-    for _ in range(2):
-        for kick in (False, True):
-            gain = worth(*_by_row(law, scorer, values, devices, tried, kick))
-            place = int(np.argmax(gain))
-            best = max(best, (float(gain[place]), tried[place], kick))
-        near = range(best[1] - 2 * ONSETS_EVERY, best[1] + 2 * ONSETS_EVERY)
-        tried = tuple(one for one in near if 0 < one < last)
-    _, row, kick = best
-
-    def again(after: Workspace) -> Candidate:
-        return _exactly(kind, law, Scorer.of(over(scorer.space, after)), begin, cost, free)
-
-    found = evaluated(kind, law, scorer, places, values, row, free, cost, kick)
-    found = replace(found, again=again)
-    if not (free and 0 < len(places) <= _HOPEFUL):
-        return found
-    # What stands in a device before it begins is in no record: it may kick by any of it.
-    kicked = _kicking(kind, law, scorer, replace(begin, row=row), cost)
-    return max(found, kicked, key=lambda one: one.evidence)
-
-
-def _by_row(
-    law: DeviceLaw,
-    scorer: Scorer,
-    values: Values,
-    devices: Sequence[int],
-    rows: Sequence[int],
-    kick: bool,
-) -> tuple[Vector, Vector]:
-    """Pull and information of devices that begin together at a row, exactly, for every row."""
-    patterns, begun = [], []
-    for pattern, course in zip(law.patterns, law.course(values, scorer.space.signals), strict=True):
-        for device in devices:
-            own = course[:, 0] if course.shape[1] == 1 else course[:, device]
-            patterns.append(np.repeat(pattern[:, [device]], len(rows), axis=1))
-            begun.append(np.stack([_begun(own, row, kick) for row in rows], axis=1))
-    spectrum = scorer.space.transform.quick_spectrum(np.hstack(begun))
-    pull, information = scorer.columns(patterns, spectrum)
-    return pull, np.diag(information)
 
 
 def _hopeful_sets(
@@ -274,44 +185,3 @@ def _hopeful_sets(
     total = np.array([pull[one].sum() for one in sets])
     shown = sign(total, information)
     return [np.sort(one) for one, its in zip(sets, shown, strict=True) if every or its > ONSET_SIGN]
-
-
-def _kicking(
-    kind: EffectKind,
-    law: DeviceLaw,
-    scorer: Scorer,
-    begin: _Begin,
-    cost: float,
-) -> Candidate:
-    """Devices that begin late, each kicking by an orbit that stands in it, plane by plane."""
-    places, onset, values = begin.places, begin.row, begin.values
-    space = scorer.space
-    source = Course(law, places, values, np.ones(len(places)), onset)
-    courses = source.of(space.signals, values)
-    fields = [field_of(law, scorer, courses, source.places, source.size)]
-    jump = (np.arange(space.transform.rows) >= onset).astype(float)[:, None]
-    spectrum = space.transform.quick_spectrum(jump)
-    whole = law.course(values, space.signals)
-    for device in places:
-        for pattern, course in zip(law.patterns, whole, strict=True):
-            own = course if course.shape[1] == 1 else course[:, [device]]
-            size = _standing(space.transform.quick_spectrum(own))
-            fields.append(spectrum @ (size * pattern[:, [device]]).T.astype(np.float32))
-    pull, information = scorer.evaluate(fields)
-    variance = np.array([SIZE_WIDTH**2, *np.ones(len(fields) - 1)])
-    terms = NormalTerms(pull, information, variance)
-    sizes = terms.held(within(kind, values, float(terms.mean()[0])))
-    size = float(sizes[0])
-    added = sum(k * one for k, one in zip(sizes, fields, strict=True))
-    gain = terms.evidence_at(sizes) - cost - choices(law, places) - np.log(space.transform.rows)
-    scaled = {**values, **{one.name: size * values[one.name] for one in kind.sizes}}
-    return Candidate(
-        kind, places, tuple(law.names[one] for one in places), scaled, float(gain), onset=onset,
-        field=np.asarray(added, dtype=float), sources=(replace(source, size=size * source.size),),
-    )  # fmt: skip
-
-
-def _begun(course: Vector, onset: int, kick: bool) -> Vector:
-    """A course that begins at a row, with or without what it has reached by then."""
-    base = course[0] if kick else course[onset]
-    return np.where(np.arange(len(course)) < onset, 0.0, course - base)

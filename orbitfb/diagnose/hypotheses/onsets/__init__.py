@@ -1,0 +1,1 @@
+"""Laws that begin in the middle of a record: scanned, then told exactly."""

@@ -1,0 +1,145 @@
+"""A law that begins in the middle of a record: its row and its size, exactly."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfb.core.signals import Vector
+from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of
+from orbitfb.diagnose.hypotheses.ranking import any_size, within
+from orbitfb.diagnose.hypotheses.refit import Course
+from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.likelihood.corrected import over
+from orbitfb.diagnose.likelihood.terms import Single
+from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.effects.kinds import EffectKind, Values
+from orbitfb.effects.laws import DeviceLaw
+from orbitfb.estimation.evidence import NormalTerms, given_size
+from orbitfb.estimation.priors import ONSETS_EVERY, SIZE_WIDTH, STANDING
+
+HOPEFUL = 24
+"""Devices whose onsets are looked for at most, those of which most shows."""
+
+_COLUMNS = 400
+"""Courses of single devices that are weighed exactly at the first look. By hand, for time: a single
+device is looked at in all rows that were scanned, 24 in the best 16 of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """Devices that begin late.
+
+    Args:
+        evidence: As scanned, less the choice of devices and row.
+        places: Numbers of the devices: a single one, a group, or all (empty).
+        row: At which they begin.
+        values: Of the parameters.
+        others: Rows that were scanned, the best first: healthy errors make a law look much the
+            same from many of them.
+    """
+
+    evidence: float
+    places: tuple[int, ...]
+    row: int
+    values: Values
+    others: tuple[int, ...] = ()
+
+
+def exactly(
+    kind: EffectKind, law: DeviceLaw, scorer: Scorer, begin: Begin, cost: float, free: bool
+) -> Candidate:
+    """A set that begins late, with and without what its beginning kicks, row by row.
+
+    The row is told by at most `HOPEFUL` of its devices: first among those that were scanned, then
+    around the best of them; and again over a floor that was estimated with it.
+    """
+    places, values = begin.places, begin.values
+    devices = (places or tuple(range(len(law.names))))[:HOPEFUL]
+    worth, last = any_size if free else given_size, scorer.space.transform.rows - 2
+    best, tried = (-np.inf, begin.row, False), begin.others[: _COLUMNS // len(devices)]
+    for _ in range(2):
+        for kick in (False, True):
+            gain = worth(*_by_row(law, scorer, values, devices, tried, kick))
+            place = int(np.argmax(gain))
+            best = max(best, (float(gain[place]), tried[place], kick))
+        near = range(best[1] - 2 * ONSETS_EVERY, best[1] + 2 * ONSETS_EVERY)
+        tried = tuple(one for one in near if 0 < one < last)
+    _, row, kick = best
+
+    def again(after: Workspace) -> Candidate:
+        return exactly(kind, law, Scorer.of(over(scorer.space, after)), begin, cost, free)
+
+    found = evaluated(kind, law, scorer, places, values, row, free, cost, kick)
+    if free and 0 < len(places) <= HOPEFUL:
+        # What stands in a device before it begins is in no record: it may kick by any of it.
+        kicked = kicking(kind, law, scorer, replace(begin, row=row), cost)
+        found = max(found, kicked, key=lambda one: one.evidence)
+    return replace(found, again=again)
+
+
+def _by_row(
+    law: DeviceLaw,
+    scorer: Scorer,
+    values: Values,
+    devices: Sequence[int],
+    rows: Sequence[int],
+    kick: bool,
+) -> tuple[Vector, Vector]:
+    """Pull and information of devices that begin together at a row, exactly, for every row."""
+    patterns, begun = [], []
+    for pattern, course in zip(law.patterns, law.course(values, scorer.space.signals), strict=True):
+        for device in devices:
+            own = course[:, 0] if course.shape[1] == 1 else course[:, device]
+            patterns.append(np.repeat(pattern[:, [device]], len(rows), axis=1))
+            begun.append(np.stack([_begun(own, row, kick) for row in rows], axis=1))
+    spectrum = scorer.space.transform.quick_spectrum(np.hstack(begun))
+    pull, information = scorer.columns(patterns, spectrum)
+    return pull, np.diag(information)
+
+
+def kicking(
+    kind: EffectKind,
+    law: DeviceLaw,
+    scorer: Scorer,
+    begin: Begin,
+    cost: float,
+) -> Candidate:
+    """Devices that begin late, each kicking by an orbit that stands in it, plane by plane."""
+    places, onset, values = begin.places, begin.row, begin.values
+    space = scorer.space
+    source = Course(law, places, values, np.ones(len(places)), onset)
+    courses = source.of(space.signals, values)
+    fields = [field_of(law, scorer, courses, source.places, source.size)]
+    jump = (np.arange(space.transform.rows) >= onset).astype(float)[:, None]
+    spectrum = space.transform.quick_spectrum(jump)
+    whole = law.course(values, space.signals)
+    for device in places:
+        for pattern, course in zip(law.patterns, whole, strict=True):
+            own = course if course.shape[1] == 1 else course[:, [device]]
+            size = standing(space.transform.quick_spectrum(own))
+            fields.append(spectrum @ (size * pattern[:, [device]]).T.astype(np.float32))
+    pull, information = scorer.evaluate(fields)
+    variance = np.array([SIZE_WIDTH**2, *np.ones(len(fields) - 1)])
+    terms = NormalTerms(pull, information, variance)
+    sizes = terms.held(within(kind, values, float(terms.mean()[0])))
+    size = float(sizes[0])
+    added = sum(k * one for k, one in zip(sizes, fields, strict=True))
+    gain = terms.evidence_at(sizes) - cost - choices(law, places) - np.log(space.transform.rows)
+    scaled = {**values, **{one.name: size * values[one.name] for one in kind.sizes}}
+    return Candidate(
+        kind, places, tuple(law.names[one] for one in places), scaled, float(gain), onset=onset,
+        field=np.asarray(added, dtype=float), sources=(replace(source, size=size * source.size),),
+    )  # fmt: skip
+
+
+def standing(spectrum: Single) -> Vector:
+    """Size that a first kick may have, in the units of a course, (D,) or (1,) of (T, D or 1)."""
+    return STANDING * np.sqrt(np.mean(spectrum.astype(np.float64) ** 2, axis=0))
+
+
+def _begun(course: Vector, onset: int, kick: bool) -> Vector:
+    """A course that begins at a row, with or without what it has reached by then."""
+    base = course[0] if kick else course[onset]
+    return np.where(np.arange(len(course)) < onset, 0.0, course - base)
