@@ -10,8 +10,13 @@ e = y − f − c x knows nothing of ξ, and over the questions
 of a BPM are a sum of random signs and its variance: z = M / √V exceeds h with the chance
 exp(−h² / 2) at most (Hoeffding 1963), whatever the noise, the drift, the kicks and the loop do.
 For the ring as a whole the variance over the signs is known at once, V = Σ s² |(R B)ᵀ e|², so that
-few questions suffice. For correctors, d ∘ Rᵀ e / s² is multiplied by the inverse of
-(B Bᵀ) ∘ (Rᵀ R): what of it comes of the neighbours' answers is told apart.
+few questions suffice. For corrector j, e is what the orbit misses if j took the share c of its
+change r = u + d, where u was known before the signs, and d ∘ Rᵀ e / s² is multiplied by row j of
+the inverse of (B Bᵀ) ∘ (Rᵀ R): what of it comes of the neighbours' answers is told apart. If j
+took nothing, c u is left in e, and its product with the signs is part of V.
+
+No single reading counts more than `CLIP` times its usual deviation from the hypothesis that is
+tested: clipped around any other one it would look like part of an answer.
 
 A device answers if "c is `LITTLE` or less" is refuted, it does not if "c is `MUCH` or more" is.
 
@@ -47,8 +52,8 @@ class Test:
     """Sums that speak for and against an answer, each at some lags.
 
     Args:
-        sums: Of M and V for c = `LITTLE`, M and V for c = `MUCH`, and Σ x², what M is in the mean
-            for c = 0 and an answer of 1, shape (5, lags, devices).
+        sums: Of M and V for c = `LITTLE`, M and V for c = `MUCH`, and what −M is in the mean for
+            c = `MUCH` and no answer, shape (5, lags, devices).
     """
 
     sums: Vector
@@ -93,7 +98,7 @@ class Test:
     @property
     def told(self) -> Vector:
         """Evidence z that there would be against one that does not answer, (devices,) [1]."""
-        return _over(MUCH * self.sums[ASKED, 0], self.sums[MUCH_V, 0])
+        return _over(self.sums[ASKED, 0], self.sums[MUCH_V, 0])
 
     @property
     def silence(self) -> Vector:
@@ -181,7 +186,6 @@ def ask_devices(
     """
     most, more = CLIP * sight.spread, np.zeros_like(test.sums)
     n = len(sight.position)
-    noise = median(sight.noise)
     for late, question in enumerate((now, before)):
         if question is None:
             continue
@@ -191,22 +195,36 @@ def ask_devices(
         left = np.clip(besides - MUCH * asked, -most, most)
         reach = question.size**2 * ring.reach * left**2
         row[LITTLE_M, :n] = asked * np.clip(known - LITTLE * asked, -most, most)
-        row[ASKED, :n] = asked**2
-        row[LITTLE_V, :n] = row[ASKED, :n] * sight.noise
+        row[ASKED, :n] = asked * np.clip(MUCH * asked, -most, most)
+        row[LITTLE_V, :n] = asked**2 * sight.noise
         row[MUCH_M, :n], row[MUCH_V, :n] = asked * left, np.where(sight.valid, reach, 0.0)
         if late:
             continue
-        clipped = np.where(sight.valid, np.clip(sight.surprise, -most, most), 0.0)
-        alone = ring.apart @ (question.excursion * (clipped @ ring.response))
-        own = sight.recent * (ring.mixed @ question.excursion)
-        others: Vector = sight.recent - question.excursion  # known before the signs were drawn
-        unsure: Vector = np.diag(ring.apart) * noise
-        # What else was just changed only blurs the answer: such orbits count less.
-        weight: Vector = unsure / (unsure + others**2 * ring.swing)
-        weight = weight / question.size**2
-        doubt = weight * (alone + (1.0 - MUCH) * own)
-        row[LITTLE_M, n:] = weight * (alone + (1.0 - LITTLE) * own)
-        row[LITTLE_V, n:] = weight**2 * unsure * question.size**2
-        row[MUCH_M, n:], row[MUCH_V, n:] = doubt, doubt**2
-        row[ASKED, n:] = weight * own
+        row[:, n:] = _of_correctors(sight, question, ring)
     return test.add(more)
+
+
+def _of_correctors(sight: Sight, question: Question, ring: Ring) -> Vector:
+    """Give what an orbit says of each corrector, shape (5, m)."""
+    # What tells each one's answer in the orbit from its neighbours', shape (n, m).
+    telling = ring.response @ (question.excursion[:, None] * ring.apart)
+    telling = np.where(sight.valid[:, None], telling, 0.0)
+    own, most = ring.response * sight.recent, CLIP * sight.spread[:, None]
+
+    def heard(orbit: Vector) -> Vector:
+        """Give M of all of them for what each would leave, shape (n, m) [m]."""
+        return np.sum(telling * np.clip(orbit, -most, most), axis=0)
+
+    others = sight.recent - question.excursion  # known before the signs were drawn
+    blurred = others**2 * ring.swing
+    unsure = np.diag(ring.apart) * median(sight.noise)
+    # What else was just changed only blurs the answer: such orbits count less.
+    weight = unsure / (unsure + blurred) / question.size**2
+    surprise = sight.surprise[:, None]
+    much = weight * heard(surprise + (1.0 - MUCH) * own)
+    sums = np.empty((5, len(weight)))
+    sums[LITTLE_M] = weight * heard(surprise + (1.0 - LITTLE) * own)
+    sums[LITTLE_V] = (weight * question.size) ** 2 * (unsure + LITTLE**2 * blurred)
+    sums[MUCH_M], sums[MUCH_V] = much, much**2
+    sums[ASKED] = weight * heard(MUCH * own)
+    return sums

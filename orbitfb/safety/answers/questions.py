@@ -45,8 +45,7 @@ class Ring:
         reach: Squared length of each of its rows, shape (n,) [m²].
         apart: Inverse of (B Bᵀ) ∘ (Rᵀ R), which tells correctors apart whose excursions and
             answers are alike, shape (m, m) [1/m²].
-        mixed: Rᵀ R ∘ `apart`, shape (m, m) [1/A²].
-        swing: Squared length of each row of `mixed` B, shape (m,) [1/A²].
+        swing: Squared length of each row of (Rᵀ R ∘ `apart`) B, shape (m,) [1/A²].
     """
 
     response: Vector
@@ -56,7 +55,6 @@ class Ring:
     moves: Vector
     reach: Vector
     apart: Vector
-    mixed: Vector
     swing: Vector
 
     @classmethod
@@ -78,9 +76,8 @@ class Ring:
         apart = _inverse((patterns @ patterns.T) * square)
         sizes = np.sqrt(np.mean(response**2, axis=0))
         moves, reach = scale * moves, scale**2 * np.sum(moves**2, axis=1)
-        mixed = apart * square
-        swing = np.sum((mixed @ patterns) ** 2, axis=1)
-        return cls(response, movable, sizes, patterns, moves, reach, apart, mixed, swing)
+        swing = np.sum(((apart * square) @ patterns) ** 2, axis=1)
+        return cls(response, movable, sizes, patterns, moves, reach, apart, swing)
 
 
 class Rings:

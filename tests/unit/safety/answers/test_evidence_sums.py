@@ -85,24 +85,26 @@ def test_each_device_is_asked_for_its_own_part(ring, asked):
                 x**2 * sight.noise[bpm],
                 x * left,
                 reach * left**2 * sight.valid[bpm],
-                x**2,
+                x * clip(MUCH * x),
             ]
             assert sums[:, late, bpm] == near(expected)
     assert not sums[:, 1, N:].any()
-    answer = ring.response.T @ (sight.valid * clip(sight.surprise))
     for corrector in range(M):
-        alone = ring.apart[corrector] @ (now.excursion * answer)
-        own = sight.recent[corrector] * (ring.mixed[corrector] @ now.excursion)
-        unsure = ring.apart[corrector, corrector] * np.median(sight.noise)
+        apart = ring.apart[corrector]
+        telling = sight.valid * (ring.response @ (apart * now.excursion))
+        own = ring.response[:, corrector] * sight.recent[corrector]
+        unsure = apart[corrector] * np.median(sight.noise)
         others = sight.recent[corrector] - now.excursion[corrector]
-        weight = unsure / (unsure + others**2 * ring.swing[corrector]) / now.size**2
-        doubt = weight * (alone + (1 - MUCH) * own)
+        blurred = others**2 * ring.swing[corrector]
+        weight = unsure / (unsure + blurred) / now.size**2
+        little = telling @ clip(sight.surprise + (1 - LITTLE) * own)
+        much = telling @ clip(sight.surprise + (1 - MUCH) * own)
         expected = [
-            weight * (alone + (1 - LITTLE) * own),
-            weight**2 * unsure * now.size**2,
-            doubt,
-            doubt**2,
-            weight * own,
+            weight * little,
+            (weight * now.size) ** 2 * (unsure + LITTLE**2 * blurred),
+            weight * much,
+            (weight * much) ** 2,
+            weight * (telling @ clip(MUCH * own)),
         ]
         assert sums[:, 0, N + corrector] == near(expected)
 
