@@ -1,4 +1,4 @@
-"""Readings that repeat: frozen BPMs, orbits read twice, readings at a rail.
+"""Readings that repeat: frozen BPMs, orbits read twice, held readings.
 
 Readings of few bits repeat by chance. How often is measured on the record itself (share of equal
 neighbours of the BPM and of the median BPM), and a repetition counts only when chance does not
@@ -10,7 +10,8 @@ import math
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.diagnose.screen.steps import inner, runs
+from orbitfb.diagnose.screen.rails import RAIL, comes_back
+from orbitfb.diagnose.screen.steps import distinct, inner, longest, runs
 from orbitfb.estimation.priors import MOST_REPEATS
 from orbitfb.records.finding import Finding, Severity, counted, listed
 from orbitfb.records.record import Record
@@ -28,13 +29,10 @@ _WHOLE = 0.9
 _FEWEST_BPMS = 4
 _MOST_AT_ONCE = 0.5
 """Share of a record in which the orbit may stand still in one go."""
-_FEWEST_AT_RAIL = 12
-_RAIL_FACTOR = 4
 _PAIRS = 3
 _COARSE = 0.25
 _FEW_VALUES = 0.1
 _MARGIN = 1.5
-_FEWEST_OTHERS = 20
 _HELD = 0.05
 """Share of rows in which a reading that is held repeats."""
 _MOSTLY = 0.8
@@ -56,25 +54,21 @@ def check_repeats(record: Record) -> list[Finding]:
     single = equal & ~whole[:, None]
     held = _held(record, single)
     if 2 * len(held) > n:
-        frozen = [
-            one
-            for column in np.flatnonzero(single.any(axis=0)).tolist()
-            for one in _frozen(record, column, single[:, column], whole, usual)
-        ]
-        return [_held_finding(record, held, single, everywhere=True), *frozen]
-    if usual > _COARSE and np.median(_distinct(record)) < _FEW_VALUES:
+        everywhere = _held_finding(record, held, single, everywhere=True)
+        return [everywhere, *_all_frozen(record, single, whole, usual)]
+    if usual > _COARSE and np.median(distinct(record)) < _FEW_VALUES:
         text = (
             f"{100 * usual:.0f} % of the readings equal the one before: a bit of the BPMs is "
-            "larger than their noise, so frozen BPMs cannot be recognised and the noise model "
-            "does not hold"
+            "larger than their noise, so only a BPM that stands still for long is seen to be "
+            "frozen, and the noise model does not hold"
         )
-        return [Finding("coarse-readings", "warning", (), None, text)]
+        coarse = Finding("coarse-readings", "warning", (), None, text)
+        return [coarse, *_all_frozen(record, single, whole, usual)]
     found = _whole_orbits(record, whole)
     if found and found[0].severity == "failure":
         return found
     usual = float(np.median(single.mean(axis=0)))
-    for column in np.flatnonzero(single.any(axis=0)).tolist():
-        found += _frozen(record, column, single[:, column], whole, usual)
+    found += _all_frozen(record, single, whole, usual)
     told = {name for finding in found if finding.effect for name in finding.devices}
     crate = _crates(record, told)
     known = {name for finding in crate for name in finding.devices}
@@ -205,12 +199,6 @@ def _held_finding(
     return Finding(HELD, severity, () if everywhere else names, None, text)
 
 
-def _distinct(record: Record) -> Vector:
-    """Number of different readings of every BPM per row, shape (n,)."""
-    ordered = np.sort(record.readings, axis=0)
-    return (1 + np.count_nonzero(np.diff(ordered, axis=0), axis=0)) / len(ordered)
-
-
 def _whole_orbits(record: Record, whole: Mask) -> list[Finding]:
     count = int(whole.sum())
     if not count:
@@ -232,16 +220,23 @@ def _whole_orbits(record: Record, whole: Mask) -> list[Finding]:
     return [Finding("repeated-orbit", "warning", (), span, text, effect="missed-read")]
 
 
-def _frozen(record: Record, column: int, equal: Mask, whole: Mask, usual: float) -> list[Finding]:
-    # A whole orbit read twice does not thaw a frozen BPM.
-    through = equal | (whole & (record.readings[1:, column] == record.readings[:-1, column]))
-    spans = runs(through)
-    begin, end = max(spans, key=lambda span: span[1] - span[0])
+def _all_frozen(record: Record, single: Mask, whole: Mask, usual: float) -> list[Finding]:
+    """Find BPMs that stand still while the others move, and those that repeat now and then."""
+    columns = np.flatnonzero(single.any(axis=0)).tolist()
+    return [one for column in columns for one in _frozen(record, column, single, whole, usual)]
+
+
+def _frozen(record: Record, column: int, single: Mask, whole: Mask, usual: float) -> list[Finding]:
+    equal = single[:, column]
+    # A whole orbit read twice does not thaw a frozen BPM, nor does a row that was lost.
+    through = equal | ((whole | ~inner(record)) & (np.diff(record.readings[:, column]) == 0.0))
+    begin, end = longest(through)
     length = end - begin
     outside = np.ones(len(equal), dtype=np.bool_)
     outside[begin:end] = False
     own = float(equal[outside].mean()) if outside.any() else 0.0
-    chance = min(_MARGIN * max(own, usual), 1.0)
+    others = float(np.median(single[begin:end].mean(axis=0))) if length else 0.0
+    chance = min(_MARGIN * max(own, usual, others), 1.0)
     label = record.layout.bpms.label(column)
     tries = math.log(record.readings.size)
     likely = chance > 0.0 and tries + length * math.log(chance) > math.log(_CHANCE)
@@ -251,12 +246,11 @@ def _frozen(record: Record, column: int, equal: Mask, whole: Mask, usual: float)
             f"{label} reads {record.readings[end, column] * 1e6:.3f} µm to the last bit from row "
             f"{begin} {until} ({length + 1} rows) while the others move"
         )
-        others = np.delete(record.readings[:, column], np.s_[begin : end + 1])
-        value = record.readings[end, column]
-        extreme = len(others) >= _FEWEST_OTHERS and (value >= others.max() or value <= others.min())
-        if extreme and np.any(others == value):  # what is clipped comes back to its rail
+        stay = np.zeros(len(record), dtype=np.bool_)
+        stay[begin : end + 1] = True
+        if comes_back(record.readings[:, column], stay):  # as what is clipped does
             text += "; it never reads further out, so it may be clipped and not frozen"
-            return [Finding("rail", "warning", (label,), (begin, end), text)]
+            return [Finding(RAIL, "warning", (label,), (begin, end), text)]
         return [Finding("frozen-bpm", "warning", (label,), (begin, end), text, effect="bpm-stuck")]
     repeats = int(equal.sum())
     if usual == 0.0 and _PAIRS <= repeats < _HELD * len(equal):
@@ -265,50 +259,3 @@ def _frozen(record: Record, column: int, equal: Mask, whole: Mask, usual: float)
         text = f"{label} repeats its previous reading, to the last bit, in {repeats} single rows"
         return [Finding("repeated-readings", "note", (label,), span, text)]
     return []
-
-
-def check_rails(record: Record) -> list[Finding]:
-    """Find BPMs whose readings are clipped: their extreme value comes again and again."""
-    if np.median(_distinct(record)) < _FEW_VALUES:
-        return []
-    found: list[Finding] = []
-    fresh = np.ones(record.readings.shape, dtype=np.bool_)
-    fresh[1:] = np.diff(record.readings, axis=0) != 0.0
-    for column in range(record.readings.shape[1]):
-        # Every visit to the rail counts once, so that a frozen BPM is none.
-        visits = record.readings[fresh[:, column] & ~record.filled[:, column], column]
-        moving = record.readings[~record.filled[:, column], column]
-        for sign, word in ((1.0, "above"), (-1.0, "below")):
-            if at := _at_rail(sign * moving, sign * visits):
-                label = record.layout.bpms.label(column)
-                rail = sign * float(np.max(sign * moving))
-                rows = np.flatnonzero(record.readings[:, column] == rail)
-                text = (
-                    f"{label} reads {rail * 1e6:.3f} µm in "
-                    f"{counted(at, 'row')} and never goes {word}: its "
-                    "readings are clipped"
-                )
-                span = (int(rows[0]), int(rows[-1]))
-                found.append(Finding("rail", "warning", (label,), span, text))
-    if len(found) > max(2, record.readings.shape[1] // 4):
-        names = [finding.devices[0] for finding in found]
-        text = (
-            f"{len(found)} BPMs return again and again to the same extreme reading: {listed(names)}"
-        )
-        return [Finding("rail", "note", tuple(dict.fromkeys(names)), None, text)]
-    return found
-
-
-def _at_rail(values: np.ndarray, visits: np.ndarray) -> int:
-    """Count readings at the largest value when that is no chance of few bits, else 0."""
-    if len(visits) < _FEWEST_AT_RAIL:
-        return 0
-    top = values.max()
-    count, visited = int((values == top).sum()), int((visits == top).sum())
-    if count < _FEWEST_AT_RAIL or visited < 2:
-        return 0
-    below = values[values < top]
-    if not len(below):
-        return 0
-    second = int((values == below.max()).sum())
-    return count if count > _RAIL_FACTOR * second + _FEWEST_AT_RAIL // 2 else 0

@@ -6,8 +6,9 @@ is said here is believed. So only exact repetitions, exact sums and overwhelming
 
 from orbitfb.diagnose.screen.channels import check_channels
 from orbitfb.diagnose.screen.model import check_model, check_units
+from orbitfb.diagnose.screen.rails import RAIL, check_rails
 from orbitfb.diagnose.screen.readback import check_readback
-from orbitfb.diagnose.screen.repeats import check_rails, check_repeats
+from orbitfb.diagnose.screen.repeats import check_repeats
 from orbitfb.diagnose.screen.writes import check_clock, check_writes
 from orbitfb.records.finding import Finding
 from orbitfb.records.record import Record
@@ -27,7 +28,7 @@ def screen(record: Record) -> list[Finding]:
     found = [
         *rails,
         # A BPM that stands at its rail for long has been told.
-        *(f for f in check_repeats(record) if f.check != "rail" or f.devices[0] not in clipped),
+        *(f for f in check_repeats(record) if f.check != RAIL or f.devices[0] not in clipped),
         *check_clock(record),
         *check_writes(record),
         *check_readback(record),

@@ -58,6 +58,17 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
+def longest(mask: Mask) -> tuple[int, int]:
+    """Give the longest of them; (0, 0) if there is none."""
+    return max(runs(mask), key=lambda span: span[1] - span[0], default=(0, 0))
+
+
+def distinct(record: Record) -> Vector:
+    """Number of different readings of every BPM per row, shape (n,)."""
+    ordered = np.sort(record.readings, axis=0)
+    return (1 + np.count_nonzero(np.diff(ordered, axis=0), axis=0)) / len(ordered)
+
+
 def one_way(steps: Steps) -> bool:
     """Whether the correctors hardly moved but in proportion, so that all BPMs step alike."""
     moved = np.linalg.eigvalsh(steps.predicted.T @ steps.predicted)

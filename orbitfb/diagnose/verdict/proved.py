@@ -1,6 +1,6 @@
 """Effects that the integrity screen proves: named without a tournament, and taken out of it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from orbitfb.diagnose.result.naming import devices_and_planes
 from orbitfb.diagnose.result.parts import Cause
 from orbitfb.diagnose.screen.missing import drawn
+from orbitfb.diagnose.screen.rails import RAIL
 from orbitfb.diagnose.screen.repeats import HELD, unread
 from orbitfb.effects.registry import all_effects
 from orbitfb.estimation.priors import MOST_REPEATS, PROVED
@@ -18,6 +19,9 @@ from orbitfb.records.record import Record
 
 SCREENED = ("bpm-stuck", "missed-read")
 """Effects that leave exact repeats: the integrity screen is certain of them, or they are not."""
+
+NOT_THE_BEAM = {HELD: "held, not read", RAIL: "clipped"}
+"""Checks that find BPMs some of whose readings are not of the beam, and what these are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,26 +66,32 @@ def proved(record: Record, findings: Sequence[Finding], without: frozenset[str])
         if finding.effect in SCREENED and (finding.devices or finding.effect == SCREENED[1])
     ]
     causes = tuple(_cause(record, one) for one in told if one.effect not in without)
-    held = tuple(name for one in findings if one.check == HELD for name in one.devices)
+    false = {
+        what: tuple(name for one in _warned(findings, check) for name in one.devices)
+        for check, what in NOT_THE_BEAM.items()
+    }
     stuck = {name for one in told if one.effect == SCREENED[0] for name in one.devices}
     bpms = record.layout.bpms
-    frozen = {
-        index
-        for index in range(len(bpms))
-        if {bpms.names[index], bpms.label(index)} & {*held, *stuck}
-    }
+    out = stuck.union(*false.values())
+    out = {i for i in range(len(bpms)) if {bpms.names[i], bpms.label(i)} & out}
     cut = _without_repeats(record)
-    if frozen and len(frozen) < len(bpms) - 2:
-        cut = with_bpms(cut, np.array(sorted(set(range(len(bpms))) - frozen), dtype=np.intp))
-    return Proved(causes, cut, tuple(_untold(told, held, without)))
+    if out and len(out) < len(bpms) - 2:
+        cut = with_bpms(cut, np.array(sorted(set(range(len(bpms))) - out), dtype=np.intp))
+    return Proved(causes, cut, tuple(_untold(told, false, without)))
+
+
+def _warned(findings: Sequence[Finding], check: str) -> list[Finding]:
+    """Take what a check is sure of: a note is none."""
+    return [one for one in findings if one.check == check and one.severity == "warning"]
 
 
 def _untold(
-    told: Sequence[Finding], held: tuple[str, ...], without: frozenset[str]
+    told: Sequence[Finding], false: Mapping[str, tuple[str, ...]], without: frozenset[str]
 ) -> Iterator[Untold]:
     """What is proved and has no name, or may not have it."""
-    if held:
-        yield Untold(held, f"Readings of {listed(held)} were held, not read: they are left out.")
+    for what, names in false.items():
+        if names:
+            yield Untold(names, f"Readings of {listed(names)} were {what}: they are left out.")
     for one in told:
         if one.effect in without:
             yield Untold(one.devices, f"{one.text[:1].upper()}{one.text[1:]}.")

@@ -324,6 +324,32 @@ def test_a_clipped_bpm():
     assert found.effect == ""
 
 
+def frozen_at_its_largest(made, step=0.0):
+    """A record one BPM of which stands still from row 300 on, where it never read further out."""
+    readings = step * np.round(made.readings / step) if step else made.readings.copy()
+    readings[300:, 8] = readings[:300, 8].max() + (step or 1e-9)
+    if step:
+        readings[[150, 299], 8] = readings[300, 8]
+    return readings
+
+
+@pytest.mark.parametrize("step", [0.0, 0.2e-6, 0.3e-6])
+def test_a_bpm_that_froze_at_its_largest_reading_is_not_clipped(step):
+    made = record(ticks=600, steering_rms=30e-6)  # on a grid it was there before, by chance
+    found = screen(replace(made, readings=frozen_at_its_largest(made, step)))
+    assert {each.check for each in found} <= {"frozen-bpm", "coarse-readings"}
+    (frozen,) = [each for each in found if each.check == "frozen-bpm"]
+    assert (frozen.devices, frozen.rows) == ((made.layout.bpms.label(8),), (300 - (step > 0), 600))
+
+
+def test_a_row_that_was_lost_does_not_thaw_a_frozen_bpm():
+    made = record(ticks=600)
+    starts = made.starts.copy()
+    starts[500] = True
+    found = only(replace(made, readings=frozen_at_its_largest(made), starts=starts), "frozen-bpm")
+    assert found.rows == (300, 600)
+
+
 def test_writes_that_were_lost():
     made = record(ticks=300)
     requested = made.requested.copy()

@@ -4,6 +4,7 @@ import pytest
 
 from benchmarks.simulate import simulate_record
 from orbitfb.diagnose.result.diagnosis import State
+from orbitfb.diagnose.screen.rails import RAIL
 from orbitfb.diagnose.screen.repeats import HELD
 from orbitfb.diagnose.verdict.causes import unknown_of
 from orbitfb.diagnose.verdict.proved import Proved, Untold, proved
@@ -49,9 +50,10 @@ def test_a_proved_cause_is_named_beside_what_is_found(record: Record) -> None:
     assert beside_proved("ambiguous", certain) == "ambiguous"
 
 
-def test_what_was_held_is_left_out_of_the_record(record: Record) -> None:
+@pytest.mark.parametrize("check", [HELD, RAIL])
+def test_what_was_held_or_clipped_is_left_out_of_the_record(record: Record, check: str) -> None:
     names = tuple(record.layout.bpms.label(column) for column in (3, 40))
-    certain = proved(record, [Finding(HELD, "warning", names, None, "")], frozenset())
+    certain = proved(record, [Finding(check, "warning", names, None, "")], frozenset())
     (untold,) = certain.untold
     assert untold.devices == names
     assert names[0] in untold.text
