@@ -389,9 +389,16 @@ MUTANTS = (
     Mutant(
         "a large change that a blind BPM does not see says nothing for it",
         "orbitfb.safety.answers.evidence",
-        "_over(MUCH * self.sums[ASKED, 0], self.sums[MUCH_V, 0])",
+        "_over(self.sums[ASKED, 0], self.sums[MUCH_V, 0])",
         "_over(1.5 * (self.sums[LITTLE_M, 0] - self.sums[MUCH_M, 0]), self.sums[MUCH_V, 0])",
         ("safety/answers/test_questions.py",),
+    ),
+    Mutant(
+        "a deaf corrector misses what it took if it took little, not what was predicted",
+        "orbitfb.safety.answers.evidence",
+        "heard(surprise + (1.0 - LITTLE) * own)",
+        "(heard(surprise) + np.sum(telling * (1.0 - LITTLE) * own, axis=0))",
+        ("safety/answers/test_deaf_devices.py",),
     ),
     Mutant(
         "a current stamped in the future grows old from when it was seen",
