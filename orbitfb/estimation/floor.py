@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from orbitfb.core.errors import EstimationError
-from orbitfb.estimation.moments import LEAST_VARIANCE, Moments, weighed_sums
+from orbitfb.estimation.moments import Moments, at_least, weighed_sums
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.priors import LEAST_STEPS
 from orbitfb.estimation.transform import Matrix
@@ -77,7 +77,7 @@ def improve(
         pull, expected, noisy, usual = weighed_sums(noise, moments)
         walk = _nearer(noise.walk, pull, expected, shape, counts)
         reading = noise.reading * np.sqrt(np.diag(noisy) / np.diag(usual))
-        reading = np.maximum(reading, LEAST_VARIANCE * float(np.median(reading)))
+        reading = at_least(reading)
         noise = noise.improved(walk, reading)
     return noise
 

@@ -11,6 +11,10 @@ from orbitfb.estimation.transform import Matrix, StepTransform
 LEAST_VARIANCE = 1e-6
 """Least variance of a BPM's noise, of the median BPM's: one that repeats its reading has none."""
 
+FINEST = 1e-9
+"""Least noise of a reading [m]: no BPM reads finer. Where something large is not modelled the walk
+would else take all, and the noise would be none."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moments:
@@ -76,6 +80,11 @@ class Moments:
     def more(self, noise: StepNoise, other: StepNoise) -> float:
         """Log density under a noise beyond that under another."""
         return self.log_density(noise) - self.log_density(other)
+
+
+def at_least(reading: Vector) -> Vector:
+    """Let no BPM have less noise than one can have, variances of shape (n,) [m²]."""
+    return np.maximum(reading, max(LEAST_VARIANCE * float(np.median(reading)), FINEST**2))
 
 
 def weighed_sums(noise: StepNoise, moments: Moments) -> tuple[Matrix, Matrix, Matrix, Matrix]:

@@ -22,8 +22,9 @@ class StepNoise:
     Args:
         walk: Q, shape (n, n) [m²].
         white: N, shape (n, n) [m²], positive definite.
-        shaken: Part of N that is motion of the beam, new at every row, shape (n, n) [m²]; None:
-            there is none, and N is the noise of each reading alone.
+        shaken: Part of N that several BPMs have in common, as motion of the beam that is new at
+            every row, shape (n, n) [m²]; None: there is none, and N is the noise of each reading
+            alone.
         colour: c; 0: a walk.
     """
 

@@ -207,6 +207,10 @@ ONSETS_EVERY = 10
 ONSET_MARGIN = 30
 """Rows at either end of a record within which no onset is tried: too few to tell it by."""
 
+UNTOLD = 3
+"""First rows that a law which was always there may lose [rows]: the longest delay in ticks that is
+usual. An onset within them is none."""
+
 OWN_REACH = 0.25
 """Logarithm of the ratio within which a device's own value is searched: half a step of a grid."""
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfb.core.signals import Vector
-from orbitfb.estimation.moments import LEAST_VARIANCE, Moments, weighed_sums
+from orbitfb.estimation.moments import Moments, at_least, weighed_sums
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.priors import LARGEST
 from orbitfb.estimation.transform import Matrix
@@ -93,7 +93,7 @@ def fit_shapes(
         single = slice(len(shapes.broad), None)
         weights[single] = np.minimum(weights[single], most / np.maximum(unit[single], 1e-300))
         reading = reading * np.diag(noisy) / np.diag(usual)
-        reading = np.maximum(reading, LEAST_VARIANCE * float(np.median(reading)))
+        reading = at_least(reading)
         share = weights * unit / float(np.sum(weights * unit))
         if np.all(np.abs(ratio - 1.0)[share > 0.01] < 0.01):
             break
@@ -133,7 +133,7 @@ def fit_shaken(
         ratio = shapes.seen(noisy) / np.maximum(shapes.seen(usual), 1e-300)
         weights = weights * ratio**_STRIDE
         reading = reading * np.diag(noisy) / np.diag(usual)
-        reading = np.maximum(reading, LEAST_VARIANCE * float(np.median(reading)))
+        reading = at_least(reading)
     return found, weights
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.refit import Course, joined
 from orbitfb.diagnose.likelihood.corrected import driven, hearing
 from orbitfb.diagnose.likelihood.workspace import Workspace
@@ -29,7 +28,7 @@ class Candidate:
         onset: Row at which it begins; 0: with the record.
         field: Spectrum of what it adds to the readings, shape (T, n) [m]; None: nothing known.
         walk: Covariance that it adds to the walk, shape (n, n) [m²].
-        white: Variance that it adds to the readings of every BPM, shape (n,) [m²].
+        white: Covariance that it adds to the noise of the readings, shape (n, n) [m²].
         raised: Standard deviation of healthy errors that it raises: block number and share.
         columns: Columns of the healthy errors whose own variance it sets, with that variance.
         noisy: Whether it says something of the noise alone.
@@ -56,7 +55,7 @@ class Candidate:
     onset: int = 0
     field: Matrix | None = None
     walk: Matrix | None = None
-    white: Vector | None = None
+    white: Matrix | None = None
     raised: Mapping[int, float] = dataclasses.field(default_factory=dict)
     columns: Mapping[int, float] = dataclasses.field(default_factory=dict)
     noisy: bool = False
@@ -95,6 +94,10 @@ class Candidate:
         if self.walk is not None:
             noise = replace(space.noise, walk=space.noise.walk + self.walk)
             space = replace(space, held=space.held + self.walk, noise=noise)
+        if self.white is not None:
+            known = self.white if space.noise.shaken is None else space.noise.shaken + self.white
+            noise = replace(space.noise, white=space.noise.white + self.white, shaken=known)
+            space = replace(space, noise=noise)
         if self.raised:
             shares = list(space.shares)
             for block, share in self.raised.items():

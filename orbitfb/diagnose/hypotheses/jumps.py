@@ -1,16 +1,23 @@
 """Laws whose course is a constant: of them the row at which they begin is all that shows."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 
+from orbitfb.core.robust import TO_SIGMA
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.ranking import any_size
 from orbitfb.diagnose.hypotheses.scores import Scorer
+from orbitfb.diagnose.hypotheses.sets import grown_apart
+from orbitfb.diagnose.likelihood.corrected import over
+from orbitfb.diagnose.likelihood.terms import Single
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw, FieldLaw
-from orbitfb.estimation.evidence import best_size
+from orbitfb.estimation.evidence import NormalTerms, best_size
 from orbitfb.estimation.priors import SIZE_WIDTH, VALUE_COST
-from orbitfb.estimation.transform import Matrix
+from orbitfb.estimation.transform import Indices, Matrix, StepTransform
 
 _ROUNDING = 1e-6
 """Relative change of a course that is rounding [1]: a jump of 5 µm on an orbit of millimetres is
@@ -39,7 +46,9 @@ def scan_jumps(
     values: Values,
     scorer: Scorer,
 ) -> list[Candidate]:
-    """Find the place and the row of the most telling jump.
+    """Find the place and the row of the most telling jump, and places that jump at one row.
+
+    All BPMs of a crate jump when it is switched on again, each by an offset of its own.
 
     Args:
         kind: The effect.
@@ -48,21 +57,117 @@ def scan_jumps(
         values: Of its parameters, of the usual size.
         scorer: Of what is left to explain.
     """
-    space = scorer.space
+    transform = scorer.space.transform
     pull, own = of_jumps(patterns, scorer)
     gain = any_size(pull, np.broadcast_to(own, pull.shape))
     step, place = map(int, np.unravel_index(int(np.argmax(gain)), gain.shape))
-    row = int(space.transform.step_rows()[step])
-    jump = (np.arange(space.transform.rows) >= row).astype(float)[:, None]
-    field = space.transform.spectrum(jump) @ patterns[:, place : place + 1].T
-    pulled, information = scorer.evaluate([field])
+    jump = _Jump(kind, patterns, names, values, int(transform.step_rows()[step]))
+    pulled, information = scorer.evaluate([jump.field(transform, place, 1.0)])
     size = float(best_size(pulled, information[0], SIZE_WIDTH**2)[0])
     evidence = float(any_size(pulled, information[0])[0])
-    evidence -= float(np.log(gain.size)) + VALUE_COST
-    scaled = {**values, **{p.name: size * values[p.name] for p in kind.sizes}}
-    where = (place,) if names else ()
-    told = tuple(names[one] for one in where)
-    return [Candidate(kind, where, told, scaled, evidence, onset=row, field=size * field)]
+    single = jump.one(transform, place, size, evidence - float(np.log(gain.size)) - VALUE_COST)
+    if not names:
+        return [single]
+    return [single, *_several(kind, patterns, names, values, scorer)]
+
+
+def _several(
+    kind: EffectKind, patterns: Matrix, names: tuple[str, ...], values: Values, scorer: Scorer
+) -> Iterator[Candidate]:
+    """Places that jump at one row, if they are several."""
+    transform = scorer.space.transform
+    pull, information = _usually(patterns, scorer)
+    gain = any_size(pull, np.broadcast_to(np.diag(information), pull.shape))
+    step = int(np.argmax(np.sum(np.maximum(gain - np.log(len(names)), 0.0), axis=1)))
+    jump = _Jump(kind, patterns, names, values, int(transform.step_rows()[step]))
+    found = jump.found(pull[step], information)
+    if len(found) > 1:
+        yield jump.together(scorer, found)
+
+
+def _usually(patterns: Matrix, scorer: Scorer) -> tuple[Matrix, Matrix]:
+    """Pull (T, D) and information (D, D) of jumps at every step, as rows usually are.
+
+    A large step of a few BPMs is most of what the floor holds for their walk, so that it would tell
+    little against it. What pulls at a place has the variance of its information if the floor is
+    right; its median size tells how much less that usually is.
+    """
+    pull = scorer.rows.late @ patterns
+    noise = scorer.space.noise
+    seen = patterns.T @ noise.modes
+    weight = np.mean(1.0 / noise.variance(scorer.space.transform), axis=0)
+    information = (seen * weight) @ seen.T
+    usual = (TO_SIGMA * np.median(np.abs(pull), axis=0)) ** 2
+    more = np.maximum(np.diag(information) / np.maximum(usual, np.finfo(float).tiny), 1.0)
+    return pull * more, np.sqrt(np.outer(more, more)) * information
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Jump:
+    """Jumps at a row.
+
+    Args:
+        kind: The effect.
+        patterns: Change of the readings by each of the usual size, shape (n, D) [m].
+        names: Of the places; none: the ring.
+        values: Of its parameters, of the usual size.
+        row: At which they come.
+    """
+
+    kind: EffectKind
+    patterns: Matrix
+    names: tuple[str, ...]
+    values: Values
+    row: int
+
+    def course(self, transform: StepTransform) -> Single:
+        """Transformed steps of what jumps by one, shape (T, 1)."""
+        late = (np.arange(transform.rows) >= self.row).astype(float)[:, None]
+        return transform.quick_spectrum(late)
+
+    def field(self, transform: StepTransform, place: int, size: float) -> Matrix:
+        """What a jump of a size adds to the readings, shape (T, n) [m]."""
+        return size * self.course(transform) @ self.patterns[:, [place]].T
+
+    def one(self, transform: StepTransform, place: int, size: float, evidence: float) -> Candidate:
+        """A single jump of a size."""
+        scaled = {**self.values, **{p.name: size * self.values[p.name] for p in self.kind.sizes}}
+        where = (place,) if self.names else ()
+        told = tuple(self.names[one] for one in where)
+        field = self.field(transform, place, size)
+        return Candidate(self.kind, where, told, scaled, evidence, onset=self.row, field=field)
+
+    def together(self, scorer: Scorer, places: Indices) -> Candidate:
+        """Several places that jump, each by a size of its own."""
+        transform = scorer.space.transform
+        course = np.repeat(self.course(transform), len(places), axis=1)
+        terms = NormalTerms(
+            *scorer.columns([self.patterns[:, places]], course),
+            np.full(len(places), SIZE_WIDTH**2),
+        )
+        parts = tuple(
+            self.one(transform, int(place), float(size), 0.0)
+            for place, size in zip(places, terms.mean(), strict=True)
+        )
+        names = tuple(name for one in parts for name in one.names)
+        field = np.sum([np.asarray(one.field) for one in parts], axis=0)
+        cost = len(places) * np.log(len(self.names)) + np.log(transform.rows) + VALUE_COST
+        return Candidate(
+            self.kind, tuple(map(int, places)), names, parts[0].values,
+            float(terms.evidence() - cost), onset=self.row, field=field, parts=parts,
+            again=lambda after: self.more(Scorer.of(over(scorer.space, after)), places),
+        )  # fmt: skip
+
+    def more(self, scorer: Scorer, places: Indices) -> Candidate:
+        """The same, and whoever else jumps: over a floor that has none of it smaller ones show."""
+        pull, information = _usually(self.patterns, scorer)
+        step = int(np.searchsorted(scorer.space.transform.step_rows(), self.row))
+        return self.together(scorer, np.union1d(places, self.found(pull[step], information)))
+
+    def found(self, pull: Vector, information: Matrix) -> Indices:
+        """Places that jump, from pull (D,) and information (D, D) of all at the row."""
+        found, _ = grown_apart(pull, information, float(np.log(len(self.names))), True)
+        return np.array(found, dtype=np.intp)
 
 
 def of_jumps(patterns: Matrix, scorer: Scorer) -> tuple[Matrix, Vector]:

@@ -86,13 +86,9 @@ def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighe
         gain = gained(factor / np.maximum(scale, 1e-300) * weight)
         better = gain > best
         best[better], size[better] = gain[better], (factor / scale)[better]
-    if law.walk:
-        usual = _unsure(law.patterns, space.shape + space.held, precision)
-        best = best - np.max([gained(share * usual[None, :]) for share in UNSURE], axis=0)
-    else:  # what a walk of the same pattern explains is no noise
-        flat = np.mean(precision, axis=0)[None, :]
-        walks = [gained(np.broadcast_to(size / flat, precision.shape)) for size in RANDOM_VARIANCES]
-        best = best - np.maximum(np.max(walks, axis=0), 0.0)
+    # What the ground may do along the pattern, too, is no effect.
+    usual = _unsure(law.patterns, space.shape + space.held, precision)
+    best = best - np.max([gained(share * usual[None, :]) for share in UNSURE], axis=0)
     place = int(np.argmax(best))
     gain = float(best[place]) - np.log(len(best)) - VALUE_COST
     found = _candidate(kind, law, space, place, float(size[place]), gain)
@@ -222,4 +218,4 @@ def _candidate(
     if law.walk:
         cost = float(np.log(len(law.names))) + VALUE_COST
         return Candidate(kind, places, names, values, gain, walk=spread, courseless=True, cost=cost)
-    return Candidate(kind, places, names, values, gain, white=np.diag(spread).copy(), noisy=True)
+    return Candidate(kind, places, names, values, gain, white=spread, noisy=True)

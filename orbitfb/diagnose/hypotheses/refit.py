@@ -30,7 +30,7 @@ class Course:
         values: Of the parameters, as found for all devices together.
         size: By which the courses are multiplied, of every device, shape (k,).
         onset: Row at which it begins.
-        kick: Whether what it has reached by then comes at once.
+        kick: Whether what it has reached by then comes at once: see `begun`.
         first: State of every device in the first row, from −1 to 1, shape (k,), of a law that
             remembers; None: in the middle.
         elements: Errors of single elements of the response, by the name of what they are with
@@ -56,11 +56,7 @@ class Course:
         found = []
         for course in self.law.course(values, signals):
             part = course if course.shape[1] == 1 else course[:, chosen]
-            if self.onset:
-                base = part[0] if self.kick else part[self.onset]
-                late = (np.arange(len(part)) >= self.onset)[:, None]
-                part = np.where(late, part - base, 0.0)
-            found.append(part)
+            found.append(begun(self.law, part, self.onset, self.kick) if self.onset else part)
         return tuple(found)
 
     def undone(
@@ -101,6 +97,23 @@ class Course:
                 if np.any(pattern) and np.any(course):
                     wide = np.broadcast_to(course, (len(course), pattern.shape[1]))
                     yield name, pattern, wide * self.size
+
+
+def begun(law: DeviceLaw, course: Matrix, onset: int, kick: bool) -> Matrix:
+    """Courses that begin at a row.
+
+    What a law has reached by then comes at once, or is there already: a supply that trips loses
+    its whole current, one that hangs loses nothing. Currents are absolute; of the orbit a record
+    tells the changes alone, so that there it is what was reached since the first row.
+
+    Args:
+        law: Whose courses they are.
+        course: Over the whole record, shape (N, k).
+        onset: The row.
+        kick: Whether it comes at once.
+    """
+    base = course[onset] if not kick else 0.0 if law.driven else course[0]
+    return np.where((np.arange(len(course)) >= onset)[:, None], course - base, 0.0)
 
 
 def joined(parts: list[tuple[str, Matrix, Matrix]]) -> tuple[Matrix, Indices, Matrix]:

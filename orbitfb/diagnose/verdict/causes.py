@@ -25,6 +25,7 @@ from orbitfb.diagnose.verdict.state import Judged
 from orbitfb.diagnose.verdict.values import Measured
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import EventLaw, RandomLaw
+from orbitfb.estimation.priors import UNTOLD
 from orbitfb.physics.places import Indices, Planes
 from orbitfb.records.finding import listed
 from orbitfb.records.layout import Layout
@@ -135,7 +136,7 @@ def _places(names: Sequence[str], layout: Layout) -> tuple[tuple[str, ...], Plan
 
 
 def _onset(row: int, record: Record) -> float | None:
-    return float(record.time[row]) if row else None
+    return float(record.time[row]) if row > UNTOLD else None
 
 
 def ambiguous_sets(causes: Sequence[Named]) -> tuple[AmbiguousSet, ...]:

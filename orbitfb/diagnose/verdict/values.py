@@ -177,8 +177,8 @@ class Measured:
         space = self.scorer.space
         noise, transform = space.noise, space.transform
         walk = np.zeros_like(noise.walk) if part.walk is None else part.walk
-        white = np.zeros(len(walk)) if part.white is None else part.white
-        parts = [noise.modes.T @ one @ noise.modes for one in (walk, np.diag(white))]
+        white = np.zeros_like(walk) if part.white is None else part.white
+        parts = [noise.modes.T @ one @ noise.modes for one in (walk, white)]
         information = 0.0
         for inverse, level, count in zip(
             noise.inverse_variance(transform), transform.band_levels(), transform.count, strict=True

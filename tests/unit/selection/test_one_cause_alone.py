@@ -28,3 +28,21 @@ def test_a_corrector_that_is_stuck(machine: str, seed: int, tmp_path: Path) -> N
 def test_setpoints_that_act_late(tmp_path: Path) -> None:
     """Those before the record are not in it: its first row is off as if one place kicked."""
     assert found("dither", "delay", 11, tmp_path) == ["loop-delay"]
+
+
+def test_a_corrector_that_trips(tmp_path: Path) -> None:
+    """It loses its whole current at once, and not what it moved by since the first row."""
+    for seed in (1, 2):
+        assert found("plain", "trip", seed, tmp_path) == ["corrector-stuck"]
+
+
+def test_bpms_that_jump_together(tmp_path: Path) -> None:
+    """Each by an offset of its own: neither a current that they follow nor kicks of the beam."""
+    for seed in (1, 2):
+        assert found("plain", "crate", seed, tmp_path) == ["bpm-offset"]
+
+
+def test_noise_that_bpms_have_in_common(tmp_path: Path) -> None:
+    """It is new at every row, and what a walk along the same BPMs explains of it is no walk."""
+    for seed in (1, 2):
+        assert found("plain", "common-noise", seed, tmp_path) == ["noise-correlated"]

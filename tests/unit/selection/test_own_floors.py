@@ -127,16 +127,16 @@ def test_under_the_floor_of_another_one_none_has_more_than_under_its_own() -> No
 
 
 def test_a_form_of_an_effect_does_not_stand_for_another_one() -> None:
-    """Two BPMs whose gains are wrong from the beginning on, told after one that begins late."""
+    """Two BPMs whose gains are wrong, each by another factor, told after a single one."""
     record = make_record(90, gain=0.0)
     gains = np.ones(record.readings.shape[1])
     gains[[3, 9]] = [1.25, 0.8]
     record = replace(record, readings=record.readings * gains)
     space = Workspace.of(record, kinds_for(record))
     found = candidates_of(space, [effect("bpm-gain")])
-    late = next(one for one in found if one.onset)
+    single = next(one for one in found if one.sources and len(one.places) == 1)
     some = next(one for one in found if one.columns)
-    assert some.evidence > 1.5 * late.evidence
-    best, *_ = refitted([replace(late, evidence=2.0 * some.evidence), some], space)
+    assert some.evidence > 1.5 * single.evidence
+    best, *_ = refitted([replace(single, evidence=2.0 * some.evidence), some], space)
     assert best.places == (3, 9)
     assert best.evidence > 0.9 * some.evidence

@@ -1,6 +1,6 @@
 """A law that begins in the middle of a record: its row and its size, exactly."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of
 from orbitfb.diagnose.hypotheses.ranking import any_size, within
-from orbitfb.diagnose.hypotheses.refit import Course
+from orbitfb.diagnose.hypotheses.refit import Course, begun
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.terms import Single
@@ -17,7 +17,7 @@ from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.kinds import EffectKind, Values
 from orbitfb.effects.laws import DeviceLaw
 from orbitfb.estimation.evidence import NormalTerms, given_size
-from orbitfb.estimation.priors import ONSETS_EVERY, SIZE_WIDTH, STANDING
+from orbitfb.estimation.priors import ONSETS_EVERY, SIZE_WIDTH, STANDING, UNTOLD
 
 HOPEFUL = 24
 """Devices whose onsets are looked for at most, those of which most shows."""
@@ -58,7 +58,8 @@ def exactly(
     places, values = begin.places, begin.values
     devices = (places or tuple(range(len(law.names))))[:HOPEFUL]
     worth, last = any_size if free else given_size, scorer.space.transform.rows - 2
-    best, tried = (-np.inf, begin.row, False), begin.others[: _COLUMNS // len(devices)]
+    best = (-np.inf, begin.row, False)
+    tried = (begin.row, *begin.others)[: _COLUMNS // len(devices)]
     for _ in range(2):
         for kick in (False, True):
             gain = worth(*_by_row(law, scorer, values, devices, tried, kick))
@@ -76,7 +77,21 @@ def exactly(
         # What stands in a device before it begins is in no record: it may kick by any of it.
         kicked = kicking(kind, law, scorer, replace(begin, row=row), cost)
         found = max(found, kicked, key=lambda one: one.evidence)
-    return replace(found, again=again)
+    always = max(_always(kind, law, scorer, begin, cost, free), key=lambda one: one.evidence)
+    return replace(max(always, found, key=lambda one: one.evidence), again=again)
+
+
+def _always(
+    kind: EffectKind, law: DeviceLaw, scorer: Scorer, begin: Begin, cost: float, free: bool
+) -> Iterator[Candidate]:
+    """The same from the beginning on: no row is chosen.
+
+    Of a law that remembers the first rows tell nothing, as what was before the record is unknown.
+    """
+    choice = float(np.log(scorer.space.transform.rows))
+    for row in range(UNTOLD + 1):
+        one = evaluated(kind, law, scorer, begin.places, begin.values, row, free, cost)
+        yield replace(one, evidence=one.evidence + choice) if row else one
 
 
 def _by_row(
@@ -88,13 +103,13 @@ def _by_row(
     kick: bool,
 ) -> tuple[Vector, Vector]:
     """Pull and information of devices that begin together at a row, exactly, for every row."""
-    patterns, begun = [], []
+    patterns, late = [], []
     for pattern, course in zip(law.patterns, law.course(values, scorer.space.signals), strict=True):
         for device in devices:
             own = course[:, 0] if course.shape[1] == 1 else course[:, device]
             patterns.append(np.repeat(pattern[:, [device]], len(rows), axis=1))
-            begun.append(np.stack([_begun(own, row, kick) for row in rows], axis=1))
-    spectrum = scorer.space.transform.quick_spectrum(np.hstack(begun))
+            late.append(np.hstack([begun(law, own[:, None], row, kick) for row in rows]))
+    spectrum = scorer.space.transform.quick_spectrum(np.hstack(late))
     pull, information = scorer.columns(patterns, spectrum)
     return pull, np.diag(information)
 
@@ -137,9 +152,3 @@ def kicking(
 def standing(spectrum: Single) -> Vector:
     """Size that a first kick may have, in the units of a course, (D,) or (1,) of (T, D or 1)."""
     return STANDING * np.sqrt(np.mean(spectrum.astype(np.float64) ** 2, axis=0))
-
-
-def _begun(course: Vector, onset: int, kick: bool) -> Vector:
-    """A course that begins at a row, with or without what it has reached by then."""
-    base = course[0] if kick else course[onset]
-    return np.where(np.arange(len(course)) < onset, 0.0, course - base)

@@ -58,14 +58,17 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
     tried = rank.beginning
     if not tried and (law.standing or (kind.linear is not None and scorer.is_usual(kind))):
         tried = list(rank.grid[:1])
-    begun = [_begins(kind, law, scorer, values) for values in tried]
-    best = max((one for one in begun if one), key=lambda one: one.evidence, default=None)
-    if best is None or best.evidence <= 0.0:
-        return []
-    cost = cost_of(kind, best.values, scorer)
-    if law.standing:
-        return [kicking(kind, law, scorer, best, cost)]
-    return list(_from(kind, law, scorer, best, cost))
+    found = []
+    for values in tried:
+        begin = _begins(kind, law, scorer, values)
+        if begin is None or begin.evidence <= 0.0:
+            continue
+        cost = cost_of(kind, begin.values, scorer)
+        if law.standing:
+            found.append(kicking(kind, law, scorer, begin, cost))
+        else:
+            found += _from(kind, law, scorer, begin, cost)
+    return found
 
 
 def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) -> Begin | None:
@@ -87,6 +90,9 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     kicks = _kicks(law, scorer, spectra) if law.standing else None
     if kicks is not None:
         shown = shown + np.maximum(kicks.max(axis=0) - np.log(len(kicks)), 0.0)
+    jumps = _jumps(law, scorer, values) if law.driven else None
+    if jumps is not None:
+        shown = np.maximum(shown, sign(*jumps).max(axis=0) - np.log(len(jumps[0])))
     usual = scorer.is_usual(kind)
     usual = usual or (not scales(kind) and stood_in(kind, law, values, scorer))
     sets = _hopeful_sets(law, scorer, pull, spectra, every=usual)
@@ -110,7 +116,13 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
         for pattern, own in zip(law.patterns, steps, strict=True)
     ]
     # Of a law of one size, too: healthy errors stand in for a part of what is left of it.
-    gain = any_size(*(np.sum(its, axis=0) for its in zip(*parts, strict=True)))
+    pulled, informed = (np.sum(its, axis=0) for its in zip(*parts, strict=True))
+    gain = any_size(pulled, informed)
+    jumped = None
+    if jumps is not None:
+        alone = slice(len(hopeful))
+        jumped = _jumped(pulled[:, alone], informed[:, alone], jumps, hopeful, onsets)
+        gain[:, alone] = np.maximum(gain[:, alone], np.maximum.reduceat(jumped, onsets, axis=0))
     if kicks is not None:
         gain = gain + np.maximum.reduceat(kicks[:, hopeful], onsets, axis=0)
     outside = (onsets < ONSET_MARGIN) | (onsets > len(scorer.space.transform) - ONSET_MARGIN)
@@ -120,13 +132,51 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     places = hopeful[place : place + 1] if single else sets[place - len(hopeful)]
     cost = np.log(count + len(law.groups)) + np.log(len(onsets))
     row = int(onsets[onset])
-    if kicks is not None:  # the kick tells the row
-        row += int(np.argmax(kicks[row : row + ONSETS_EVERY, hopeful[place]]))
+    told = kicks[:, hopeful] if kicks is not None else jumped
+    if told is not None and single:  # the kick tells the row
+        row += int(np.argmax(told[row : row + ONSETS_EVERY, place]))
     rows = scorer.space.transform.step_rows()
     told = tuple(map(int, places)) if single or len(places) < count else ()
     best = np.argsort(-gain[:, place], kind="stable")
     others = tuple(map(int, rows[onsets[best[np.isfinite(gain[best, place])]]]))
     return Begin(float(gain[onset, place] - cost), told, int(rows[row]), values, others)
+
+
+def _jumps(law: DeviceLaw, scorer: Scorer, values: Values) -> tuple[Matrix, Matrix]:
+    """Pull and information of what each device has reached by every step, if it came then, (T, D).
+
+    Where a supply trips, that is its whole current.
+    """
+    rows = scorer.space.transform.step_rows()
+    pull: Matrix | float = 0.0
+    information: Matrix | float = 0.0
+    courses = law.course(values, scorer.space.signals)
+    for pattern, course in zip(law.patterns, courses, strict=True):
+        along, own = of_jumps(pattern, scorer)
+        reached = course[rows]
+        pull, information = pull + reached * along, information + reached**2 * own
+    return np.asarray(pull), np.asarray(information)
+
+
+def _jumped(
+    pull: Matrix,
+    information: Matrix,
+    jumps: tuple[Matrix, Matrix],
+    devices: Indices,
+    onsets: Indices,
+) -> Matrix:
+    """Log evidence of devices that begin with a jump, at every step, shape (T, k).
+
+    Args:
+        pull: Of what follows from the onset on, shape (O, k).
+        information: The same.
+        jumps: Pull and information of the jump at every step, of all devices, shape (T, D).
+        devices: Numbers of the k.
+        onsets: Steps, shape (O,).
+    """
+    within = np.searchsorted(onsets, np.arange(len(jumps[0])), side="right") - 1
+    jump, known = (one[:, devices] for one in jumps)
+    return any_size(pull[within] + jump, information[within] + known)
 
 
 def _kicks(law: DeviceLaw, scorer: Scorer, spectra: Sequence[Single]) -> Matrix:
@@ -144,20 +194,22 @@ def _from(
 ) -> Iterator[Candidate]:
     """The devices that begin at a row: those that were scanned, and the best set of all."""
     signals, values = scorer.space.signals, begin.values
-    courses = Course(law, (), values, np.ones(len(law.names)), begin.row).of(signals, values)
-    spectra = [scorer.space.transform.quick_spectrum(one) for one in courses]
-    pull, information = scorer.score(law.patterns, spectra)
-    information = scorer.marginal(kind, law.patterns, spectra, information)
     late = float(np.log(scorer.space.transform.rows))
-    for worth, free in worths_of(kind):
-        # One that has no size is sought of any: healthy errors stand in for a part of it.
-        its = worth if scales(kind) else any_size
-        gain, places = best_set(pull, information, law.groups, its, alone=not kind.collective)
-        names = tuple(law.names[place] for place in places)
-        yield Candidate(
-            kind, places, names, values, gain - cost - late, onset=begin.row,
-            finer=partial(exactly, kind, law, scorer, replace(begin, places=places), cost, free),
-        )  # fmt: skip
+    for kick in (False, True) if law.driven else (False,):
+        begun = Course(law, (), values, np.ones(len(law.names)), begin.row, kick)
+        spectra = [scorer.space.transform.quick_spectrum(one) for one in begun.of(signals, values)]
+        pull, information = scorer.score(law.patterns, spectra)
+        information = scorer.marginal(kind, law.patterns, spectra, information)
+        for worth, free in worths_of(kind):
+            # One that has no size is sought of any: healthy errors stand in for a part of it.
+            its = worth if scales(kind) else any_size
+            gain, places = best_set(pull, information, law.groups, its, alone=not kind.collective)
+            names = tuple(law.names[place] for place in places)
+            found = replace(begin, places=places)
+            yield Candidate(
+                kind, places, names, values, gain - cost - late, onset=begin.row,
+                finer=partial(exactly, kind, law, scorer, found, cost, free),
+            )  # fmt: skip
 
 
 def _hopeful_sets(
