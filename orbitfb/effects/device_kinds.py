@@ -51,12 +51,17 @@ class ActuatorKind(EffectKind):
         def course(values: Values, given: Signals) -> tuple[Matrix, ...]:
             return (self.drive(given.currents, values, given.record) - given.currents,)
 
+        def first(values: Values, given: Signals) -> Matrix:
+            beginning = given.currents.reshape(1, -1)  # each row of each one for itself
+            lost = self.drive(beginning, values, given.record.rows(0, 1)) - beginning
+            return lost.reshape(given.currents.shape)
+
         names = tuple(layout.correctors.label(i) for i in range(len(layout.correctors)))
         groups = layout.correctors.groups()
         return (
             DeviceLaw(
                 (layout.response,), course, names, groups,
-                whole=self.only_whole, driven=True, many=self.many,
+                whole=self.only_whole, first=first, driven=True, many=self.many,
             ),
         )  # fmt: skip
 

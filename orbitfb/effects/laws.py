@@ -53,6 +53,9 @@ class DeviceLaw:
         periodic: Whether the course is a wave whose frequency is to be found.
         standing: Whether it acts on an orbit of which the record tells only the changes: where it
             begins in the middle of a record its first kick has any size.
+        first: What each device adds in a row if it begins there, shape (N, D): a supply that trips
+            loses its whole current at once, one that hangs nothing. None: nobody knows, as where
+            it acts on an orbit.
         driven: Whether the courses follow from the currents alone, whatever the orbit is.
         many: Courses of all devices for several sets of values at once, shape (N, V · D); None
             where that is no quicker than one after the other.
@@ -68,6 +71,7 @@ class DeviceLaw:
     whole: bool = False
     periodic: bool = False
     standing: bool = False
+    first: Callable[[Values, Signals], Matrix] | None = None
     driven: bool = False
     many: Callable[[Sequence[Values], Signals], Matrix] | None = None
     undone: Callable[[Values, Signals, Indices], tuple[Matrix, Vector]] | None = None

@@ -30,7 +30,7 @@ class Course:
         values: Of the parameters, as found for all devices together.
         size: By which the courses are multiplied, of every device, shape (k,).
         onset: Row at which it begins.
-        kick: Whether what it has reached by then comes at once: see `begun`.
+        kick: Whether what it has reached by then comes at once, where the law does not know.
         first: State of every device in the first row, from −1 to 1, shape (k,), of a law that
             remembers; None: in the middle.
         elements: Errors of single elements of the response, by the name of what they are with
@@ -53,10 +53,15 @@ class Course:
             states = np.zeros(len(self.law.names))
             states[chosen] = self.first
             values = cast(Values, {**values, FIRST_STATE: states})
-        found = []
+        found, reached = [], None
+        if self.onset and self.law.first is not None:
+            reached = self.law.first(values, signals)[self.onset, chosen]
         for course in self.law.course(values, signals):
             part = course if course.shape[1] == 1 else course[:, chosen]
-            found.append(begun(self.law, part, self.onset, self.kick) if self.onset else part)
+            if self.onset:
+                base = based(part, self.onset, self.kick, reached)
+                part = np.where((np.arange(len(part)) >= self.onset)[:, None], part - base, 0.0)
+            found.append(part)
         return tuple(found)
 
     def undone(
@@ -99,21 +104,18 @@ class Course:
                     yield name, pattern, wide * self.size
 
 
-def begun(law: DeviceLaw, course: Matrix, onset: int, kick: bool) -> Matrix:
-    """Courses that begin at a row.
-
-    What a law has reached by then comes at once, or is there already: a supply that trips loses
-    its whole current, one that hangs loses nothing. Currents are absolute; of the orbit a record
-    tells the changes alone, so that there it is what was reached since the first row.
+def based(course: Matrix, onset: int, kick: bool, reached: Vector | None) -> Vector:
+    """What is taken off courses that begin at a row, shape (k,).
 
     Args:
-        law: Whose courses they are.
         course: Over the whole record, shape (N, k).
         onset: The row.
-        kick: Whether it comes at once.
+        kick: Whether what they have reached since the first row comes at once, or none of it.
+        reached: What comes at once, shape (k,), where the law knows; None: as `kick` says.
     """
-    base = course[onset] if not kick else 0.0 if law.driven else course[0]
-    return np.where((np.arange(len(course)) >= onset)[:, None], course - base, 0.0)
+    if reached is not None:
+        return np.asarray(course[onset] - reached)
+    return np.asarray(course[0] if kick else course[onset])
 
 
 def joined(parts: list[tuple[str, Matrix, Matrix]]) -> tuple[Matrix, Indices, Matrix]:

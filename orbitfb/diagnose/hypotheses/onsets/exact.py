@@ -9,7 +9,7 @@ from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.device_laws import choices, evaluated, field_of
 from orbitfb.diagnose.hypotheses.ranking import any_size, within
-from orbitfb.diagnose.hypotheses.refit import Course, begun
+from orbitfb.diagnose.hypotheses.refit import Course, based
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.terms import Single
@@ -61,7 +61,7 @@ def exactly(
     best = (-np.inf, begin.row, False)
     tried = (begin.row, *begin.others)[: _COLUMNS // len(devices)]
     for _ in range(2):
-        for kick in (False, True):
+        for kick in (False, True) if law.first is None else (False,):
             gain = worth(*_by_row(law, scorer, values, devices, tried, kick))
             place = int(np.argmax(gain))
             best = max(best, (float(gain[place]), tried[place], kick))
@@ -103,12 +103,17 @@ def _by_row(
     kick: bool,
 ) -> tuple[Vector, Vector]:
     """Pull and information of devices that begin together at a row, exactly, for every row."""
+    signals = scorer.space.signals
+    reached = None if law.first is None else law.first(values, signals)
     patterns, late = [], []
-    for pattern, course in zip(law.patterns, law.course(values, scorer.space.signals), strict=True):
+    for pattern, course in zip(law.patterns, law.course(values, signals), strict=True):
         for device in devices:
-            own = course[:, 0] if course.shape[1] == 1 else course[:, device]
+            own = course if course.shape[1] == 1 else course[:, [device]]
+            known = [None if reached is None else reached[row, [device]] for row in rows]
+            base = [based(own, row, kick, one) for row, one in zip(rows, known, strict=True)]
+            begun = np.arange(len(own))[:, None] >= np.array(rows)
             patterns.append(np.repeat(pattern[:, [device]], len(rows), axis=1))
-            late.append(np.hstack([begun(law, own[:, None], row, kick) for row in rows]))
+            late.append(np.where(begun, own - np.hstack(base), 0.0))
     spectrum = scorer.space.transform.quick_spectrum(np.hstack(late))
     pull, information = scorer.columns(patterns, spectrum)
     return pull, np.diag(information)

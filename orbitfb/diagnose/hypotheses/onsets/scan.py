@@ -90,7 +90,9 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     kicks = _kicks(law, scorer, spectra) if law.standing else None
     if kicks is not None:
         shown = shown + np.maximum(kicks.max(axis=0) - np.log(len(kicks)), 0.0)
-    jumps = _jumps(law, scorer, values) if law.driven else None
+    jumps = (
+        None if law.first is None else _jumps(law, scorer, law.first(values, scorer.space.signals))
+    )
     if jumps is not None:
         shown = np.maximum(shown, sign(*jumps).max(axis=0) - np.log(len(jumps[0])))
     usual = scorer.is_usual(kind)
@@ -142,18 +144,19 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     return Begin(float(gain[onset, place] - cost), told, int(rows[row]), values, others)
 
 
-def _jumps(law: DeviceLaw, scorer: Scorer, values: Values) -> tuple[Matrix, Matrix]:
-    """Pull and information of what each device has reached by every step, if it came then, (T, D).
+def _jumps(law: DeviceLaw, scorer: Scorer, first: Matrix) -> tuple[Matrix, Matrix]:
+    """Pull and information of what each device adds at once, if it begins at a step, (T, D).
 
-    Where a supply trips, that is its whole current.
+    Args:
+        law: Of the devices.
+        scorer: Of what is left to explain.
+        first: What each adds in the row in which it begins, shape (N, D).
     """
-    rows = scorer.space.transform.step_rows()
+    reached = first[scorer.space.transform.step_rows()]
     pull: Matrix | float = 0.0
     information: Matrix | float = 0.0
-    courses = law.course(values, scorer.space.signals)
-    for pattern, course in zip(law.patterns, courses, strict=True):
+    for pattern in law.patterns:
         along, own = of_jumps(pattern, scorer)
-        reached = course[rows]
         pull, information = pull + reached * along, information + reached**2 * own
     return np.asarray(pull), np.asarray(information)
 
@@ -195,21 +198,20 @@ def _from(
     """The devices that begin at a row: those that were scanned, and the best set of all."""
     signals, values = scorer.space.signals, begin.values
     late = float(np.log(scorer.space.transform.rows))
-    for kick in (False, True) if law.driven else (False,):
-        begun = Course(law, (), values, np.ones(len(law.names)), begin.row, kick)
-        spectra = [scorer.space.transform.quick_spectrum(one) for one in begun.of(signals, values)]
-        pull, information = scorer.score(law.patterns, spectra)
-        information = scorer.marginal(kind, law.patterns, spectra, information)
-        for worth, free in worths_of(kind):
-            # One that has no size is sought of any: healthy errors stand in for a part of it.
-            its = worth if scales(kind) else any_size
-            gain, places = best_set(pull, information, law.groups, its, alone=not kind.collective)
-            names = tuple(law.names[place] for place in places)
-            found = replace(begin, places=places)
-            yield Candidate(
-                kind, places, names, values, gain - cost - late, onset=begin.row,
-                finer=partial(exactly, kind, law, scorer, found, cost, free),
-            )  # fmt: skip
+    begun = Course(law, (), values, np.ones(len(law.names)), begin.row)
+    spectra = [scorer.space.transform.quick_spectrum(one) for one in begun.of(signals, values)]
+    pull, information = scorer.score(law.patterns, spectra)
+    information = scorer.marginal(kind, law.patterns, spectra, information)
+    for worth, free in worths_of(kind):
+        # One that has no size is sought of any: healthy errors stand in for a part of it.
+        its = worth if scales(kind) else any_size
+        gain, places = best_set(pull, information, law.groups, its, alone=not kind.collective)
+        names = tuple(law.names[place] for place in places)
+        found = replace(begin, places=places)
+        yield Candidate(
+            kind, places, names, values, gain - cost - late, onset=begin.row,
+            finer=partial(exactly, kind, law, scorer, found, cost, free),
+        )  # fmt: skip
 
 
 def _hopeful_sets(
