@@ -207,6 +207,11 @@ ONSETS_EVERY = 10
 ONSET_MARGIN = 30
 """Rows at either end of a record within which no onset is tried: too few to tell it by."""
 
+SWALLOWED = 2.0
+"""Evidence of a cause over its own floor, over that beside a floor of all, from which that floor
+had most of it: it takes more turns to leave it. By hand, for time: a factor of two is that of a
+floor which had half."""
+
 UNTOLD = 3
 """First rows that a law which was always there may lose [rows]: the longest delay in ticks that is
 usual. An onset within them is none."""

@@ -50,13 +50,14 @@ def _refined(candidates: list[Candidate], scorer: Scorer, enough: float) -> list
     """Evaluate the finalists exactly, and refine their values, until all that lead are.
 
     A scan leaves out up to half of what is worth something, so less than half of what is enough,
-    or a small part of the best, can win no more.
+    or a small part of the best, can win no more. It leaves out more of a law that begins late,
+    whose beginning the floor has for a walk.
     """
     while True:
         top = candidates[0].evidence if candidates else 0.0
-        least = max(0.5 * enough, CLOSE * top)
         for place in _leading(candidates):
             one = candidates[place]
+            least = 0.5 * enough if one.onset else max(0.5 * enough, CLOSE * top)
             if one.finer is not None and one.evidence > least:
                 fine = one.finer()
                 better = one.field is None or fine.evidence > one.evidence
@@ -78,8 +79,10 @@ def _refined(candidates: list[Candidate], scorer: Scorer, enough: float) -> list
 
 
 def _leading(candidates: list[Candidate]) -> list[int]:
-    """Places of the finalists, and of the best of every effect: one has many sets and onsets."""
-    first = {one.kind.id: place for place, one in reversed(list(enumerate(candidates)))}
+    """Places of the finalists, and of the best of every effect, late or not: one has many sets."""
+    first = {
+        (one.kind.id, one.onset > 0): place for place, one in reversed(list(enumerate(candidates)))
+    }
     return sorted({*range(min(FINALISTS, len(candidates))), *first.values()})
 
 

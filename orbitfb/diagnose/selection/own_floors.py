@@ -10,7 +10,7 @@ from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.first_states import with_first_states
-from orbitfb.estimation.priors import CLOSE, HEARD, LEADING, MISFIT, SETTLED, SURE
+from orbitfb.estimation.priors import CLOSE, HEARD, LEADING, MISFIT, SETTLED, SURE, SWALLOWED
 from orbitfb.estimation.transform import Matrix
 
 
@@ -74,6 +74,12 @@ def refitted(
     while (number := rivals.next()) is not None:
         own, after = settled(candidates[number], space, times=1, spread=False)
         gain = after.log_posterior() - base - (own.cost or 0.0)
+        for _ in range(HEARD if gain > SWALLOWED * own.evidence else 0):
+            nearer = own.accepted(replace(space, noise=after.noise), spread=False)
+            more = nearer.log_posterior() - base - (own.cost or 0.0)
+            if more < gain + SURE:
+                break
+            gain, after = more, nearer
         rivals.own[number] = replace(own, evidence=gain)
         if own.additive:
             rivals.least(_under(candidates, space, after, base))

@@ -1,6 +1,6 @@
 """A law that begins in the middle of a record: its row and its size, exactly."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,21 +77,27 @@ def exactly(
         # What stands in a device before it begins is in no record: it may kick by any of it.
         kicked = kicking(kind, law, scorer, replace(begin, row=row), cost)
         found = max(found, kicked, key=lambda one: one.evidence)
-    always = max(_always(kind, law, scorer, begin, cost, free), key=lambda one: one.evidence)
-    return replace(max(always, found, key=lambda one: one.evidence), again=again)
+    return replace(found, again=again)
 
 
-def _always(
+def always(
     kind: EffectKind, law: DeviceLaw, scorer: Scorer, begin: Begin, cost: float, free: bool
-) -> Iterator[Candidate]:
+) -> Candidate:
     """The same from the beginning on: no row is chosen.
 
     Of a law that remembers the first rows tell nothing, as what was before the record is unknown.
     """
     choice = float(np.log(scorer.space.transform.rows))
-    for row in range(UNTOLD + 1):
-        one = evaluated(kind, law, scorer, begin.places, begin.values, row, free, cost)
-        yield replace(one, evidence=one.evidence + choice) if row else one
+    found = [
+        evaluated(kind, law, scorer, begin.places, begin.values, row, free, cost)
+        for row in range(UNTOLD + 1)
+    ]
+    found[1:] = [replace(one, evidence=one.evidence + choice) for one in found[1:]]
+
+    def again(after: Workspace) -> Candidate:
+        return always(kind, law, Scorer.of(over(scorer.space, after)), begin, cost, free)
+
+    return replace(max(found, key=lambda one: one.evidence), again=again)
 
 
 def _by_row(

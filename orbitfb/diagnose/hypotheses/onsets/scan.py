@@ -14,7 +14,14 @@ import numpy as np
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.jumps import of_jumps
-from orbitfb.diagnose.hypotheses.onsets.exact import HOPEFUL, Begin, exactly, kicking, standing
+from orbitfb.diagnose.hypotheses.onsets.exact import (
+    HOPEFUL,
+    Begin,
+    always,
+    exactly,
+    kicking,
+    standing,
+)
 from orbitfb.diagnose.hypotheses.ranking import (
     Ranked,
     any_size,
@@ -204,14 +211,13 @@ def _from(
     information = scorer.marginal(kind, law.patterns, spectra, information)
     for worth, free in worths_of(kind):
         # One that has no size is sought of any: healthy errors stand in for a part of it.
-        its = worth if scales(kind) else any_size
-        gain, places = best_set(pull, information, law.groups, its, alone=not kind.collective)
+        size = worth if scales(kind) else any_size
+        gain, places = best_set(pull, information, law.groups, size, alone=not kind.collective)
         names = tuple(law.names[place] for place in places)
-        found = replace(begin, places=places)
-        yield Candidate(
-            kind, places, names, values, gain - cost - late, onset=begin.row,
-            finer=partial(exactly, kind, law, scorer, found, cost, free),
-        )  # fmt: skip
+        its = kind, law, scorer, replace(begin, places=places), cost, free
+        one = Candidate(kind, places, names, values, gain - cost - late, onset=begin.row)
+        yield replace(one, finer=partial(exactly, *its))
+        yield replace(one, onset=0, finer=partial(always, *its))
 
 
 def _hopeful_sets(
