@@ -97,9 +97,7 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     kicks = _kicks(law, scorer, spectra) if law.standing else None
     if kicks is not None:
         shown = shown + np.maximum(kicks.max(axis=0) - np.log(len(kicks)), 0.0)
-    jumps = (
-        None if law.first is None else _jumps(law, scorer, law.first(values, scorer.space.signals))
-    )
+    jumps = _jumps(law, scorer, values)
     if jumps is not None:
         shown = np.maximum(shown, sign(*jumps).max(axis=0) - np.log(len(jumps[0])))
     usual = scorer.is_usual(kind)
@@ -141,9 +139,9 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     places = hopeful[place : place + 1] if single else sets[place - len(hopeful)]
     cost = np.log(count + len(law.groups)) + np.log(len(onsets))
     row = int(onsets[onset])
-    told = kicks[:, hopeful] if kicks is not None else jumped
-    if told is not None and single:  # the kick tells the row
-        row += int(np.argmax(told[row : row + ONSETS_EVERY, place]))
+    at_once = kicks[:, hopeful] if kicks is not None else jumped
+    if at_once is not None and single:  # the kick tells the row
+        row += int(np.argmax(at_once[row : row + ONSETS_EVERY, place]))
     rows = scorer.space.transform.step_rows()
     told = tuple(map(int, places)) if single or len(places) < count else ()
     best = np.argsort(-gain[:, place], kind="stable")
@@ -151,15 +149,14 @@ def _begins(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) ->
     return Begin(float(gain[onset, place] - cost), told, int(rows[row]), values, others)
 
 
-def _jumps(law: DeviceLaw, scorer: Scorer, first: Matrix) -> tuple[Matrix, Matrix]:
+def _jumps(law: DeviceLaw, scorer: Scorer, values: Values) -> tuple[Matrix, Matrix] | None:
     """Pull and information of what each device adds at once, if it begins at a step, (T, D).
 
-    Args:
-        law: Of the devices.
-        scorer: Of what is left to explain.
-        first: What each adds in the row in which it begins, shape (N, D).
+    None of a law that does not know it.
     """
-    reached = first[scorer.space.transform.step_rows()]
+    if law.first is None:
+        return None
+    reached = law.first(values, scorer.space.signals)[scorer.space.transform.step_rows()]
     pull: Matrix | float = 0.0
     information: Matrix | float = 0.0
     for pattern in law.patterns:
