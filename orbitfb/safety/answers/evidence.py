@@ -16,7 +16,8 @@ the inverse of (B Bᵀ) ∘ (Rᵀ R): what of it comes of the neighbours' answer
 took nothing, c u is left in e, and its product with the signs is part of V.
 
 No single reading counts more than `CLIP` times its usual deviation from the hypothesis that is
-tested: clipped around any other one it would look like part of an answer.
+tested, of correctors that of noise and question together: clipped around any other one it would
+look like part of an answer.
 
 A device answers if "c is `LITTLE` or less" is refuted, it does not if "c is `MUCH` or more" is.
 
@@ -209,15 +210,18 @@ def _of_correctors(sight: Sight, question: Question, ring: Ring) -> Vector:
     # What tells each one's answer in the orbit from its neighbours', shape (n, m).
     telling = ring.response @ (question.excursion[:, None] * ring.apart)
     telling = np.where(sight.valid[:, None], telling, 0.0)
-    own, most = ring.response * sight.recent, CLIP * sight.spread[:, None]
+    own = ring.response * sight.recent
+    # As loud as the question no answer is clipped: the signs of all then tell each one's apart.
+    most = CLIP * np.hypot(sight.spread, question.size)
+    noise = median(np.clip(np.abs(sight.surprise), sight.spread, most) ** 2)
 
     def heard(orbit: Vector) -> Vector:
         """Give M of all of them for what each would leave, shape (n, m) [m]."""
-        return np.sum(telling * np.clip(orbit, -most, most), axis=0)
+        return np.sum(telling * np.clip(orbit, -most[:, None], most[:, None]), axis=0)
 
     others = sight.recent - question.excursion  # known before the signs were drawn
     blurred = others**2 * ring.swing
-    unsure = np.diag(ring.apart) * median(sight.noise)
+    unsure = np.diag(ring.apart) * noise
     # What else was just changed only blurs the answer: such orbits count less.
     weight = unsure / (unsure + blurred) / question.size**2
     surprise = sight.surprise[:, None]

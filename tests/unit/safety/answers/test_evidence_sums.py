@@ -89,22 +89,28 @@ def test_each_device_is_asked_for_its_own_part(ring, asked):
             ]
             assert sums[:, late, bpm] == near(expected)
     assert not sums[:, 1, N:].any()
+    most = CLIP * np.hypot(SPREAD, now.size)
+    noise = np.median(np.clip(np.abs(sight.surprise), SPREAD, most) ** 2)
+
+    def loud(value):
+        return np.clip(value, -most, most)
+
     for corrector in range(M):
         apart = ring.apart[corrector]
         telling = sight.valid * (ring.response @ (apart * now.excursion))
         own = ring.response[:, corrector] * sight.recent[corrector]
-        unsure = apart[corrector] * np.median(sight.noise)
+        unsure = apart[corrector] * noise
         others = sight.recent[corrector] - now.excursion[corrector]
         blurred = others**2 * ring.swing[corrector]
         weight = unsure / (unsure + blurred) / now.size**2
-        little = telling @ clip(sight.surprise + (1 - LITTLE) * own)
-        much = telling @ clip(sight.surprise + (1 - MUCH) * own)
+        little = telling @ loud(sight.surprise + (1 - LITTLE) * own)
+        much = telling @ loud(sight.surprise + (1 - MUCH) * own)
         expected = [
             weight * little,
             (weight * now.size) ** 2 * (unsure + LITTLE**2 * blurred),
             weight * much,
             (weight * much) ** 2,
-            weight * (telling @ clip(MUCH * own)),
+            weight * (telling @ loud(MUCH * own)),
         ]
         assert sums[:, 0, N + corrector] == near(expected)
 
