@@ -221,9 +221,9 @@ def _of_correctors(sight: Sight, question: Question, ring: Ring) -> Vector:
 
     others = sight.recent - question.excursion  # known before the signs were drawn
     blurred = others**2 * ring.swing
-    unsure = np.diag(ring.apart) * noise
-    # What else was just changed only blurs the answer: such orbits count less.
-    weight = unsure / (unsure + blurred) / question.size**2
+    usual, unsure = (np.diag(ring.apart) * one for one in (median(sight.spread) ** 2, noise))
+    # What else was just changed, or moved the beam, only blurs the answer: such orbits count less.
+    weight = usual / (unsure + blurred) / question.size**2
     surprise = sight.surprise[:, None]
     much = weight * heard(surprise + (1.0 - MUCH) * own)
     sums = np.empty((5, len(weight)))

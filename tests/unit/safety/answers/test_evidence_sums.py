@@ -102,7 +102,7 @@ def test_each_device_is_asked_for_its_own_part(ring, asked):
         unsure = apart[corrector] * noise
         others = sight.recent[corrector] - now.excursion[corrector]
         blurred = others**2 * ring.swing[corrector]
-        weight = unsure / (unsure + blurred) / now.size**2
+        weight = apart[corrector] * SPREAD**2 / (unsure + blurred) / now.size**2
         little = telling @ loud(sight.surprise + (1 - LITTLE) * own)
         much = telling @ loud(sight.surprise + (1 - MUCH) * own)
         expected = [
