@@ -11,11 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.blind.faults import FAULTS
+from benchmarks.blind.faults import FAULTS, Array, Rng
 from benchmarks.blind.fodo import KICK, PERIOD, WARM, Effect, label, response, save, truth_of
-
-Array = NDArray[np.float64]
-Rng = np.random.Generator
 
 
 @dataclass(frozen=True, slots=True)

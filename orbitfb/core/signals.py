@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+FINEST = 1e-9
+"""Noise of a reading below which no BPM reads [m]: the best of rings have tens of nanometres."""
+
 
 @dataclass(frozen=True, slots=True)
 class Channels:

@@ -4,16 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import FINEST, Vector
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.transform import Matrix, StepTransform
 
 LEAST_VARIANCE = 1e-6
 """Least variance of a BPM's noise, of the median BPM's: one that repeats its reading has none."""
-
-FINEST = 1e-9
-"""Least noise of a reading [m]: no BPM reads finer. Where something large is not modelled the walk
-would else take all, and the noise would be none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +79,10 @@ class Moments:
 
 
 def at_least(reading: Vector) -> Vector:
-    """Let no BPM have less noise than one can have, variances of shape (n,) [m²]."""
+    """Let no BPM have less noise than one can have, variances of shape (n,) [m²].
+
+    Where something large is not modelled the walk would take all, and leave the noise nothing.
+    """
     return np.maximum(reading, max(LEAST_VARIANCE * float(np.median(reading)), FINEST**2))
 
 

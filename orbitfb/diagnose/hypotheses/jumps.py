@@ -1,7 +1,6 @@
 """Laws whose course is a constant: of them the row at which they begin is all that shows."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,35 +67,29 @@ def scan_jumps(
     single = jump.one(transform, place, size, evidence - float(np.log(gain.size)) - VALUE_COST)
     if not names:
         return [single]
-    return [single, *_several(kind, patterns, names, values, scorer)]
+    several = _several(jump, pull, scorer)
+    return [single] if several is None else [single, several]
 
 
-def _several(
-    kind: EffectKind, patterns: Matrix, names: tuple[str, ...], values: Values, scorer: Scorer
-) -> Iterator[Candidate]:
-    """Places that jump at one row, if they are several."""
-    transform = scorer.space.transform
-    pull, information = _usually(patterns, scorer)
+def _several(jump: "_Jump", pull: Matrix, scorer: Scorer) -> Candidate | None:
+    """Places that jump at one row, of what pulls at every step, (T, D); None: they are not more."""
+    pull, information = _usually(jump.patterns, pull, scorer)
     gain = any_size(pull, np.broadcast_to(np.diag(information), pull.shape))
-    step = int(np.argmax(np.sum(np.maximum(gain - np.log(len(names)), 0.0), axis=1)))
-    jump = _Jump(kind, patterns, names, values, int(transform.step_rows()[step]))
+    step = int(np.argmax(np.sum(np.maximum(gain - np.log(len(jump.names)), 0.0), axis=1)))
     found = jump.found(pull[step], information)
-    if len(found) > 1:
-        yield jump.together(scorer, found)
+    row = int(scorer.space.transform.step_rows()[step])
+    return replace(jump, row=row).together(scorer, found) if len(found) > 1 else None
 
 
-def _usually(patterns: Matrix, scorer: Scorer) -> tuple[Matrix, Matrix]:
-    """Pull (T, D) and information (D, D) of jumps at every step, as rows usually are.
+def _usually(patterns: Matrix, pull: Matrix, scorer: Scorer) -> tuple[Matrix, Matrix]:
+    """Pull (T, D) and information (D, D) of jumps, as rows usually are, of what the floor says.
 
     A large step of a few BPMs is most of what the floor holds for their walk, so that it would tell
     little against it. What pulls at a place has the variance of its information if the floor is
     right; its median size tells how much less that usually is.
     """
-    pull = scorer.rows.late @ patterns
-    noise = scorer.space.noise
-    seen = patterns.T @ noise.modes
-    weight = np.mean(1.0 / noise.variance(scorer.space.transform), axis=0)
-    information = (seen * weight) @ seen.T
+    seen = patterns.T @ scorer.space.noise.modes
+    information = (seen * _weight(scorer)) @ seen.T
     usual = (TO_SIGMA * np.median(np.abs(pull), axis=0)) ** 2
     more = np.maximum(np.diag(information) / np.maximum(usual, np.finfo(float).tiny), 1.0)
     return pull * more, np.sqrt(np.outer(more, more)) * information
@@ -160,7 +153,7 @@ class _Jump:
 
     def more(self, scorer: Scorer, places: Indices) -> Candidate:
         """The same, and whoever else jumps: over a floor that has none of it smaller ones show."""
-        pull, information = _usually(self.patterns, scorer)
+        pull, information = _usually(self.patterns, scorer.rows.late @ self.patterns, scorer)
         step = int(np.searchsorted(scorer.space.transform.step_rows(), self.row))
         return self.together(scorer, np.union1d(places, self.found(pull[step], information)))
 
@@ -172,6 +165,10 @@ class _Jump:
 
 def of_jumps(patterns: Matrix, scorer: Scorer) -> tuple[Matrix, Vector]:
     """Pull (T, D) and information (D,) of a jump along each of D patterns at every step."""
-    noise, transform = scorer.space.noise, scorer.space.transform
-    weight = np.mean(1.0 / noise.variance(transform), axis=0)
-    return scorer.rows.late @ patterns, ((patterns.T @ noise.modes) ** 2) @ weight
+    seen = patterns.T @ scorer.space.noise.modes
+    return scorer.rows.late @ patterns, seen**2 @ _weight(scorer)
+
+
+def _weight(scorer: Scorer) -> Vector:
+    """Information of a step in every mode of the noise, shape (n,)."""
+    return np.mean(1.0 / scorer.space.noise.variance(scorer.space.transform), axis=0)

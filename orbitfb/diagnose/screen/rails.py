@@ -9,23 +9,21 @@ import math
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
-from orbitfb.diagnose.screen.steps import distinct, longest
+from orbitfb.diagnose.screen.steps import CHANCE, has_few_values, longest
 from orbitfb.records.finding import Finding, counted, listed
 from orbitfb.records.record import Record
 
 RAIL = "rail"
 """Check that finds BPMs whose readings are clipped."""
 
-_CHANCE = 1e-6
 _FEWEST = 12
 _FACTOR = 4
 _FEWEST_OTHERS = 20
-_FEW_VALUES = 0.1
 
 
 def check_rails(record: Record) -> list[Finding]:
     """Find BPMs whose readings are clipped."""
-    if np.median(distinct(record)) < _FEW_VALUES:
+    if has_few_values(record):
         return []
     found: list[Finding] = []
     for column in range(record.readings.shape[1]):
@@ -79,7 +77,7 @@ def comes_back(readings: Vector, stay: Mask) -> bool:
     if usual == 0.0:
         return True
     # Chernoff's bound of a Poisson number.
-    return again > usual and again * math.log(again / usual) - again + usual > -math.log(_CHANCE)
+    return again > usual and again * math.log(again / usual) - again + usual > -math.log(CHANCE)
 
 
 def _stay(readings: Vector) -> Mask:

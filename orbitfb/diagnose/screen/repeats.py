@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.screen.rails import RAIL, comes_back
-from orbitfb.diagnose.screen.steps import distinct, inner, longest, runs
+from orbitfb.diagnose.screen.steps import CHANCE, has_few_values, inner, longest, runs
 from orbitfb.estimation.priors import MOST_REPEATS
 from orbitfb.records.finding import Finding, Severity, counted, listed
 from orbitfb.records.record import Record
@@ -19,7 +19,6 @@ from orbitfb.records.record import Record
 HELD = "held-readings"
 """Check that finds BPMs of which not every reading was recorded."""
 
-_CHANCE = 1e-6
 _TOGETHER = 3
 """BPMs that repeat at once, at least, to be told as those of a crate."""
 _MOSTLY_READ_TWICE = 0.5
@@ -31,7 +30,6 @@ _MOST_AT_ONCE = 0.5
 """Share of a record in which the orbit may stand still in one go."""
 _PAIRS = 3
 _COARSE = 0.25
-_FEW_VALUES = 0.1
 _MARGIN = 1.5
 _HELD = 0.05
 """Share of rows in which a reading that is held repeats."""
@@ -56,7 +54,7 @@ def check_repeats(record: Record) -> list[Finding]:
     if 2 * len(held) > n:
         everywhere = _held_finding(record, held, single, everywhere=True)
         return [everywhere, *_all_frozen(record, single, whole, usual)]
-    if usual > _COARSE and np.median(distinct(record)) < _FEW_VALUES:
+    if usual > _COARSE and has_few_values(record):
         text = (
             f"{100 * usual:.0f} % of the readings equal the one before: a bit of the BPMs is "
             "larger than their noise, so only a BPM that stands still for long is seen to be "
@@ -103,7 +101,7 @@ def _equal(record: Record) -> tuple[Mask, Mask]:
     # Beside the usual one, at most every tenth BPM may be frozen, so they do not hide a whole.
     whole: Mask = (equal.mean(axis=1) >= _WHOLE) & (n >= _FEWEST_BPMS)
     usual = float(np.median(equal[~whole].mean(axis=0))) if not whole.all() else 1.0
-    if usual > 0.0 and usual ** (_WHOLE * n) * len(whole) > _CHANCE:
+    if usual > 0.0 and usual ** (_WHOLE * n) * len(whole) > CHANCE:
         whole[:] = False
     return equal, whole
 
@@ -138,7 +136,7 @@ def _by_chance(same: Mask, together: int, rows: int) -> bool:
     alone = np.count_nonzero(np.count_nonzero(same, axis=1) == 1)
     each = math.log(max(alone, 1) / same.size)
     tries = _log_choices(same.shape[1], together) + _log_choices(len(same), rows)
-    return tries + rows * together * each > math.log(_CHANCE)
+    return tries + rows * together * each > math.log(CHANCE)
 
 
 def _log_choices(count: int, chosen: int) -> float:
@@ -239,7 +237,7 @@ def _frozen(record: Record, column: int, single: Mask, whole: Mask, usual: float
     chance = min(_MARGIN * max(own, usual, others), 1.0)
     label = record.layout.bpms.label(column)
     tries = math.log(record.readings.size)
-    likely = chance > 0.0 and tries + length * math.log(chance) > math.log(_CHANCE)
+    likely = chance > 0.0 and tries + length * math.log(chance) > math.log(CHANCE)
     if length >= _SHORTEST_FREEZE and not likely:
         until = "to the end" if end == len(equal) else f"to row {end}"
         text = (

@@ -12,6 +12,11 @@ from orbitfb.records.record import Record
 SURE = 50.0
 """Log likelihood by which another sign, name or order must win."""
 
+CHANCE = 1e-6
+"""Chance by which a repetition is explained, in all of a record, below which it is a finding."""
+
+_FEW_VALUES = 0.1
+"""Different readings per row from which a BPM has few values [1]."""
 _FEW = 2
 """Correctors that may kick the other way before the whole record is said to be wrong."""
 _ONE_WAY = 0.95
@@ -63,10 +68,11 @@ def longest(mask: Mask) -> tuple[int, int]:
     return max(runs(mask), key=lambda span: span[1] - span[0], default=(0, 0))
 
 
-def distinct(record: Record) -> Vector:
-    """Number of different readings of every BPM per row, shape (n,)."""
+def has_few_values(record: Record) -> bool:
+    """Whether most BPMs read the same few values again and again."""
     ordered = np.sort(record.readings, axis=0)
-    return (1 + np.count_nonzero(np.diff(ordered, axis=0), axis=0)) / len(ordered)
+    distinct = (1 + np.count_nonzero(np.diff(ordered, axis=0), axis=0)) / len(ordered)
+    return bool(np.median(distinct) < _FEW_VALUES)
 
 
 def one_way(steps: Steps) -> bool:

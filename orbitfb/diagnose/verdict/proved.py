@@ -72,8 +72,8 @@ def proved(record: Record, findings: Sequence[Finding], without: frozenset[str])
     }
     stuck = {name for one in told if one.effect == SCREENED[0] for name in one.devices}
     bpms = record.layout.bpms
-    out = stuck.union(*false.values())
-    out = {i for i in range(len(bpms)) if {bpms.names[i], bpms.label(i)} & out}
+    names = stuck.union(*false.values())
+    out = {i for i in range(len(bpms)) if {bpms.names[i], bpms.label(i)} & names}
     cut = _without_repeats(record)
     if out and len(out) < len(bpms) - 2:
         cut = with_bpms(cut, np.array(sorted(set(range(len(bpms))) - out), dtype=np.intp))

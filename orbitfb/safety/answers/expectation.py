@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfb.core.robust import median
-from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.signals import FINEST, Mask, Vector
 from orbitfb.core.values import replace
 from orbitfb.safety.answers.questions import CLIP, MEDIAN, Ring
 
@@ -34,9 +34,6 @@ grown is known by a factor of two in 35 orbits, kicks of one orbit in five chang
 
 CALM = 0.5
 """Size of the surprises of one orbit, over the usual one, from which that was too large [1]."""
-
-LEAST = 1e-9
-"""Least usual size of a surprise [m]: no BPM reads finer; a ring without noise has none."""
 
 PLAIN = 10.0
 """Times its noise from which the step of a single BPM shows by itself [1]."""
@@ -70,7 +67,7 @@ class Expectation:
     @classmethod
     def first(cls, position: Vector, correctors: int) -> "Expectation":
         """Begin with an orbit, shape (n,) [m]; finite."""
-        power = np.full(position.shape, LEAST**2)
+        power = np.full(position.shape, FINEST**2)
         nothing = np.zeros(correctors)
         return cls(position, position, power, nothing, nothing, position, 1)
 
@@ -113,7 +110,7 @@ class Expectation:
             self,
             model=self.model + moved + np.where(seen, following * surprise, 0.0),
             still=self.still + np.where(seen, still * (position - self.still), 0.0),
-            power=np.where(fresh, np.maximum(power, LEAST**2), self.power),
+            power=np.where(fresh, np.maximum(power, FINEST**2), self.power),
             recent=self.left + change,
             left=(1.0 - following) * (self.left + change),
             before=position,
@@ -204,7 +201,7 @@ def shown(
     if count == 0 or float(missing @ missing) > NEAR**2 * power:
         return False, nobody
     # What the whole orbit misses bounds its noise: what was usual may still be that of a kick.
-    usual = max(median(noise[seen]), LEAST)
+    usual = max(median(noise[seen]), FINEST)
     noise = noise * min(1.0, median(np.abs(missing[seen])) / (np.sqrt(MEDIAN) * usual))
     floor = max(least, PLAIN * median(noise))
     if power < count * floor**2:

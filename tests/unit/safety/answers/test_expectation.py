@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from orbitfb.safety.answers.expectation import LEAST, Expectation, Owed, shown
+from orbitfb.core.signals import FINEST
+from orbitfb.safety.answers.expectation import Expectation, Owed, shown
 from orbitfb.safety.answers.questions import Ring
 
 N, M = 30, 24
@@ -30,7 +31,7 @@ def test_a_move_that_was_sent_is_no_surprise(ring):
     change = 1e-3 * np.random.default_rng(4).standard_normal(M)
     moved = ring.response @ change
     expected = Expectation.first(NOTHING, M)
-    assert np.abs(expected.surprise(moved, moved)).max() < LEAST
+    assert np.abs(expected.surprise(moved, moved)).max() < FINEST
     after = expected.follow(moved, moved, change, ALL)
     assert np.allclose(after.model, moved)
     assert np.array_equal(after.recent, change)
