@@ -18,7 +18,8 @@ into its change and into the next difference of readings does not bias it, as it
 regression. Between ticks R walks at random: P ← P + Q.
 
 b is the creep that a drift of R makes of setpoints that stay. x̂ has in every mode the gain of
-that mode's own noise; only P is shared within a group.
+that mode's own noise; only P is shared within a group. How P and θ̂ are kept is told in
+`orbitfb.estimation.recursive.coefficients`.
 
 A reading that nothing explains is a kick of the orbit: x is forgotten, R is not. Several in a row
 say that R is not what it was, and its covariance is widened.
@@ -33,6 +34,7 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.columns import Columns, KnownRf
+from orbitfb.estimation.recursive.coefficients import Coefficients
 from orbitfb.estimation.recursive.group import make_groups, step_variances
 from orbitfb.estimation.recursive.said import Filtered, Innovation
 from orbitfb.estimation.recursive.settings import RecursiveSettings
@@ -59,7 +61,7 @@ class RecursiveResponse:
 
     Attributes:
         modes: U, the left singular vectors of the first R̂, shape (n, n).
-        groups: Estimate and covariance of the rows, strongest modes first.
+        groups: The modes of every group, strongest first.
         settings: As given.
 
     Raises:
@@ -80,14 +82,23 @@ class RecursiveResponse:
         rows = self.modes.T @ whole
         self._noise = settings.reading_noise**2
         self._steps = step_variances(rows[:, : self._size], settings)
-        self.groups, self._drift = make_groups(rows, columns, whole, self._steps, settings)
-        for group, covariance in zip(self.groups, covariances or (), strict=False):
+        groups, drift = make_groups(rows, columns, whole, self._steps, settings)
+        for group, covariance in zip(groups, covariances or (), strict=False):
             known = slice(min(len(covariance), columns.actuators))
             group.covariance[known, known] = covariance[known, known]
-        self._widest = [_WIDEST * float(np.trace(group.covariance)) for group in self.groups]
-        self._regressor = np.ones(len(self._drift))
+        self.groups = [group.members for group in groups]
+        self._coefficients = Coefficients(groups, drift)
+        self._widest = _WIDEST * self._coefficients.traces()
+        self._regressor = np.ones(len(drift))
         self._orbit = np.zeros(n)
-        self._known = np.zeros(n)
+        count, sizes = len(groups), [group.size for group in groups]
+        self._weights, self._group_of = np.array(sizes) / n, np.repeat(np.arange(count), sizes)
+        # p if R were known, of every mode and of every group; and p of every group
+        steps = [group.step for group in groups]
+        self._all_steps = np.array([*self._steps, *steps, *steps])
+        self._variances = np.zeros(len(self._all_steps))
+        parts = np.split(self._variances, [n, n + count])
+        self._known, self._group_known, self._group_variances = parts
         self._since_drift = 0
         self._kicks = 0.0
         self.reset()
@@ -95,7 +106,7 @@ class RecursiveResponse:
     @property
     def rows(self) -> Vector:
         """Rows of UᵀR̂ as columns, shape (m, n)."""
-        return np.concatenate([group.rows[: self._size] for group in self.groups], axis=1)
+        return self._coefficients.rows()[:, : self._size].T
 
     @property
     def response(self) -> Vector:
@@ -107,15 +118,14 @@ class RecursiveResponse:
         """The creep b̂ in every mode, shape (n,) [m/tick]."""
         if self.settings.creep == 0.0:
             return np.zeros(len(self._orbit))
-        return np.concatenate([group.rows[-1] for group in self.groups])
+        return self._coefficients.column(-1)
 
     @property
     def column(self) -> Vector | None:
         """The RF column as it stands, shape (n,) [m/Hz]; None: the RF does not step."""
         if self._columns.rf is None:
             return None
-        rows = np.concatenate([group.rows[self._size] for group in self.groups])
-        return self.modes @ rows / self._columns.unit
+        return self.modes @ self._coefficients.column(self._size) / self._columns.unit
 
     @property
     def orbit(self) -> Vector:
@@ -125,13 +135,12 @@ class RecursiveResponse:
     @property
     def covariances(self) -> tuple[Vector, ...]:
         """Covariance of a row of UᵀR in every group, copied, each of shape (m, m)."""
-        return tuple(part[: self._size, : self._size] for part in self.whole_covariances)
+        return self._covariances(self._size)
 
     @property
     def whole_covariances(self) -> tuple[Vector, ...]:
         """The same with the RF column behind the correctors, if it is one."""
-        self._add_drift()
-        return tuple(group.whole_covariance(self._columns.actuators) for group in self.groups)
+        return self._covariances(self._columns.actuators)
 
     @property
     def expected(self) -> Vector:
@@ -156,17 +165,14 @@ class RecursiveResponse:
 
     def weighted_covariance(self, weights: Vector) -> Vector:
         """Sum the covariances of all rows of UᵀR̂ with weights of the rows, shape (m, m)."""
-        self._add_drift()
-        m = self._size
-        total = np.zeros((m, m))
-        for group in self.groups:
-            total += float(np.sum(weights[group.members])) * group.whole_covariance(m)
+        total = np.zeros((self._size, self._size))
+        for members, covariance in zip(self.groups, self.covariances, strict=True):
+            total += float(np.sum(weights[members])) * covariance
         return total
 
     def weakest_covariance(self) -> Vector:
         """Give the covariance of a row of the weakest modes, shape (m, m)."""
-        self._add_drift()
-        return self.groups[-1].whole_covariance(self._size)
+        return self.covariances[-1]
 
     def normalised_errors(self, response: Vector) -> Vector:
         """Errors against a known response in units of the stated uncertainty.
@@ -179,17 +185,14 @@ class RecursiveResponse:
             independent standard normal numbers when the stated uncertainty is right.
         """
         error = self.rows.T - self.modes.T @ response
-        for group, covariance in zip(self.groups, self.covariances, strict=True):
+        for members, covariance in zip(self.groups, self.covariances, strict=True):
             values, directions = np.linalg.eigh(covariance)
-            error[group.members] = (error[group.members] @ directions) / np.sqrt(values)
+            error[members] = (error[members] @ directions) / np.sqrt(values)
         return error
 
     def reset(self) -> None:
         """Forget the orbit, not R: before the first reading, after a gap or a kick."""
-        variance = _DIFFUSE * self._noise
-        self._known[:] = variance
-        for group in self.groups:
-            group.forget_orbit(variance)
+        self._forget_orbit(_DIFFUSE * self._noise)
 
     def predict(self, change: Vector, hertz: float = 0.0) -> None:
         """Take in the change, shape (m,), that was made after the last reading.
@@ -204,80 +207,84 @@ class RecursiveResponse:
         self._since_drift += 1
         if self._since_drift >= self.settings.drift_every:
             self._add_drift()
-        for group in self.groups:
-            self._orbit[group.members] += group.predict(self._regressor)
-        self._known += self._steps
+        moved, added = self._coefficients.predict(self._regressor)
+        self._orbit += moved
+        self._variances += self._all_steps
+        self._group_variances += added
 
     def filtered(self, reading: Vector) -> Filtered:
         """Say where a reading, shape (n,) [m], puts the orbit; nothing is taken in."""
-        noise, orbit = self._noise, reading @ self.modes
-        innovations = orbit - self._orbit
-        predicted = self._predicted()
-        variances = predicted + noise
-        known = self._known
-        if float(np.mean(innovations**2 / variances)) > self.settings.kick_chi2:
+        noise, predicted = self._noise, self._known + self._extra()[self._group_of]
+        innovations, worth, chi2 = self._weigh(reading, predicted)
+        if chi2 > self.settings.kick_chi2:
+            orbit = self._orbit + innovations
             known = np.full(len(orbit), noise)
         else:
-            orbit = self._orbit + predicted / variances * innovations
-            known = known * (noise / (known + noise))
+            orbit = self._orbit + predicted * worth
+            known = self._known * (noise / (self._known + noise))
         usual = float(np.sum(known + self._steps))
         return Filtered(orbit + self.creep, float(np.sqrt(orbit @ orbit / usual)))
 
     def read(self, reading: Vector) -> Innovation:
         """Take in a reading, shape (n,) [m]."""
-        noise = self._noise
-        innovations = reading @ self.modes
-        innovations -= self._orbit
-        predicted = self._predicted()
-        variances = predicted + noise
-        worth = innovations / variances
-        chi2 = float(innovations @ worth) / len(innovations)
-        doubt = sum(g.size * g.extra / (g.known + noise) for g in self.groups) / len(innovations)
+        noise, extra = self._noise, self._extra()
+        predicted = self._known + extra[self._group_of]
+        innovations, worth, chi2 = self._weigh(reading, predicted)
+        doubt = float(self._weights.dot(extra / (self._group_known + noise)))
         kick = chi2 > self.settings.kick_chi2
         if kick:
             self._surprise()
-            predicted = self._predicted()
+            predicted = self._known
             worth = innovations / (predicted + noise)
-        else:
+        shares = noise / (self._variances + noise)
+        if not kick:
             self._kicks = max(0.0, self._kicks - _KICK_FADES)
-            for group in self.groups:
-                group.learn(worth[group.members], noise)
-        worth *= predicted
-        self._orbit += worth
-        self._known *= noise / (self._known + noise)
-        for group in self.groups:
-            group.observe(noise)
+            self._coefficients.learn(worth, shares[-len(extra) :], noise)
+        self._orbit += predicted * worth
+        self._variances *= shares
         if not self.settings.noise_model:
-            self._believe(reading)
+            self._orbit[:] = reading @ self.modes
+            self._forget_orbit(noise)
         return Innovation(chi2, doubt, kick)
 
-    def _predicted(self) -> Vector:
-        """Variance of the predicted orbit of every mode, what is not known of R with it [m²]."""
-        predicted = self._known.copy()
-        for group in self.groups:
-            predicted[group.members] += group.extra
-        return predicted
+    def _weigh(self, reading: Vector, predicted: Vector) -> tuple[Vector, Vector, float]:
+        """Compare a reading, shape (n,) [m], with the orbits that were predicted.
 
-    def _believe(self, reading: Vector) -> None:
-        """Take the reading for the orbit, as the naive regression does."""
-        self._orbit[:] = reading @ self.modes
-        self._known[:] = self._noise
-        for group in self.groups:
-            group.forget_orbit(self._noise)
+        Args:
+            reading: The orbit.
+            predicted: Variance of the predicted orbit of every mode, shape (n,) [m²].
+
+        Returns:
+            The innovations, shape (n,) [m]; the same over their variances, (n,) [1/m]; and the
+            mean of their squares over their variances [1].
+        """
+        innovations = reading.dot(self.modes)
+        innovations -= self._orbit
+        worth = innovations / (predicted + self._noise)
+        return innovations, worth, float(innovations.dot(worth)) / len(innovations)
+
+    def _extra(self) -> Vector:
+        """Variance of the predicted orbit that not knowing R makes, of every group [m²]."""
+        return np.maximum(self._group_variances - self._group_known, 0.0)
+
+    def _covariances(self, size: int) -> tuple[Vector, ...]:
+        self._add_drift()
+        return self._coefficients.covariances(size)
+
+    def _forget_orbit(self, variance: float) -> None:
+        """Know nothing of the orbit but that its variance is this one [m²]."""
+        self._variances[:] = variance
+        self._coefficients.forget_orbit()
 
     def _surprise(self) -> None:
         self._kicks += 1.0
         if self._kicks > _KICKS:
-            for group, most in zip(self.groups, self._widest, strict=True):
-                size = float(np.trace(group.covariance))
-                group.covariance *= min(_WIDENING, max(most / size, 1.0))
+            most = self._widest / self._coefficients.traces()
+            self._coefficients.widen(np.clip(most, 1.0, _WIDENING))
         self.reset()
 
     def _add_drift(self) -> None:
         """Add what the random walk of R has done since it was last added."""
         if self._since_drift:
-            for group in self.groups:
-                group.covariance += self._since_drift * self._drift
-                size = len(group.drift)
-                group.covariance.ravel(order="K")[:: size + 1] += self._since_drift * group.drift
+            self._coefficients.add_drift(self._since_drift)
             self._since_drift = 0

@@ -1,8 +1,6 @@
 """Modes that share the covariance of their rows of R, for the estimate beside this module."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -12,31 +10,16 @@ from orbitfb.estimation.columns import Columns
 from orbitfb.estimation.recursive.settings import RecursiveSettings
 
 
-@cache
-def _blas(name: str) -> Callable[..., Vector]:
-    """A routine of BLAS in double precision; its library loads when a loop first learns."""
-    from scipy.linalg import get_blas_funcs
-
-    (found,) = get_blas_funcs((name,), dtype=np.float64)
-    return found
-
-
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Group:
-    """Modes, with the joint covariance of a row's coefficients θ and of its orbit x.
-
-    Arrays are in Fortran order and are changed in place. The upper triangle of the covariance is
-    not kept up to date.
+    """What is known beforehand of modes that share the covariance of their coefficients θ.
 
     Args:
         members: The modes.
-        rows: θ̂ of every mode, shape (k, members).
-        covariance: P = cov(θ), lower triangle, shape (k, k).
+        rows: θ̂ of every mode, shape (members, k).
+        covariance: P = cov(θ), shape (k, k).
         drift: What a tick adds to the diagonal of P beyond what it adds in every group, (k,).
         step: Variance of the random step of a mode of this group [m²].
-        cross: c = cov(θ, x), shape (k,).
-        variance: p = var(x) [m²].
-        known: What p would be if R were known [m²].
     """
 
     members: slice
@@ -44,58 +27,11 @@ class Group:
     covariance: Vector
     drift: Vector
     step: float
-    cross: Vector
-    variance: float = 0.0
-    known: float = 0.0
 
     @property
     def size(self) -> int:
         """Count of the modes."""
         return self.members.stop - self.members.start
-
-    @property
-    def extra(self) -> float:
-        """Variance of the orbit that not knowing R makes [m²]."""
-        return max(self.variance - self.known, 0.0)
-
-    def whole_covariance(self, size: int) -> Vector:
-        """Give both triangles of the covariance of the first coefficients, (size, size)."""
-        low = np.tril(self.covariance[:size, :size])
-        return low + np.tril(low, -1).T
-
-    def predict(self, regressor: Vector) -> Vector:
-        """Go on by a tick; give what the change does to the orbits, shape (members,) [m]."""
-        moved = _blas("symv")(1.0, self.covariance, regressor, lower=1)
-        self.variance += 2.0 * float(self.cross @ regressor) + float(moved @ regressor) + self.step
-        self.known += self.step
-        self.cross += moved
-        return _blas("gemv")(1.0, self.rows, regressor, trans=1)
-
-    def learn(self, worth: Vector, noise: float) -> None:
-        """Learn from the innovations of the readings.
-
-        Modes of a group may differ in their noise: each moves by what its own innovation is
-        worth, while P shrinks by what that of the whole group is worth.
-
-        Args:
-            worth: ν over its variance, mode by mode, shape (members,) [1/m].
-            noise: Variance of the reading noise [m²].
-        """
-        _blas("ger")(1.0, self.cross, worth, a=self.rows, overwrite_a=1)
-        total = self.variance + noise
-        _blas("syr")(-1.0 / total, self.cross, lower=1, a=self.covariance, overwrite_a=1)
-
-    def observe(self, noise: float) -> None:
-        """Let the reading take from the variance of the orbit."""
-        share = noise / (self.variance + noise)
-        self.cross *= share
-        self.variance *= share
-        self.known *= noise / (self.known + noise)
-
-    def forget_orbit(self, variance: float) -> None:
-        """Know nothing of the orbit but that its variance is this one [m²]."""
-        self.cross[:] = 0.0
-        self.variance = self.known = variance
 
 
 def make_groups(
@@ -142,14 +78,13 @@ def make_groups(
         groups.append(
             Group(
                 members=part,
-                rows=np.asfortranarray(np.pad(rows[part], ((0, 0), (0, creeping))).T),
-                covariance=np.asfortranarray(start),
+                rows=np.pad(rows[part], ((0, 0), (0, creeping))),
+                covariance=start,
                 drift=drift,
                 step=_middle(steps[part]),
-                cross=np.zeros(len(start)),
             )
         )
-    return groups, np.asfortranarray(share(settings.drift_entry, settings.drift_relative, 0.0))
+    return groups, share(settings.drift_entry, settings.drift_relative, 0.0)
 
 
 def step_variances(rows: Vector, settings: RecursiveSettings) -> Vector:
