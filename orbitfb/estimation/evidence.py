@@ -153,6 +153,21 @@ class NormalPriors:
             found[np.ix_(self.used, self.used)] = self.scale[:, None] * whole * self.scale
         return found
 
+    def taken(self, cross: Matrix) -> Vector:
+        """Information that these terms, marginalised, take of others, each for itself.
+
+        Args:
+            cross: Between these and them, shape (k, k').
+
+        Returns:
+            Shape (k',).
+        """
+        if not len(self.used):
+            return np.zeros(cross.shape[1])
+        seen = self.scale[:, None] * cross[self.used]
+        along = solve_triangular(self.factor[0], seen, lower=True, check_finite=False)
+        return np.asarray(np.sum(along**2, axis=0))
+
     def beyond(self, information: Matrix, cross: Matrix) -> Matrix:
         """Information of other terms, with these marginalised.
 

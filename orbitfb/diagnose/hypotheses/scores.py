@@ -117,6 +117,34 @@ class Scorer:
             information.reshape(blocks, count, blocks, count).sum(axis=(0, 2)),
         )
 
+    def each(self, patterns: Matrix, spectrum: Single) -> tuple[Vector, Vector]:
+        """Pull and information of fields, each for itself, healthy errors marginalised.
+
+        Args:
+            patterns: That every field has, shape (n, P) [m].
+            spectrum: Transformed steps of the courses of R fields along each, pattern by pattern,
+                shape (T, P R).
+
+        Returns:
+            a and H, shape (R,) each.
+        """
+        count = patterns.shape[1]
+        along = self.pulled.astype(np.float32) @ patterns.astype(np.float32)
+        courses = spectrum.reshape(len(spectrum), count, -1)
+        pull = np.einsum("tp,tpr->r", along, courses, dtype=float)
+        seen = (patterns.T @ self.space.noise.modes).astype(np.float32)
+        information = np.zeros(len(pull))
+        for weight, rows in zip(self.inverse, self.members, strict=True):
+            part = courses[rows]
+            information += np.sum(part * (((seen * weight) @ seen.T) @ part), axis=(0, 1))
+        if not len(self.priors.used):
+            return pull, information
+        space, fields = self.space, np.repeat(patterns, len(pull), axis=1)
+        used = self.errors.variance > 0.0
+        cross = space.terms.cross(space.noise, space.transform, fields, spectrum, used)
+        taken = self.priors.taken(cross.reshape(len(cross), count, -1).sum(axis=1))
+        return pull, np.maximum(information - taken, 0.0)
+
     def _columns(self, patterns: Matrix, spectrum: Single) -> tuple[Vector, Matrix]:
         along = self.pulled.astype(np.float32) @ patterns.astype(np.float32)
         pull = np.einsum("tk,tk->k", along, spectrum, dtype=float)
@@ -128,7 +156,8 @@ class Scorer:
         if not len(self.priors.used):
             return pull, information
         space = self.space
-        cross = space.terms.cross(space.noise, space.transform, patterns, spectrum)
+        used = self.errors.variance > 0.0
+        cross = space.terms.cross(space.noise, space.transform, patterns, spectrum, used)
         return pull, positive(self.priors.beyond(information, cross))
 
     def seen(self, patterns: Matrix) -> Seen:
@@ -239,7 +268,8 @@ class Scorer:
                 for usual in [variances(space.blocks, space.shares, len(space.terms))]
                 for share in SHARES[::-1]
             )
-        pull = space.terms.pull(space.noise.pull(space.residual - field, space.transform))
+        pulled = space.noise.pull(space.residual - field, space.transform)
+        pull = space.terms.pull(pulled, self.errors.variance > 0.0)
         gains = [
             max(found) - found[0]
             for found in (

@@ -146,17 +146,37 @@ class Terms:
         return begin, begin + run.stop - run.start
 
     def cross(
-        self, noise: StepNoise, transform: StepTransform, patterns: Matrix, spectrum: Single
+        self,
+        noise: StepNoise,
+        transform: StepTransform,
+        patterns: Matrix,
+        spectrum: Single,
+        used: Mask,
     ) -> Matrix:
-        """Information between the columns and others, shape (k, k')."""
-        seen, others = self.patterns.T @ noise.modes, patterns.T @ noise.modes
-        inverse = noise.inverse_variance(transform)
-        total = np.zeros((len(self), patterns.shape[1]))
+        """Information between the columns and others, shape (k, k').
+
+        Args:
+            noise: The floor.
+            transform: Of the record.
+            patterns: Of the others, shape (n, k').
+            spectrum: Of their courses, shape (T, k').
+            used: Columns that are asked for, shape (k,); runs with none of them are zero.
+        """
+        seen, others = (
+            (its.T @ noise.modes).astype(np.float32) for its in (self.patterns, patterns)
+        )
+        inverse = noise.inverse_variance(transform).astype(np.float32)
+        total = np.zeros((len(self), patterns.shape[1]), dtype=np.float32)
+        runs = [(part, self._along(part)) for part in self._runs() if np.any(used[part])]
         for band, weight in enumerate(inverse):
             rows = transform.members(band)
-            product = self.spectrum[rows].T @ spectrum[rows]
-            total += ((seen * weight) @ others.T)[self.pattern] * product
-        return total
+            known = {its: (seen[slice(*its)] * weight) @ others.T for _, its in runs}
+            theirs = spectrum[rows]
+            for part, its in runs:
+                product = self.spectrum[rows, part].T @ theirs
+                product *= known[its]
+                total[part] += product
+        return total.astype(np.float64)
 
     def scatter(self, covariance: Matrix) -> Matrix:
         """Second moments by band of what sizes of a covariance add, shape (B, n, n) [m²]."""

@@ -111,18 +111,17 @@ def _by_row(
     """Pull and information of devices that begin together at a row, exactly, for every row."""
     signals = scorer.space.signals
     reached = None if law.first is None else law.first(values, signals)
-    patterns, late = [], []
+    patterns, late = [], []  # courses by device, then by row
     for pattern, course in zip(law.patterns, law.course(values, signals), strict=True):
         for device in devices:
             own = course if course.shape[1] == 1 else course[:, [device]]
             known = [None if reached is None else reached[row, [device]] for row in rows]
             base = [based(own, row, kick, one) for row, one in zip(rows, known, strict=True)]
             begun = np.arange(len(own))[:, None] >= np.array(rows)
-            patterns.append(np.repeat(pattern[:, [device]], len(rows), axis=1))
+            patterns.append(pattern[:, device])
             late.append(np.where(begun, own - np.hstack(base), 0.0))
     spectrum = scorer.space.transform.quick_spectrum(np.hstack(late))
-    pull, information = scorer.columns(patterns, spectrum)
-    return pull, np.diag(information)
+    return scorer.each(np.stack(patterns, axis=1), spectrum)
 
 
 def kicking(
