@@ -185,9 +185,21 @@ ROUGHNESS = 1.0 / 30.0
 """The same where the devices that are struck are sought with the value. By hand: an eighth of a
 step of the grid; the value alone is then sought to FINENESS."""
 
-FIRST_STATES = 9
+FIRST_STATES = 5
 """States, from one end to the other, that a device that remembers may have had in the first row. By
 hand: an eighth of a play is left between them."""
+
+NEARER_TURNS = 6
+"""Times that states are told more finely, at most: each halves the distance between levels."""
+
+NEARER = 0.5
+"""Evidence that this has to gain to be done again [nats]: less tells nothing."""
+
+PARTNERS = 6
+"""Devices with which the state of one is told together: those that act most like it. By hand."""
+
+SLOPE = 0.02
+"""Step by which derivatives are taken, of a state and of the logarithm of a value [1]."""
 
 WIDER = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Factors of a value that was told with all states in the middle, at which states are sought. By

@@ -109,7 +109,7 @@ class Candidate:
                 single[column] = variance
             space = replace(space, single=single)
         if undo is None:
-            space = self._driven(space)
+            space = self.driving(space)
         columns = [
             column
             for one in (self.sources if spread else ())
@@ -120,7 +120,7 @@ class Candidate:
             space = space.beside(self.kind, self.sources[0].law, *joined(columns), VALUE_SCATTER)
         return space.with_floor()
 
-    def _driven(self, space: Workspace) -> Workspace:
+    def driving(self, space: Workspace) -> Workspace:
         """Let the healthy errors follow the currents that its correctors have."""
         signals = space.signals
         response = signals.record.layout.response

@@ -3,12 +3,15 @@
 A play, say, stands anywhere between its two ends until the setpoint has moved by its width, and
 when it begins to move depends on where. A law that begins in the middle leaves jumps of all its
 devices, and a width that is wrong. So the states are sought device by device, each between −1 and
-1, and the value that runs in the grid with them; all states alike are possible before.
+1, and the value that runs in the grid with them; all states alike are possible before. They are
+sought again beside healthy errors that follow what the devices have, not what they were asked for.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
@@ -18,7 +21,19 @@ from orbitfb.diagnose.hypotheses.refit import Course
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
 from orbitfb.diagnose.likelihood.workspace import Workspace
-from orbitfb.estimation.priors import FINENESS, FIRST_STATES, WIDER
+from orbitfb.estimation.priors import (
+    FINENESS,
+    FIRST_STATES,
+    NEARER,
+    NEARER_TURNS,
+    PARTNERS,
+    SLOPE,
+    WIDER,
+)
+from orbitfb.estimation.transform import Indices, Matrix
+
+_UNIFORM = 1.0 / 3.0
+"""Variance of what is anywhere between −1 and 1 with the same probability."""
 
 
 def with_first_states(one: Candidate, space: Workspace) -> Candidate:
@@ -33,19 +48,25 @@ def with_first_states(one: Candidate, space: Workspace) -> Candidate:
     if not kind.remembers or one.onset or len(one.sources) != 1 or one.again is not None:
         return one
 
-    def again(after: Workspace) -> Candidate:
+    def weighed(found: Candidate, lower: Scorer, after: Scorer) -> Candidate:
+        near = _nearest(found, lower, cost_of(kind, one.values, lower), after)
+        pull, information = lower.evaluate([np.asarray(near.field)])
+        told = float(pull[0] - 0.5 * information[0, 0])
+        return replace(near, cost=told - near.evidence, again=partial(again, near))
+
+    def first(after: Workspace) -> Candidate:
         lower = Scorer.of(over(space, after))
         cost = cost_of(kind, one.values, lower)
         widest = next(p.high for p in kind.fitted(space.signals.record) if p.log)
-        found = max(
-            (_told(one, value, lower, cost) for value in _values(one, widest)),
-            key=lambda its: its.evidence,
-        )
-        pull, information = lower.evaluate([np.asarray(found.field)])
-        told = float(pull[0] - 0.5 * information[0, 0])
-        return replace(found, cost=told - found.evidence, again=again)
+        return weighed(_wider(one, widest, lower, cost), lower, lower)
 
-    return replace(one, again=again)
+    def again(found: Candidate, after: Workspace) -> Candidate:
+        lower = over(space, after)
+        errors = found.driving(lower)  # follow what its devices have, but the law what was asked
+        beside = replace(errors, signals=lower.signals, courses=lower.courses)
+        return weighed(found, Scorer.of(lower), Scorer.of(beside.with_noise(after.noise)))
+
+    return replace(one, again=first)
 
 
 def _name(one: Candidate) -> str:
@@ -53,10 +74,19 @@ def _name(one: Candidate) -> str:
     return next(p.name for p in one.kind.parameters if p.log)
 
 
-def _values(one: Candidate, most: float) -> list[float]:
-    """Values at which the states are sought, none beyond the most."""
+def _wider(one: Candidate, most: float, scorer: Scorer, cost: float) -> Candidate:
+    """The best of a candidate at its value, at one that is smaller, and at larger ones.
+
+    Larger ones are tried while two of them, one after the other, are not both worse.
+    """
     now = one.sources[0].values[_name(one)]
-    return sorted({min(factor * now, max(most, now)) for factor in WIDER})
+    found: list[Candidate] = []
+    for value in sorted({min(factor * now, max(most, now)) for factor in WIDER}):
+        found.append(_told(one, value, scorer, cost))
+        best = max(found, key=lambda its: its.evidence)
+        if value > now and not any(best is its for its in found[-2:]):
+            break
+    return max(found, key=lambda its: its.evidence)
 
 
 def _told(one: Candidate, now: float, scorer: Scorer, cost: float) -> Candidate:
@@ -64,28 +94,122 @@ def _told(one: Candidate, now: float, scorer: Scorer, cost: float) -> Candidate:
     name = _name(one)
     source = one.sources[0]
     source = replace(source, values={**source.values, name: now})
-    first, chosen = _states(source, scorer)
-
-    def at(value: float) -> Candidate:
-        return evaluated(
-            one.kind, source.law, scorer, one.places, {**source.values, name: value}, 0, True, cost,
-            first=first,
-        )  # fmt: skip
-
+    levels = np.linspace(-1.0, 1.0, FIRST_STATES)
+    first, chosen = _states(source, levels[:, None], scorer)
+    at = partial(_at, one, scorer, cost, first=first)
     root = float(np.sqrt(WIDER[1] / WIDER[0]))
     best = highest(lambda value: at(value).evidence, (now / root, now * root), FINENESS)
     found = max(at(now), at(best), key=lambda its: its.evidence)
     return replace(found, evidence=found.evidence - chosen)
 
 
-def _states(source: Course, scorer: Scorer) -> tuple[Vector, float]:
-    """The likeliest state of every device, shape (k,), and what choosing them costs [nats]."""
-    levels = np.linspace(-1.0, 1.0, FIRST_STATES)
+def _at(
+    one: Candidate, scorer: Scorer, cost: float, value: float, first: Vector | None
+) -> Candidate:
+    """A candidate at a value of what has a logarithm, with states (k,)."""
+    values = {**one.sources[0].values, _name(one): value}
+    law = one.sources[0].law
+    return evaluated(one.kind, law, scorer, one.places, values, 0, True, cost, first=first)
+
+
+def _nearest(one: Candidate, scorer: Scorer, cost: float, beside: Scorer) -> Candidate:
+    """Tell states and value as finely as the record does.
+
+    Where in the record a device begins to move changes with its state, so that there are many
+    states near which none is better: after a step towards better ones finer levels are tried of
+    each device.
+
+    Args:
+        one: With states.
+        scorer: Over which its evidence is told.
+        cost: Of its values [nats].
+        beside: Over which they are sought.
+    """
+    name, reach = _name(one), 2.0 / (FIRST_STATES - 1)
+    near = _at(one, beside, cost, one.sources[0].values[name], one.sources[0].first)
+    chosen = 0.0
+    for _ in range(NEARER_TURNS):
+        value, states, chosen = _nearer(near.sources[0], name, beside)
+        source = replace(near.sources[0], values={**near.sources[0].values, name: value})
+        levels = np.clip(states + reach * np.linspace(-1.0, 1.0, FIRST_STATES)[:, None], -1.0, 1.0)
+        more = _at(one, beside, cost, value, _states(source, levels, beside)[0])
+        if more.evidence < near.evidence + NEARER:
+            break
+        near, reach = more, 0.5 * reach
+    found = _at(one, scorer, cost, near.sources[0].values[name], near.sources[0].first)
+    return replace(found, evidence=found.evidence - chosen)
+
+
+def _nearer(source: Course, name: str, scorer: Scorer) -> tuple[float, Vector, float]:
+    """Go a step of Gauss and Newton: the value, the states (k,), and what the states cost [nats].
+
+    A state is anywhere within the play with the same probability; what is known of it is told as
+    that of a normal one of the same variance.
+
+    Args:
+        source: With the value and the states.
+        name: Of the value.
+        scorer: Of what is left to explain.
+    """
+    signals, transform = scorer.space.signals, scorer.space.transform
+    count, now = len(source.size), source.values[name]
+    first = np.zeros(count) if source.first is None else source.first
+
+    def courses(states: Vector, factor: float) -> list[Matrix]:
+        values = {**source.values, name: factor * now}
+        its = replace(source, first=states).of(signals, values)
+        return [np.broadcast_to(one, (len(one), count)) * source.size for one in its]
+
+    low, high = np.maximum(first - SLOPE, -1.0), np.minimum(first + SLOPE, 1.0)
+    by_state = [
+        (after - before) / (high - low)
+        for after, before in zip(courses(high, 1.0), courses(low, 1.0), strict=True)
+    ]
+    by_value = [  # the devices stay where they are
+        (after - before) / (2.0 * SLOPE)
+        for after, before in zip(
+            courses(np.clip(first / (1.0 + SLOPE), -1.0, 1.0), 1.0 + SLOPE),
+            courses(np.clip(first / (1.0 - SLOPE), -1.0, 1.0), 1.0 - SLOPE),
+            strict=True,
+        )
+    ]
+    chosen = list(source.places) if source.places else slice(None)
+    spectrum = np.hstack(
+        [
+            transform.quick_spectrum(one)
+            for parts in zip(by_state, by_value, courses(first, 1.0), strict=True)
+            for one in parts
+        ]
+    )
+    patterns = [block[:, chosen] for block in source.law.patterns]
+    pull, information = scorer.columns([np.tile(one, (1, 3)) for one in patterns], spectrum)
+    states, value, whole = (slice(part * count, (part + 1) * count) for part in range(3))
+    left = pull - information[:, whole].sum(axis=1)
+    inner = np.empty((count + 1, count + 1))
+    inner[:count, :count] = information[states, states]
+    inner[:count, count] = inner[count, :count] = information[states, value].sum(axis=1)
+    inner[count, count] = information[value, value].sum()
+    inner[np.diag_indices(count)] += 1.0 / _UNIFORM
+    step = np.linalg.solve(inner, np.append(left[states] - first / _UNIFORM, left[value].sum()))
+    factor = float(np.exp(np.clip(step[count], -np.log(2.0), np.log(2.0))))
+    grown = np.eye(count) + _UNIFORM * information[states, states]
+    cost = 0.5 * float(np.linalg.slogdet(grown)[1])
+    return factor * now, np.clip((first + step[:count]) / factor, -1.0, 1.0), cost
+
+
+def _states(source: Course, levels: Matrix, scorer: Scorer) -> tuple[Vector, float]:
+    """The likeliest state of every device, shape (k,), and what choosing them costs [nats].
+
+    Args:
+        source: With the values.
+        levels: That are tried, of all devices (L, 1) or of each (L, k).
+        scorer: Of what is left to explain.
+    """
     count = len(source.size)
     signals, transform = scorer.space.signals, scorer.space.transform
     blocks: list[list[np.ndarray]] = [[] for _ in source.law.patterns]
     for level in levels:
-        courses = replace(source, first=np.full(count, level)).of(signals, source.values)
+        courses = replace(source, first=np.broadcast_to(level, count)).of(signals, source.values)
         for block, course in zip(blocks, courses, strict=True):
             wide = np.broadcast_to(course, (len(course), count)) * source.size
             block.append(transform.quick_spectrum(wide))
@@ -95,19 +219,48 @@ def _states(source: Course, scorer: Scorer) -> tuple[Vector, float]:
     pull, information = scorer.columns(patterns, spectrum)
     pull, own = pull.reshape(len(levels), count), np.diag(information).reshape(len(levels), count)
     information = information.reshape(len(levels), count, len(levels), count)
-    state, devices = np.full(count, len(levels) // 2), np.arange(count)
-    total = information[:, :, state, devices].sum(axis=2)
-    gain = np.zeros((len(levels), count))
-    for _ in range(FIRST_STATES):
-        before = state.copy()
-        for device in devices:
-            mine = information[:, :, state[device], device]
-            rest = total - mine
-            gain[:, device] = (pull - rest - 0.5 * own)[:, device]
-            state[device] = int(np.argmax(gain[:, device]))
-            total = rest + information[:, :, state[device], device]
-        if np.array_equal(before, state):
-            break
+    state, gain = _chosen(pull, own, information)
     best = gain.max(axis=0)
     cost = -np.log(np.mean(np.exp(gain - best), axis=0))
-    return levels[state], float(cost.sum())
+    each = np.broadcast_to(levels, (len(levels), count))
+    return each[state, np.arange(count)], float(cost.sum())
+
+
+def _chosen(pull: Matrix, own: Matrix, information: NDArray[np.float64]) -> tuple[Indices, Matrix]:
+    """Numbers of the best levels of devices, shape (k,), and what each level gains, (L, k).
+
+    One device after the other, then each with those that act most like it: what one of two that
+    are alike has too much, the other has too little, and neither is better for itself.
+
+    Args:
+        pull: Shape (L, k).
+        own: Information of each, shape (L, k).
+        information: Of all pairs, shape (L, k, L, k).
+    """
+    count = pull.shape[1]
+    middle, devices = len(pull) // 2, np.arange(count)
+    state = np.full(count, middle)
+    usual = np.sqrt(np.maximum(own[middle], 1e-300))
+    alike = np.abs(information[middle, :, middle]) / np.outer(usual, usual)
+    alike[devices, devices] = -1.0
+    partners = np.argsort(-alike, axis=1)[:, :PARTNERS]
+    total = information[:, :, state, devices].sum(axis=2)
+    gain = np.zeros_like(pull)
+    for _ in range(len(pull)):
+        before = state.copy()
+        for one in devices:
+            for other in (one, *partners[one]):
+                both = [one] if other == one else [one, other]
+                rest = total - sum(information[:, :, state[its], its] for its in both)
+                gains = [(pull - rest - 0.5 * own)[:, its] for its in both]
+                if other == one:
+                    gain[:, one] = gains[0]
+                    found = (int(np.argmax(gains[0])),)
+                else:
+                    joint = gains[0][:, None] + gains[1] - information[:, one, :, other]
+                    found = np.unravel_index(int(np.argmax(joint)), joint.shape)
+                state[both] = found
+                total = rest + sum(information[:, :, state[its], its] for its in both)
+        if np.array_equal(before, state):
+            break
+    return state, gain

@@ -31,10 +31,13 @@ def settled(
             break
         more = best.again(after)
         moved = _weight(np.asarray(more.field) - best.field, after)
-        if moved < SETTLED**2 * _weight(best.field, after):
+        if moved < SURE:  # too little for another cause to be named for it
             break
+        little = moved < SETTLED**2 * _weight(best.field, after)
         best = replace(more, cost=best.cost if more.cost is None else more.cost)
         after = best.accepted(replace(space, noise=after.noise), spread)
+        if little:
+            break
     return best, after
 
 
