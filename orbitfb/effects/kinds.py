@@ -181,6 +181,10 @@ class EffectKind(ABC):
     def laws(self, signals: Signals) -> Sequence[Law]:
         """Tell what it adds to the readings of a record, in forms that the diagnosis knows."""
 
+    def devices_at(self, layout: Layout, places: Sequence[int]) -> tuple[int, ...]:
+        """Devices that are struck where places of its law are; the same as a rule."""
+        return tuple(places)
+
     def unavailable(self, record: Record) -> str:
         """Say why this record cannot show the effect; empty when it can."""
         if self.target in ("quadrupole", "sextupole") and record.layout.ring is None:

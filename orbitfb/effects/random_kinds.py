@@ -64,6 +64,13 @@ class NoiseKind(EffectKind):
     def patterns(self, layout: Layout) -> Matrix:
         """Shape b of every place, shape (n, P)."""
 
+    def devices_at(self, layout: Layout, places: Sequence[int]) -> tuple[int, ...]:
+        """A place may be a group of BPMs."""
+        if self.target != "bpm":
+            return tuple(places)
+        struck = self.patterns(layout)[:, list(places)].any(axis=1)
+        return tuple(int(one) for one in np.flatnonzero(struck))
+
     @abstractmethod
     def variance(self, values: Values, reading_noise: float) -> float:
         """κ [m² in the units of b²] of given parameters, for BPMs of a given noise rms [m]."""

@@ -13,7 +13,6 @@ import numpy as np
 from orbitfb.core.signals import Channels, Vector
 from orbitfb.diagnose.experiments.suspects import Suspect
 from orbitfb.effects.optics.gradients import nearest_bpms
-from orbitfb.effects.random_kinds import NoiseKind
 from orbitfb.loop.excitation.design import ExcitationPart, ExcitationSettings, design
 from orbitfb.physics.optics import Matrix
 from orbitfb.physics.places import Indices
@@ -195,9 +194,7 @@ def _part(
 
 def _wanted(layout: Layout, suspect: Suspect) -> Iterator[tuple[str, Vector]]:
     """What should move, as the derivative by the setpoints, in one plane at a time."""
-    kind, places = suspect.kind, list(suspect.places)
-    if isinstance(kind, NoiseKind) and kind.target == "bpm":  # a place may be a group of them
-        places = np.flatnonzero(kind.patterns(layout)[:, places].any(axis=1)).tolist()
+    kind, places = suspect.kind, suspect.kind.devices_at(layout, suspect.places)
     several = np.linspace(0, len(places) - 1, min(_MOST_PLACES, len(places)))
     chosen = [places[int(index)] for index in several]
     for place in chosen:

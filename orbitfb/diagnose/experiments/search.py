@@ -29,6 +29,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.progress import Progress
 from orbitfb.diagnose.result.parts import Experiment
+from orbitfb.records.layout import Layout
 from orbitfb.safety.limits import LimitSettings
 
 DEFAULT_MINUTES = 10.0
@@ -178,7 +179,8 @@ def _rates(
 
     It is no use to tell suspects apart of which none is seen: from none at all counts too then.
     """
-    view = outlook(space, excursion, gains, None if whole else _struck([first, *rivals]))
+    struck = _struck([first, *rivals], space.signals.record.layout)
+    view = outlook(space, excursion, gains, None if whole else struck)
     if not rivals:
         return np.array([separation(view, first, None)]) / len(excursion)
     worth = [separation(view, first, rival) for rival in rivals]
@@ -190,13 +192,13 @@ def _rates(
     return np.array(worth) / len(excursion)
 
 
-def _struck(suspects: Sequence[Suspect]) -> Struck:
+def _struck(suspects: Sequence[Suspect], layout: Layout) -> Struck:
     """Devices that are struck, by what they are; empty: all."""
     found: dict[str, tuple[int, ...]] = {}
     for one in suspects:
-        known = found.get(one.kind.target)
-        all_of_them = not one.places or (known is not None and not known)
-        union = tuple(sorted({*(known or ()), *one.places}))
+        known, devices = found.get(one.kind.target), one.kind.devices_at(layout, one.places)
+        all_of_them = not devices or (known is not None and not known)
+        union = tuple(sorted({*(known or ()), *devices}))
         found[one.kind.target] = () if all_of_them else union
     return found
 

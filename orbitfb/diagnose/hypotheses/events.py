@@ -153,7 +153,7 @@ def _tails(kind: EffectKind, scorer: Scorer) -> Candidate:
     values = {p.name: p.typical for p in kind.parameters}
     names = [p.name for p in kind.parameters]
     values[names[0]] = share
-    reading = float(np.sqrt(np.median(np.diag(scorer.space.noise.white))))
+    reading = float(np.sqrt(np.median(scorer.space.noise.reading)))
     if len(names) > 1:
         values[names[1]] = strength * reading
     bpms = scorer.space.signals.record.layout.bpms

@@ -36,12 +36,12 @@ class ReadingNoise:
         """E[v | record] = N Dᵀ Ω z, D the difference from row to row."""
         space = scorer.space
         transform, noise = space.transform, space.noise
-        white = np.diag(noise.white)
+        reading = noise.reading
         late = scorer.rows.late
         following = np.vstack([late[1:], np.zeros_like(late[:1])])
-        found = white * (late - following)
+        found = reading * (late - following)
         share = np.mean(transform.eigenvalue[:, None] / noise.variance(transform), axis=0)
-        spread = white**2 * ((noise.modes**2) @ share)
+        spread = reading**2 * ((noise.modes**2) @ share)
         return cls(found / np.sqrt(spread))
 
 
@@ -80,17 +80,17 @@ def _odd_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
     The logarithms of the others' variances have a mean and a scatter, which is large in a ring
     whose BPMs are of several makes; one that is odd may be anywhere within `ANYWHERE`.
     """
-    white = np.log(np.diag(scorer.space.noise.white))
+    level = np.log(scorer.space.noise.reading)
     known = 2.0 / len(scorer.space.transform)
     odd: list[int] = []
     gain, middle = 0.0, 0.0
-    cost = float(np.log(len(white))) + MORE
-    while len(odd) < len(white) // ODD:
-        others = np.delete(np.arange(len(white)), odd)
-        middle = float(np.median(white[others]))
-        scatter = TO_SIGMA * float(np.median(np.abs(white[others] - middle)))
+    cost = float(np.log(len(level))) + MORE
+    while len(odd) < len(level) // ODD:
+        others = np.delete(np.arange(len(level)), odd)
+        middle = float(np.median(level[others]))
+        scatter = TO_SIGMA * float(np.median(np.abs(level[others] - middle)))
         variance = scatter**2 * (1.0 + 1.0 / len(others)) + known
-        away = (white - middle) ** 2 / (2.0 * variance)
+        away = (level - middle) ** 2 / (2.0 * variance)
         more = away + 0.5 * np.log(2.0 * np.pi * variance) - np.log(ANYWHERE)
         more[odd] = -np.inf
         place = int(np.argmax(more))
@@ -100,7 +100,7 @@ def _odd_level(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candida
         gain += float(more[place]) - cost
     if not odd:
         return []
-    factor = float(np.exp(0.5 * (white[odd[0]] - middle)))
+    factor = float(np.exp(0.5 * (level[odd[0]] - middle)))
     places = tuple(sorted(odd))
     names = tuple(law.names[place] for place in places)
     values = {kind.parameters[0].name: factor}

@@ -209,7 +209,7 @@ def _candidate(
     kind: EffectKind, law: RandomLaw, space: Workspace, place: int, variance: float, gain: float
 ) -> Candidate:
     pattern = law.patterns[:, place]
-    reading = float(np.sqrt(np.median(np.diag(space.noise.white))))
+    reading = float(np.sqrt(np.median(space.noise.reading)))
     values = {p.name: p.typical for p in kind.parameters}
     values[kind.parameters[0].name] = law.size(variance, reading)
     spread = variance * np.outer(pattern, pattern)

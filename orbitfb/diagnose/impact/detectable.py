@@ -157,7 +157,7 @@ def _random(law: RandomLaw, scorer: Scorer) -> Vector:
     if law.together:
         precision = precision.sum(axis=1, keepdims=True)
     information = 0.5 * transform.count @ precision**2
-    reading = float(np.sqrt(np.median(np.diag(noise.white))))
+    reading = float(np.sqrt(np.median(noise.reading)))
     with np.errstate(divide="ignore"):
         variances = SIGMAS / np.sqrt(information)
     return np.array([law.size(float(one), reading) for one in variances])

@@ -74,14 +74,13 @@ def misses(space: Workspace) -> bool:
 def redrawn(space: Workspace, by: Workspace | None = None) -> Workspace:
     """Draw what was not read with all that is known now: healthy errors, and accepted causes.
 
-    A draw that knows less says that they were not there at these rows. Records that miss next to
-    nothing are left as they are.
+    A draw that knows less says that they were not there at these rows.
 
     Args:
         space: Whose readings are drawn.
         by: What knows more of the same record; None: the same.
     """
-    if not misses(space):
+    if not space.signals.record.filled.any():
         return space
     its = space if by is None else by
     made = its.explained + its.terms.contribution(its.priors.mean(its.errors.pull))

@@ -3,8 +3,9 @@
 A reading that is filled in with what is most likely is quieter than one that was read, and every
 law of the noise finds that. One that is drawn, walk and noise included, is like all others; it says
 nothing of its own (M. Tanner, W. Wong, J. Am. Stat. Assoc. 82 (1987) 528). Each BPM is taken for
-itself: a walk read with noise, with the model's changes added. The draw is a smoother's
-(J. Durbin, S. Koopman, Biometrika 89 (2002) 603), and the same for the same record.
+itself: a walk read with noise, with the model's changes added. What jumps is not smoothed: a jump
+that the model does not tell would else begin rows before it. The draw is a smoother's (J. Durbin,
+S. Koopman, Biometrika 89 (2002) 603), and the same for the same record.
 """
 
 from dataclasses import replace
@@ -12,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from orbitfb.core.robust import TO_SIGMA
-from orbitfb.core.signals import Mask, Vector
+from orbitfb.core.signals import FINEST, Mask, Vector
 from orbitfb.estimation.transform import Matrix
 from orbitfb.records.record import Record
 
@@ -21,6 +22,9 @@ _FEWEST = 10
 
 _FAR = 8
 """Rows apart at which a walk shows beside the noise."""
+_JUMP = 5.0
+"""Standard deviations from which a change is a jump [1]: one reading in two million is so far off
+by chance."""
 _LEAST = 1e-4
 """Least part of walk and of noise in what changes from row to row [1]."""
 
@@ -43,11 +47,12 @@ def drawn(record: Record, told: Matrix | float = 0.0) -> Record:
     left, known = (record.readings - modelled)[:, columns], ~missing[:, columns]
     walk, noise = _spread(left, known, record.starts)
     rng = np.random.default_rng(len(record))
-    steps = np.sqrt(walk) * rng.standard_normal(left.shape)
+    noise = np.maximum(noise, FINEST**2)
+    moves = _moves(left / np.sqrt(noise), known, walk / noise, record.starts)
+    steps = np.sqrt(noise * moves) * rng.standard_normal(left.shape)
     orbit = np.cumsum(steps, axis=0)
     read = orbit + np.sqrt(noise) * rng.standard_normal(left.shape)
-    ratio = walk / np.maximum(noise, np.finfo(np.float64).tiny)
-    found = read + _smoothed(left - read, known, ratio, record.starts)
+    found = read + _smoothed(left - read, known, moves, record.starts)
     readings = record.readings.copy()
     readings[:, columns] = np.where(known, readings[:, columns], found + modelled[:, columns])
     return replace(record, readings=readings)
@@ -81,7 +86,40 @@ def _change(left: Matrix, known: Mask, starts: Mask, apart: int) -> Vector:
     return np.where(several, found, np.median(found[several])) if several.any() else found
 
 
-def _smoothed(left: Matrix, known: Mask, ratio: Vector, starts: Mask) -> Matrix:
+def _moves(left: Matrix, known: Mask, ratio: Vector, starts: Mask) -> Matrix:
+    """Variance of every step of a walk over that of the noise, jumps included, shape (N, k).
+
+    A jump is where a reading is far from what those before it say. If readings are missing before
+    it, it was where most other BPMs jump, or at the last row.
+
+    Args:
+        left: Readings less the model over the standard deviation of their noise, shape (N, k).
+        known: Which of them were read.
+        ratio: Variance of the walk per row over that of the noise, shape (k,).
+        starts: First rows of stretches, shape (N,).
+    """
+    moves = np.tile(ratio, (len(left), 1))
+    jumps: list[tuple[int, int, int, float]] = []
+    state, width, last = np.zeros(left.shape[1]), 1e6 * (1.0 + ratio), np.zeros(left.shape[1], int)
+    for row, begins in enumerate(starts.tolist()):
+        width = 1e6 * (1.0 + ratio) if begins else width + ratio
+        away = left[row] - state
+        over = np.where(known[row], away**2 - _JUMP**2 * (width + 1.0), -1.0)
+        for column in np.flatnonzero(over > 0.0).tolist():
+            more = float(away[column] ** 2)
+            jumps.append((last[column] + 1, row, column, more))
+            width[column] += more
+        gain = np.where(known[row], width / (width + 1.0), 0.0)
+        state, width = state + gain * away, (1.0 - gain) * width
+        last[known[row]] = row
+    sure = np.bincount([row for first, row, _, _ in jumps if first == row], minlength=len(left))
+    for first, row, column, more in jumps:
+        others = sure[first : row + 1][::-1]
+        moves[row - int(np.argmax(others)), column] += more
+    return moves
+
+
+def _smoothed(left: Matrix, known: Mask, moves: Matrix, starts: Mask) -> Matrix:
     """Mean of a walk that readings tell, those missing left out, shape (N, k) [m].
 
     A filter forwards and the smoother of H. Rauch, F. Tung, C. Striebel (AIAA J. 3 (1965) 1445)
@@ -90,20 +128,20 @@ def _smoothed(left: Matrix, known: Mask, ratio: Vector, starts: Mask) -> Matrix:
     Args:
         left: Readings less the model, shape (N, k) [m].
         known: Which of them were read.
-        ratio: Variance of the walk per row over that of the noise, shape (k,).
+        moves: Variance of every step of the walk over that of the noise, shape (N, k).
         starts: First rows of stretches, shape (N,).
     """
-    anywhere = 1e6 * (1.0 + ratio)
+    anywhere = 1e6 * (1.0 + moves[0])
     mean, spread = np.zeros_like(left), np.zeros_like(left)
     state, width = np.zeros(left.shape[1]), anywhere
     for row, begins in enumerate(starts.tolist()):
-        width = anywhere if begins else width + ratio
+        width = anywhere if begins else width + moves[row]
         gain = np.where(known[row], width / (width + 1.0), 0.0)
         state = state + gain * (left[row] - state)
         width = (1.0 - gain) * width
         mean[row], spread[row] = state, width
     for row in range(len(left) - 2, -1, -1):
         if not starts[row + 1]:
-            back = spread[row] / (spread[row] + np.maximum(ratio, np.finfo(np.float64).tiny))
+            back = spread[row] / (spread[row] + moves[row + 1])
             mean[row] += back * (mean[row + 1] - mean[row])
     return mean

@@ -19,7 +19,7 @@ from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.estimation.floor import improve
 from orbitfb.estimation.moments import Moments
 from orbitfb.estimation.noise import StepNoise
-from orbitfb.estimation.priors import COLOURS, FREELY, VALUE_COST
+from orbitfb.estimation.priors import COLOURS, FREELY, SURE, VALUE_COST
 from orbitfb.estimation.shapes import fit_shaken, fit_shapes
 from orbitfb.estimation.transform import Matrix
 
@@ -40,7 +40,7 @@ def with_motion(space: Workspace, enough: float) -> Workspace | None:
 
     Args:
         space: Of a round.
-        enough: Evidence that it has to have [nats]: that of the best cause.
+        enough: Evidence of the best cause [nats]: it is none unless it is surely more likely.
     """
     left, scatter = space.unmodelled()
     base = cache(lambda: space.with_floor().log_posterior())
@@ -50,7 +50,7 @@ def with_motion(space: Workspace, enough: float) -> Workspace | None:
     if not space.noise.colour:
         found.append(_coloured(space, left, scatter, base, enough))
     gain, after = max(found, key=lambda one: one[0], default=(0.0, space))
-    return after if gain > enough else None
+    return after if gain > enough - SURE else None
 
 
 def _shaken(

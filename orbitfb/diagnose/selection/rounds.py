@@ -17,8 +17,10 @@ from orbitfb.effects.kinds import EffectKind
 from orbitfb.estimation.priors import (
     ALONE,
     AT_ONCE,
+    CLOSE,
     FINALISTS,
     FIRST_ORDER,
+    LEADING,
     MISFIT,
     NEAREST,
     REMAINDER,
@@ -132,8 +134,8 @@ def tournament(
     """
     accepted: list[Candidate] = []
     rounds: list[Round] = []
-    space = first = redrawn(space)
     again = misses(space)
+    space = first = redrawn(space) if again else space
     while True:
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
@@ -165,13 +167,36 @@ def tournament(
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
-        best, after = settled(candidates[0], space.trusting())
-        if again:  # with the first cause in what was not read: its values were told without
-            again, space = False, redrawn(space, after)
+        if again:
+            again, space = False, _drawn_with(candidates, space)
             rounds.pop()
             continue
+        best, after = settled(candidates[0], space.trusting())
         space = redrawn(after)
         accepted.append(best)
+
+
+def _drawn_with(candidates: Sequence[Candidate], space: Workspace) -> Workspace:
+    """Draw what was not read with the first cause, whose values were told without.
+
+    Readings that were drawn without a law speak against it, and for whatever follows them. So each
+    effect that leads is told again in readings that were drawn with it.
+
+    Args:
+        candidates: Of the round, the best first.
+        space: That they were tried on.
+    """
+    leading: dict[str, Candidate] = {}
+    for one in candidates:
+        if one.evidence > CLOSE * candidates[0].evidence:
+            leading.setdefault(one.kind.id, one)
+    found = []
+    for one in list(leading.values())[:LEADING]:
+        its, after = settled(one, space.trusting())
+        fresh = redrawn(space, after)
+        _, told = settled(its, fresh)
+        found.append((told.log_posterior() - fresh.log_posterior() - (its.cost or 0.0), fresh))
+    return max(found, key=lambda one: one[0])[1]
 
 
 def _composed(causes: Sequence[Candidate]) -> bool:
@@ -218,10 +243,11 @@ def _last_resort(candidates: list[Candidate], accepted: bool, drawn: bool) -> li
     """Tell that the noise of a BPM is unlike the others' only where nothing else is told.
 
     Whatever a BPM does that is in no law adds to its noise. Where readings were drawn, so does any
-    law that is not known yet: nothing of it is in those.
+    law that is not known yet: nothing of it is in those. A random course is no such law.
     """
     others = [one for one in candidates if not (one.noisy and (drawn or one.courseless))]
-    return others if accepted or (others and others[0].evidence >= SURE) else candidates
+    told = [one for one in others if not (drawn and one.courseless)]
+    return others if accepted or (told and told[0].evidence >= SURE) else candidates
 
 
 def _light(candidates: list[Candidate]) -> list[Candidate]:

@@ -237,7 +237,7 @@ def _provenance(records: Records, its: Explained, seed: int, seconds: float) -> 
         correctors=len(record.layout.correctors),
         planes="".join(record.layout.planes),
         period_s=record.layout.period,
-        reading_noise_um=1e6 * float(np.sqrt(np.mean(np.diag(noise.white)))),
+        reading_noise_um=1e6 * float(np.sqrt(np.mean(noise.reading))),
         drift_um_per_tick=1e6 * float(np.sqrt(np.mean(np.diag(noise.walk)))),
         gauge="the healthy scatter of all gains, with mean zero",
         thresholds={"sure_nats": SURE},

@@ -125,6 +125,17 @@ def test_a_plan_splits_all_rivals_and_says_which_it_cannot(weak: Workspace) -> N
     assert its.separation_nats >= ENOUGH
 
 
+def test_a_group_of_bpms_is_no_bpm(weak: Workspace) -> None:
+    """A place of a law that has no course is a pattern: there are more of them than BPMs."""
+    walk = effect("bpm-walk")
+    patterns = walk.patterns(LAYOUT)
+    assert patterns.shape[1] > len(LAYOUT.bpms)
+    several = Suspect(walk, (patterns.shape[1] - 1,), {"step": 1e-7})
+    assert walk.devices_at(LAYOUT, several.places) == tuple(np.flatnonzero(patterns[:, -1]))
+    its = plan(weak, gain_of(0.08), [several]).experiment
+    assert its.splits == ("corrector-gain", "bpm-walk")
+
+
 def test_candidates_of_a_record_that_cannot_decide_get_an_experiment(weak: Workspace) -> None:
     gain, lag = effect("corrector-gain"), effect("corrector-lag")
     one = Candidate(gain, (PLACE,), (), {"gain": 0.08}, 3.0, sizes=(0.08,))

@@ -54,11 +54,21 @@ def test_a_drawn_reading_is_like_one_that_was_read() -> None:
 def test_what_is_told_of_the_readings_is_in_them() -> None:
     record = make_record(62, gain=0.0)
     missing = np.random.default_rng(4).random(record.readings.shape) < 0.3
-    jump = 50e-6 * (np.arange(len(record)) >= 400)[:, None] * np.ones(record.readings.shape[1])
-    gone = replace(record, readings=np.where(missing, 0.0, record.readings + jump), filled=missing)
-    beyond = left(drawn(gone, jump)) - jump
+    wave = np.where(np.arange(len(record)) % 2, 50e-6, -50e-6)[:, None] * np.ones(missing.shape[1])
+    gone = replace(record, readings=np.where(missing, 0.0, record.readings + wave), filled=missing)
+    beyond = left(drawn(gone, wave)) - wave
     assert np.abs(np.diff(beyond, axis=0)).max() < 5e-6
-    assert np.abs(np.diff(left(drawn(gone)) - jump, axis=0)).max() > 20e-6
+    assert np.abs(np.diff(left(drawn(gone)) - wave, axis=0)).max() > 20e-6
+
+
+def test_what_jumps_is_not_smoothed() -> None:
+    """Not even the readings that are missing at that row come before or after the others."""
+    record = make_record(62, gain=0.0)
+    missing = np.random.default_rng(4).random(record.readings.shape) < 0.3
+    missing[398:402, :3] = True
+    jump = 50e-6 * (np.arange(len(record)) >= 400)[:, None] * np.ones(missing.shape[1])
+    gone = replace(record, readings=np.where(missing, 0.0, record.readings + jump), filled=missing)
+    assert np.abs(np.diff(left(drawn(gone)) - jump, axis=0)).max() < 5e-6
 
 
 def test_a_healthy_ring_that_is_polled_has_no_cause() -> None:

@@ -9,7 +9,9 @@ import pytest
 from benchmarks.blind.many import write
 from orbitfb.core.signals import FINEST
 from orbitfb.diagnose.likelihood.workspace import Workspace
+from orbitfb.diagnose.screen.run import screen
 from orbitfb.diagnose.selection.rounds import tournament
+from orbitfb.diagnose.verdict.proved import proved
 from orbitfb.effects.registry import all_effects
 from orbitfb.records.reading.load import load
 
@@ -17,6 +19,7 @@ from orbitfb.records.reading.load import load
 def found(machine: str, fault: str, seed: int, folder: Path) -> list[str]:
     name = write(machine, fault, seed, folder / "records")
     record = load(folder / "records" / f"{name}.npz", planes=None, ring=None).record
+    record = proved(record, screen(record), frozenset()).record
     kinds = [one for one in all_effects().values() if not one.unavailable(record)]
     accepted, _ = tournament(Workspace.of(record, kinds), kinds)
     return [one.kind.id for one in accepted]
@@ -38,6 +41,31 @@ def test_a_corrector_that_trips(tmp_path: Path) -> None:
     assert found("plain", "trip", 1, tmp_path) == ["corrector-stuck"]
 
 
+def test_a_corrector_that_trips_in_a_polled_record(tmp_path: Path) -> None:
+    """What follows any course follows readings that were drawn without the law, too."""
+    assert found("held", "trip", 19, tmp_path) == ["corrector-stuck"]
+
+
+def test_a_corrector_that_trips_where_the_last_reading_is_missing(tmp_path: Path) -> None:
+    """It is drawn with the law as soon as that is known."""
+    assert found("invalid", "trip", 19, tmp_path) == ["corrector-stuck"]
+
+
+def test_play_of_correctors_that_began_anywhere(tmp_path: Path) -> None:
+    """States of two that act alike are told together, beside errors of what they have."""
+    assert found("plain", "play", 19, tmp_path) == ["corrector-hysteresis"]
+
+
+def test_correctors_that_lag_in_a_ring_that_shakes(tmp_path: Path) -> None:
+    """A cause that is as likely as motion that healthy rings have is none yet."""
+    assert found("one-shaking", "lag", 19, tmp_path) == ["corrector-lag"]
+
+
+def test_a_healthy_ring_that_shakes_has_no_odd_bpms(tmp_path: Path) -> None:
+    """What BPMs have in common is not the noise of each."""
+    assert found("shaking", "frozen", 19, tmp_path) == []
+
+
 def test_bpms_that_jump_together(tmp_path: Path) -> None:
     """Each by an offset of its own: neither a current that they follow nor kicks of the beam."""
     assert found("plain", "crate", 1, tmp_path) == ["bpm-offset"]
@@ -46,6 +74,7 @@ def test_bpms_that_jump_together(tmp_path: Path) -> None:
 def test_noise_that_bpms_have_in_common(tmp_path: Path) -> None:
     """It is new at every row, and what a walk along the same BPMs explains of it is no walk."""
     assert found("plain", "common-noise", 3, tmp_path) == ["noise-correlated"]
+    assert found("invalid", "common-noise", 19, tmp_path) == ["noise-correlated"]
 
 
 def test_a_beam_that_is_thrown_about_leaves_the_readings_some_noise(tmp_path: Path) -> None:
