@@ -117,11 +117,6 @@ that the library lacks is likelier than three at once."""
 SCATTER = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Multiples of the healthy scatter that are tried for all devices at once."""
 
-LEAK = 0.02
-"""Share of the walk along a pattern that the ground's shapes may have wrong besides a factor of
-two of what they leave there [1]: patterns that few quadrupoles move share the errors of others.
-Chosen by hand."""
-
 FINALISTS = 10
 """Candidates that are evaluated exactly, and whose values are refined between those of the grid: a
 scan leaves out what healthy errors of other devices hide, up to half of a large effect, and steps

@@ -14,7 +14,6 @@ from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import RandomLaw
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.priors import (
-    LEAK,
     MORE,
     RANDOM_VARIANCES,
     STROKE_PLACES,
@@ -87,7 +86,7 @@ def _steady(kind: EffectKind, law: RandomLaw, space: Workspace, weighed: _Weighe
         better = gain > best
         best[better], size[better] = gain[better], (factor / scale)[better]
     # What the ground may do along the pattern, too, is no effect.
-    usual = _unsure(law.patterns, space.shape + space.held, precision)
+    usual = _unsure(law.patterns, space, precision)
     best = best - np.max([gained(share * usual[None, :]) for share in UNSURE], axis=0)
     place = int(np.argmax(best))
     gain = float(best[place]) - np.log(len(best)) - VALUE_COST
@@ -137,17 +136,22 @@ def _coursed(
     return replace(one, values=values, field=field, cost=cost, again=again)
 
 
-def _unsure(patterns: Matrix, walk: Matrix, precision: Matrix) -> Vector:
+def _unsure(patterns: Matrix, space: Workspace, precision: Matrix) -> Vector:
     """Walk along patterns by which that of the ground may be wrong, shape (D,).
+
+    That is a factor of two of what the ground's shapes leave there, or the standard error of a
+    variance that is told by as many steps as the shapes are worth: patterns that few quadrupoles
+    move share the errors of others.
 
     Args:
         patterns: Shape (n, D).
-        walk: Of the ground, shape (n, n) [m²].
+        space: With the ground.
         precision: Of the patterns in every band, shape (B, D).
     """
+    walk, error = space.shape + space.held, float(np.sqrt(2.0 / space.trust))
     length = np.maximum(np.sum(patterns**2, axis=0), 1e-300)
     along = np.einsum("nd,nm,md->d", patterns, walk, patterns, optimize=True) / length**2
-    return np.maximum(1.0 / np.maximum(precision.max(axis=0), 1e-300), LEAK * along)
+    return np.maximum(1.0 / np.maximum(precision.max(axis=0), 1e-300), error * along)
 
 
 def _strokes(kind: EffectKind, law: RandomLaw, scorer: Scorer) -> list[Candidate]:
