@@ -21,6 +21,10 @@ COLOURS = (-1.0, -0.5, 0.5, 1.0, 1.5, 2.0)
 """Colours c of a ground whose motion has a spectrum f^(−2−c) [1]: from one that springs back to one
 that drifts as smoothly as temperature does. A walk has 0."""
 
+NEIGHBOURS = 3.0
+"""BPMs over which the orbit of a place between two correctors is alike, in a ring without places
+[1]. By hand: there are one to five between correctors of most rings."""
+
 GIRDER = 3.0
 """Distance over which magnets of one girder move together [m]."""
 

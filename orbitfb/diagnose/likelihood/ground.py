@@ -3,7 +3,7 @@
 import numpy as np
 
 from orbitfb.effects.kicks import source_patterns
-from orbitfb.estimation.priors import BODY, GIRDER, SITE, SLAB
+from orbitfb.estimation.priors import BODY, GIRDER, NEIGHBOURS, SITE, SLAB
 from orbitfb.estimation.shapes import Shapes
 from orbitfb.estimation.transform import Matrix
 from orbitfb.records.layout import Layout
@@ -23,7 +23,8 @@ def ground_shapes(layout: Layout) -> Shapes:
     ring = layout.ring
     if ring is None:
         spread = source_patterns(layout)
-        return Shapes((_unit(spread @ spread.T), own), np.zeros((count, 0)))
+        bumps = _unit(_bumps(layout))
+        return Shapes((_unit(spread @ spread.T), bumps, own), np.zeros((count, 0)))
     families: list[Matrix] = []
     rows: list[Matrix] = []
     place = ring.table.s[ring.places("QUAD")]
@@ -44,6 +45,22 @@ def ground_shapes(layout: Layout) -> Shapes:
     single = np.hstack(rows)
     norm = np.linalg.norm(single, axis=0)
     return Shapes((*families, own), single[:, norm > 0.0] / norm[norm > 0.0])
+
+
+def _bumps(layout: Layout) -> Matrix:
+    """Covariance of orbits that neighbouring BPMs share, shape (n, n).
+
+    What moves between two correctors makes an orbit that these make, too, all around the ring but
+    for the BPMs near to it. Where these are is not known without places, but for their order.
+    """
+    planes = np.array(layout.bpms.planes)
+    found = np.zeros((len(planes), len(planes)))
+    for plane in layout.planes:
+        own = np.flatnonzero(planes == plane)
+        apart = np.abs(np.arange(len(own))[:, None] - np.arange(len(own)))
+        apart = np.minimum(apart, len(own) - apart)
+        found[np.ix_(own, own)] = np.exp(-apart / NEIGHBOURS)
+    return found
 
 
 def shaken_shapes(layout: Layout) -> Shapes:
