@@ -32,6 +32,9 @@ from orbitfb.estimation.priors import (
 )
 from orbitfb.estimation.transform import Indices, Matrix
 
+_FURTHEST = float(np.log(2.0))
+"""Logarithm by which a value moves in a step, at most: courses are not straight for longer."""
+
 _UNIFORM = 1.0 / 3.0
 """Variance of what is anywhere between −1 and 1 with the same probability."""
 
@@ -144,7 +147,7 @@ def _nearer(source: Course, name: str, scorer: Scorer) -> tuple[float, Vector, f
     """Go a step of Gauss and Newton: the value, the states (k,), and what the states cost [nats].
 
     A state is anywhere within the play with the same probability; what is known of it is told as
-    that of a normal one of the same variance.
+    that of a normal one of the same variance. Where nothing shows, state and value stay.
 
     Args:
         source: With the value and the states.
@@ -188,10 +191,10 @@ def _nearer(source: Course, name: str, scorer: Scorer) -> tuple[float, Vector, f
     inner = np.empty((count + 1, count + 1))
     inner[:count, :count] = information[states, states]
     inner[:count, count] = inner[count, :count] = information[states, value].sum(axis=1)
-    inner[count, count] = information[value, value].sum()
+    inner[count, count] = information[value, value].sum() + 1.0 / _FURTHEST**2
     inner[np.diag_indices(count)] += 1.0 / _UNIFORM
     step = np.linalg.solve(inner, np.append(left[states] - first / _UNIFORM, left[value].sum()))
-    factor = float(np.exp(np.clip(step[count], -np.log(2.0), np.log(2.0))))
+    factor = float(np.exp(np.clip(step[count], -_FURTHEST, _FURTHEST)))
     grown = np.eye(count) + _UNIFORM * information[states, states]
     cost = 0.5 * float(np.linalg.slogdet(grown)[1])
     return factor * now, np.clip((first + step[:count]) / factor, -1.0, 1.0), cost
