@@ -75,7 +75,7 @@ def refitted(
     base = space.with_floor().log_posterior()
     rivals = _Rivals(list(candidates), [one.evidence for one in candidates], enough)
     while (number := rivals.next()) is not None:
-        own, after = settled(candidates[number], space, times=1, spread=False)
+        own, after = settled(rivals.candidates[number], space, times=1, spread=False)
         gain = after.log_posterior() - base - (own.cost or 0.0)
         for _ in range(HEARD if gain > SWALLOWED * own.evidence else 0):
             nearer = own.accepted(replace(space, noise=after.noise), spread=False)
@@ -84,8 +84,9 @@ def refitted(
                 break
             gain, after = more, nearer
         rivals.own[number] = replace(own, evidence=gain)
+        rivals.late_as(own, after)
         if own.additive:
-            rivals.least(_under(candidates, space, after, base))
+            rivals.least(_under(rivals.candidates, space, after, base))
     return rivals.ranked()
 
 
@@ -110,6 +111,20 @@ class _Rivals:
         for number, gain in found.items():
             self.worth[number] = max(self.worth[number], gain)
 
+    def late_as(self, own: Candidate, after: Workspace) -> None:
+        """Tell anew when other laws of the same devices begin, over the floor that one leaves.
+
+        Args:
+            own: A candidate with a floor of its own; of one that does not begin late nothing is
+                learnt.
+            after: With it accepted.
+        """
+        for number, one in enumerate(self.candidates):
+            late = one.onset and own.onset and one.onset != own.onset and number not in self.own
+            if late and one.again is not None and set(one.places) == set(own.places):
+                more = one.again(after)
+                self.candidates[number] = replace(more, cost=more.cost or one.cost)
+
     def next(self) -> int | None:
         """Number of the one that gets a floor of its own next; None: no other needs one."""
         good = self._good()
@@ -127,9 +142,15 @@ class _Rivals:
                 continue
             # Each BPM is the scale of what is undone: beside the floor of all it counts for little.
             at_it = _beside(one, self.candidates[0]) and one.evidence > 0.5 * self.enough
+            at_it = at_it or (self.worth[number] > 0.5 * best and self._begins_with_best(one))
             if at_it or self.worth[number] > (self.enough if one.undone else least):
                 return int(number)
         return None
+
+    def _begins_with_best(self, one: Candidate) -> bool:
+        """Whether it begins at the same devices in the same row as the best: only floors tell."""
+        best = max(self.own.values(), key=lambda its: its.evidence, default=one)
+        return 0 < one.onset == best.onset and set(one.places) == set(best.places)
 
     def ranked(self) -> list[Candidate]:
         """All of them, the best first; of one without a floor of its own what it has at least.

@@ -41,6 +41,16 @@ def test_a_corrector_that_trips(tmp_path: Path) -> None:
     assert found("plain", "trip", 1, tmp_path) == ["corrector-stuck"]
 
 
+def test_a_corrector_that_trips_and_throws_the_beam_about(tmp_path: Path) -> None:
+    """The row at which it begins is told again over the floor that a like law leaves."""
+    assert found("few-correctors", "trip", 22, tmp_path) == ["corrector-stuck"]
+
+
+def test_corrector_gains_that_play_has_nothing_to_say_of(tmp_path: Path) -> None:
+    """Its values cannot be told where nothing shows, which is no error."""
+    assert found("few-correctors", "corrector-gain", 22, tmp_path) == ["corrector-gain"]
+
+
 def test_a_corrector_that_trips_in_a_polled_record(tmp_path: Path) -> None:
     """What follows any course follows readings that were drawn without the law, too."""
     assert found("held", "trip", 19, tmp_path) == ["corrector-stuck"]
