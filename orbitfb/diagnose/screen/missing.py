@@ -103,6 +103,7 @@ def _moves(left: Matrix, known: Mask, ratio: Vector, starts: Mask) -> Matrix:
     state, width, last = np.zeros(left.shape[1]), 1e6 * (1.0 + ratio), np.zeros(left.shape[1], int)
     for row, begins in enumerate(starts.tolist()):
         width = 1e6 * (1.0 + ratio) if begins else width + ratio
+        last[:] = row - 1 if begins else last
         away = left[row] - state
         over = np.where(known[row], away**2 - _JUMP**2 * (width + 1.0), -1.0)
         for column in np.flatnonzero(over > 0.0).tolist():
