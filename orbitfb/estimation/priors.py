@@ -23,7 +23,7 @@ that drifts as smoothly as temperature does. A walk has 0."""
 
 NEIGHBOURS = 3.0
 """BPMs over which the orbit of a place between two correctors is alike, in a ring without places
-[1]. By hand: there are one to five between correctors of most rings."""
+[1]. By hand."""
 
 GIRDER = 3.0
 """Distance over which magnets of one girder move together [m]."""
@@ -314,8 +314,8 @@ MOST_REPEATS = 0.75
 polled rings repeat 26 to 75 %."""
 
 DRAWN_AGAIN = 0.01
-"""Share of readings that were not read from which they are drawn anew when more is known [1]: a
-first draw misses the healthy errors, a few per cent of what the model moves, in these rows."""
+"""Share of readings that were not read from which the first cause is told again, in readings that
+were drawn with it [1]: a first draw has neither it nor the healthy errors, in so many rows."""
 
 FOLLOWS = 0.98
 """Share of the variance of the requested changes that a linear law must explain [1]."""

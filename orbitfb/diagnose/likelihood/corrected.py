@@ -67,7 +67,7 @@ def over(space: Workspace, other: Workspace) -> Workspace:
 
 
 def misses(space: Workspace) -> bool:
-    """Whether so much was not read that it matters how it is drawn."""
+    """Whether so much was not read that it matters how it is drawn for the first cause."""
     return bool(space.signals.record.filled.mean() >= DRAWN_AGAIN)
 
 

@@ -51,8 +51,8 @@ def with_first_states(one: Candidate, space: Workspace) -> Candidate:
     if not kind.remembers or one.onset or len(one.sources) != 1 or one.again is not None:
         return one
 
-    def weighed(found: Candidate, lower: Scorer, after: Scorer) -> Candidate:
-        near = _nearest(found, lower, cost_of(kind, one.values, lower), after)
+    def weighed(found: Candidate, lower: Scorer, beside: Scorer) -> Candidate:
+        near = _nearest(found, lower, cost_of(kind, one.values, lower), beside)
         pull, information = lower.evaluate([np.asarray(near.field)])
         told = float(pull[0] - 0.5 * information[0, 0])
         return replace(near, cost=told - near.evidence, again=partial(again, near))
@@ -78,9 +78,9 @@ def _name(one: Candidate) -> str:
 
 
 def _wider(one: Candidate, most: float, scorer: Scorer, cost: float) -> Candidate:
-    """The best of a candidate at its value, at one that is smaller, and at larger ones.
+    """The best of a candidate at its value, at a smaller one, and at larger ones.
 
-    Larger ones are tried while two of them, one after the other, are not both worse.
+    It ends with the second larger value in a row that is worse.
     """
     now = one.sources[0].values[_name(one)]
     found: list[Candidate] = []
@@ -154,14 +154,12 @@ def _nearer(source: Course, name: str, scorer: Scorer) -> tuple[float, Vector, f
         name: Of the value.
         scorer: Of what is left to explain.
     """
-    signals, transform = scorer.space.signals, scorer.space.transform
     count, now = len(source.size), source.values[name]
     first = np.zeros(count) if source.first is None else source.first
 
     def courses(states: Vector, factor: float) -> list[Matrix]:
         values = {**source.values, name: factor * now}
-        its = replace(source, first=states).of(signals, values)
-        return [np.broadcast_to(one, (len(one), count)) * source.size for one in its]
+        return _courses(replace(source, values=values), states, scorer)
 
     low, high = np.maximum(first - SLOPE, -1.0), np.minimum(first + SLOPE, 1.0)
     by_state = [
@@ -176,26 +174,17 @@ def _nearer(source: Course, name: str, scorer: Scorer) -> tuple[float, Vector, f
             strict=True,
         )
     ]
-    chosen = list(source.places) if source.places else slice(None)
-    spectrum = np.hstack(
-        [
-            transform.quick_spectrum(one)
-            for parts in zip(by_state, by_value, courses(first, 1.0), strict=True)
-            for one in parts
-        ]
-    )
-    patterns = [block[:, chosen] for block in source.law.patterns]
-    pull, information = scorer.columns([np.tile(one, (1, 3)) for one in patterns], spectrum)
-    states, value, whole = (slice(part * count, (part + 1) * count) for part in range(3))
-    left = pull - information[:, whole].sum(axis=1)
+    pull, information = _weighed(source, [by_state, by_value, courses(first, 1.0)], scorer)
+    left = pull - information[:, :, 2].sum(axis=2)  # beside what is there already
+    states, value = 0, 1
     inner = np.empty((count + 1, count + 1))
-    inner[:count, :count] = information[states, states]
-    inner[:count, count] = inner[count, :count] = information[states, value].sum(axis=1)
-    inner[count, count] = information[value, value].sum() + 1.0 / _FURTHEST**2
+    inner[:count, :count] = information[states, :, states]
+    inner[:count, count] = inner[count, :count] = information[states, :, value].sum(axis=1)
+    inner[count, count] = information[value, :, value].sum() + 1.0 / _FURTHEST**2
     inner[np.diag_indices(count)] += 1.0 / _UNIFORM
     step = np.linalg.solve(inner, np.append(left[states] - first / _UNIFORM, left[value].sum()))
     factor = float(np.exp(np.clip(step[count], -_FURTHEST, _FURTHEST)))
-    grown = np.eye(count) + _UNIFORM * information[states, states]
+    grown = np.eye(count) + _UNIFORM * information[states, :, states]
     cost = 0.5 * float(np.linalg.slogdet(grown)[1])
     return factor * now, np.clip((first + step[:count]) / factor, -1.0, 1.0), cost
 
@@ -208,28 +197,40 @@ def _states(source: Course, levels: Matrix, scorer: Scorer) -> tuple[Vector, flo
         levels: That are tried, of all devices (L, 1) or of each (L, k).
         scorer: Of what is left to explain.
     """
-    count = len(source.size)
-    signals, transform = scorer.space.signals, scorer.space.transform
-    blocks: list[list[np.ndarray]] = [[] for _ in source.law.patterns]
-    for level in levels:
-        courses = replace(source, first=np.broadcast_to(level, count)).of(signals, source.values)
-        for block, course in zip(blocks, courses, strict=True):
-            wide = np.broadcast_to(course, (len(course), count)) * source.size
-            block.append(transform.quick_spectrum(wide))
-    chosen = list(source.places) if source.places else slice(None)
-    patterns = [np.tile(one[:, chosen], (1, len(levels))) for one in source.law.patterns]
-    spectrum = np.hstack([np.hstack(block) for block in blocks])
-    pull, information = scorer.columns(patterns, spectrum)
-    pull, own = pull.reshape(len(levels), count), np.diag(information).reshape(len(levels), count)
-    information = information.reshape(len(levels), count, len(levels), count)
-    state, gain = _chosen(pull, own, information)
+    each = np.broadcast_to(levels, (len(levels), len(source.size)))
+    pull, information = _weighed(source, [_courses(source, one, scorer) for one in each], scorer)
+    state, gain = _chosen(pull, information)
     best = gain.max(axis=0)
     cost = -np.log(np.mean(np.exp(gain - best), axis=0))
-    each = np.broadcast_to(levels, (len(levels), count))
-    return each[state, np.arange(count)], float(cost.sum())
+    return each[state, np.arange(len(state))], float(cost.sum())
 
 
-def _chosen(pull: Matrix, own: Matrix, information: NDArray[np.float64]) -> tuple[Indices, Matrix]:
+def _courses(source: Course, states: Vector, scorer: Scorer) -> list[Matrix]:
+    """Courses of the devices with given states, block by block, shape (N, k) each."""
+    courses = replace(source, first=states).of(scorer.space.signals, source.values)
+    return [np.broadcast_to(one, (len(one), len(source.size))) * source.size for one in courses]
+
+
+def _weighed(
+    source: Course, several: list[list[Matrix]], scorer: Scorer
+) -> tuple[Matrix, NDArray[np.float64]]:
+    """Pull (L, k) and information (L, k, L, k) of L courses of every device.
+
+    Args:
+        source: Whose devices they are.
+        several: The courses, L times block by block, shape (N, k) each.
+        scorer: Of what is left to explain.
+    """
+    count, size = len(several), len(source.size)
+    chosen = list(source.places) if source.places else slice(None)
+    patterns = [np.tile(one[:, chosen], (1, count)) for one in source.law.patterns]
+    turned = scorer.space.transform.quick_spectrum
+    spectrum = np.hstack([turned(one) for block in zip(*several, strict=True) for one in block])
+    pull, information = scorer.columns(patterns, spectrum)
+    return pull.reshape(count, size), information.reshape(count, size, count, size)
+
+
+def _chosen(pull: Matrix, information: NDArray[np.float64]) -> tuple[Indices, Matrix]:
     """Numbers of the best levels of devices, shape (k,), and what each level gains, (L, k).
 
     One device after the other, then each with those that act most like it: what one of two that
@@ -237,10 +238,10 @@ def _chosen(pull: Matrix, own: Matrix, information: NDArray[np.float64]) -> tupl
 
     Args:
         pull: Shape (L, k).
-        own: Information of each, shape (L, k).
         information: Of all pairs, shape (L, k, L, k).
     """
     count = pull.shape[1]
+    own = np.einsum("lklk->lk", information)
     middle, devices = len(pull) // 2, np.arange(count)
     state = np.full(count, middle)
     usual = np.sqrt(np.maximum(own[middle], 1e-300))

@@ -40,7 +40,7 @@ def with_motion(space: Workspace, enough: float) -> Workspace | None:
 
     Args:
         space: Of a round.
-        enough: Evidence of the best cause [nats]: it is none unless it is surely more likely.
+        enough: Evidence of the best cause [nats]: motion goes first unless that is surely likelier.
     """
     left, scatter = space.unmodelled()
     base = cache(lambda: space.with_floor().log_posterior())
