@@ -104,61 +104,65 @@ class Scorer:
 
         Args:
             patterns: Of every block of columns, each (n, D) [m]; a device has one in each.
-            spectrum: Transformed steps of their courses, block by block, shape (T, k).
+            spectrum: Transformed steps of the courses, block by block, shape (T, k); again block by
+                block for every further course that the devices may have, L in all.
 
         Returns:
-            a, shape (D,), and H, shape (D, D).
+            a, shape (L D,), and H, shape (L D, L D).
         """
-        blocks, whole = len(patterns), np.hstack(patterns)
+        whole, devices = np.hstack(patterns), patterns[0].shape[1]
         pull, information = self._columns(whole, spectrum)
-        count = len(pull) // blocks
-        return (
-            pull.reshape(blocks, count).sum(axis=0),
-            information.reshape(blocks, count, blocks, count).sum(axis=(0, 2)),
-        )
+        shape = (len(pull) // whole.shape[1], len(patterns), devices)
+        pull = pull.reshape(shape).sum(axis=1).ravel()
+        information = information.reshape(*shape, *shape).sum(axis=(1, 4))
+        return pull, information.reshape(len(pull), len(pull))
 
     def each(self, patterns: Matrix, spectrum: Single) -> tuple[Vector, Vector]:
         """Pull and information of fields, each for itself, healthy errors marginalised.
 
         Args:
             patterns: That every field has, shape (n, P) [m].
-            spectrum: Transformed steps of the courses of R fields along each, pattern by pattern,
-                shape (T, P R).
+            spectrum: Transformed steps of the courses of R fields along each, field by field,
+                shape (T, R P).
 
         Returns:
             a and H, shape (R,) each.
         """
         count = patterns.shape[1]
         along = self.pulled.astype(np.float32) @ patterns.astype(np.float32)
-        courses = spectrum.reshape(len(spectrum), count, -1)
-        pull = np.einsum("tp,tpr->r", along, courses, dtype=float)
+        courses = spectrum.reshape(len(spectrum), -1, count)
+        pull = np.einsum("tp,trp->r", along, courses, dtype=float)
         seen = (patterns.T @ self.space.noise.modes).astype(np.float32)
         information = np.zeros(len(pull))
         for weight, rows in zip(self.inverse, self.members, strict=True):
             part = courses[rows]
-            information += np.sum(part * (((seen * weight) @ seen.T) @ part), axis=(0, 1))
+            information += np.sum(part * (part @ ((seen * weight) @ seen.T)), axis=(0, 2))
         if not len(self.priors.used):
             return pull, information
-        space, fields = self.space, np.repeat(patterns, len(pull), axis=1)
-        used = self.errors.variance > 0.0
-        cross = space.terms.cross(space.noise, space.transform, fields, spectrum, used)
-        taken = self.priors.taken(cross.reshape(len(cross), count, -1).sum(axis=1))
-        return pull, np.maximum(information - taken, 0.0)
+        cross = self._beside(patterns, spectrum).reshape(-1, len(pull), count).sum(axis=2)
+        return pull, np.maximum(information - self.priors.taken(cross), 0.0)
 
     def _columns(self, patterns: Matrix, spectrum: Single) -> tuple[Vector, Matrix]:
+        count = patterns.shape[1]
         along = self.pulled.astype(np.float32) @ patterns.astype(np.float32)
-        pull = np.einsum("tk,tk->k", along, spectrum, dtype=float)
+        courses = spectrum.reshape(len(spectrum), -1, count)
+        pull = np.einsum("tp,trp->rp", along, courses, dtype=float).ravel()
         seen = (patterns.T @ self.space.noise.modes).astype(np.float32)
-        information = np.zeros((len(pull), len(pull)))
+        turns = courses.shape[1]
+        information = np.zeros((turns, count, turns, count))
         for weight, rows in zip(self.inverse, self.members, strict=True):
             part = spectrum[rows]
-            information += ((seen * weight) @ seen.T) * (part.T @ part)
+            product = (part.T @ part).reshape(information.shape)
+            information += ((seen * weight) @ seen.T)[:, None] * product
+        information = information.reshape(len(pull), len(pull))
         if not len(self.priors.used):
             return pull, information
-        space = self.space
-        used = self.errors.variance > 0.0
-        cross = space.terms.cross(space.noise, space.transform, patterns, spectrum, used)
-        return pull, positive(self.priors.beyond(information, cross))
+        return pull, positive(self.priors.beyond(information, self._beside(patterns, spectrum)))
+
+    def _beside(self, patterns: Matrix, spectrum: Single) -> Matrix:
+        """Information between the healthy errors and columns, shape (k, k')."""
+        space, used = self.space, self.errors.variance > 0.0
+        return space.terms.cross(space.noise, space.transform, patterns, spectrum, used)
 
     def seen(self, patterns: Matrix) -> Seen:
         """What patterns see of the residual; kept, as many values of a law share their patterns."""

@@ -46,13 +46,11 @@ class Terms:
     ) -> "Terms":
         """These columns and others behind them."""
         spectrum = np.asfortranarray(np.hstack([self.spectrum, transform.quick_spectrum(courses)]))
-        count, more = len(self), spectrum.shape[1] - len(self)
-        grams = np.pad(self.grams, ((0, 0), (0, more), (0, more)))
         return Terms(
             np.hstack([self.patterns, patterns]),
             np.concatenate([self.pattern, self.patterns.shape[1] + pattern]),
             spectrum,
-            _grams(spectrum, transform, grams, np.arange(count + more) >= count),
+            _grams(spectrum, transform),
         )
 
     def instead(self, first: Matrix, transform: StepTransform, kept: Mask) -> "Terms":
@@ -63,13 +61,9 @@ class Terms:
             transform: Of the record.
             kept: Columns that stay as they are, shape (k,).
         """
-        spectrum, fresh = self.spectrum.copy(order="F"), np.zeros(len(self), dtype=bool)
-        its = spectrum_of(first, transform)
-        count = its.shape[1]
-        fresh[:count] = ~kept[:count] & np.any(its != spectrum[:, :count], axis=0)
-        spectrum[:, fresh] = its[:, fresh[:count]]
-        grams = _grams(spectrum, transform, self.grams.copy(), fresh)
-        return Terms(self.patterns, self.pattern, spectrum, grams)
+        spectrum, fresh = self.spectrum.copy(order="F"), ~kept[: first.shape[1]]
+        spectrum[:, : len(fresh)][:, fresh] = spectrum_of(first, transform)[:, fresh]
+        return Terms(self.patterns, self.pattern, spectrum, _grams(spectrum, transform))
 
     def pull(
         self, pulled: "Matrix | Single", used: Mask | None = None, patterns: Single | None = None
@@ -158,25 +152,26 @@ class Terms:
         Args:
             noise: The floor.
             transform: Of the record.
-            patterns: Of the others, shape (n, k').
-            spectrum: Of their courses, shape (T, k').
+            patterns: Of the others, shape (n, P').
+            spectrum: Of their courses, shape (T, k'): once through the patterns, or several times.
             used: Columns that are asked for, shape (k,); runs with none of them are zero.
         """
         seen, others = (
             (its.T @ noise.modes).astype(np.float32) for its in (self.patterns, patterns)
         )
         inverse = noise.inverse_variance(transform).astype(np.float32)
-        total = np.zeros((len(self), patterns.shape[1]), dtype=np.float32)
+        turns = spectrum.shape[1] // max(patterns.shape[1], 1)
+        total = np.zeros((len(self), turns, patterns.shape[1]), dtype=np.float32)
         runs = [(part, self._along(part)) for part in self._runs() if np.any(used[part])]
         for band, weight in enumerate(inverse):
             rows = transform.members(band)
             known = {its: (seen[slice(*its)] * weight) @ others.T for _, its in runs}
             theirs = spectrum[rows]
             for part, its in runs:
-                product = self.spectrum[rows, part].T @ theirs
-                product *= known[its]
+                product = (self.spectrum[rows, part].T @ theirs).reshape(-1, *total.shape[1:])
+                product *= known[its][:, None]
                 total[part] += product
-        return total.astype(np.float64)
+        return total.reshape(len(self), -1).astype(np.float64)
 
     def scatter(self, covariance: Matrix) -> Matrix:
         """Second moments by band of what sizes of a covariance add, shape (B, n, n) [m²]."""
@@ -212,29 +207,11 @@ def spectrum_of(courses: Matrix, transform: StepTransform) -> Single:
     return np.asfortranarray(transform.spectrum(courses).astype(np.float32))
 
 
-def _grams(
-    spectrum: Single,
-    transform: StepTransform,
-    known: "Matrix | None" = None,
-    fresh: "Mask | None" = None,
-) -> Matrix:
-    """Products of courses by band, shape (B, k, k).
-
-    Args:
-        spectrum: Of the courses, shape (T, k).
-        transform: Of the record.
-        known: Products of those that are not fresh, shape (B, k, k); written into. None: all are
-            fresh.
-        fresh: Courses whose products are not known, shape (k,).
-    """
+def _grams(spectrum: Single, transform: StepTransform) -> Matrix:
+    """Products of courses by band, shape (B, k, k), of their spectrum, shape (T, k)."""
     count = spectrum.shape[1]
-    found = np.empty((len(transform.count), count, count)) if known is None else known
+    found = np.empty((len(transform.count), count, count))
     for band, its in enumerate(found):
         part = spectrum[transform.members(band)].astype(np.float64)
-        if known is None:
-            its[:] = part.T @ part
-        else:
-            more = part.T @ part[:, fresh]
-            its[:, fresh] = more
-            its[fresh] = more.T
+        np.matmul(part.T, part, out=its)
     return found

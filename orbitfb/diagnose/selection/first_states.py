@@ -223,9 +223,9 @@ def _weighed(
     """
     count, size = len(several), len(source.size)
     chosen = list(source.places) if source.places else slice(None)
-    patterns = [np.tile(one[:, chosen], (1, count)) for one in source.law.patterns]
+    patterns = [one[:, chosen] for one in source.law.patterns]
     turned = scorer.space.transform.quick_spectrum
-    spectrum = np.hstack([turned(one) for block in zip(*several, strict=True) for one in block])
+    spectrum = np.hstack([turned(one) for level in several for one in level])
     pull, information = scorer.columns(patterns, spectrum)
     return pull.reshape(count, size), information.reshape(count, size, count, size)
 
@@ -249,22 +249,24 @@ def _chosen(pull: Matrix, information: NDArray[np.float64]) -> tuple[Indices, Ma
     alike[devices, devices] = -1.0
     partners = np.argsort(-alike, axis=1)[:, :PARTNERS]
     total = information[:, :, state, devices].sum(axis=2)
-    gain = np.zeros_like(pull)
+    gain, alone = np.zeros_like(pull), pull - 0.5 * own
     for _ in range(len(pull)):
         before = state.copy()
         for one in devices:
             for other in (one, *partners[one]):
                 both = [one] if other == one else [one, other]
-                rest = total - sum(information[:, :, state[its], its] for its in both)
-                gains = [(pull - rest - 0.5 * own)[:, its] for its in both]
+                rest = total[:, both] - sum(information[:, both, state[its], its] for its in both)
+                gains = (alone[:, both] - rest).T
                 if other == one:
                     gain[:, one] = gains[0]
                     found = (int(np.argmax(gains[0])),)
                 else:
                     joint = gains[0][:, None] + gains[1] - information[:, one, :, other]
                     found = np.unravel_index(int(np.argmax(joint)), joint.shape)
-                state[both] = found
-                total = rest + sum(information[:, :, state[its], its] for its in both)
+                for its, level in zip(both, found, strict=True):
+                    if level != state[its]:
+                        total += information[level, its] - information[state[its], its]
+                        state[its] = level
         if np.array_equal(before, state):
             break
     return state, gain

@@ -22,6 +22,10 @@ from orbitfb.estimation.priors import ONSETS_EVERY, SIZE_WIDTH, STANDING, UNTOLD
 HOPEFUL = 24
 """Devices whose onsets are looked for at most, those of which most shows."""
 
+_LIKELY = 0.25
+"""Share of its given size that a law shows at least, if it is there [1]: below a half it is less
+likely than nothing, and rows that are a few wrong leave half of that."""
+
 _COLUMNS = 400
 """Courses of single devices that are weighed exactly at the first look. By hand, for time: a single
 device is looked at in all rows that were scanned, 24 in the best 16 of them."""
@@ -36,8 +40,8 @@ class Begin:
         places: Numbers of the devices: a single one, a group, or all (empty).
         row: At which they begin.
         values: Of the parameters.
-        others: Rows that were scanned, the best first: healthy errors make a law look much the
-            same from many of them.
+        others: Further rows to look at, the best of those that were scanned first: healthy errors
+            make a law look much the same from many of them.
     """
 
     evidence: float
@@ -52,8 +56,9 @@ def exactly(
 ) -> Candidate:
     """A set that begins late, with and without what its beginning kicks, row by row.
 
-    The row is told by at most `HOPEFUL` of its devices: first among those that were scanned, then
-    around the best of them; and again over a floor that was estimated with it.
+    The row is told by at most `HOPEFUL` of its devices: first among those that were scanned, then,
+    if the law may be there at all, around the best of them; and again over a floor that was
+    estimated with it.
     """
     places, values = begin.places, begin.values
     devices = (places or tuple(range(len(law.names))))[:HOPEFUL]
@@ -61,16 +66,23 @@ def exactly(
     best = (-np.inf, begin.row, False)
     tried = (begin.row, *begin.others)[: _COLUMNS // len(devices)]
     for _ in range(2):
+        likely = False
         for kick in (False, True) if law.first is None else (False,):
-            gain = worth(*_by_row(law, scorer, values, devices, tried, kick))
+            pull, information = _by_row(law, scorer, values, devices, tried, kick)
+            gain = worth(pull, information)
             place = int(np.argmax(gain))
             best = max(best, (float(gain[place]), tried[place], kick))
+            likely = likely or free or bool(np.any(pull > _LIKELY * information))
+        if not likely:
+            break
         near = range(best[1] - 2 * ONSETS_EVERY, best[1] + 2 * ONSETS_EVERY)
         tried = tuple(one for one in near if 0 < one < last)
     _, row, kick = best
 
+    known = replace(begin, row=row, others=(begin.row, *begin.others))
+
     def again(after: Workspace) -> Candidate:
-        return exactly(kind, law, Scorer.of(over(scorer.space, after)), begin, cost, free)
+        return exactly(kind, law, Scorer.of(over(scorer.space, after)), known, cost, free)
 
     found = evaluated(kind, law, scorer, places, values, row, free, cost, kick)
     if free and 0 < len(places) <= HOPEFUL:
@@ -87,17 +99,18 @@ def always(
 
     Of a law that remembers the first rows tell nothing, as what was before the record is unknown.
     """
-    choice = float(np.log(scorer.space.transform.rows))
-    found = [
-        evaluated(kind, law, scorer, begin.places, begin.values, row, free, cost)
-        for row in range(UNTOLD + 1)
-    ]
-    found[1:] = [replace(one, evidence=one.evidence + choice) for one in found[1:]]
+    places, values, rows = begin.places, begin.values, range(UNTOLD + 1)
+    devices = places or tuple(range(len(law.names)))
+    worth = any_size if free else given_size
+    row = int(np.argmax(worth(*_by_row(law, scorer, values, devices, rows, kick=False))))
+    found = evaluated(kind, law, scorer, places, values, row, free, cost)
+    if row:
+        found = replace(found, evidence=found.evidence + np.log(scorer.space.transform.rows))
 
     def again(after: Workspace) -> Candidate:
         return always(kind, law, Scorer.of(over(scorer.space, after)), begin, cost, free)
 
-    return replace(max(found, key=lambda one: one.evidence), again=again)
+    return replace(found, again=again)
 
 
 def _by_row(
@@ -111,7 +124,7 @@ def _by_row(
     """Pull and information of devices that begin together at a row, exactly, for every row."""
     signals = scorer.space.signals
     reached = None if law.first is None else law.first(values, signals)
-    patterns, late = [], []  # courses by device, then by row
+    patterns, late = [], []  # courses by row, of every device
     for pattern, course in zip(law.patterns, law.course(values, signals), strict=True):
         for device in devices:
             own = course if course.shape[1] == 1 else course[:, [device]]
@@ -120,7 +133,8 @@ def _by_row(
             begun = np.arange(len(own))[:, None] >= np.array(rows)
             patterns.append(pattern[:, device])
             late.append(np.where(begun, own - np.hstack(base), 0.0))
-    spectrum = scorer.space.transform.quick_spectrum(np.hstack(late))
+    courses = np.stack(late, axis=2).reshape(len(late[0]), -1)
+    spectrum = scorer.space.transform.quick_spectrum(courses)
     return scorer.each(np.stack(patterns, axis=1), spectrum)
 
 
