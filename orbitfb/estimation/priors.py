@@ -219,9 +219,9 @@ ONSET_MARGIN = 30
 """Rows at either end of a record within which no onset is tried: too few to tell it by."""
 
 SWALLOWED = 2.0
-"""Evidence of a cause over its own floor, over that beside a floor of all, from which that floor
-had most of it: it takes more turns to leave it. By hand, for time: a factor of two is that of a
-floor which had half."""
+"""Evidence of a cause over its own floor, over that beside a floor that has not left it yet: up to
+such a factor a rival may still be the best, and its floor takes more turns. By hand, for time: a
+factor of two is that of a floor which had half."""
 
 UNTOLD = 3
 """First rows that a law which was always there may lose [rows]: the longest delay in ticks that is

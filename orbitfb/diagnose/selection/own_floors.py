@@ -76,15 +76,17 @@ def refitted(
     rivals = _Rivals(list(candidates), [one.evidence for one in candidates], enough)
     while (number := rivals.next()) is not None:
         own, after = settled(rivals.candidates[number], space, times=1, spread=False)
-        gain = after.log_posterior() - base - (own.cost or 0.0)
-        for _ in range(HEARD if gain > SWALLOWED * own.evidence else 0):
-            nearer = own.accepted(replace(space, noise=after.noise), spread=False)
-            more = nearer.log_posterior() - base - (own.cost or 0.0)
+        less = base + (own.cost or 0.0)
+        gain, best = after.log_posterior() - less, max(rivals.good(), default=0.0)
+        for _ in range(HEARD if gain > best / SWALLOWED else 0):
+            nearer = after.with_floor()
+            more = nearer.log_posterior() - less
             if more < gain + SURE:
                 break
             gain, after = more, nearer
         rivals.own[number] = replace(own, evidence=gain)
-        rivals.late_as(own, after)
+        if gain > best:
+            rivals.late_as(own, over(space, after))
         if own.additive:
             rivals.least(_under(rivals.candidates, space, after, base))
     return rivals.ranked()
@@ -110,24 +112,35 @@ class _Rivals:
         """Learn what some have at least [nats], by number."""
         for number, gain in found.items():
             self.worth[number] = max(self.worth[number], gain)
+            own = self.own.get(number)
+            if own is not None and gain > own.evidence:
+                self.own[number] = replace(own, evidence=gain)
 
-    def late_as(self, own: Candidate, after: Workspace) -> None:
+    def late_as(self, own: Candidate, lower: Workspace) -> None:
         """Tell anew when other laws of the same devices begin, over the floor that one leaves.
 
         Args:
-            own: A candidate with a floor of its own; of one that does not begin late nothing is
-                learnt.
-            after: With it accepted.
+            own: The best so far, with a floor of its own; of one that does not begin late nothing
+                is learnt.
+            lower: Without it, over that floor.
         """
+        if not own.onset:
+            return
+        scorer = Scorer.of(lower)
         for number, one in enumerate(self.candidates):
-            late = one.onset and own.onset and one.onset != own.onset and number not in self.own
-            if late and one.again is not None and set(one.places) == set(own.places):
-                more = one.again(after)
-                self.candidates[number] = replace(more, cost=more.cost or one.cost)
+            late = one.onset > 0 and self.worth[number] > 0.0
+            if number in self.own or not late or set(one.places) != set(own.places):
+                continue
+            fine = one if one.finer is None else one.finer()
+            if fine.again is not None:
+                more = fine.again(lower)
+                pull, information = scorer.evaluate([np.asarray(more.field)])
+                cost = float(pull[0] - 0.5 * information[0, 0]) - more.evidence
+                self.candidates[number] = replace(more, cost=cost)
 
     def next(self) -> int | None:
         """Number of the one that gets a floor of its own next; None: no other needs one."""
-        good = self._good()
+        good = self.good()
         best = max(good, default=0.0)
         least = max(0.5 * self.enough, CLOSE * best)
         if len(good) >= LEADING:
@@ -157,7 +170,7 @@ class _Rivals:
 
         That is no more than its effect, or those that led, have.
         """
-        weighed, good = self._weighed(), min(self._good(), default=np.inf)
+        weighed, good = self._weighed(), min(self.good(), default=np.inf)
         found = []
         for number, one in enumerate(self.candidates):
             most = one.evidence if one.noisy else weighed.get(_form(one), good)
@@ -165,7 +178,8 @@ class _Rivals:
             found.append(self.own.get(number, rest))
         return strongest(found)
 
-    def _good(self) -> list[float]:
+    def good(self) -> list[float]:
+        """Evidence of those that have a floor of their own, and are worth something [nats]."""
         return [one.evidence for one in self.own.values() if one.evidence > 0.0]
 
     def _weighed(self) -> dict[tuple[str, str], float]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfb.diagnose.hypotheses.candidate import Candidate
+from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
@@ -20,6 +20,7 @@ from orbitfb.estimation.priors import (
     CLOSE,
     FINALISTS,
     FIRST_ORDER,
+    HEARD,
     LEADING,
     MISFIT,
     NEAREST,
@@ -135,12 +136,15 @@ def tournament(
     accepted: list[Candidate] = []
     rounds: list[Round] = []
     again = misses(space)
+    led: Candidate | None = None  # the first cause, in readings that were drawn with it
     space = first = redrawn(space) if again else space
     while True:
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
         enough = enough_beside(sum(one.evidence for one in accepted), space)
         candidates = candidates_of(space, left, tell, enough)
+        if led is not None:
+            candidates, led = strongest([led, *candidates]), None
         candidates = [one for one in candidates if not _echo(one, accepted)]
         if candidates and candidates[0].evidence > 0.5 * enough:
             space = space.saturable()  # every floor from here on begins with it
@@ -168,7 +172,7 @@ def tournament(
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
         if again:
-            again, space = False, _drawn_with(candidates, space)
+            again, (led, space) = False, _drawn_with(candidates, space)
             rounds.pop()
             continue
         best, after = settled(candidates[0], space.trusting())
@@ -176,15 +180,19 @@ def tournament(
         accepted.append(best)
 
 
-def _drawn_with(candidates: Sequence[Candidate], space: Workspace) -> Workspace:
+def _drawn_with(candidates: Sequence[Candidate], space: Workspace) -> tuple[Candidate, Workspace]:
     """Draw what was not read with the first cause, whose values were told without.
 
     Readings that were drawn without a law speak against it, and for whatever follows them. So each
-    effect that leads is told again in readings that were drawn with it.
+    effect that leads has readings drawn with it, and is weighed in those. It stays as it was found
+    meanwhile: what was drawn without it would move it.
 
     Args:
         candidates: Of the round, the best first.
         space: That they were tried on.
+
+    Returns:
+        The one whose readings, read and drawn, are most likely, and the workspace with those.
     """
     leading: dict[str, Candidate] = {}
     for one in candidates:
@@ -192,11 +200,15 @@ def _drawn_with(candidates: Sequence[Candidate], space: Workspace) -> Workspace:
             leading.setdefault(one.kind.id, one)
     found = []
     for one in list(leading.values())[:LEADING]:
-        its, after = settled(one, space.trusting())
-        fresh = redrawn(space, after)
-        _, told = settled(its, fresh)
-        found.append((told.log_posterior() - fresh.log_posterior() - (its.cost or 0.0), fresh))
-    return max(found, key=lambda one: one[0])[1]
+        fresh, begin = space, space.trusting()
+        for _ in range(HEARD):
+            after = one.accepted(begin, spread=False)
+            fresh = redrawn(fresh, after)
+            begin = replace(fresh, noise=after.noise)
+        whole = one.accepted(begin, spread=False).log_posterior() - (one.cost or 0.0)
+        its = replace(one, evidence=whole - fresh.log_posterior())
+        found.append((whole, its, fresh))
+    return max(found, key=lambda one: one[0])[1:]
 
 
 def _composed(causes: Sequence[Candidate]) -> bool:

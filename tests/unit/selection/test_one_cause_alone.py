@@ -25,9 +25,15 @@ def found(machine: str, fault: str, seed: int, folder: Path) -> list[str]:
     return [one.kind.id for one in accepted]
 
 
-@pytest.mark.parametrize(("machine", "seed"), [("shaking", 10), ("few-correctors", 12)])
+@pytest.mark.parametrize(
+    ("machine", "seed"), [("shaking", 10), ("few-correctors", 12), ("shaking", 26), ("flicker", 26)]
+)
 def test_a_corrector_that_is_stuck(machine: str, seed: int, tmp_path: Path) -> None:
-    """A floor that knows of no shaking takes a wrong row for as good, and that leaves kicks."""
+    """A floor that knows of no shaking takes a wrong row for as good, and that leaves kicks.
+
+    One that has reached its limit does nearly the same: the floors of both have to be at their
+    best.
+    """
     assert found(machine, "stuck", seed, tmp_path) == ["corrector-stuck"]
 
 
@@ -51,9 +57,10 @@ def test_corrector_gains_that_play_has_nothing_to_say_of(tmp_path: Path) -> None
     assert found("few-correctors", "corrector-gain", 22, tmp_path) == ["corrector-gain"]
 
 
-def test_a_corrector_that_trips_in_a_polled_record(tmp_path: Path) -> None:
+@pytest.mark.parametrize("seed", [19, 28])
+def test_a_corrector_that_trips_in_a_polled_record(seed: int, tmp_path: Path) -> None:
     """What follows any course follows readings that were drawn without the law, too."""
-    assert found("held", "trip", 19, tmp_path) == ["corrector-stuck"]
+    assert found("held", "trip", seed, tmp_path) == ["corrector-stuck"]
 
 
 def test_a_corrector_that_trips_where_the_last_reading_is_missing(tmp_path: Path) -> None:
