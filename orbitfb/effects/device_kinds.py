@@ -23,12 +23,10 @@ class ActuatorKind(EffectKind):
 
     Attributes:
         proposes: Whether `hints` has any.
-        only_whole: Whether only all correctors together can be struck.
     """
 
     target = "corrector"
     proposes: ClassVar[bool] = False
-    only_whole: ClassVar[bool] = False
 
     @abstractmethod
     def drive(self, setpoints: Matrix, values: Values, record: Record) -> Matrix:
@@ -61,7 +59,7 @@ class ActuatorKind(EffectKind):
         return (
             DeviceLaw(
                 (layout.response,), course, names, groups,
-                whole=self.only_whole, first=first, driven=True, many=self.many,
+                first=first, driven=True, many=self.many,
             ),
         )  # fmt: skip
 

@@ -49,7 +49,6 @@ class DeviceLaw:
             shape (N, D), or (N, 1) when it is the same for all.
         names: Of the devices, D of them.
         groups: Devices that are commonly struck together, by name.
-        whole: Whether only all devices together can be struck.
         periodic: Whether the course is a wave whose frequency is to be found.
         standing: Whether it acts on an orbit of which the record tells only the changes: where it
             begins in the middle of a record its first kick has any size.
@@ -68,7 +67,6 @@ class DeviceLaw:
     course: Callable[[Values, Signals], tuple[Matrix, ...]]
     names: tuple[str, ...]
     groups: Mapping[str, Indices] = field(default_factory=dict)
-    whole: bool = False
     periodic: bool = False
     standing: bool = False
     first: Callable[[Values, Signals], Matrix] | None = None

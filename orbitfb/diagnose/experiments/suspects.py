@@ -50,7 +50,7 @@ class Suspect:
         for law in kind.laws(signals):
             if isinstance(law, PairLaw) and len(law.pairs):
                 places = law.struck(len(law.pairs) // 2)
-            elif isinstance(law, DeviceLaw) and not law.whole:
+            elif isinstance(law, DeviceLaw):
                 places = (len(law.names) // 2,)
         return cls(kind, places, values)
 

@@ -87,9 +87,7 @@ def _sets(kind: EffectKind, law: DeviceLaw, scorer: Scorer, values: Values) -> I
     pull, information = scorer.score(law.patterns, spectra)
     information = scorer.marginal(kind, law.patterns, spectra, information)
     for worth, free in worths_of(kind):
-        gain, places = best_set(
-            pull, information, law.groups, worth, whole=law.whole, alone=not kind.collective
-        )
+        gain, places = best_set(pull, information, law.groups, worth, alone=not kind.collective)
         yield _Found(gain, places, values, free)
         if places and kind.collective:
             gain = float(worth(np.array([pull.sum()]), np.array([information.sum()]))[0])

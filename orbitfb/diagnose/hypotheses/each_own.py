@@ -45,7 +45,7 @@ def scan_each_own(
         The best set of two devices or more, and all of them, as far as they have evidence.
     """
     usual = scorer.is_usual(kind)
-    if law.whole or usual or not kind.collective or rank.alone.max() < HOPE:
+    if usual or not kind.collective or rank.alone.max() < HOPE:
         return []
     return [*_some(kind, law, scorer, rank), *_every(kind, law, scorer, rank)]
 

@@ -19,7 +19,6 @@ def best_set(
     groups: Mapping[str, Indices],
     worth: Worth,
     *,
-    whole: bool = False,
     alone: bool = False,
 ) -> tuple[float, tuple[int, ...]]:
     """Find the set of devices with one common value that has the most evidence.
@@ -29,7 +28,6 @@ def best_set(
         information: Of them, shape (D, D).
         groups: That are commonly struck together.
         worth: Log evidence of a set.
-        whole: Whether only all devices together can be struck.
         alone: Whether only groups that have a name, or single devices, can be struck.
 
     Returns:
@@ -40,8 +38,6 @@ def best_set(
         return _one(pull, information, groups, worth)
     every = float(worth(np.array([pull.sum()]), np.array([information.sum()]))[0])
     best: tuple[float, tuple[int, ...]] = (every, ())
-    if whole:
-        return best
     units = [list(map(int, members)) for members in groups.values()]
     single = [[device] for device in range(len(pull))]
     for choice in (units, single):

@@ -108,15 +108,12 @@ def _information(
     if isinstance(law, FieldLaw):
         field = courses.field(law, values)
         return np.atleast_1d(np.sum(((field @ scorer.space.noise.modes) ** 2) * scorer.weights))
-    total = np.zeros(1 if law.whole else len(law.names))
+    total = np.zeros(len(law.names))
     spectra = _spectra(law, values, scorer)
     for pattern, spectrum in zip(law.patterns, spectra, strict=True):
-        if law.whole:
-            total += scorer.together(pattern, spectrum, ())[0]
-        else:
-            seen = scorer.seen(pattern)
-            total += np.einsum("bd,bd->d", seen.own, transform.by_band(spectrum * spectrum))
-    if law.whole or len(law.patterns) > 1:
+        seen = scorer.seen(pattern)
+        total += np.einsum("bd,bd->d", seen.own, transform.by_band(spectrum * spectrum))
+    if len(law.patterns) > 1:
         return total
     return _beside_healthy(kind, law, spectra[0], total, scorer)
 

@@ -39,7 +39,7 @@ def score_map(causes: Sequence[Named], first: Round, scorer: Scorer) -> ScoreMap
 
 def _rows(part: Candidate, scorer: Scorer, cause: Named | None) -> Iterator[ScoreRow]:
     law = _law(part, scorer)
-    if law is None or law.whole or law.periodic:
+    if law is None or law.periodic:
         return
     kind, space = part.kind, scorer.space
     values = part.sources[0].values if part.sources else dict(part.values)

@@ -12,11 +12,7 @@ from orbitfb.physics.places import Ring
 from orbitfb.records.record import Record
 
 ROWS = 12
-KINDS = [
-    kind
-    for kind in all_effects().values()
-    if isinstance(kind, ActuatorKind) and not kind.only_whole and kind.sudden
-]
+KINDS = [kind for kind in all_effects().values() if isinstance(kind, ActuatorKind) and kind.sudden]
 
 
 @pytest.fixture(scope="module")

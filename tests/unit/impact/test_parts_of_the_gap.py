@@ -7,22 +7,18 @@ import pytest
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.diagnose.hypotheses.row_sums import moving_root
-from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.impact.closed_loop import law_of, replayed
-from orbitfb.diagnose.impact.detectable import _information
 from orbitfb.diagnose.impact.innovations import at_bpms, errors_ahead, floor_of, whitened
 from orbitfb.diagnose.impact.windows import Windows, quiet_level
-from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.report.writing import effects_of
 from orbitfb.diagnose.result.diagnosis import Diagnosis
 from orbitfb.diagnose.verdict.engine import diagnose
-from orbitfb.effects.laws import DeviceLaw
-from orbitfb.effects.registry import all_effects, effect
+from orbitfb.effects.registry import all_effects
 from orbitfb.estimation.noise import StepNoise
 from orbitfb.estimation.transform import StepTransform
 from orbitfb.physics.optics import Matrix
 from orbitfb.records.record import Record
-from tests.unit.hypotheses.small_records import kinds_for, make_record
+from tests.unit.hypotheses.small_records import make_record
 
 
 def answer(record: Record, later: Record | None = None) -> Diagnosis:
@@ -221,17 +217,3 @@ def test_the_quiet_windows_tell_the_level_where_something_begins_late() -> None:
     assert quiet_level(errors, 20.0, windows) == 1.0
     errors[800:, 3] *= 5.0  # in one direction only
     assert quiet_level(errors, 12.0, windows) == pytest.approx(1.0 / np.mean(errors**2), rel=0.04)
-
-
-def test_what_a_law_of_all_devices_shows_is_what_its_field_does() -> None:
-    """Against the sum over all frequencies of what all of them add together."""
-    record = make_record(33)
-    kind, space = effect("corrector-lag"), Workspace.of(record, kinds_for(record))
-    (law,), scorer = space.courses.laws(kind), Scorer.of(space)
-    assert isinstance(law, DeviceLaw)
-    values = space.courses.grid(kind)[3]
-    together = _information(kind, replace(law, whole=True), values, scorer)
-    (course,) = law.course(values, space.signals)
-    field = space.transform.spectrum(course) @ law.patterns[0].T
-    exact = float(np.sum(field * space.noise.pull(field, space.transform)))
-    assert together == pytest.approx([exact], rel=0.2)

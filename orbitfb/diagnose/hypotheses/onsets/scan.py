@@ -58,7 +58,7 @@ def scan_late(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) ->
     Returns:
         The best ones, if any are worth something.
     """
-    if not kind.sudden or law.whole:
+    if not kind.sudden:
         return []
     # Where nothing shows over the whole record a first kick may still tell, or the change of what
     # the healthy error of the same devices stands in for.
