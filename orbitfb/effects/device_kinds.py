@@ -215,16 +215,12 @@ class PairKind(EffectKind):
 
         names = tuple(devices.label(i) for i in range(len(devices)))
         courses = signals.record.readings if of_bpms else signals.currents
-        return (
-            PairLaw(
-                patterns, courses, self.pairs(layout), mixing, names,
-                lambda pair: self.struck(layout, pair), of_bpms,
-            ),
-        )  # fmt: skip
+        pairs = self.pairs(layout)
+        return (PairLaw(patterns, courses, pairs, mixing, names, self.struck(pairs), of_bpms),)
 
-    def struck(self, layout: Layout, place: int) -> tuple[int, ...]:
-        """Columns of the devices at fault at a pair: those of both, by default."""
-        return tuple(self.pairs(layout)[place].tolist())
+    def struck(self, pairs: Indices) -> Sequence[tuple[int, ...]]:
+        """Columns of the devices at fault at every pair, (P, 2): those of both, by default."""
+        return [tuple(one) for one in pairs.tolist()]
 
     def matrices(self, layout: Layout, values: Values) -> Matrix:
         """Shape (P, 2, 2): `matrix` of every pair of `pairs`, in its order.

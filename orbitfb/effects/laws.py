@@ -88,7 +88,7 @@ class PairLaw:
         pairs: Columns that may be tied, shape (P, 2).
         mixing: Of every pair for given values, shape (P, 2, 2).
         names: Of the columns.
-        struck: Columns at fault of pair number p.
+        struck: Columns at fault of every pair, P of them.
         readings: Whether the columns are readings.
     """
 
@@ -97,7 +97,7 @@ class PairLaw:
     pairs: Indices
     mixing: Callable[[Values], Matrix]
     names: tuple[str, ...]
-    struck: Callable[[int], tuple[int, ...]]
+    struck: Sequence[tuple[int, ...]]
     readings: bool = False
 
 

@@ -26,6 +26,7 @@ class Suspect:
         values: Of the parameters, SI.
         sizes: Of every place, where each has its own, in units of the linear parameter.
         sources: Courses of its devices, where a search has left them.
+        parts: What it consists of, where several were found at once.
     """
 
     kind: EffectKind
@@ -33,13 +34,15 @@ class Suspect:
     values: Values
     sizes: tuple[float, ...] = ()
     sources: tuple[Course, ...] = ()
+    parts: "tuple[Suspect, ...]" = ()
 
     @classmethod
     def of(cls, candidate: Candidate) -> "Suspect":
         """Take what a tournament found for something that is there all the time."""
         sources = tuple(replace(one, onset=0) for one in candidate.sources)
+        parts = tuple(cls.of(one) for one in candidate.parts)
         return cls(
-            candidate.kind, candidate.places, candidate.values, candidate.sizes, sources
+            candidate.kind, candidate.places, candidate.values, candidate.sizes, sources, parts
         )  # fmt: skip
 
     @classmethod
@@ -49,7 +52,7 @@ class Suspect:
         places: tuple[int, ...] = ()
         for law in kind.laws(signals):
             if isinstance(law, PairLaw) and len(law.pairs):
-                places = law.struck(len(law.pairs) // 2)
+                places = law.struck[len(law.pairs) // 2]
             elif isinstance(law, DeviceLaw):
                 places = (len(law.names) // 2,)
         return cls(kind, places, values)
@@ -73,12 +76,21 @@ def change_of(suspect: Suspect, signals: Signals, transform: StepTransform) -> C
     """Predict what a suspect adds to a record; None of what is random or strikes unknown rows."""
     if suspect.sources:
         return _of_courses(suspect.kind, suspect.sources, signals, transform)
+    if suspect.parts:
+        changes = [change_of(one, signals, transform) for one in suspect.parts]
+        known = [one for one in changes if one is not None]
+        if len(known) < len(changes):
+            return None
+        free = tuple(own for one in known for own in one.free)
+        return Change(np.sum([one.field for one in known], axis=0), free)
     for law in suspect.kind.laws(signals):
         if isinstance(law, DeviceLaw):
             course = Course(law, suspect.places, suspect.values, _sizes(suspect, law))
             return _of_courses(suspect.kind, (course,), signals, transform)
         if isinstance(law, PairLaw):
-            return _moved(suspect, transform, _PairField(law, _pair(law, suspect.places)))
+            number = _pair(law, suspect.places)
+            field = None if number is None else _PairField(law, number)
+            return None if field is None else _moved(suspect, transform, field)
         if isinstance(law, FieldLaw):
             return _moved(suspect, transform, _RingField(law, signals))
     return None
@@ -110,10 +122,9 @@ def _of_courses(
     return Change(np.asarray(field), tuple(free.values()))
 
 
-def _pair(law: PairLaw, struck: tuple[int, ...]) -> int:
-    """Number of the pair at which these columns are at fault."""
-    near = np.flatnonzero(np.isin(law.pairs, struck).any(axis=1))
-    return next((int(number) for number in near if law.struck(int(number)) == struck), 0)
+def _pair(law: PairLaw, struck: tuple[int, ...]) -> int | None:
+    """Number of the pair at which these columns are at fault; None: there is none."""
+    return next((number for number, its in enumerate(law.struck) if its == struck), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

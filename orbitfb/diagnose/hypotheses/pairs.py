@@ -50,7 +50,7 @@ class _Mixed:
         law, pair = self.law, self.law.pairs[number]
         field = space.transform.spectrum(law.courses[:, pair] @ self.mixing[number].T)
         scaled = {**self.values, **{p.name: size * self.values[p.name] for p in self.kind.sizes}}
-        struck = law.struck(number)
+        struck = law.struck[number]
         names = tuple(law.names[place] for place in struck)
         back = law.mixing(scaled)[number]
         wider = float(np.linalg.slogdet(np.eye(2) - back)[1])

@@ -43,7 +43,7 @@ def scan_undone(kind: EffectKind, law: DeviceLaw | PairLaw, scorer: Scorer) -> l
         [_gain(space.residual[rows], read[rows], columns, back) for rows in scorer.members], axis=0
     )
     best = int(np.argmax(gain))
-    places = law.struck(best) if isinstance(law, PairLaw) else (best,)
+    places = law.struck[best] if isinstance(law, PairLaw) else (best,)
     chosen = columns[best]
     wider = float(np.linalg.slogdet(np.eye(len(chosen)) - back[best])[1])
 

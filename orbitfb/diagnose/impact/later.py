@@ -166,8 +166,8 @@ def _summed(
 
 
 def _of_pair(part: Candidate, law: PairLaw, space: Workspace) -> Matrix | None:
-    for number in range(len(law.pairs)):
-        if law.struck(number) == part.places:
+    for number, struck in enumerate(law.struck):
+        if struck == part.places:
             pair = law.pairs[number]
             courses = law.courses[:, pair] @ law.mixing(part.values)[number].T
             return space.transform.spectrum(courses) @ law.patterns[:, pair].T

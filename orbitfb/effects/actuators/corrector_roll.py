@@ -1,6 +1,7 @@
 """A corrector that is turned about the beam, so that it kicks into the other plane as well."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -65,12 +66,10 @@ class CorrectorRoll(PairKind):
         """Columns (x, y) of every corrector that has both: both turned, x alone, y alone."""
         return np.tile(_both(layout), (3, 1))
 
-    def struck(self, layout: Layout, place: int) -> tuple[int, ...]:
+    def struck(self, pairs: Indices) -> Sequence[tuple[int, ...]]:
         """Columns that are turned."""
-        both = _both(layout)
-        which, device = divmod(place, len(both))
-        x, y = both[device].tolist()
-        return ((x, y), (x,), (y,))[which]
+        both = pairs[: len(pairs) // 3].tolist()
+        return [(x, y) for x, y in both] + [(x,) for x, _ in both] + [(y,) for _, y in both]
 
     def matrix(self, values: Values) -> Matrix:
         """Rotation, where both planes have the same calibration."""

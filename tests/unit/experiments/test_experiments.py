@@ -52,6 +52,19 @@ def best(record: Record, name: str) -> Candidate:
     return next(one for one in found if one.kind.id == name)
 
 
+def test_pairs_that_were_found_together_are_predicted_together(weak: Workspace) -> None:
+    """One that is of none of the pairs is not taken for the first of them."""
+    talk = effect("corrector-crosstalk")
+    parts = tuple(Suspect(talk, pair, {"share": 0.1}) for pair in ((3, 5), (9, 7)))
+    both = Suspect(talk, (3, 5, 9, 7), {"share": 0.1}, parts=parts)
+    changes = [change_of(one, weak.signals, weak.transform) for one in (both, *parts)]
+    whole, first, second = (one.field for one in changes if one is not None)
+    np.testing.assert_allclose(whole, first + second)
+    assert not np.allclose(first, second)
+    unknown = Suspect(talk, (3, 5, 9, 7), {"share": 0.1})
+    assert change_of(unknown, weak.signals, weak.transform) is None
+
+
 def gain_of(size: float, place: int = PLACE) -> Suspect:
     return Suspect(effect("corrector-gain"), (place,), {"gain": size})
 
