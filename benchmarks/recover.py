@@ -188,7 +188,7 @@ def _count(kind: EffectKind, layout: Layout) -> int:
 def columns_of(kind: EffectKind, places: tuple[int, ...], layout: Layout) -> Indices:
     """Tell places as the simulation counts them."""
     if isinstance(kind, PairKind):
-        return np.array(kind.struck(layout, places[0]), dtype=np.intp)
+        return np.array(kind.struck(kind.pairs(layout))[places[0]], dtype=np.intp)
     if isinstance(kind, NoiseKind) and kind.target == "bpm":
         return np.flatnonzero(kind.patterns(layout)[:, places[0]])
     return np.array(places, dtype=np.intp)
