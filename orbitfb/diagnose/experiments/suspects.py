@@ -73,7 +73,10 @@ class Change:
 
 
 def change_of(suspect: Suspect, signals: Signals, transform: StepTransform) -> Change | None:
-    """Predict what a suspect adds to a record; None of what is random or strikes unknown rows."""
+    """Predict what a suspect adds to a record.
+
+    None of what is random, strikes unknown rows, or is of no pair that the ring has.
+    """
     if suspect.sources:
         return _of_courses(suspect.kind, suspect.sources, signals, transform)
     if suspect.parts:
@@ -89,8 +92,9 @@ def change_of(suspect: Suspect, signals: Signals, transform: StepTransform) -> C
             return _of_courses(suspect.kind, (course,), signals, transform)
         if isinstance(law, PairLaw):
             number = _pair(law, suspect.places)
-            field = None if number is None else _PairField(law, number)
-            return None if field is None else _moved(suspect, transform, field)
+            if number is None:
+                return None
+            return _moved(suspect, transform, _PairField(law, number))
         if isinstance(law, FieldLaw):
             return _moved(suspect, transform, _RingField(law, signals))
     return None

@@ -109,7 +109,7 @@ class _Rivals:
     own: dict[int, Candidate] = field(default_factory=dict)
 
     def least(self, found: Mapping[int, float]) -> None:
-        """Learn what some have at least [nats], by number."""
+        """Learn what some have at least [nats], by number; a floor of their own may be worse."""
         for number, gain in found.items():
             self.worth[number] = max(self.worth[number], gain)
             own = self.own.get(number)

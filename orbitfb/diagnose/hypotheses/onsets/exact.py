@@ -24,7 +24,7 @@ HOPEFUL = 24
 
 _LIKELY = 0.25
 """Share of its given size that a law shows at least, if it is there [1]: below a half it is less
-likely than nothing, and rows that are a few wrong leave half of that."""
+likely than nothing. By hand, for time: a row that is a little wrong may leave half of that."""
 
 _COLUMNS = 400
 """Courses of single devices that are weighed exactly at the first look. By hand, for time: a single
