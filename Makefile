@@ -80,9 +80,8 @@ lint: venv
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-# Threads share nothing, so that each reads the stubs of all libraries again.
 types: venv
-	$(NICE) $(BIN)/pyright --threads $(or $(THREADS),2)
+	$(BIN)/pyrefly check
 
 layers: venv
 	$(BIN)/lint-imports

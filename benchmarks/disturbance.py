@@ -1,7 +1,7 @@
 """What may go on beside the loop: swaps of the policy, refits without a pause."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -24,7 +24,7 @@ TAUGHT_TICKS = 2000
 
 
 @contextmanager
-def disturbed(kind: str, slot: PolicySlot, job: SimJob) -> Iterator[None]:
+def disturbed(kind: str, slot: PolicySlot, job: SimJob) -> Generator[None, None, None]:
     """Disturb the loop from a thread of its own until the block ends.
 
     Args:

@@ -20,6 +20,7 @@ import tempfile
 import time
 import urllib.error
 import urllib.request
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ class Watch:
         self.reached[what] = round(time.monotonic() - self._begin, 1)
         print(f"{self.reached[what]:7.1f} s  {what}", flush=True)
 
-    def until(self, what: str, look, running: subprocess.Popen[str]) -> None:
+    def until(self, what: str, look: Callable[[], object], running: subprocess.Popen[str]) -> None:
         deadline = time.monotonic() + PATIENCE
         while not look():
             if running.poll() is not None or time.monotonic() > deadline:

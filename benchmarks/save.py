@@ -24,7 +24,7 @@ def save_npz(record: Record, path: Path) -> None:
     """
     arrays = exchange_arrays(record)
     with path.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)  # pyright: ignore[reportArgumentType]
+        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def exchange_arrays(record: Record) -> dict[str, Vector]:

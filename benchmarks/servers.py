@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -63,7 +63,7 @@ def _array_table(over: str) -> Path:
 
 
 @contextmanager
-def serving(server: Server, job: SimJob, size: int | None = None) -> Iterator[Running]:
+def serving(server: Server, job: SimJob, size: int | None = None) -> Generator[Running, None, None]:
     """Run a server in a process of its own.
 
     Args:

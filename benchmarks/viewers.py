@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -129,7 +129,7 @@ def measure(module: str, rate: float, turns: int, seconds: float) -> dict[str, C
 
 
 @contextlib.contextmanager
-def serving(directory: Path, rate: float, module: str) -> Iterator[tuple[int, str]]:
+def serving(directory: Path, rate: float, module: str) -> Generator[tuple[int, str], None, None]:
     """Run a service without a learner; give its number and the address of its page."""
     config = directory / "config.toml"
     config.write_text(
@@ -163,7 +163,7 @@ def _address(process: subprocess.Popen[str]) -> str:
 
 
 @contextlib.contextmanager
-def company(page: str, looking: int, stalled: int) -> Iterator[None]:
+def company(page: str, looking: int, stalled: int) -> Generator[None, None, None]:
     """Let viewers look, in a process of their own, and others stall."""
     with contextlib.ExitStack() as stack:
         for _ in range(stalled):

@@ -32,7 +32,7 @@ def cut(page: Page, first: str, last: str, file: Path) -> None:
     begin = max(top["y"] - MARGIN, 0)
     end = bottom["y"] + bottom["height"] + MARGIN
     clip = {"x": 0, "y": begin, "width": WIDTH, "height": end - begin}
-    page.screenshot(path=file, full_page=True, clip=clip)  # pyright: ignore
+    page.screenshot(path=file, full_page=True, clip=clip)
 
 
 def main() -> None:

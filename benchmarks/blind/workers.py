@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -243,7 +243,7 @@ def _keep(task: Task, answer: Answer) -> None:
 
 
 @contextmanager
-def ended_with_us() -> Iterator[None]:
+def ended_with_us() -> Generator[None, None, None]:
     """Turn a request to end into an exit, so that no process outlives this one."""
 
     def asked(number: int, frame: object) -> None:

@@ -1,6 +1,6 @@
 """The command that trains."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -116,7 +116,7 @@ def train(
 
 
 @contextmanager
-def _progress(quiet: bool) -> "Iterator[Progress]":
+def _progress(quiet: bool) -> "Generator[Progress, None, None]":
     """Draw a bar on standard error, if that is a terminal, while a training runs."""
     from rich.console import Console
     from rich.progress import (

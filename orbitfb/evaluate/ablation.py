@@ -219,7 +219,8 @@ def _made(row: Variant, response: Vector, seed: int, spread: float) -> Any:
                 law = ModalPolicy(response, ModalSettings(), gains=0.5, thresholds=1e-4)
             return train_structured(response, settings, start=law, draw=drawing).policy
         case _:
-            settings = TrajectorySettings(**{**row.change, "seed": seed})
+            wanted: dict[str, Any] = {**row.change, "seed": seed}
+            settings = TrajectorySettings(**wanted)
             start: NetworkPolicy | None = embed(modal) if row.start == "embedded" else None
             return train_trajectory(response, settings, start=start, draw=drawing).policy
 

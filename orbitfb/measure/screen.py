@@ -107,12 +107,12 @@ def exchanges(data: Matrix, model: Matrix) -> list[tuple[int, int]]:
     np.fill_diagonal(better, np.inf)
     best = np.argmin(better, axis=1)
     found: list[tuple[int, int]] = []
-    for row in np.flatnonzero(measured & (own > _MISFIT * usual)):
+    for row in np.flatnonzero(measured & (own > _MISFIT * usual)).tolist():
         other = int(best[row])
-        mutual = int(best[other]) == int(row) and own[other] > _MISFIT * usual
+        mutual = int(best[other]) == row and own[other] > _MISFIT * usual
         left = better[[row, other], [other, row]]
         if mutual and row < other and left.max() < max(_MISFIT * usual, _NOTHING):
-            found.append((int(row), other))
+            found.append((row, other))
     return found
 
 

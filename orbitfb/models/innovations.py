@@ -86,7 +86,7 @@ def windows(rows: Rows, length: int) -> NDArray[np.intp]:
     starts = rows.starts.copy()
     if len(starts):
         starts[0] = True
-    bounds = [*np.flatnonzero(starts), len(rows)]
+    bounds = [*np.flatnonzero(starts).tolist(), len(rows)]
     begins = [
         begin for first, end in pairwise(bounds) for begin in range(first, end - length + 1, length)
     ]

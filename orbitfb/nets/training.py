@@ -8,7 +8,7 @@ gives the same weights, bit for bit on a CPU, as one that was not.
 import math
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
@@ -120,7 +120,7 @@ class _Interruption:
 
 
 @contextmanager
-def _interruptible(saving: bool) -> Iterator[_Interruption]:
+def _interruptible(saving: bool) -> Generator[_Interruption, None, None]:
     """Let a Ctrl-C wait until the iteration is complete, so that what is saved is consistent."""
     interruption = _Interruption()
     if not saving or threading.current_thread() is not threading.main_thread():

@@ -89,4 +89,4 @@ def _part(answer: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 def _number(value: object) -> float:
     known = isinstance(value, int | float) and not isinstance(value, bool)
-    return float(value) if known else math.nan  # pyright: ignore[reportArgumentType]
+    return float(value) if known else math.nan

@@ -67,6 +67,8 @@ class PanelCircuit(VirtualCircuit):
     def __init__(self, circuit: Any, client: Any, context: "PanelContext") -> None:
         super().__init__(circuit, client, context)
         self.subscription_queue = DroppingQueue(MAX_TOTAL_SUBSCRIPTION_BACKLOG)
+        # It does what caproto calls of its own, and counts.
+        # pyrefly: ignore[bad-override-mutable-attribute]
         self.write_event = writes = WritesUnderWay()
         self.command_queue = PanelCommands(writes)
         self._panel, self._stream = context, client

@@ -64,14 +64,11 @@ def growth_on(policy: Policy, response: Vector, part: tuple[slice, slice] | None
         part: BPMs and correctors of one plane; None: all.
     """
     outside: Any = policy
-    inside: Any = policy
-    while isinstance(inside, MaskedPolicy):
-        inside = inside.policy
     gain = outside.gain_matrix
     if part is not None:
         gain = gain[part[1], part[0]]
     answers = np.linalg.eigvals(response @ gain if len(response) <= len(gain) else gain @ response)
-    return _growth(answers, inside.settings)
+    return _growth(answers, _settings(policy))
 
 
 def unstable_on(policy: Policy, response: Vector) -> str:
@@ -93,16 +90,21 @@ def unstable_on(policy: Policy, response: Vector) -> str:
 
 def _answers(policy: Policy) -> tuple[Vector, Any]:
     """Give the eigenvalues of R K, shape (k,), complex, and the settings of the law."""
-    inside: Any = policy
-    while isinstance(inside, MaskedPolicy):
-        inside = inside.policy
     outside: Any = policy
     response, gain = outside.response, outside.gain_matrix
     if not (np.isfinite(gain).all() and np.isfinite(response).all()):
         return np.array([np.inf]), None
     fewer_bpms = len(response) <= len(gain)
     answers = np.linalg.eigvals(response @ gain if fewer_bpms else gain @ response)
-    return answers, inside.settings
+    return answers, _settings(policy)
+
+
+def _settings(policy: Policy) -> Any:
+    """Give the settings of the law inside all masks."""
+    while isinstance(policy, MaskedPolicy):
+        policy = policy.policy
+    inside: Any = policy
+    return inside.settings
 
 
 def _growth(answers: Vector, settings: Any) -> float:

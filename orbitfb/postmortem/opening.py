@@ -1,6 +1,6 @@
 """Open a post-mortem, and read what it says of itself."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from orbitfb.postmortem.datasets import Datasets
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[h5py.File]:
+def opened(path: Path) -> Generator[h5py.File, None, None]:
     """Open a post-mortem.
 
     Raises:
@@ -39,7 +39,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
                     "orbitfb that wrote it"
                 )
             yield file
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError) as error:
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise RecordError(
             f"{path} is damaged, or no post-mortem ({error}); take it from a backup"
         ) from error

@@ -121,7 +121,7 @@ def screen(
         zero &= ~habit.is_coarse & settings.bpm_zero
     limit: NDArray[np.int64] | int = settings.bpm_frozen_ticks
     if int(repeats.max(initial=0)) + 1 >= limit:  # nobody is frozen before
-        limit = habit.frozen_from(limit)
+        limit = habit.frozen_from(settings.bpm_frozen_ticks)
     if not np.array_equal(same, known):  # an orbit that repeats itself as a whole: `repeated`
         changed = known & ~same & np.isfinite(memory.last)
         teaches = changed & (memory.last != 0.0)  # a dead channel that comes back is not coarse

@@ -45,7 +45,7 @@ def read_excitation(file: Path, case: Conditions) -> tuple[Array, int]:
         rows, names = given["waveform"], [str(name) for name in given["corr_names"]]
         planes = [str(plane) for plane in given["planes"]]
         start = float(given["start_s"])
-    own = [plane for plane in case.all_planes for _ in case.correctors]
+    own: list[str] = [plane for plane in case.all_planes for _ in case.correctors]
     column = {device: at for at, device in enumerate(zip(case.corr_names, own, strict=True))}
     whole = np.zeros((len(rows), len(own)))
     whole[:, [column[device] for device in zip(names, planes, strict=True)]] = rows
@@ -104,7 +104,8 @@ def do(out: Path, sealed: Path, suite_seed: int, file: Path, truth: dict[str, An
     record, told = out / f"{name}.npz", sealed / f"{name}.json"
     if record.exists() and told.exists():
         return ""
-    spec = Spec(**{**truth["spec"], "effects": tuple(truth["spec"]["effects"])})
+    wanted: dict[str, Any] = {**truth["spec"], "effects": tuple(truth["spec"]["effects"])}
+    spec = Spec(**wanted)
     case, chosen, _ = choose(spec, out, suite_seed)
     if not same(chosen, truth["effects"]):
         return f"{name}: the generator has changed since; this case cannot be drawn again"

@@ -46,7 +46,7 @@ def write_case(spec: Spec, name: str, out: Path, truth: Path, suite_seed: int) -
 
 def save(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
     """Write a record."""
-    np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
+    np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def seal(out: Path, truth: Path, suite: str, seed: int) -> str:

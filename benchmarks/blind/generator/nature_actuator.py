@@ -1,5 +1,7 @@
 """Correctors and the way to them, as nature makes them."""
 
+from typing import Any
+
 import numpy as np
 
 from benchmarks.blind.generator.conditions import Conditions
@@ -18,7 +20,8 @@ class OnCurrent(Nature):
         self.columns = columns
 
     def bind(self, case: Conditions, rng: Rng) -> None:
-        self.case, self.rng, self.memory = case, rng, None
+        self.case, self.rng = case, rng
+        self.memory: Any = None  # of each effect its own
 
     def drive(self, row: int, wanted: Array) -> Array:
         """Currents of the columns from the setpoints sent."""

@@ -209,7 +209,7 @@ class Skew(Nature):
         self.closed = np.linalg.inv(np.eye(2) - cross)
 
     def bend(self, row: int, orbit: Array, currents: Array) -> Array:
-        start = np.array([self.reach[p] @ currents + self.ground[p][row] for p in "xy"])
+        start = np.array([self.reach[p] @ currents + self.ground[p][row] for p in BOTH])
         x, y = self.closed @ start
         return orbit + self.strength * (self.shape["x"] * y + self.shape["y"] * x)
 

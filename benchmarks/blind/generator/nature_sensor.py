@@ -1,5 +1,7 @@
 """Sensors and their noise, as nature makes them."""
 
+from typing import Any
+
 import numpy as np
 
 from benchmarks.blind.generator.conditions import Conditions
@@ -17,7 +19,8 @@ class OnReading(Nature):
         self.columns = columns
 
     def bind(self, case: Conditions, rng: Rng) -> None:
-        self.case, self.rng, self.memory = case, rng, None
+        self.case, self.rng = case, rng
+        self.memory: Any = None  # of each effect its own
 
     def change(self, row: int, seen: Array) -> Array:
         """New values of the columns."""

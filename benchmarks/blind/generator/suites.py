@@ -1,7 +1,7 @@
 """Which cases a suite has."""
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,7 +32,7 @@ def _spec(
         planes = "x"
     else:
         planes = str(rng.choice(["x", "y", "xy"], p=[0.72, 0.2, 0.08]))
-    filled: dict[str, object] = {
+    filled: dict[str, Any] = {
         "planes": planes,
         "ring": "first",
         "dither": "passive",
@@ -42,7 +42,7 @@ def _spec(
         "inside": False,
         **wish,
     }
-    return Spec(effects=effects, target=target, **filled)  # pyright: ignore[reportArgumentType]
+    return Spec(effects=effects, target=target, **filled)
 
 
 def _quick(rng: np.random.Generator) -> Iterator[Spec]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from orbitfb.core.errors import ControlError, RingError
 from orbitfb.core.signals import Channels, Mask, Vector
 from orbitfb.panel.settings import PanelSettings
 from orbitfb.physics.bump import Bump, closed_bump, find_source
-from orbitfb.physics.places import Plane, Ring, split
+from orbitfb.physics.places import Plane, Planes, Ring, split
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,7 @@ class Bumps:
             self.place = place
             return None
         plane = request.get("plane")
-        planes = split(self._channels.planes)  # pyright: ignore[reportArgumentType]
+        planes = split(cast(Planes, self._channels.planes))
         if plane not in planes:
             raise ControlError(f"plane must be {' or '.join(planes)}, not {plane!r}")
         before = self.in_force.get((place, plane))

@@ -13,7 +13,7 @@ from orbitfb.learn.builders import masked, unmasked
 from orbitfb.loop.slot import PolicySlot
 from orbitfb.policies.blocks import Plane, sized
 from orbitfb.policies.store.directory import PolicyStore
-from orbitfb.policies.svd import LARGEST_WEIGHT, SvdPolicy, SvdSettings
+from orbitfb.policies.svd import LARGEST_WEIGHT, PlaneLaw, SvdPolicy, SvdSettings
 
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 LARGEST_LAMBDA = 1.0
@@ -233,8 +233,9 @@ def _cuts(settings: SvdSettings | None, channels: Channels) -> dict[str, Any]:
     if settings is not None and not settings.planes:
         values["Modes-RB"] = settings.singular_values or modes_in(channels)
         values["Lambda-RB"] = settings.regularisation
+    laws: dict[str, PlaneLaw] = {} if settings is None else {**settings.planes}
     for plane in channels.planes if several else ():
-        law = None if settings is None else {**settings.planes}.get(plane)
+        law = laws.get(plane)
         modes = law and (law.singular_values or modes_in(channels, plane))
         values[f"Modes{plane.upper()}-RB"] = modes
         values[f"Lambda{plane.upper()}-RB"] = (

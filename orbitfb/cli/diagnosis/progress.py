@@ -1,7 +1,7 @@
 """What is shown on standard error while a diagnosis runs, and what an interrupted one says."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ INTERRUPTED = 130
 
 
 @contextmanager
-def told_when_interrupted() -> Iterator[None]:
+def told_when_interrupted() -> Generator[None, None, None]:
     """Say that what ctrl-C ended has written nothing."""
     try:
         yield
@@ -25,7 +25,7 @@ def told_when_interrupted() -> Iterator[None]:
 
 
 @contextmanager
-def progress_bar(quiet: bool) -> "Iterator[Progress]":
+def progress_bar(quiet: bool) -> "Generator[Progress, None, None]":
     """Draw a bar on standard error while a diagnosis runs."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn

@@ -125,7 +125,7 @@ def _depth(tree: Any) -> int:
         level = [
             inner
             for outer in level
-            if isinstance(outer, dict | list)
+            if isinstance(outer, (dict, list))
             for inner in cast(
                 "list[Any]", list(outer.values()) if isinstance(outer, dict) else outer
             )

@@ -88,8 +88,10 @@ def _leading(candidates: list[Candidate]) -> list[int]:
 
 def _scan(kind: EffectKind, law: Law, scorer: Scorer) -> list[Candidate]:
     """Scan a law by its form."""
-    if not kind.parameters and (
-        law.readings if isinstance(law, PairLaw) else isinstance(law, DeviceLaw) and law.undone
+    if (
+        not kind.parameters
+        and isinstance(law, DeviceLaw | PairLaw)
+        and (law.readings if isinstance(law, PairLaw) else law.undone)
     ):
         return scan_undone(kind, law, scorer)
     if isinstance(law, DeviceLaw | FieldLaw):

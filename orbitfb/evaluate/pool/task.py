@@ -70,8 +70,9 @@ class Outcome(NamedTuple):
     @classmethod
     def from_line(cls, line: bytes) -> "Outcome":
         """Read what `to_line` wrote."""
-        fields = json.loads(line)
-        return cls(**{**fields, "arrays": base64.b64decode(fields["arrays"])})
+        fields: dict[str, Any] = json.loads(line)
+        fields["arrays"] = base64.b64decode(fields["arrays"])
+        return cls(**fields)
 
     def result(self) -> dict[str, Any]:
         """Give back what the function returned; a tuple has become a list."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
@@ -106,7 +106,7 @@ def load_forward(directory: Path) -> ForwardNet:
         raise StoreError(
             f"{directory} holds no forward net ({error.strerror}); {advice}"
         ) from error
-    except (ValueError, RecursionError, ValidationError, SafetensorError) as error:
+    except (ValueError, RecursionError, SafetensorError) as error:
         raise StoreError(f"{directory} holds a damaged forward net ({error}); {advice}") from error
     _check(card, tensors, directory, advice)
     members = tuple(

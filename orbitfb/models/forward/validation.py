@@ -40,7 +40,9 @@ def orbit_of(rows: Rows) -> Vector:
     return rows.orbit
 
 
-def other_changes(training: Rows, validation: Rows, settings: ForwardSettings, response: Vector):
+def other_changes(
+    training: Rows, validation: Rows, settings: ForwardSettings, response: Vector
+) -> tuple[Vector, float, float]:
     """Find the part of the validation's changes that the law of the training does not explain.
 
     Args:

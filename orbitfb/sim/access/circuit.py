@@ -55,6 +55,8 @@ class FastCircuit(VirtualCircuit):
         super().__init__(circuit, client, context)
         self.subscription_queue = DroppingQueue(ca.MAX_TOTAL_SUBSCRIPTION_BACKLOG)
         self.command_queue = Commands(self._keep, self._is_done)
+        # It does what caproto calls of its own, and counts.
+        # pyrefly: ignore[bad-override-mutable-attribute]
         self.write_event = self._writes = WritesUnderWay()
         self._front = context.front
         self._board = context.front.board

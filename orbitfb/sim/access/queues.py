@@ -34,7 +34,8 @@ class Commands(asyncio.Queue[Any]):
 
     def __init__(self, keep: Callable[[Any], Awaitable[bool]], done: Callable[[Any], None]) -> None:
         super().__init__(ca.MAX_COMMAND_BACKLOG)
-        self._keep, self._done, self._last = keep, done, None
+        self._keep, self._done = keep, done
+        self._last: Any = None
 
     async def get(self) -> Any:
         """Give the next one that is for caproto."""

@@ -25,7 +25,7 @@ def test_every_fault_has_its_tests_and_settings(fault: Fault, known: set[str]):
     for key in fault.settings:
         section, name = key.split(".")
         part = AppConfig.model_fields[section].annotation
-        assert part is not None and name in part.model_fields, key  # pyright: ignore
+        assert part is not None and name in part.model_fields, key
 
 
 def test_every_state_that_stops_the_loop_is_in_the_table():

@@ -207,7 +207,7 @@ class Machine:
 
 def test_a_guarded_machine_is_not_written_to_while_there_is_a_reason():
     machine, reasons = Machine(), ["the lease is gone", ""]
-    guarded = GuardedMachine(machine, lambda: reasons.pop(0))  # pyright: ignore
+    guarded = GuardedMachine(machine, lambda: reasons.pop(0))
     with pytest.raises(WriteError, match="the lease is gone; nothing was sent"):
         guarded.write(np.ones(2))
     assert machine.writes == []

@@ -9,4 +9,4 @@ def still(steps: int = 10_000, **changed: object) -> Scenario:
     """Give a ring whose response does not drift and whose orbit does not move by itself."""
     made = make_scenario("s1", steps=steps, after=0)
     fixed = {"end": made.start, "physical": False, "walk": None, "white": 0.0}
-    return replace(made, **{**fixed, **changed})  # pyright: ignore[reportArgumentType]
+    return replace(made, **{**fixed, **changed})
