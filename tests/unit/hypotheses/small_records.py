@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from orbitfb.core.signals import Vector
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.registry import all_effects
 from orbitfb.physics.optics import Matrix
@@ -19,26 +20,52 @@ def as_it_is(currents: Matrix) -> Matrix:
     return currents
 
 
+def remembered(step: Callable[[Vector, Vector], Vector], first: Vector | None = None) -> Bent:
+    """A law with a state θ = step(θ, u), which begins where the first setpoints are.
+
+    It is called with one row more each time, and goes on from the state that it has.
+
+    Args:
+        step: From the state and the setpoints, both (m,) [A].
+        first: By how much the state is elsewhere at the beginning, (m,) [A].
+    """
+    state: list[Vector] = []
+
+    def bent(currents: Matrix) -> Matrix:
+        if len(currents) == 1:
+            state[:] = [currents[0] + (0.0 if first is None else first)]
+        state[0] = step(state[0], currents[-1])
+        return state[0][None]
+
+    return bent
+
+
+def lagging(kept: float) -> Bent:
+    """Every corrector behind a time constant: of what it lacked this share is left a row later."""
+    return remembered(lambda state, row: state + (1.0 - kept) * (row - state))
+
+
 def make_record(
     seed: int,
     currents: Bent = as_it_is,
     sensed: Bent = as_it_is,
     gain: float = 0.4,
     dither: float = 0.02,
+    rows: int = ROWS,
 ) -> Record:
     """A loop of some gain with dither, a walk of random kicks, and white noise."""
     rng = np.random.default_rng(seed)
     response = rng.standard_normal((BPMS, CORRECTORS)) * 1e-5
     inverse = np.linalg.pinv(response)
-    kicks = (rng.standard_normal((ROWS, CORRECTORS)) * 1e-3).cumsum(axis=0)
-    setpoints = np.zeros((ROWS, CORRECTORS))
-    readings = np.zeros((ROWS, BPMS))
-    noise = NOISE * rng.standard_normal((ROWS, BPMS))
-    for row in range(ROWS):
+    kicks = (rng.standard_normal((rows, CORRECTORS)) * 1e-3).cumsum(axis=0)
+    setpoints = np.zeros((rows, CORRECTORS))
+    readings = np.zeros((rows, BPMS))
+    noise = NOISE * rng.standard_normal((rows, BPMS))
+    for row in range(rows):
         acting = currents(setpoints[: row + 1])[-1]
         orbit = response @ (acting + kicks[row])
         readings[row] = sensed(orbit[None])[0] + noise[row]
-        if row + 1 < ROWS:
+        if row + 1 < rows:
             more = dither * rng.standard_normal(CORRECTORS)
             setpoints[row + 1] = setpoints[row] - gain * inverse @ readings[row] + more
     requested = np.vstack([np.diff(setpoints, axis=0), np.full((1, CORRECTORS), np.nan)])
@@ -49,10 +76,10 @@ def make_record(
         0.1,
         None,
     )
-    starts = np.zeros(ROWS, dtype=np.bool_)
+    starts = np.zeros(rows, dtype=np.bool_)
     starts[0] = True
     return Record(
-        layout, 0.1 * np.arange(ROWS), starts, readings, setpoints, requested, None, None, None,
+        layout, 0.1 * np.arange(rows), starts, readings, setpoints, requested, None, None, None,
         np.zeros_like(readings, dtype=np.bool_), {}, "made by a test", "",
     )  # fmt: skip
 

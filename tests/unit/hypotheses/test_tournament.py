@@ -28,29 +28,31 @@ from orbitfb.physics.places import Indices
 from orbitfb.physics.response import response
 from orbitfb.records.layout import Devices, Layout
 from orbitfb.records.record import Record
-from tests.unit.hypotheses.small_records import BPMS, NOISE, ROWS, kinds_for, make_record
+from tests.unit.hypotheses.small_records import (
+    BPMS,
+    CORRECTORS,
+    NOISE,
+    ROWS,
+    Bent,
+    kinds_for,
+    lagging,
+    make_record,
+    remembered,
+)
+
+ONE_PERIOD = np.exp(-1.0)
+"""Of a time constant of one period: the share that is left after it."""
 
 
 def winner(record: Record, kinds: list[EffectKind]) -> Candidate:
     return candidates_of(Workspace.of(record, kinds), kinds, lambda text: None)[0]
 
 
-def lagging(currents: Matrix) -> Matrix:
-    """Every corrector behind a time constant of one period, from the definition."""
-    kept, state = np.exp(-1.0), currents[0].copy()
-    for row in currents:
-        state = state + (1.0 - kept) * (row - state)
-    return state[None]
-
-
-def four_lagging(currents: Matrix) -> Matrix:
+def four_lagging() -> Bent:
     """Four correctors behind a time constant that lies between two of the grid."""
-    behind, some = currents[-1:].copy(), [1, 2, 6, 9]
-    kept, state = np.exp(-0.1 / 0.079), currents[0, some].copy()
-    for row in currents[:, some]:
-        state = state + (1.0 - kept) * (row - state)
-    behind[0, some] = state
-    return behind
+    lost = np.zeros(CORRECTORS)
+    lost[[1, 2, 6, 9]] = np.exp(-0.1 / 0.079)
+    return remembered(lambda state, row: state + (1.0 - lost) * (row - state))
 
 
 def strong_third(currents: Matrix) -> Matrix:
@@ -80,7 +82,7 @@ def test_a_record_without_a_gap_has_no_sure_candidate(seed: int) -> None:
 
 
 def test_a_lag_of_all_correctors_is_named_with_its_time_constant() -> None:
-    record = make_record(13, currents=lagging)
+    record = make_record(13, currents=lagging(ONE_PERIOD))
     found = winner(record, kinds_for(record))
     assert (found.kind.id, found.places) == ("corrector-lag", ())
     assert found.values["tau"] == pytest.approx(0.1, rel=0.05)
@@ -88,7 +90,7 @@ def test_a_lag_of_all_correctors_is_named_with_its_time_constant() -> None:
 
 def test_which_correctors_lag_is_sought_together_with_their_time_constant() -> None:
     """Too long a time for all of them strikes some of them only, and no time alone mends that."""
-    record = make_record(14, currents=four_lagging)
+    record = make_record(14, currents=four_lagging())
     kind = effect("corrector-lag")
     space = Workspace.of(record, kinds_for(record))
     scorer, (law,) = Scorer.of(space), space.courses.laws(kind)
@@ -333,7 +335,7 @@ def test_a_small_error_of_one_device_is_told_beside_a_large_law_of_all(
 
     Unless the same effect then finds as much at other devices.
     """
-    record = make_record(31, lagging, gain_of_one, dither=0.05)
+    record = make_record(31, lagging(ONE_PERIOD), gain_of_one, dither=0.05)
     kinds = kinds_for(record)
     accepted, tried = tournament(Workspace.of(record, kinds), kinds)
     assert [(one.kind.id, one.names) for one in accepted] == [
@@ -347,17 +349,14 @@ def test_a_small_error_of_one_device_is_told_beside_a_large_law_of_all(
         assert rounds._stands_out(tried[1].candidates[0], [law], tried[1].space) == alone
 
 
-def unlike(currents: Matrix) -> Matrix:
+def unlike(state: Vector, row: Vector) -> Vector:
     """Every corrector follows upwards a tenth faster than downwards."""
-    kept, state = np.exp(-1.0), currents[0].copy()
-    for row in currents:
-        step = row - state
-        state = state + (1.0 - kept) * step * np.where(step > 0.0, 1.1, 0.9)
-    return state[None]
+    step = row - state
+    return state + (1.0 - ONE_PERIOD) * step * np.where(step > 0.0, 1.1, 0.9)
 
 
 def test_a_law_that_is_a_little_wrong_is_no_further_cause() -> None:
-    record = make_record(32, unlike, dither=0.05)
+    record = make_record(32, remembered(unlike), dither=0.05)
     kinds = kinds_for(record)
     accepted, tried = tournament(Workspace.of(record, kinds), kinds)
     assert [one.kind.id for one in accepted] == ["corrector-lag"]

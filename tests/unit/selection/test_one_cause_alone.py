@@ -25,8 +25,18 @@ def found(machine: str, fault: str, seed: int, folder: Path) -> list[str]:
     return [one.kind.id for one in accepted]
 
 
+nightly = pytest.mark.nightly
+"""Of every fault the quickest record is for each change, the others for the night."""
+
+
 @pytest.mark.parametrize(
-    ("machine", "seed"), [("shaking", 10), ("few-correctors", 12), ("shaking", 26), ("flicker", 26)]
+    ("machine", "seed"),
+    [
+        ("few-correctors", 12),
+        pytest.param("shaking", 10, marks=nightly),
+        pytest.param("shaking", 26, marks=nightly),
+        pytest.param("flicker", 26, marks=nightly),
+    ],
 )
 def test_a_corrector_that_is_stuck(machine: str, seed: int, tmp_path: Path) -> None:
     """A floor that knows of no shaking takes a wrong row for as good, and that leaves kicks.
@@ -37,11 +47,13 @@ def test_a_corrector_that_is_stuck(machine: str, seed: int, tmp_path: Path) -> N
     assert found(machine, "stuck", seed, tmp_path) == ["corrector-stuck"]
 
 
-def test_setpoints_that_act_late(tmp_path: Path) -> None:
+@pytest.mark.parametrize("machine", ["few-correctors", pytest.param("dither", marks=nightly)])
+def test_setpoints_that_act_late(machine: str, tmp_path: Path) -> None:
     """Those before the record are not in it: its first row is off as if one place kicked."""
-    assert found("dither", "delay", 11, tmp_path) == ["loop-delay"]
+    assert found(machine, "delay", 11, tmp_path) == ["loop-delay"]
 
 
+@nightly
 def test_a_corrector_that_trips(tmp_path: Path) -> None:
     """It loses its whole current at once, and not what it moved by since the first row."""
     assert found("plain", "trip", 1, tmp_path) == ["corrector-stuck"]
@@ -57,22 +69,26 @@ def test_corrector_gains_that_play_has_nothing_to_say_of(tmp_path: Path) -> None
     assert found("few-correctors", "corrector-gain", 22, tmp_path) == ["corrector-gain"]
 
 
+@nightly
 @pytest.mark.parametrize("seed", [19, 28])
 def test_a_corrector_that_trips_in_a_polled_record(seed: int, tmp_path: Path) -> None:
     """What follows any course follows readings that were drawn without the law, too."""
     assert found("held", "trip", seed, tmp_path) == ["corrector-stuck"]
 
 
+@nightly
 def test_a_corrector_that_trips_where_the_last_reading_is_missing(tmp_path: Path) -> None:
     """It is drawn with the law as soon as that is known."""
     assert found("invalid", "trip", 19, tmp_path) == ["corrector-stuck"]
 
 
+@nightly
 def test_play_of_correctors_that_began_anywhere(tmp_path: Path) -> None:
     """States of two that act alike are told together, beside errors of what they have."""
     assert found("plain", "play", 19, tmp_path) == ["corrector-hysteresis"]
 
 
+@nightly
 def test_correctors_that_lag_in_a_ring_that_shakes(tmp_path: Path) -> None:
     """A cause that is as likely as motion that healthy rings have is none yet."""
     assert found("one-shaking", "lag", 19, tmp_path) == ["corrector-lag"]
@@ -88,10 +104,12 @@ def test_bpms_that_jump_together(tmp_path: Path) -> None:
     assert found("plain", "crate", 1, tmp_path) == ["bpm-offset"]
 
 
-def test_noise_that_bpms_have_in_common(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("machine", "seed"), [("plain", 3), pytest.param("invalid", 19, marks=nightly)]
+)
+def test_noise_that_bpms_have_in_common(machine: str, seed: int, tmp_path: Path) -> None:
     """It is new at every row, and what a walk along the same BPMs explains of it is no walk."""
-    assert found("plain", "common-noise", 3, tmp_path) == ["noise-correlated"]
-    assert found("invalid", "common-noise", 19, tmp_path) == ["noise-correlated"]
+    assert found(machine, "common-noise", seed, tmp_path) == ["noise-correlated"]
 
 
 def test_a_beam_that_is_thrown_about_leaves_the_readings_some_noise(tmp_path: Path) -> None:
