@@ -2,10 +2,11 @@
 
     python -W error::ResourceWarning tests/fork_server.py DESCRIPTOR
 
-A start computes for one to two seconds, nearly all of them imports, and the tests start the
-program more than a hundred times. What a child does is what `python -m orbitfb` does after its
-imports, in a session, an environment and files of its own, or what the script of a client does,
-which most often imports pyepics. `make nightly` starts all of them anew instead.
+A start computes for one to two seconds, nearly all of them imports and the reading of the ring that
+comes with the program, and the tests start the program more than a hundred times. What a child does
+is what `python -m orbitfb` does after its imports, in a session, an environment and files of its
+own, or what the script of a client does, which most often imports pyepics. `make nightly` starts
+all of them anew instead.
 
 The descriptor is that of a socket. A request is one message: arguments, environment and script as
 JSON, with the descriptors of standard output, standard error and of a pipe. The pipe gets the
@@ -28,11 +29,13 @@ import orbitfb.app.measure.command
 import orbitfb.app.service.run
 import orbitfb.cli.app
 import orbitfb.observe.http
+from orbitfb.physics.places import Ring
 from orbitfb.sim.environment import server_environment
 
 os.environ.update(server_environment(plain=False))
 import orbitfb.sim.server  # caproto reads the environment when it is imported
 
+Ring.load()
 LONGEST = 1 << 20
 """Longest request [bytes]: the environment is in it."""
 

@@ -35,6 +35,7 @@ def service(tmp_path: Path):
         yield service
 
 
+@pytest.mark.nightly
 def test_a_loop_runs_is_seen_and_refits_and_its_archive_is_read(service: Service):
     service.wait_state("CLOSED")
     seen = operate(

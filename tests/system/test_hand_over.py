@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from ioc_clients import run_client
-from service_process import Ioc, Service, free_port, orbitfb, wait_for
+from service_process import CONNECT, Ioc, Service, free_port, orbitfb, wait_for
 
 from orbitfb.control.client import ask
 from orbitfb.core.errors import ControlError
@@ -164,12 +164,16 @@ def closes(service: Service) -> bool:
         return False
 
 
+def nightly(*values: object) -> object:
+    return pytest.param(*values, marks=pytest.mark.nightly)
+
+
 @pytest.mark.parametrize(
     ("served", "more", "words"),
     [
         ({"count": 179}, {}, "FOFB{Ref}X-SP holds 179 values"),
-        ({"count": 200}, {}, "FOFB{Ref}X-SP holds 200 values, of which 180 are named"),
-        ({"unit": "counts"}, {}, "states counts"),
+        nightly({"count": 200}, {}, "FOFB{Ref}X-SP holds 200 values, of which 180 are named"),
+        nightly({"unit": "counts"}, {}, "states counts"),
         ({"unit": "mm"}, {"unit": '"um"'}, "states mm"),
         ({}, {"interval": "0.0"}, "fast_feedback.interval"),
     ],
@@ -191,11 +195,8 @@ def test_an_array_that_cannot_take_it_is_told_before_anything_moves(
 def test_a_reference_that_is_away_is_told_by_its_key(tmp_path: Path):
     with Ioc(tmp_path) as ring:
         config = settings(tmp_path, ring, free_port())
-        config.write_text(
-            config.read_text().replace("connect_timeout = 10.0", "connect_timeout = 2")
-        )
         done = orbitfb(
             "run", "--ioc", "config", "--config", config, "--data", tmp_path / "data",
-            "--duration", 1, "--start", "open",
+            "--duration", 1, "--start", "open", **{CONNECT: "5"},
         )  # fmt: skip
         assert done.returncode != 0 and "fast_feedback.reference_pvs" in done.stderr, done.stderr

@@ -301,6 +301,7 @@ def test_a_signal_during_the_start_ends_it_at_once(dead_port: int, tmp_path: Pat
         assert (process.popen.returncode, process.out, process.err) == (130, "", "")
 
 
+@pytest.mark.nightly
 def test_a_ring_of_its_own_that_dies_is_waited_for(tmp_path: Path):
     with Service(tmp_path / "data", "sim") as service:
         service.wait_state("CLOSED")

@@ -202,6 +202,7 @@ def test_a_single_wrong_quadrupole_also_kicks_by_the_standing_orbit(case: Condit
     assert np.any(before.readings != after.readings)
 
 
+@pytest.mark.nightly
 def test_a_gradient_that_grows_does_so_from_row_to_row(case: Conditions) -> None:
     place, size = case.lattice.quads[[17]], 2e-3
     extra = np.zeros_like(case.lattice.errors)
@@ -276,6 +277,7 @@ def test_innovations_of_the_true_noise_are_white(case: Conditions) -> None:
     assert abs(np.mean(white[1:] * white[:-1])) < 0.02
 
 
+@pytest.mark.nightly
 def test_healthy_gradients_change_readings_as_the_ring_solved_anew_does(case: Conditions) -> None:
     filter_, seed = Innovations(case), 4
     strength = case.lattice.ring.strength("QUAD")
@@ -301,6 +303,7 @@ def test_sizes_are_set_by_detectability(name: str, tmp_path: Path) -> None:
     assert truth["effects"][0]["d_prime"] == pytest.approx(12.0, rel=0.15)
 
 
+@pytest.mark.nightly
 def test_what_knowing_a_wave_gains_later_is_its_orbit_in_the_filter_of_the_noise(
     tmp_path: Path,
 ) -> None:
@@ -371,6 +374,7 @@ def test_records_have_the_same_arrays_and_opaque_names(tmp_path: Path) -> None:
     assert seal(out, truth, "quick", 1) != digest
 
 
+@pytest.mark.nightly
 def test_the_same_seed_makes_the_same_record(tmp_path: Path) -> None:
     first, second = (make(small(("telegraph",)), tmp_path, 1) for _ in range(2))
     for key, values in first.record.items():

@@ -56,6 +56,7 @@ def test_it_names_the_device_and_writes_what_can_be_used(measured: Path, tmp_pat
     assert load(Request(out / "fitted.csv"), Ring.load()).measured.planes == ("x",)
 
 
+@pytest.mark.nightly
 def test_the_terminal_says_residuals_and_growth(measured: Path, tmp_path: Path) -> None:
     told = CliRunner().invoke(
         app, ["diagnose", str(measured), "--planes", "x", "--noise", "0.4um", "--out",

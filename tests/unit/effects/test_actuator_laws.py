@@ -89,7 +89,7 @@ def pull_of(true_error, rows, noise):
         pytest.param(3.07e-3, marks=pytest.mark.nightly),
     ],
 )
-@pytest.mark.parametrize("where", ["all", "one"])
+@pytest.mark.parametrize("where", [pytest.param("all", marks=pytest.mark.nightly), "one"])
 def test_the_needle_of_a_quantisation_is_found(layout, step, offset, where):
     kind, rng = effect("corrector-quantisation"), np.random.default_rng(10)
     setpoints = offset * rng.standard_normal(180) + course(10, 180, rows=1500, size=0.2e-3)

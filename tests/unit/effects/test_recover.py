@@ -13,7 +13,7 @@ from orbitfb.estimation.transform import StepTransform
 
 RING = small_ring()
 TICKS = 1000
-QUICK = ("corrector-gain", "noise-correlated")
+QUICK = ("bpm-offset", "noise-correlated")
 """A law and a noise, in every run of the tests; the others at night."""
 SLOW = (
     "bpm-current",
@@ -23,6 +23,7 @@ SLOW = (
     "bpm-roll",
     "bpm-walk",
     "corrector-crosstalk",
+    "corrector-gain",
     "corrector-deadband",
     "corrector-hysteresis",
     "corrector-roll",

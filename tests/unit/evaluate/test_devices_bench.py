@@ -8,6 +8,7 @@ from benchmarks.devices import main
 from orbitfb.core.errors import ConfigError
 
 
+@pytest.mark.nightly
 def test_a_device_equals_itself(tmp_path, capsys):
     file = tmp_path / "devices.json"
     small = ["--iterations", "3", "--trajectories", "2", "--steps", "100"]

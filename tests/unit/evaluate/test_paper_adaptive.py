@@ -36,6 +36,7 @@ def test_captures_in_two_steps_from_a_response_that_is_not_invertible(make) -> N
     assert np.mean(short.true[:, -50:-1]) < 0.2e-6
 
 
+@pytest.mark.nightly
 def test_the_network_is_the_linear_law_far_from_the_floor_and_at_it() -> None:
     scenario = _cut(make_scenario("E2", steps=10_000, after=0), 150)
     linear = simulate(scenario, range(1), adaptive_linear)

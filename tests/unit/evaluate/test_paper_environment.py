@@ -125,6 +125,7 @@ def test_near_null_modes_change_their_sign_on_the_way() -> None:
     assert {-1.0, 1.0} <= set(signs)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("gain", [1.0, 0.3])
 def test_the_naive_refit_confirms_the_running_law(gain: float) -> None:
     answer = naive_bias(gain, "x", 7, 2500)

@@ -55,6 +55,7 @@ def trained(environment):
     return train_agent(environment, settings), settings
 
 
+@pytest.mark.nightly
 def test_the_same_seed_trains_the_same_agent(environment, trained):
     (agent, training), settings = trained
     again, _ = train_agent(OrbitFeedbackEnv(), settings)

@@ -50,7 +50,7 @@ def test_gaps_move_and_kick(monkeypatch):
     assert 100 < its.moves < 300  # of ten devices, 20 a day each
 
 
-@pytest.mark.parametrize("follows", [True, False])
+@pytest.mark.parametrize("follows", [True, pytest.param(False, marks=pytest.mark.nightly)])
 def test_the_frequency_keeps_the_energy_that_the_tide_takes(monkeypatch, follows):
     """A tide fifty times as quick, so that five minutes are enough.
 

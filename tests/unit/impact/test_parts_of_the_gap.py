@@ -137,6 +137,7 @@ def test_what_is_left_is_noise(told: Diagnosis) -> None:
     assert not any(test.flagged for test in told.audit.tests), told.audit.tests
 
 
+@pytest.mark.nightly
 def test_a_size_that_the_record_would_have_shown_is_one_that_it_shows(told: Diagnosis) -> None:
     sizes = {one.effect: one for one in told.detectable}
     gain = sizes["corrector-gain"]

@@ -30,6 +30,7 @@ def scattered(share: float) -> Bent:
     return lambda currents: currents[-1:] * gains
 
 
+@pytest.mark.nightly
 def test_ground_that_wanders_more_than_at_the_healthy_time_shows_more_clearly() -> None:
     whole = make_record(24, currents=wandering)
     before, after = whole.rows(0, 450), whole.rows(450, 900)

@@ -129,6 +129,7 @@ def test_a_ring_that_jumps_all_the_time_is_taken_as_it_is() -> None:
     assert np.array_equal(cut_at_jumps(jumping).starts, record.starts)
 
 
+@pytest.mark.nightly
 def test_a_lag_of_all_correctors_is_named_though_no_single_one_shows_it() -> None:
     """Its grid has many values: it is tried where the memory of all devices shows."""
     its = effect("corrector-lag").simulate(

@@ -1,6 +1,7 @@
 """Pairs of parameters that a response knows only together."""
 
 import numpy as np
+import pytest
 
 from orbitfb.loco.answer import answer_of
 from orbitfb.loco.output.correlations import correlations
@@ -8,6 +9,7 @@ from orbitfb.loco.run import diagnose
 from tests.unit.loco.synthetic_responses import synthetic
 
 
+@pytest.mark.nightly
 def test_told_correlations_are_those_of_the_posterior_in_its_gauge() -> None:
     truth = synthetic(3, every=6)
     found = diagnose(truth.ring, truth.measured)

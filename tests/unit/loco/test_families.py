@@ -74,6 +74,7 @@ def test_a_device_that_nearly_stands_out_is_told_beside_the_answer() -> None:
     assert not replace(its, z=5.0, probability=0.5).stands_out
 
 
+@pytest.mark.nightly
 def test_a_sextupole_that_couples_the_planes_is_named() -> None:
     truth = synthetic(11, noise=0.1 * NOISE)
     own = truth.measured

@@ -131,6 +131,7 @@ def test_exchanged_and_dead_devices_are_named_and_put_right() -> None:
     assert np.std(found.fit.residual["x"][found.fit.noise["x"].kept]) < 1.1 * NOISE
 
 
+@pytest.mark.nightly
 def test_a_row_of_another_place_is_not_of_this_lattice() -> None:
     truth = synthetic(8)
     data = truth.measured.response["y", "y"]
@@ -234,6 +235,7 @@ def test_a_measured_dispersion_is_fitted_with_the_matrix() -> None:
     assert np.nanstd(before) > 10 * noise
 
 
+@pytest.mark.nightly
 def test_many_that_are_off_by_the_same_are_one_family() -> None:
     family, single = (3, 9, 14, 22, 31, 40), 27
     truth = synthetic(13, gains=0.01, faults={("gain", "x", k): 1.12 for k in family})
@@ -250,12 +252,14 @@ def test_many_that_are_off_by_the_same_are_one_family() -> None:
     assert effects.count("[[effect]]") == 2
 
 
+@pytest.mark.nightly
 def test_three_that_are_off_are_three_findings() -> None:
     truth = synthetic(14, gains=0.01, faults={("kick", "y", k): 1.12 for k in (3, 9, 14)})
     found = diagnose(truth.ring, truth.measured)
     assert [len(its.places) for its in found.named] == [1, 1, 1]
 
 
+@pytest.mark.nightly
 def test_a_row_that_shows_something_else_is_a_dead_bpm() -> None:
     truth = synthetic(15)
     own = truth.measured.response["x", "x"]
@@ -295,6 +299,7 @@ def test_what_cannot_be_fitted_is_refused_before(change, told: str) -> None:
         diagnose(truth.ring, replace(truth.measured, response=response))
 
 
+@pytest.mark.nightly
 def test_a_table_off_by_0_03_in_tune_and_2_percent_in_quadrupoles_is_reached() -> None:
     ring, rng = Ring.load(), np.random.default_rng(33)
     empty = devices(ring, 3)

@@ -129,6 +129,7 @@ def test_rolls_tilts_and_their_signs_come_back() -> None:
     assert np.std(found.residual["x", "y"]) < 0.12 * NOISE
 
 
+@pytest.mark.nightly
 def test_a_measured_dispersion_helps_and_its_scale_is_free() -> None:
     truth = synthetic(12, gradients=0.002)
     optics = RingOptics(truth.ring, truth.measured)
@@ -140,6 +141,7 @@ def test_a_measured_dispersion_helps_and_its_scale_is_free() -> None:
     assert apart[0] < apart[1]
 
 
+@pytest.mark.nightly
 def test_a_table_that_is_off_by_a_tenth_in_tune_is_no_matter_of_units() -> None:
     """Near an integer tune a response is four times as large; the fit gets there."""
     strong = Ring.load().names("QUAD").index("QL2A_C09")

@@ -251,7 +251,9 @@ def test_correctors_that_move_undo_the_dispersion_orbit():
     assert np.linalg.norm(left) < 0.1 * np.linalg.norm(MODEL.response)
 
 
-@pytest.mark.parametrize(("track", "size"), [(False, 1.0), (True, 1.3)])
+@pytest.mark.parametrize(
+    ("track", "size"), [(False, 1.0), pytest.param(True, 1.3, marks=pytest.mark.nightly)]
+)
 def test_beside_the_law_that_learns_the_frequency_follows(track: bool, size: float):
     """A law that took the drift of the energy for the answer to steps would let it go."""
     from orbitfb.policies.adaptive import AdaptivePolicy

@@ -143,6 +143,7 @@ def compare(response, truth, count, seed, settings=SETTINGS, modes=None):
     return sum(c.pull for c in found), sum(c.information for c in found)
 
 
+@pytest.mark.nightly
 def test_pull_is_noise_of_the_stated_size_while_the_response_is_right():
     response = 1e-3 * np.eye(8) + 1e-4 * np.random.default_rng(3).standard_normal((8, 8))
     scores = []
@@ -199,6 +200,7 @@ def test_a_larger_response_of_the_modes_themselves_is_left_out():
     assert by_own < 0.1 * by_others
 
 
+@pytest.mark.nightly
 def test_the_ring_drifting_strongly_alarms_long_before_the_mean_square_does():
     drift = DriftSettings.model_validate({"preset": "strong"})
     tick, chi2, _ = first_alarm(drift, 2, 2000)

@@ -88,6 +88,7 @@ def plain():
     return fit_forward(rows, other, response, PLAIN)
 
 
+@pytest.mark.nightly
 def test_plain_training_in_closed_loop_is_biased_and_the_validation_says_so(plain):
     """−RK tends to 1 + g/2 at the noise floor; here two inputs share it, s and a."""
     assert loop_gain(plain, ring()) > 1.2
@@ -96,6 +97,7 @@ def test_plain_training_in_closed_loop_is_biased_and_the_validation_says_so(plai
     assert plain.figures["trusted"] == 0.0
 
 
+@pytest.mark.nightly
 def test_the_one_step_error_prefers_the_biased_net(honest, plain):
     """Why one-step errors decide nothing, not even on rows with a dither."""
     assert plain.figures["validation_r2"] > honest.figures["validation_r2"]

@@ -71,6 +71,7 @@ def test_done_right_it_corrects_as_its_teacher_does():
     assert result.figures["label_growth"] == pytest.approx(1 - 4e-5**2 / (4e-5**2 + 3e-4**2))
 
 
+@pytest.mark.nightly
 def test_the_error_of_the_orbit_alone_leaves_the_slow_modes_unlearnt():
     """Why the coordinates of the teacher: weighted by R, the same budget is far from a slow law."""
     slow = SvdPolicy(RESPONSE, SvdSettings(gain=1.0, regularisation=4e-3))
@@ -80,6 +81,7 @@ def test_the_error_of_the_orbit_alone_leaves_the_slow_modes_unlearnt():
     assert weighted.figures["gain_error"] > 10 * relative.figures["gain_error"]
 
 
+@pytest.mark.nightly
 def test_the_paper_s_budget_gives_an_under_trained_clone():
     settings = SupervisedSettings.paper()
     result = train_supervised(RESPONSE, settings, teacher=TEACHER, device="cpu")
@@ -105,6 +107,7 @@ def test_random_actions_run_forward_teach_the_inverse():
     assert result.figures["label_growth"] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.nightly
 def test_equal_actions_do_not_teach_the_weak_modes():
     white = train(source="actions", excitation="white", coordinates="modes", teacher=None)
     equal = train(source="actions", excitation="modes", coordinates="modes", teacher=None)

@@ -330,6 +330,7 @@ def test_a_gpu_that_is_not_there_is_refused() -> None:
         train_trajectory(ring(), TrajectorySettings(iterations=1), device="cuda")
 
 
+@pytest.mark.nightly
 def test_fine_tuning_improves_a_network_whose_ring_has_moved() -> None:
     response = ring()
     settings = TrajectorySettings(iterations=150, hidden=36)

@@ -121,14 +121,16 @@ def test_a_bpm_that_stays_at_its_extreme_for_good_is_frozen_and_not_clipped() ->
 
 def test_a_cause_in_a_polled_record_is_named_alone() -> None:
     """A first draw has nothing of it, which would be tails of the noise beside it."""
-    half = 450
+    half = 250
 
     def stuck(currents: np.ndarray) -> np.ndarray:
         acting = currents.copy()
         acting[half:, 4] = acting[min(half, len(acting) - 1), 4]
         return acting
 
-    record, _ = cleared(polled(make_record(67, currents=stuck, dither=0.1), 0.3, whole=False))
+    record, _ = cleared(
+        polled(make_record(67, currents=stuck, dither=0.1, rows=500), 0.3, whole=False)
+    )
     kinds = kinds_for(record)
     accepted, _ = tournament(Workspace.of(record, kinds), kinds)
     assert [(one.kind.id, one.names) for one in accepted] == [("corrector-stuck", ("C4 (x)",))]

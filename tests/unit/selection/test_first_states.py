@@ -19,7 +19,7 @@ def dragged(count: int) -> Bent:
 
 def test_a_play_has_its_width_wherever_its_correctors_began() -> None:
     found = diagnose(
-        make_record(31, currents=dragged(CORRECTORS), dither=0.002),
+        make_record(31, currents=dragged(CORRECTORS), dither=0.002, rows=500),
         seed=0,
         progress=lambda what, share: None,
     )

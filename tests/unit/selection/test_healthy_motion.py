@@ -49,7 +49,11 @@ def drifting() -> Record:
     return with_kicks(record, 0.3 * (smooth - smooth[0]) / smooth.std())
 
 
-@pytest.mark.parametrize("record", [shaking(1), shaking(4), drifting()], ids=["1", "4", "drift"])
+@pytest.mark.parametrize(
+    "record",
+    [pytest.param(shaking(1), marks=pytest.mark.nightly), shaking(4), drifting()],
+    ids=["1", "4", "drift"],
+)
 def test_it_is_no_cause(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
     assert named(record) == []
     monkeypatch.setattr(rounds, "with_motion", lambda *given: None)

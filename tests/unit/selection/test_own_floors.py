@@ -44,6 +44,7 @@ def scanned(record: Record) -> tuple[Workspace, list[Candidate]]:
     return space, candidates_of(space, kinds)
 
 
+@pytest.mark.nightly
 def test_a_wave_and_a_walk_of_one_effect_are_weighed_each() -> None:
     """Over the floor of all the walk of the energy may lead; the wave is what it is."""
     wave = 8e-6 * np.sin(2.0 * np.pi * 0.031 * np.arange(ROWS) + 1.0)
