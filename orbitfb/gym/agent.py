@@ -14,7 +14,7 @@ import numpy as np
 from orbitfb.core.errors import ConfigError
 from orbitfb.core.signals import Mask, Vector
 from orbitfb.gym.scaling import Scaling
-from orbitfb.policies.masking import Infill
+from orbitfb.policies.infill import Infill
 
 Activation = Literal["tanh", "relu"]
 Output = Literal["clip", "tanh"]
@@ -76,9 +76,11 @@ class AgentPolicy:
         Returns:
             The change of setpoints, shape (m,) [A], and no state.
         """
-        if not valid.all():
+        masked = not valid.all()
+        if masked:
             error = self._infill.fill(error, valid)
-        return self.scaling.change(self.decide(self.scaling.see(error))), None
+        change = self.scaling.change(self.decide(self.scaling.see(error)))
+        return (self._infill.least(change, valid) if masked else change), None
 
     def decide(self, observation: np.ndarray) -> Vector:
         """Give the action for an observation, shape (j,) [1]."""

@@ -22,8 +22,8 @@ from orbitfb.estimation.columns import KnownRf
 from orbitfb.estimation.recursive.caution import CautiousGain
 from orbitfb.estimation.recursive.estimate import RecursiveResponse
 from orbitfb.policies.adaptive_settings import AdaptiveSettings
+from orbitfb.policies.infill import Infill
 from orbitfb.policies.inverse import checked_covariance, checked_response, content_hash, frozen
-from orbitfb.policies.masking import Infill
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,7 +226,8 @@ class AdaptivePolicy:
         Returns:
             The change of setpoints, shape (m,) [A], and the filter.
         """
-        return state.change(self._filled(error, valid, state)), state
+        change = state.change(self._filled(error, valid, state))
+        return (change if valid.all() else self._infill.least(change, valid)), state
 
     def inform(
         self, error: Vector, valid: Mask, applied: Vector, state: Track, hertz: float = 0.0

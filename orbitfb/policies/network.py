@@ -26,8 +26,8 @@ from pydantic import Field
 from orbitfb.core.errors import ConfigError, RingError
 from orbitfb.core.settings import Settings
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.policies.infill import NOISY, Infill
 from orbitfb.policies.inverse import checked_response, content_hash, frozen
-from orbitfb.policies.masking import NOISY, Infill
 
 Weights = tuple[NDArray[np.float32], ...]
 """Matrices from the first layer to the last, each of shape (out, in)."""
@@ -47,7 +47,7 @@ class NetworkSettings(Settings):
 class NetworkPolicy:
     """Correct the orbit error by a network; the weights are read-only, so threads can share it.
 
-    Masked BPMs are filled in by what the valid ones let expect.
+    Masked BPMs are filled in by what the valid ones let expect (`policies.infill`).
 
     Args:
         weights: W₁ (h, n), W₂ (h, h), W₃ (h, h), W₄ (m, h) [A]; single precision. What is
@@ -108,13 +108,15 @@ class NetworkPolicy:
         Returns:
             The change of setpoints, shape (m,) [A], and no state.
         """
-        if np.count_nonzero(valid) < len(error):  # faster than valid.all()
+        masked = np.count_nonzero(valid) < len(error)  # faster than valid.all()
+        if masked:
             error = self._infill.fill(error, valid)
         x = (self._per_scale * error).astype(np.float32)
         for layer in self._layers:
             x = layer * x if layer.ndim == 1 else layer @ x
             np.tanh(x, out=x)
-        return (self._last @ x).astype(np.float64), None
+        change = (self._last @ x).astype(np.float64)
+        return (self._infill.least(change, valid) if masked else change), None
 
     def changes(self, errors: Vector) -> Vector:
         """Decide on many orbits at once, all BPMs valid.

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from orbitfb.core.errors import ConfigError, RingError
 from orbitfb.core.signals import Channels
-from orbitfb.policies.masking import Infill, MaskedPolicy, MaskSettings, mask_of
+from orbitfb.policies.infill import Infill
+from orbitfb.policies.masking import MaskedPolicy, MaskSettings, mask_of
 from orbitfb.policies.modal import ModalPolicy, ModalSettings
 from orbitfb.policies.svd import SvdPolicy, SvdSettings
 
@@ -48,6 +49,20 @@ def test_what_is_filled_in_is_the_best_linear_guess():
 def test_with_nothing_valid_nothing_is_expected():
     filled = Infill(make_response()).fill(np.full(12, np.nan), np.zeros(12, dtype=bool))
     np.testing.assert_array_equal(filled, np.zeros(12))
+
+
+@pytest.mark.parametrize("bpms", [0, 3, 8, 11])
+def test_the_least_change_moves_the_valid_bpms_alike(bpms):
+    """Against the pseudo-inverse; two of nine correctors are alike, so that nothing tells them."""
+    response = make_response(2)
+    response[:, 8] = response[:, 7]
+    valid = np.arange(12) < bpms
+    change = np.random.default_rng(4).normal(size=9)
+    known = response[valid]
+    expected = np.linalg.pinv(known) @ known @ change
+    if bpms > 9:
+        expected = change  # no fewer BPMs than correctors: it is left alone
+    np.testing.assert_allclose(Infill(response).least(change, valid), expected, atol=1e-12)
 
 
 @settings(max_examples=30, deadline=None)

@@ -8,6 +8,7 @@ from policy_examples import BPMS, CORRECTORS, EXAMPLES, make_response, policy_cl
 from store_examples import ring
 
 from orbitfb.core.errors import ConfigError
+from orbitfb.core.ports import inform
 from orbitfb.policies.masking import MaskedPolicy
 from orbitfb.policies.store.card import check_identifier
 
@@ -71,6 +72,22 @@ def test_it_makes_an_orbit_smaller_that_the_correctors_can_make(example, size):
         assert (RESPONSE @ change) @ left < 0.0  # downhill
         left = left + RESPONSE @ change
     assert np.linalg.norm(left) < 0.9 * np.linalg.norm(error)
+
+
+@every_policy
+def test_with_few_bpms_it_moves_in_no_more_directions_than_they_are(example):
+    """What the valid BPMs do not see of a change nobody corrects: noise would add up there."""
+    policy, valid = example.make(RESPONSE), EVERY.copy()
+    valid[[0, 5, 6, 9, 11]] = False
+    state, changes = policy.initial_state(), []
+    for tick in range(60):
+        error = np.where(valid, orbit(SIZES[tick % len(SIZES)], tick), np.nan)
+        change, state = policy.act(error, valid, state)
+        state = inform(policy, error, valid, change, state)
+        changes.append(change / np.linalg.norm(change))
+    strengths = np.linalg.svd(np.array(changes), compute_uv=False)
+    assert valid.sum() < CORRECTORS
+    assert strengths[valid.sum()] < 1e-9 * strengths[0]
 
 
 @every_policy
