@@ -1,5 +1,6 @@
 """What a test leaves behind: child processes, threads, ports on which it listens."""
 
+import contextlib
 import os
 import socket
 import stat
@@ -16,20 +17,29 @@ PATIENCE = 2.0
 """How long what a test has stopped may take to be gone [s]."""
 
 
-def _childless() -> bool:
-    """Say quickly, where the system can, that there is no child: psutil looks at all processes."""
+def _descendants() -> list[psutil.Process]:
+    """Children, and theirs. Linux keeps a list with every thread; psutil reads of all processes.
+
+    The fork server is a child from its start to the end of all tests, and they are asked twice at
+    every test.
+    """
+    asked, found = [os.getpid()], []
     try:
-        threads = os.listdir("/proc/self/task")
-        return not any(Path(f"/proc/self/task/{each}/children").read_text() for each in threads)
-    except OSError:
-        return False
+        for parent in asked:
+            for thread in os.listdir(f"/proc/{parent}/task"):
+                told = Path(f"/proc/{parent}/task/{thread}/children").read_text()
+                asked += map(int, told.split())
+    except OSError:  # one has ended meanwhile, or there are no such lists
+        return psutil.Process().children(recursive=True)
+    for pid in asked[1:]:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            found.append(psutil.Process(pid))
+    return found
 
 
 def _children() -> set[str]:
     found: set[str] = set()
-    if _childless():
-        return found
-    for child in psutil.Process().children(recursive=True):
+    for child in _descendants():
         try:
             command = " ".join(child.cmdline())
             if child.status() != psutil.STATUS_ZOMBIE and "resource_tracker" not in command:

@@ -43,7 +43,9 @@ def test_a_second_one_on_the_same_port_refuses():
             assert client.get(TICK).value > 0
 
 
-@pytest.mark.parametrize("kind", [socket.SOCK_DGRAM, socket.SOCK_STREAM])
+@pytest.mark.parametrize(
+    "kind", [pytest.param(socket.SOCK_DGRAM, marks=pytest.mark.nightly), socket.SOCK_STREAM]
+)
 def test_either_protocol_taken_by_somebody_else_is_refused(kind):
     with socket.socket(socket.AF_INET, kind) as other:
         other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -166,7 +168,9 @@ def test_a_wrong_job_is_refused(text):
     assert "job" in done.stderr and "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize(("planes", "bpms"), [("y", 180), ("xy", 360)])
+@pytest.mark.parametrize(
+    ("planes", "bpms"), [pytest.param("y", 180, marks=pytest.mark.nightly), ("xy", 360)]
+)
 def test_either_plane_or_both_are_served(planes, bpms):
     job_of_planes = SimJob.model_validate({"planes": planes, "sim": {"port": 0}})
     channels = Ring.load().channels(planes)

@@ -142,6 +142,7 @@ def test_an_aborted_matrix_measurement_leaves_no_trace(ring, tmp_path, config, n
     assert left == {"columns.safetensors"}  # to go on with; no matrix, no policy, nothing moved
 
 
+@pytest.mark.nightly
 def test_after_a_kill_the_next_start_offers_to_put_the_setpoints_back(ring, tmp_path, config):
     for _ in range(5):  # it may be hit before the first step of a corrector, or after the last
         with begun(ring, tmp_path, config) as process:

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from orbitfb.core.names import PVA
 from orbitfb.epics.machine import EpicsMachine
 from orbitfb.epics.settings import EpicsSettings
 
-pytest.importorskip("p4p", reason="the extra `pva` is not installed")
-pytestmark = pytest.mark.system
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(find_spec("p4p") is None, reason="the extra `pva` is not installed"),
+]
 
 RING, RATE_HZ = as_arrays(small_ring(12), PVA), 20.0
 

@@ -44,7 +44,14 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ioc]:
         yield ioc
 
 
-@pytest.mark.parametrize("damage", ["flipped", "longer", "card", "gone"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "flipped",
+        "gone",
+        *(pytest.param(each, marks=pytest.mark.nightly) for each in ("longer", "card")),
+    ],
+)
 def test_damaged_policy(damage: str, data: Path, other: Ioc):
     policy = only_policy(data)
     tensors = policy / "policy.safetensors"

@@ -173,7 +173,7 @@ def test_a_frozen_ioc_is_noticed_too(tmp_path: Path):
             ioc.popen.send_signal(signal.SIGSTOP)
             stopped = time.time()
             service.wait_state("HELD", 2.0)
-            time.sleep(2.0)
+            time.sleep(1.0)
             ioc.popen.send_signal(signal.SIGCONT)
             resumed = time.time()
             service.wait_state("CLOSED", 5.0)

@@ -70,6 +70,7 @@ def test_the_frequency_follows_and_the_correctors_do_not(service: Service):
     assert [line["steps"] for line in service.events("rf_stepped")] != []
 
 
+@pytest.mark.nightly
 def test_a_refit_tells_the_column_that_it_found(service: Service):
     """The ring is as its table says: the interval is narrower than what was stated, about 1."""
     wait_for("twenty steps", lambda: panel(service, "RfSteps-I")[0] >= 20)
@@ -91,6 +92,7 @@ def test_a_refit_tells_the_column_that_it_found(service: Service):
     assert 0.5 < low < high < 1.5
 
 
+@pytest.mark.nightly
 def test_a_refit_from_the_archive_tells_it_too(service: Service, tmp_path: Path):
     archive = service.data / "archive"
     done = orbitfb("refit", "--data", tmp_path, "--from", archive, "--json")

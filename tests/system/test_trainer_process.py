@@ -92,6 +92,7 @@ def test_it_answers_as_the_learner_here_does(begin, kind):
     )
 
 
+@pytest.mark.nightly
 def test_masked_correctors_stay_masked_on_the_way(begin):
     movable = np.ones(180, dtype=bool)
     movable[[3, 77]] = False

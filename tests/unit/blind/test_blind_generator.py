@@ -332,7 +332,7 @@ def test_what_knowing_a_wave_gains_later_is_its_orbit_in_the_filter_of_the_noise
 
 
 def test_a_record_is_a_record(tmp_path: Path) -> None:
-    record = make(small(("corrector-lag",), dither="shaped"), tmp_path, 1).record
+    record = make(small(dither="shaped"), tmp_path, 1).record
     np.testing.assert_array_equal(record["orbit"][1:], record["next_orbit"][:-1])
     np.testing.assert_allclose(
         record["setpoint"][1:], (record["setpoint"] + record["action"])[:-1], rtol=0, atol=1e-15
@@ -345,6 +345,7 @@ def test_a_record_is_a_record(tmp_path: Path) -> None:
     assert not lost.size or np.all(lost < 1e-20)
 
 
+@pytest.mark.nightly
 def test_records_have_the_same_arrays_and_opaque_names(tmp_path: Path) -> None:
     out, truth = tmp_path / "out", tmp_path / "truth"
     for folder in (out, out / "later", truth):

@@ -1,16 +1,19 @@
 """Channels over pvAccess on a client without sockets: who is told what, what becomes of puts."""
 
+from importlib.util import find_spec
 from queue import SimpleQueue
 from threading import Lock
 
 import numpy as np
 import pytest
+from lazily import Lazy
 
 from orbitfb.core.errors import WriteError
 from orbitfb.core.names import named_pvs
 from orbitfb.epics.pva.channels import PvaChannels
 
-raw = pytest.importorskip("p4p.client.raw", reason="the extra `pva` is not installed")
+raw = Lazy("p4p.client.raw")
+pytestmark = pytest.mark.skipif(find_spec("p4p") is None, reason="the extra `pva` is not installed")
 
 
 class Told(dict):

@@ -24,7 +24,7 @@ from orbitfb.evaluate.paper.scenarios import make_scenario
     "make",
     [
         pytest.param(adaptive_linear, marks=pytest.mark.nightly),
-        model_based_rl,
+        pytest.param(model_based_rl, marks=pytest.mark.nightly),
         pytest.param(memoryless, marks=pytest.mark.nightly),
     ],
 )

@@ -39,7 +39,10 @@ def changed(record: Record, seed: int, row: int | None, column: int | None) -> M
 
 @pytest.mark.parametrize(
     ("row", "column", "kind", "name"),
-    [(5, None, "bpm-row", "B5 (x)"), (None, 7, "corrector-column", "C7 (x)")],
+    [
+        (5, None, "bpm-row", "B5 (x)"),
+        pytest.param(None, 7, "corrector-column", "C7 (x)", marks=pytest.mark.nightly),
+    ],
 )
 def test_a_row_or_a_column_is_named_with_its_elements(
     row: int | None, column: int | None, kind: str, name: str

@@ -232,6 +232,7 @@ def told_angles(one: Candidate) -> dict[str, float]:
     return {part.names[0].split(" ")[0]: part.values["angle"] for part in parts}
 
 
+@pytest.mark.nightly
 def test_rolls_of_three_bpms_are_one_cause_with_an_angle_each() -> None:
     angles = np.zeros(BPMS // 2)
     angles[[1, 4, 6]] = [0.1, -0.06, 0.2]

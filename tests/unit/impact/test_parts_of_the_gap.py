@@ -79,6 +79,7 @@ def test_the_shrink_is_told_on_the_later_record_and_the_record_itself_says_the_s
         assert (shrink.um_high or 0.0) > 0.97  # all of it is explained
 
 
+@pytest.mark.nightly
 def test_what_the_floor_has_swallowed_is_not_said_to_be_gone() -> None:
     """From row 600 on corrector 9 wanders, and no effect that could be it is tested."""
     walk = 0.025 * np.random.default_rng(8).standard_normal(901)

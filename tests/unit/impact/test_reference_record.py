@@ -54,7 +54,7 @@ def test_both_planes_are_diagnosed_at_once_and_missing_readings_do_no_harm() -> 
         kicked[:, 4] *= -1.0
         return kicked
 
-    record = make_record(23, currents=reversed_fourth, gain=0.0)
+    record = make_record(23, currents=reversed_fourth, gain=0.0, rows=500)
     names = tuple(f"B{number // 2}" for number in range(16))
     planes = ("x", "y") * 8
     filled = record.filled.copy()

@@ -147,6 +147,7 @@ def test_a_row_of_another_place_is_not_of_this_lattice() -> None:
     assert first.value == pytest.approx(0.2, rel=0.15)
 
 
+@pytest.mark.nightly
 def test_a_single_wild_element_is_an_outlier_and_is_shown() -> None:
     truth = synthetic(9)
     truth.measured.response["x", "x"][4, 8] += 60 * NOISE
@@ -216,6 +217,7 @@ def test_a_turned_bpm_is_one_finding_and_its_rows_are_no_outliers() -> None:
     assert float(effects.split('"angle" = ')[1].split()[0]) == pytest.approx(angle, abs=0.005)
 
 
+@pytest.mark.nightly
 def test_a_measured_dispersion_is_fitted_with_the_matrix() -> None:
     truth = synthetic(12, gradients=0.003)
     noise, rng = 1e-4, np.random.default_rng(3)

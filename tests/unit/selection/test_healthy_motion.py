@@ -122,6 +122,7 @@ def test_one_law_of_its_noise_is_enough_for_a_bpm() -> None:
     assert not rounds._echo(noisy("noise-tails", 3), accepted)
 
 
+@pytest.mark.nightly
 def test_noise_of_the_readings_is_as_it_was() -> None:
     record = shaking(4)
     kinds = kinds_for(record)

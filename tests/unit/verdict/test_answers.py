@@ -77,6 +77,7 @@ def test_a_reversed_corrector_is_named_and_the_gap_is_gone(told_reversed: Diagno
     assert (found.shrink.um or 0.0) > 0.9  # the floor of 900 rows is known to a twentieth
 
 
+@pytest.mark.nightly
 def test_correctors_that_end_at_limits_of_their_own_are_one_cause() -> None:
     found = answer(make_record(24, currents=last_row(clipped)))
     assert found.causes[0].effect == "corrector-saturation"
@@ -109,6 +110,7 @@ def test_a_corrector_that_sticks_late_is_told_with_the_time() -> None:
     assert first.onset_s == pytest.approx(40.0, abs=2.0)
 
 
+@pytest.mark.nightly
 def test_bpms_that_are_not_linear_are_one_cause_and_hardly_anything_is_left() -> None:
     """What the BPMs make of the orbit is told from the orbit, not from what they read."""
     found = answer(make_record(29, sensed=cubic, gain=0.1))
