@@ -73,7 +73,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@begun=$$(date +%s); set -e; \
 	  test -x $(BIN)/python || $(PYTHON) -m venv .venv; \
 	  $(BIN)/python -m pip install --disable-pip-version-check --progress-bar off \
-	    --constraint constraints.txt --editable '.[dev]'; \
+	    --constraint constraints.txt $(INSTALL) --editable '.[dev]'; \
 	  touch $(STAMP); echo ".venv is set up: $$(($$(date +%s) - begun)) s"
 
 lint: venv

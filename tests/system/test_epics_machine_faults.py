@@ -117,7 +117,7 @@ def test_killed_ioc_gives_no_orbit_and_takes_no_write_until_it_is_back():
             machine.write(np.full(SIZE, 3.0))
         with pytest.raises(MachineError, match=r"12 of 12 PVs did not answer"):
             machine.setpoints()
-        time.sleep(2.0)
+        time.sleep(1.0)
         ready = ioc.start()
         first = read_when_back(machine)
         assert first - ready < 3.0

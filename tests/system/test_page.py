@@ -45,7 +45,7 @@ os._exit(0)
 """
 
 
-def start(directory: Path, *options: object, page: int = 0) -> Service:
+def start(directory: Path, *options: object, page: int = 0, watch: bool = False) -> Service:
     config = directory / "config.toml"
     config.write_text(
         f"""
@@ -58,7 +58,7 @@ def start(directory: Path, *options: object, page: int = 0) -> Service:
         prefix = "{PREFIX}"
         """
     )
-    return Service(directory / "data", "sim", "--config", config, *options, page=page, watch=True)
+    return Service(directory / "data", "sim", "--config", config, *options, page=page, watch=watch)
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,8 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    with start(tmp_path_factory.mktemp("page"), "--rate", "2", page=port) as service:
+    where = tmp_path_factory.mktemp("page")
+    with start(where, "--rate", "2", page=port, watch=True) as service:
         service.wait_state("CLOSED")
         yield service
 

@@ -36,6 +36,7 @@ def test_rows_have_names_of_their_own_and_settings_that_exist() -> None:
     assert not [row["name"] for row in table["rows"] if "failed" in row]
 
 
+@pytest.mark.nightly
 def test_table_holds_what_the_laws_do() -> None:
     heard = []
     rows = [

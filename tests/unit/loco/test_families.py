@@ -45,6 +45,7 @@ def test_a_few_beyond_a_gap_that_do_not_stand_out_are_no_family() -> None:
     assert families_of(np.concatenate([value, np.full(4, 7.2)]), 1e-3).any()
 
 
+@pytest.mark.nightly
 def test_a_family_that_families_hide_is_told_and_a_device_beside_its_own() -> None:
     few, many = (3, 9, 14, 22), tuple(range(24, 40))
     faults = {("kick", "x", k): 1.16 for k in few} | {("kick", "x", k): 0.86 for k in many}

@@ -103,7 +103,7 @@ def test_what_no_library_has_is_unknown_at_its_device() -> None:
 
 
 def test_a_corrector_that_sticks_late_is_told_with_the_time() -> None:
-    found = answer(make_record(27, currents=stuck_late))
+    found = answer(make_record(27, currents=stuck_late, rows=700))
     first = found.causes[0]
     assert first.places == ("C9",)
     assert first.effect == "corrector-stuck" or "corrector-stuck" in first.alternatives

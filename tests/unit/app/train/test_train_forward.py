@@ -117,9 +117,12 @@ def test_a_net_is_trained_validated_kept_and_trained_on_unless_it_failed(
 
 
 @pytest.mark.parametrize(
-    ("other", "said"), [(0, "are in .* too; data that were used for training prove"),
-                        (2, "no other excitation")]
-)  # fmt: skip
+    ("other", "said"),
+    [
+        (0, "are in .* too; data that were used for training prove"),
+        pytest.param(2, "no other excitation", marks=pytest.mark.nightly),
+    ],
+)
 def test_a_validation_that_proves_nothing_is_refused(archives, train, tmp_path, other, said):
     with pytest.raises(EstimationError, match=said):
         train("forward", "--from", archives[0], "--validate", archives[other], "--iterations", 3)
