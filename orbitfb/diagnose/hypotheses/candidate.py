@@ -40,6 +40,7 @@ class Candidate:
         undone: Undo it in the readings: what that takes off them, as a spectrum of shape (T, n)
             [m], and the log by which it widens their density; None: nothing undoes it.
         parts: What it consists of, where several of the effect were found at once.
+        after: With it, over a floor of its own; None: it was not weighed so, or another is better.
         again: The same with the sizes that it has over another floor: one that was estimated with
             the cause in it takes part of it; None: they stay.
         finer: Evaluate it exactly, and search the neighbourhood of its values, which a grid gave;
@@ -65,6 +66,7 @@ class Candidate:
     cost: float | None = None
     undone: "Callable[[Workspace], tuple[Matrix, float]] | None" = None
     parts: "tuple[Candidate, ...]" = ()
+    after: Workspace | None = None
     again: "Callable[[Workspace], Candidate] | None" = None
     finer: "Callable[[], Candidate] | None" = None
 

@@ -100,10 +100,18 @@ class Terms:
         return self.pull((self._by_pattern(sizes) @ seen.T) / variance, used, seen)
 
     def _runs(self) -> list[slice]:
-        """Columns whose patterns follow one another."""
-        cuts = np.flatnonzero(np.diff(self.pattern) != 1) + 1
-        edges = [0, *cuts.tolist(), len(self)] if len(self) else [0]
-        return [slice(a, b) for a, b in itertools.pairwise(edges)]
+        """Columns whose patterns follow one another, so cut that no two runs share some of them.
+
+        What is worked out for the patterns of one run serves all others that have the same.
+        """
+        if not len(self):
+            return []
+        begins = np.flatnonzero(np.diff(self.pattern, prepend=-2) != 1)
+        ends = np.append(begins[1:], len(self)) - 1
+        edges = np.concatenate([self.pattern[begins], self.pattern[ends] + 1])
+        cuts = np.flatnonzero(np.isin(self.pattern, edges))
+        cuts = np.union1d(begins, cuts)
+        return [slice(a, b) for a, b in itertools.pairwise([*cuts.tolist(), len(self)])]
 
     def information(
         self, noise: StepNoise, transform: StepTransform, wanted: Mask | None = None

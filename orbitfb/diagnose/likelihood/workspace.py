@@ -1,6 +1,6 @@
 """The likelihood of a record: its floor, its healthy errors, and the causes that were accepted."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -191,13 +191,13 @@ class Workspace:
             its = NormalPriors.of(self.known.information, self.variance)
             # The pull is that which makes the mean right to the last frequency agree with an
             # information by band.
-            pull, mean, applied = self._fitted(its)
-            agreeing = pull - applied + self.known.information @ mean
+            pull, mean, informed = self._fitted(its)
+            agreeing = pull - informed(mean) + self.known.information @ mean
             self.asked.append((NormalTerms(agreeing, self.known.information, self.variance), its))
         return self.asked[0]
 
-    def _fitted(self, its: NormalPriors) -> tuple[Vector, Vector, Vector]:
-        """Pull of the columns, their mean to the last frequency, and what that takes of the pull.
+    def _fitted(self, its: NormalPriors) -> tuple[Vector, Vector, Callable[[Vector], Vector]]:
+        """Pull of the columns, their mean to the last frequency, and what sizes take of the pull.
 
         Args:
             its: Priors of the columns, factored with their information by band.
@@ -210,8 +210,7 @@ class Workspace:
 
         weighed = (self.residual @ self.noise.modes).astype(np.float32) / weigh
         pull = self.terms.pull(weighed, self.known.columns, seen)
-        mean = its.exact_mean(pull, informed, EXACTLY, MOST_STEPS)
-        return pull, mean, informed(mean)
+        return pull, its.exact_mean(pull, informed, EXACTLY, MOST_STEPS), informed
 
     def with_floor(self, rounds: int = AGAIN) -> "Workspace":
         """Estimate the floor anew, on what a saturated linear model leaves; then the errors.
@@ -228,8 +227,9 @@ class Workspace:
         if self.reference is not None:
             shape = self.reference.noise.walk
             mixed = replace(mixed, walk=shape + self.held)
-        halves = Moments.halves(left, self.transform, scatter)
-        trust = self.trust or trusted(mixed, halves, TRUST)
+        trust = self.trust
+        if not trust:
+            trust = trusted(mixed, Moments.halves(left, self.transform, scatter), TRUST)
         noise = improve(mixed, moments, mixed.walk, FREELY, trust)
         fresh = replace(self, noise=noise, shape=shape, weights=weights, trust=trust)
         return fresh._knowing(self._own).with_errors()

@@ -25,20 +25,30 @@ def settled(
         times: That its sizes are told anew, at most.
         spread: Whether its values may differ a little from device to device.
     """
+    if best.after is not None:
+        space = replace(over(space, best.after), trust=space.trust)
+        best = replace(_told(best, best.after), after=None)
     after = best.accepted(space, spread)
     for _ in range(times):
         if best.again is None or best.field is None:
             break
-        more = best.again(after)
+        more = _told(best, after)
         moved = _weight(np.asarray(more.field) - best.field, after)
         if moved < SURE:  # too little for another cause to be named for it
             break
         little = moved < SETTLED**2 * _weight(best.field, after)
-        best = replace(more, cost=best.cost if more.cost is None else more.cost)
-        after = best.accepted(replace(space, noise=after.noise), spread)
+        best, after = more, more.accepted(replace(space, noise=after.noise), spread)
         if little:
             break
     return best, after
+
+
+def _told(one: Candidate, after: Workspace) -> Candidate:
+    """The same with the sizes that it has over the floor that it leaves."""
+    if one.again is None:
+        return one
+    more = one.again(after)
+    return replace(more, cost=one.cost if more.cost is None else more.cost)
 
 
 def _weight(field: Matrix, space: Workspace) -> float:
@@ -78,14 +88,17 @@ def refitted(
         own, after = settled(rivals.candidates[number], space, times=1, spread=False)
         less = base + (own.cost or 0.0)
         gain, best = after.log_posterior() - less, max(rivals.good(), default=0.0)
-        for _ in range(HEARD if gain > best / SWALLOWED else 0):
+        for left in reversed(range(HEARD if gain > best / SWALLOWED else 0)):
             nearer = after.with_floor()
-            more = nearer.log_posterior() - less
-            if more < gain + SURE:
+            step = nearer.log_posterior() - less - gain
+            if step < SURE:
                 break
-            gain, after = more, nearer
+            gain, after = gain + step, nearer
+            if gain + left * step < best:  # no turn gains more than the one before
+                break
         rivals.own[number] = replace(own, evidence=gain)
         if gain > best:
+            rivals.own[number] = replace(own, evidence=gain, after=after)
             rivals.late_as(own, over(space, after))
         if own.additive:
             rivals.least(_under(rivals.candidates, space, after, base))

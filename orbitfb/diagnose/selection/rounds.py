@@ -264,5 +264,6 @@ def _last_resort(candidates: list[Candidate], accepted: bool, drawn: bool) -> li
 
 def _light(candidates: list[Candidate]) -> list[Candidate]:
     """Drop the fields of all but the finalists: each is as large as the record."""
-    rest = [replace(one, field=None, finer=None) for one in candidates[FINALISTS:]]
-    return [*candidates[:FINALISTS], *rest]
+    light = [replace(one, after=None) for one in candidates]
+    rest = [replace(one, field=None, finer=None) for one in light[FINALISTS:]]
+    return [*light[:FINALISTS], *rest]
