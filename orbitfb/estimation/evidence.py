@@ -208,6 +208,10 @@ class NormalTerms:
         """Posterior mean of every size, shape (k,)."""
         return NormalPriors.of(self.information, self.variance).mean(self.pull)
 
+    def cost(self, sizes: Vector) -> float:
+        """What the log likelihood with some sizes, shape (k,), is more than the evidence [nats]."""
+        return -NormalPriors.of(self.information, self.variance).log_density(sizes)
+
     def held(self, first: float) -> Vector:
         """Posterior mean of every size, shape (k,), where the first one has a given size."""
         mean = self.mean()

@@ -95,10 +95,12 @@ def _every(kind: EffectKind, law: DeviceLaw, scorer: Scorer, rank: Ranked) -> It
         source = Course(law, (), values, sizes)
         courses = source.of(scorer.space.signals, values)
         scaled = {**values, kind.linear: values[kind.linear] * float(sizes[np.argmax(abs(sizes))])}
+        field = field_of(law, scorer, courses, (), sizes).astype(float)
+        whole = cost + terms.cost(sizes)
         return Candidate(
-            kind, (), (), scaled, gain - cost,
+            kind, (), (), scaled, scorer.likelihood(field) - whole, cost=whole,
             sizes=tuple(float(one * values[kind.linear]) for one in sizes),
-            field=field_of(law, scorer, courses, (), sizes).astype(float), sources=(source,),
+            field=field, sources=(source,),
         )  # fmt: skip
 
     yield Candidate(kind, (), (), values, gain - cost, finer=exact)
@@ -172,11 +174,11 @@ def _candidate(
         sizes = np.array(
             [within(kind, one.values, size) for one, size in zip(sources, best, strict=True)]
         )
-        evidence = terms.evidence_at(sizes)
+        cost = terms.cost(sizes)
     else:
-        sizes = np.ones(len(chosen))
-        evidence = float(pull.sum() - 0.5 * information.sum())
+        sizes, cost = np.ones(len(chosen)), 0.0
     field = (spectrum * np.tile(sizes, blocks)) @ whole.T
+    cost += _cost(len(number), len(rank.alone)) * len(chosen)
     largest = int(np.argmax(np.abs(sizes) * np.sqrt(np.maximum(np.diag(information), 0.0))))
     scaled = dict(sources[largest].values)
     for parameter in kind.sizes:
@@ -187,7 +189,8 @@ def _candidate(
         tuple(chosen),
         tuple(law.names[place] for place in chosen),
         scaled,
-        evidence - _cost(len(number), len(rank.alone)) * len(chosen),
+        scorer.likelihood(field) - cost,
+        cost=cost,
         sizes=tuple(float(size * unit) for size in sizes) if free else (),
         field=field,
         sources=tuple(

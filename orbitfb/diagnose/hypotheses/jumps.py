@@ -145,9 +145,10 @@ class _Jump:
         names = tuple(name for one in parts for name in one.names)
         field = np.sum([np.asarray(one.field) for one in parts], axis=0)
         cost = len(places) * np.log(len(self.names)) + np.log(transform.rows) + VALUE_COST
+        cost = float(cost) + terms.cost(terms.mean())
         return Candidate(
             self.kind, tuple(map(int, places)), names, parts[0].values,
-            float(terms.evidence() - cost), onset=self.row, field=field, parts=parts,
+            scorer.likelihood(field) - cost, onset=self.row, field=field, parts=parts, cost=cost,
             again=lambda after: self.more(Scorer.of(over(scorer.space, after)), places),
         )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """Laws of two devices: exchanged, coupled, rolled."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -100,6 +100,20 @@ class _Mixed:
         )
 
 
+    def weighed(self, scorer: Scorer, numbers: Indices, sizes: Vector, cost: float) -> Candidate:
+        """The same, with the evidence that they have.
+
+        Args:
+            scorer: Of what is left to explain.
+            numbers: Of the pairs, shape (k,).
+            sizes: Of them, shape (k,).
+            cost: What the log likelihood is more than the evidence [nats].
+        """
+        one = self.several(scorer.space, numbers, sizes, 0.0)
+        evidence = scorer.likelihood(np.asarray(one.field)) - cost
+        return replace(self.several(scorer.space, numbers, sizes, evidence), cost=cost)
+
+
 def scan_pairs(kind: EffectKind, law: PairLaw, scorer: Scorer) -> list[Candidate]:
     """Find the best pair of a law, from all products of patterns and courses at once.
 
@@ -175,17 +189,19 @@ def _sets(mixed: _Mixed, scorer: Scorer, gain: Vector) -> Iterator[Candidate]:
         variance = np.full(len(chosen), width**2)
         return NormalTerms(pull[chosen], information[np.ix_(chosen, chosen)], variance)
 
-    found, evidence = grown_apart(pull, information, float(np.log(len(gain))), True)
+    choice = float(np.log(len(gain)))
+    found, evidence = grown_apart(pull, information, choice, True)
     if len(found) > 1:
         chosen = np.array(found)
-        sizes = sized(chosen, SIZE_WIDTH).mean()
-        yield mixed.several(scorer.space, top[chosen], sizes, evidence - cost)
+        terms = sized(chosen, SIZE_WIDTH)
+        whole = cost + choice * len(found) + terms.cost(terms.mean())
+        yield mixed.weighed(scorer, top[chosen], terms.mean(), whole)
     if 1 < len(top) == len(gain):
         every = np.arange(len(top))
         best, width = max((sized(every, one).evidence(), one) for one in WIDTHS)
         if best > evidence:
-            sizes = sized(every, width).mean()
-            yield mixed.several(scorer.space, top, sizes, best - cost)
+            terms = sized(every, width)
+            yield mixed.weighed(scorer, top, terms.mean(), cost + terms.cost(terms.mean()))
 
 
 def _pair_scores(

@@ -71,8 +71,7 @@ def _refined(candidates: list[Candidate], scorer: Scorer, enough: float) -> list
         if one.field is not None and one.evidence > 0.0:
             cost = one.cost
             if cost is None:
-                pull, information = scorer.evaluate([one.field])
-                cost = float(pull[0] - 0.5 * information[0, 0]) - one.evidence
+                cost = scorer.likelihood(one.field) - one.evidence
             gain = one.evidence + scorer.eased(one.field)
             candidates[place] = replace(one, evidence=gain, cost=cost)
     return strongest(candidates)

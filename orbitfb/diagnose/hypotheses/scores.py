@@ -99,6 +99,11 @@ class Scorer:
         scale = np.sqrt(np.diag(information) / np.maximum(np.diag(by_band), 1e-300))
         return pull, scale[:, None] * left * scale
 
+    def likelihood(self, field: "Matrix | Single") -> float:
+        """Log likelihood of a whole field over none, healthy errors marginalised [nats]."""
+        pull, information = self.evaluate([field])
+        return float(pull[0] - 0.5 * information[0, 0])
+
     def columns(self, patterns: Sequence[Matrix], spectrum: Single) -> tuple[Vector, Matrix]:
         """Pull and information of devices of a size each, healthy errors marginalised.
 

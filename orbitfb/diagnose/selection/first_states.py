@@ -53,8 +53,7 @@ def with_first_states(one: Candidate, space: Workspace) -> Candidate:
 
     def weighed(found: Candidate, lower: Scorer, beside: Scorer) -> Candidate:
         near = _nearest(found, lower, cost_of(kind, one.values, lower), beside)
-        pull, information = lower.evaluate([np.asarray(near.field)])
-        told = float(pull[0] - 0.5 * information[0, 0])
+        told = lower.likelihood(np.asarray(near.field))
         return replace(near, cost=told - near.evidence, again=partial(again, near))
 
     def first(after: Workspace) -> Candidate:

@@ -147,8 +147,7 @@ class _Rivals:
             fine = one if one.finer is None else one.finer()
             if fine.again is not None:
                 more = fine.again(lower)
-                pull, information = scorer.evaluate([np.asarray(more.field)])
-                cost = float(pull[0] - 0.5 * information[0, 0]) - more.evidence
+                cost = scorer.likelihood(np.asarray(more.field)) - more.evidence
                 self.candidates[number] = replace(more, cost=cost)
 
     def next(self) -> int | None:
@@ -227,8 +226,7 @@ def _under(
     found = {}
     for number, one in enumerate(candidates):
         if one.additive and one.field is not None and one.cost is not None:
-            pull, information = scorer.evaluate([one.field])
-            found[number] = without + float(pull[0] - 0.5 * information[0, 0]) - one.cost
+            found[number] = without + scorer.likelihood(one.field) - one.cost
     return found
 
 
