@@ -1,12 +1,19 @@
-"""What the values of a law cost."""
+"""What the values of a law cost, and the sizes of a set."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
+from benchmarks.blind.many import write
 from orbitfb.diagnose.hypotheses.ranking import cost_of
+from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.effects.registry import effect
+from orbitfb.estimation.evidence import NormalTerms
 from orbitfb.estimation.priors import VALUE_COST
+from orbitfb.records.reading.load import load
 from tests.unit.hypotheses.small_records import make_record
 
 
@@ -26,3 +33,25 @@ def test_an_optional_value_costs_where_it_is_used(
     """A dead-band wider than all motion does what a frozen current does, and must not win."""
     scorer = Scorer.of(Workspace.of(make_record(72), [effect("corrector-gain")]))
     assert cost_of(effect(kind), values, scorer) == count * VALUE_COST
+
+
+def test_no_set_is_worth_more_than_what_it_does_is_likely(tmp_path: Path) -> None:
+    """Sets are found with information by band, which is right to a per cent of much evidence."""
+    name = write("few-correctors", "lag", 31, tmp_path / "records")
+    record = load(tmp_path / "records" / f"{name}.npz", planes=None, ring=None).record
+    kinds = [effect(one) for one in ("corrector-lag", "corrector-slew")]
+    space = Workspace.of(record, [*kinds, effect("corrector-gain")])
+    scorer = Scorer.of(space)
+    found = [one for one in candidates_of(space, kinds) if one.additive and one.cost is not None]
+    assert any(len(one.places) > 1 for one in found)
+    for one in found:
+        assert scorer.likelihood(np.asarray(one.field)) > one.evidence, one.describe()
+
+
+def test_what_sizes_cost_is_their_share_of_the_priors() -> None:
+    """One size of information H and variance s²: ½ ln(1 + Hs²) + ½ (size/s)²."""
+    terms = NormalTerms(np.array([30.0]), np.array([[8.0]]), np.array([4.0]))
+    size = terms.mean()
+    likelihood = float(30.0 * size[0] - 4.0 * size[0] ** 2)
+    assert terms.cost(size) == pytest.approx(0.5 * np.log(33.0) + 0.125 * float(size[0]) ** 2)
+    assert likelihood - terms.cost(size) == pytest.approx(terms.evidence())
