@@ -99,7 +99,6 @@ class _Mixed:
             again=again if readings and self.kind.sizes else None,
         )
 
-
     def weighed(self, scorer: Scorer, numbers: Indices, sizes: Vector, cost: float) -> Candidate:
         """The same, with the evidence that they have.
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
-from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.diagnose.likelihood.corrected import over
+from orbitfb.diagnose.likelihood.weighed import Weighed
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.first_states import with_first_states
 from orbitfb.estimation.priors import CLOSE, HEARD, LEADING, MISFIT, SETTLED, SURE, SWALLOWED
@@ -139,7 +139,7 @@ class _Rivals:
         """
         if not own.onset:
             return
-        scorer = Scorer.of(lower)
+        scorer = Weighed.of(lower)
         for number, one in enumerate(self.candidates):
             late = one.onset > 0 and self.worth[number] > 0.0
             if number in self.own or not late or set(one.places) != set(own.places):
@@ -222,7 +222,7 @@ def _under(
     """
     lower = over(space, after)
     without = lower.log_posterior() - base
-    scorer = Scorer.of(lower)
+    scorer = Weighed.of(lower)
     found = {}
     for number, one in enumerate(candidates):
         if one.additive and one.field is not None and one.cost is not None:
