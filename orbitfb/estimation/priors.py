@@ -313,10 +313,6 @@ MOST_REPEATS = 0.75
 """Share of readings that repeat beyond which filling them in would be inventing a record [1]:
 polled rings repeat 26 to 75 %."""
 
-DRAWN_AGAIN = 0.01
-"""Share of readings that were not read from which the first cause is told again, in readings that
-were drawn with it [1]: a first draw has neither it nor the healthy errors, in so many rows."""
-
 FOLLOWS = 0.98
 """Share of the variance of the requested changes that a linear law must explain [1]."""
 

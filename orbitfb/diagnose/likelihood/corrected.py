@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from orbitfb.core.signals import Mask
 from orbitfb.diagnose.likelihood.courses import Courses
 from orbitfb.diagnose.likelihood.errors import following
@@ -9,7 +11,6 @@ from orbitfb.diagnose.likelihood.known import Known
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.screen.missing import drawn
 from orbitfb.estimation.prediction import predicted
-from orbitfb.estimation.priors import DRAWN_AGAIN
 from orbitfb.estimation.transform import Matrix
 
 
@@ -66,9 +67,20 @@ def over(space: Workspace, other: Workspace) -> Workspace:
     return lower.with_noise(other.noise)
 
 
-def misses(space: Workspace) -> bool:
-    """Whether so much was not read that it matters how it is drawn for the first cause."""
-    return bool(space.signals.record.filled.mean() >= DRAWN_AGAIN)
+def drawn_apart(space: Workspace, field: Matrix) -> float:
+    """How far a cause moves what was not read, beside the noise of readings [nats].
+
+    So much may readings that were drawn without it say against it.
+
+    Args:
+        space: Without the cause.
+        field: Spectrum of what it adds to the readings, shape (T, n) [m].
+    """
+    record = space.signals.record
+    told = [space.transform.summed(made) for made in (_made(space), _made(space) + field)]
+    without, beside = (drawn(record, one).readings for one in told)
+    moved = (beside - without) ** 2 / space.noise.reading
+    return 0.5 * float(np.sum(moved, where=record.filled))
 
 
 def redrawn(space: Workspace, by: Workspace | None = None) -> Workspace:
@@ -82,8 +94,7 @@ def redrawn(space: Workspace, by: Workspace | None = None) -> Workspace:
     """
     if not space.signals.record.filled.any():
         return space
-    its = space if by is None else by
-    made = its.explained + its.terms.contribution(its.priors.mean(its.errors.pull))
+    made = _made(space if by is None else by)
     fresh = drawn(space.signals.record, space.transform.summed(made))
     signals = replace(space.signals, record=fresh)
     left = fresh.readings - fresh.setpoints @ fresh.layout.response.T
@@ -94,3 +105,8 @@ def redrawn(space: Workspace, by: Workspace | None = None) -> Workspace:
         courses=space.courses.hearing(signals),
     )
     return space.with_floor()
+
+
+def _made(space: Workspace) -> Matrix:
+    """What accepted causes and healthy errors add to the readings, shape (T, n) [m]."""
+    return space.explained + space.terms.contribution(space.priors.mean(space.errors.pull))

@@ -9,7 +9,7 @@ from orbitfb.diagnose.hypotheses.candidate import Candidate, strongest
 from orbitfb.diagnose.hypotheses.free_course import FreeCourse, scan_free
 from orbitfb.diagnose.hypotheses.scan import candidates_of
 from orbitfb.diagnose.hypotheses.scores import Scorer
-from orbitfb.diagnose.likelihood.corrected import misses, over, redrawn
+from orbitfb.diagnose.likelihood.corrected import drawn_apart, over, redrawn
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.selection.healthy_motion import with_motion
 from orbitfb.diagnose.selection.own_floors import refitted, settled
@@ -135,9 +135,9 @@ def tournament(
     """
     accepted: list[Candidate] = []
     rounds: list[Round] = []
-    again = misses(space)
+    again = bool(space.signals.record.filled.any())
     led: Candidate | None = None  # the first cause, in readings that were drawn with it
-    space = first = redrawn(space) if again else space
+    space = first = redrawn(space)
     while True:
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
@@ -171,8 +171,9 @@ def tournament(
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
-        if again:
-            again, (led, space) = False, _drawn_with(candidates, space)
+        leading = _leading(candidates) if again else []
+        if again and _speaks_against(leading, space):
+            again, (led, space) = False, _drawn_with(leading, space)
             rounds.pop()
             continue
         best, after = settled(candidates[0], space.trusting())
@@ -180,7 +181,23 @@ def tournament(
         accepted.append(best)
 
 
-def _drawn_with(candidates: Sequence[Candidate], space: Workspace) -> tuple[Candidate, Workspace]:
+def _leading(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The best of every effect that leads, the best first."""
+    found: dict[str, Candidate] = {}
+    for one in candidates:
+        if one.evidence > CLOSE * candidates[0].evidence:
+            found.setdefault(one.kind.id, one)
+    return list(found.values())[:LEADING]
+
+
+def _speaks_against(leading: Sequence[Candidate], space: Workspace) -> bool:
+    """Whether what was not read, and was drawn without the first cause, may decide which it is."""
+    enough = SURE + MISFIT * leading[0].evidence
+    fields = (one.field for one in leading)
+    return any(drawn_apart(space, one) > enough for one in fields if one is not None)
+
+
+def _drawn_with(leading: Sequence[Candidate], space: Workspace) -> tuple[Candidate, Workspace]:
     """Draw what was not read with the first cause, whose values were told without.
 
     Readings that were drawn without a law speak against it, and for whatever follows them. So each
@@ -188,18 +205,14 @@ def _drawn_with(candidates: Sequence[Candidate], space: Workspace) -> tuple[Cand
     meanwhile: what was drawn without it would move it.
 
     Args:
-        candidates: Of the round, the best first.
+        leading: The best of every effect that leads.
         space: That they were tried on.
 
     Returns:
         The one whose readings, read and drawn, are most likely, and the workspace with those.
     """
-    leading: dict[str, Candidate] = {}
-    for one in candidates:
-        if one.evidence > CLOSE * candidates[0].evidence:
-            leading.setdefault(one.kind.id, one)
     found = []
-    for one in list(leading.values())[:LEADING]:
+    for one in leading:
         fresh, begin = space, space.trusting()
         for _ in range(HEARD):
             after = one.accepted(begin, spread=False)

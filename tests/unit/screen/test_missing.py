@@ -3,8 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from orbitfb.core.signals import Mask
+from orbitfb.diagnose.likelihood.corrected import drawn_apart
 from orbitfb.diagnose.likelihood.workspace import Workspace
 from orbitfb.diagnose.screen.missing import drawn
 from orbitfb.diagnose.screen.repeats import unread
@@ -144,3 +146,23 @@ def test_stretches_too_short_for_a_walk_to_show_are_filled_in_with_noise_alone()
     assert np.isfinite(found.readings).all()
     steps = np.abs(np.diff(left(found), axis=0))[~starts[1:]]
     assert steps.max() < 10.0 * np.median(steps)
+
+
+def test_a_reading_that_is_missing_where_a_cause_jumps_is_drawn_elsewhere_with_it() -> None:
+    """Without the cause it is as before the jump, with it as after; a smooth course tells nothing.
+
+    A reading that is elsewhere by 40 standard deviations of its noise is so by ½ 40² nats.
+    """
+    record = make_record(5)
+    filled = np.zeros_like(record.readings, dtype=bool)
+    filled[400, 3] = True
+    space = Workspace.of(replace(record, filled=filled), kinds_for(record))
+    rows = np.arange(len(record.readings))
+    size = 40.0 * np.sqrt(space.noise.reading[3])
+    pattern = np.eye(record.readings.shape[1])[3]
+    jump = space.transform.spectrum(np.outer(size * (rows >= 400), pattern))
+    slope = space.transform.spectrum(np.outer(size * rows / len(rows), pattern))
+    assert drawn_apart(space, jump) == pytest.approx(0.5 * 40.0**2, rel=0.05)
+    assert drawn_apart(space, slope) < 1.0
+    nothing = replace(space, signals=replace(space.signals, record=record))
+    assert drawn_apart(nothing, jump) == 0.0
