@@ -96,9 +96,8 @@ def refitted(
             gain, after = gain + step, nearer
             if gain + left * step < best:  # no turn gains more than the one before
                 break
-        rivals.own[number] = replace(own, evidence=gain)
+        rivals.weighed(number, replace(own, evidence=gain), after)
         if gain > best:
-            rivals.own[number] = replace(own, evidence=gain, after=after)
             rivals.late_as(own, over(space, after))
         if own.additive:
             rivals.least(_under(rivals.candidates, space, after, base))
@@ -120,6 +119,19 @@ class _Rivals:
     worth: list[float]
     enough: float
     own: dict[int, Candidate] = field(default_factory=dict)
+
+    def weighed(self, number: int, own: Candidate, after: Workspace) -> None:
+        """Learn what one has over a floor of its own; the best keeps that floor.
+
+        Args:
+            number: Its number.
+            own: With its evidence.
+            after: With it, over that floor.
+        """
+        if own.evidence > max(self.good(), default=0.0):
+            self.own = {other: replace(one, after=None) for other, one in self.own.items()}
+            own = replace(own, after=after)
+        self.own[number] = own
 
     def least(self, found: Mapping[int, float]) -> None:
         """Learn what some have at least [nats], by number; a floor of their own may be worse."""
