@@ -77,6 +77,8 @@ def drawn_apart(space: Workspace, field: Matrix) -> float:
         field: Spectrum of what it adds to the readings, shape (T, n) [m].
     """
     record = space.signals.record
+    if not record.filled.any():
+        return 0.0
     told = [space.transform.summed(made) for made in (_made(space), _made(space) + field)]
     without, beside = (drawn(record, one).readings for one in told)
     moved = (beside - without) ** 2 / space.noise.reading

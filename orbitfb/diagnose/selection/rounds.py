@@ -135,14 +135,14 @@ def tournament(
     """
     accepted: list[Candidate] = []
     rounds: list[Round] = []
-    again = bool(space.signals.record.filled.any())
-    led: Candidate | None = None  # the first cause, in readings that were drawn with it
+    led: Candidate | None = None  # what may be the next cause, in readings that were drawn with it
     space = first = redrawn(space)
     while True:
         told = {one.kind.id for one in accepted if one.noisy}
         left = [kind for kind in kinds if kind.id not in told]
         enough = enough_beside(sum(one.evidence for one in accepted), space)
         candidates = candidates_of(space, left, tell, enough)
+        waits = led is None  # for readings that are drawn with it
         if led is not None:
             candidates, led = strongest([led, *candidates]), None
         candidates = [one for one in candidates if not _echo(one, accepted)]
@@ -171,9 +171,9 @@ def tournament(
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
-        leading = _leading(candidates) if again else []
-        if again and _speaks_against(leading, space):
-            again, (led, space) = False, _drawn_with(leading, space)
+        leading = _leading(candidates)
+        if waits and _speaks_against(leading, space):
+            led, space = _drawn_with(leading, space)
             rounds.pop()
             continue
         best, after = settled(candidates[0], space.trusting())
@@ -191,14 +191,14 @@ def _leading(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _speaks_against(leading: Sequence[Candidate], space: Workspace) -> bool:
-    """Whether what was not read, and was drawn without the first cause, may decide which it is."""
+    """Whether what was not read, and was drawn without the next cause, may decide which it is."""
     enough = SURE + MISFIT * leading[0].evidence
     fields = (one.field for one in leading)
     return any(drawn_apart(space, one) > enough for one in fields if one is not None)
 
 
 def _drawn_with(leading: Sequence[Candidate], space: Workspace) -> tuple[Candidate, Workspace]:
-    """Draw what was not read with the first cause, whose values were told without.
+    """Draw what was not read with the next cause, whose values were told without.
 
     Readings that were drawn without a law speak against it, and for whatever follows them. So each
     effect that leads has readings drawn with it, and is weighed in those. It stays as it was found
