@@ -2,6 +2,7 @@
 
     python -m benchmarks.promotions [--minutes 60] [--drift none,paper,mild,strong] [--seed 1]
                                     [--rule before,now] [--policy svd] [--caution 0.1]
+                                    [--period 30]
 
 The loop runs in process, as fast as it goes, with the service's own learner: identification,
 judge, shadow and watch, at 10 orbits a second. Every run is made twice on the same ring and the
@@ -226,11 +227,14 @@ def main() -> None:
     parser.add_argument("--rule", default="before,now", help="rules, by commas")
     parser.add_argument("--policy", default="svd", help="kind of the policy")
     parser.add_argument("--caution", type=float, help="of the law `adaptive`, if not its default")
+    parser.add_argument("--period", type=int, help="of its gain [ticks], if not its default")
     options = parser.parse_args()
     ticks = int(options.minutes * 60 * RATE)
     policy = PolicySettings(kind=options.policy)
-    if options.caution is not None:
-        caution = policy.adaptive.caution.model_copy(update={"caution": options.caution})
+    chosen = {"caution": options.caution, "period": options.period}
+    chosen = {name: value for name, value in chosen.items() if value is not None}
+    if chosen:
+        caution = policy.adaptive.caution.model_copy(update=chosen)
         law = policy.adaptive.model_copy(update={"caution": caution})
         policy = policy.model_copy(update={"adaptive": law})
     print(

@@ -67,6 +67,6 @@ class AdaptiveSettings(Settings):
         "the learner.",
     )
     caution: CautionSettings = Field(
-        default=CautionSettings(period=10, caution=0.1),
+        default=CautionSettings(period=30, caution=0.1),
         description="How the gain is made of it, and when.",
     )

@@ -1,145 +1,136 @@
-"""The coefficients θ of all modes with their covariances, brought up to date in blocks of ticks.
+"""The coefficients θ of all modes and what is not known of them, learnt in blocks of ticks.
 
-A reading takes c cᵀ/S from the covariance P of a group and adds c ν/S to θ̂ of its modes. Added at
-every tick, they would cost more than all else: P of every group would be written. So the terms of
-the last ticks stand beside P and θ̂ as they are, and a tick reads these large arrays once:
+Within a block the orbit is filtered as if R were what it was when the block began. That is the
+Kalman filter of an orbit under known changes, with the shares s = r²/S_known of every group and
+every tick; what it leaves of the readings is
 
-    P u = P₀ u − Σ (c/S) (cᵀ u),     θ̂ᵀ u = θ̂₀ᵀ u + Σ (ν/S) (cᵀ u).
+    z_t = φ_tᵀ δθ + d_t δx + v_t,     var(v_t) = S_known,t,     φ ← s φ + u,   d ← s d,
 
-The terms are added to P₀ and θ̂₀ by products of matrices: some rows at every tick, so that no tick
-is long. Every row has its turn once in a block of ticks.
+δθ what R was mistaken in, δx what the orbit was mistaken in for want of R when the block began.
+With v_t white, that is a linear regression: δθ and δx have the covariances P, c = cov(θ, x) and
+e = var(δx), and the answer to all readings of a block is that of the filter which learns from one
+after the other. It costs products of matrices, of which a tick's share is small, in place of
+products of P and a vector at every tick.
+
+Modes of a group may differ in their noise: each learns from its own innovations, over variances
+of its own, while P shrinks by what those of the whole group are worth.
+
+Source: for the innovations Ljung and Söderström, Theory and Practice of Recursive Identification
+(1983), ch. 3; with the Cholesky factor of their covariance as whitening filter, e.g. Kailath,
+Sayed and Hassibi, Linear Estimation, ch. 4.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
+from orbitfb.estimation.recursive.block import Block
 from orbitfb.estimation.recursive.group import Group
-
-_BLOCK = 16
-"""Ticks whose terms stand beside the covariances [ticks]. Fewer make the products of matrices
-slower; more hardly make a step faster, and reading R̂ slower."""
 
 
 class Coefficients:
-    """θ̂ of n modes, and P = cov(θ) and c = cov(θ, x) of every group of them.
+    """θ̂ of n modes, and P = cov(θ), c = cov(θ, x) and e of every group of them.
 
     Args:
         groups: What is known beforehand.
         drift: What a tick adds to P of every group, shape (k, k).
+        length: Most changes of a block.
+
+    Attributes:
+        rows: θ̂ of every mode, shape (n, k); nobody else writes into it.
+        extra: e, what not knowing R adds to the variance of the orbit, shape (groups,) [m²].
+        doubt: What it added to that of the last reading, over what that is without, (groups,) [1].
     """
 
-    def __init__(self, groups: Sequence[Group], drift: Vector) -> None:
-        count, size, n = len(groups), len(drift), groups[-1].members.stop
+    def __init__(self, groups: Sequence[Group], drift: Vector, length: int) -> None:
+        self._members = [group.members for group in groups]
         self._drift, self._diagonal = drift, np.array([group.drift for group in groups])
-        # all that a regressor is multiplied with stands in one array: one product does it
-        edges = [count * size, count * size + n]
-        self._factors = np.zeros((edges[-1] + count * _BLOCK, size))
-        self._products = np.zeros(len(self._factors))
-        covariances, self._rows, past = np.split(self._factors, edges)
-        moved, self._moved, self._along = np.split(self._products, edges)
-        self._covariances = covariances.reshape(count, size, size)
-        self._cross_moved = moved.reshape(count, size)
-        # c of the ticks of a block, the present one in the present slot; −c/S and ν/S of each
-        self._past = past.reshape(_BLOCK, count, size)
-        self._taken = np.zeros((_BLOCK, count, size))
-        self._worth = np.zeros((_BLOCK, count, n))
-        self._slot, self._waiting = 0, False
-        # the same, as products of matrices want them
-        self._slots = self._along.reshape(_BLOCK, count)
-        self._slots_of = self._slots.T[:, None]
-        self._taken_of = self._taken.transpose(1, 0, 2)
-        self._worth_rows = self._worth.reshape(len(past), n)
-        group_of = np.repeat(np.arange(count), [group.size for group in groups])
-        self._places = group_of * n + np.arange(n)
-        pieces: list[tuple[Vector, Vector, Vector]] = []
-        for number, group in enumerate(groups):
-            covariance, rows = self._covariances[number], self._rows[group.members]
-            covariance[:], rows[:] = group.covariance, group.rows
-            its, taken = self._past[:, number], self._taken[:, number]
-            for half in (slice(size // 2), slice(size // 2, size)):
-                pieces.append((covariance[half], taken[:, half], its))
-            pieces.append((rows, self._worth[:, number, group.members], its))
-        self._turns = [pieces[slot::_BLOCK] for slot in range(_BLOCK)]
+        self.rows = np.concatenate([group.rows for group in groups])
+        self._covariances = np.array([group.covariance for group in groups])
+        self._cross = np.zeros((len(groups), len(drift)))
+        self.extra, self.doubt = np.zeros((2, len(groups)))
+        self._joint = np.empty((length + 1, len(drift)))
+        self._product = np.empty_like(drift)
+        from scipy.linalg import get_lapack_funcs  # half a second of a loop that never learns
 
-    def predict(self, regressor: Vector) -> tuple[Vector, Vector]:
-        """Go on by a tick.
+        routines = get_lapack_funcs(("potrf", "trtri"), dtype=np.float64)
+        self._factorise, self._invert = routines
+
+    def learn(self, block: Block) -> Vector:
+        """Learn from a block; it is left as it is.
 
         Args:
-            regressor: u, shape (k,).
+            block: What was changed and what was read since the last one.
 
         Returns:
-            What the change does to the orbits, shape (n,) [m], until the next call; and what it
-            adds to var(x) of every group, uᵀ(2c + P u), shape (groups,) [m²].
+            What the orbit of every mode was mistaken in at the end of the block, shape (n,) [m].
+
+        Raises:
+            EstimationError: What is known is not finite.
         """
-        np.dot(self._factors, regressor, out=self._products)
-        self._moved += self._along.dot(self._worth_rows)
-        self._cross_moved += np.matmul(self._slots_of, self._taken_of)[:, 0]
-        cross = self._past[self._slot]
-        cross += self._cross_moved
-        return self._moved, self._slots[self._slot] + cross.dot(regressor)
-
-    def learn(self, worth: Vector, shares: Vector, noise: float) -> None:
-        """Learn from the innovations of the readings.
-
-        Modes of a group may differ in their noise: each moves by what its own innovation is
-        worth, while P shrinks by what that of the whole group is worth.
-
-        Args:
-            worth: ν over its variance, mode by mode, shape (n,) [1/m].
-            shares: r²/S of every group, shape (groups,) [1].
-            noise: r², variance of the reading noise [m²].
-        """
-        cross = self._past[self._slot] * shares[:, None]
-        np.multiply(cross, -1.0 / noise, out=self._taken[self._slot])
-        self._worth[self._slot].reshape(-1)[self._places] = worth
-        self._slot, self._waiting = (self._slot + 1) % _BLOCK, True
-        self._add_terms(self._slot)
-        self._past[self._slot] = cross
+        count, changes = len(self._members), block.changes
+        weights, variances, innovations = block.weights(count), block.variances, block.innovations
+        mistaken = np.zeros(len(self.rows))
+        for group, members in enumerate(self._members):
+            # covariances of (δx, changes · δθ) with θ and with themselves
+            joint = self._joint[: len(changes) + 1]
+            joint[0] = self._cross[group]
+            np.dot(changes, self._covariances[group], out=joint[1:])
+            inner = np.empty((len(joint), len(joint)))
+            inner[:, 1:] = joint @ changes.T
+            inner[0, 0], inner[1:, 0] = self.extra[group], inner[0, 1:]
+            seen, end = weights[group, :-1], weights[group, -1]
+            carried = inner @ end
+            self._cross[group], self.extra[group] = end @ joint, end @ carried
+            if not block.readings:
+                continue
+            known = variances[:, group - count]
+            covariance = seen @ inner @ seen.T
+            covariance.flat[:: len(seen) + 1] += known
+            factor, failed = self._factorise(covariance, lower=1)
+            if failed:
+                raise EstimationError(
+                    "what is expected of the readings is not a finite covariance; begin with "
+                    "another response, or check its noise and its prior"
+                )
+            whitening = self._invert(factor, lower=1)[0]
+            white = whitening @ seen
+            told, along = white @ joint, white @ carried
+            total = np.diagonal(factor) ** 2
+            worth = whitening @ innovations[:, members]
+            own = variances[:, members] - known[:, None]
+            worth *= total[:, None] / (total[:, None] + own)
+            self.rows[members] += worth.T @ told
+            mistaken[members] = along @ worth
+            np.dot(told.T, told, out=self._product)
+            self._covariances[group] -= self._product
+            self._cross[group] -= along @ told
+            self.extra[group] = max(self.extra[group] - float(along @ along), 0.0)
+            self.doubt[group] = total[-1] / known[-1] - 1.0
+        return mistaken
 
     def forget_orbit(self) -> None:
-        """Let what is not known of R have no part in what is not known of the orbit: c = 0."""
-        self._past[self._slot] = 0.0
+        """Let what is not known of R have no part in what is not known of the orbit."""
+        self._cross[:] = 0.0
+        self.extra = np.zeros(len(self.extra))
 
     def add_drift(self, ticks: int) -> None:
         """Add what the random walk of R does in some ticks."""
-        self._covariances += ticks * self._drift
+        np.multiply(self._drift, ticks, out=self._product)
+        self._covariances += self._product
         size = len(self._drift)
         self._covariances.reshape(-1, size**2)[:, :: size + 1] += ticks * self._diagonal
 
     def traces(self) -> Vector:
         """Give the trace of P of every group, shape (groups,)."""
-        taken = np.einsum("bgk,bgk->g", self._taken, self._past)
-        return np.trace(self._covariances, axis1=1, axis2=2) + taken
+        return np.trace(self._covariances, axis1=1, axis2=2)
 
     def widen(self, factors: Vector) -> None:
         """Multiply P of every group by its factor, shape (groups,)."""
         self._covariances *= factors[:, None, None]
-        self._taken *= factors[:, None]
-
-    def column(self, number: int) -> Vector:
-        """Give one coefficient of every mode, shape (n,)."""
-        return self._rows[:, number] + self._past[:, :, number].ravel() @ self._worth_rows
-
-    def rows(self) -> Vector:
-        """Give the coefficients of every mode, shape (n, k)."""
-        self._add_all_terms()
-        return self._rows.copy()
 
     def covariances(self, size: int) -> tuple[Vector, ...]:
         """Give the covariance of the first coefficients in every group, each (size, size)."""
-        self._add_all_terms()
         return tuple(0.5 * (part + part.T) for part in self._covariances[:, :size, :size])
-
-    def _add_all_terms(self) -> None:
-        if self._waiting:
-            for slot in range(_BLOCK):
-                self._add_terms(slot)
-            self._waiting = False
-
-    def _add_terms(self, slot: int) -> None:
-        """Add the terms to the rows of P₀ and θ̂₀ whose turn it is."""
-        for rows, terms, past in self._turns[slot]:
-            rows += terms.T @ past
-            terms[:] = 0.0

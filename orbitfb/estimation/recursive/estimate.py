@@ -18,8 +18,10 @@ into its change and into the next difference of readings does not bias it, as it
 regression. Between ticks R walks at random: P ← P + Q.
 
 b is the creep that a drift of R makes of setpoints that stay. x̂ has in every mode the gain of
-that mode's own noise; only P is shared within a group. How P and θ̂ are kept is told in
-`orbitfb.estimation.recursive.coefficients`.
+that mode's own noise; only P is shared within a group. R is learnt in blocks of ticks, which
+changes nothing of what is known at their ends (`orbitfb.estimation.recursive.coefficients`). Until
+then x̂ is filtered as if R were known. So a block is as long as little is to be learnt of R, and
+a reading that surprises is learnt from at once.
 
 A reading that nothing explains is a kick of the orbit: x is forgotten, R is not. Several in a row
 say that R is not what it was, and its covariance is widened.
@@ -34,19 +36,22 @@ import numpy as np
 
 from orbitfb.core.signals import Vector
 from orbitfb.estimation.columns import Columns, KnownRf
+from orbitfb.estimation.recursive.block import Block
 from orbitfb.estimation.recursive.coefficients import Coefficients
 from orbitfb.estimation.recursive.group import make_groups, step_variances
+from orbitfb.estimation.recursive.kicks import Kicks
+from orbitfb.estimation.recursive.orbit import OrbitFilter, at_rest
 from orbitfb.estimation.recursive.said import Filtered, Innovation
 from orbitfb.estimation.recursive.settings import RecursiveSettings
 
+_SURPRISING = 1.5
+"""Mean square of the innovations, over what it is if R is known, from which a reading is weighed
+and learnt from at once [1]: what is not known of R adds a half then, which calls for a new gain
+(`CautionSettings.doubt`)."""
+_TOLD = 1.0
+"""Sum of the doubts of a block's readings from which it ends [1]: they can tell half a nat of R."""
 _DIFFUSE = 1e8
 """Variance of an orbit of which nothing is known, over that of the reading noise."""
-_KICKS = 2.0
-_KICK_FADES = 0.1
-_WIDENING = 4.0
-_WIDEST = 4.0**4
-"""Variance that readings which nothing explains may give R, over that of the beginning: where they
-never end, not R but the noise is another one."""
 
 
 class RecursiveResponse:
@@ -87,26 +92,22 @@ class RecursiveResponse:
             known = slice(min(len(covariance), columns.actuators))
             group.covariance[known, known] = covariance[known, known]
         self.groups = [group.members for group in groups]
-        self._coefficients = Coefficients(groups, drift)
-        self._widest = _WIDEST * self._coefficients.traces()
-        self._regressor = np.ones(len(drift))
-        self._orbit = np.zeros(n)
+        self._coefficients = Coefficients(groups, drift, settings.drift_every)
+        self._block = Block(len(drift), settings.drift_every)
+        self._kicks = Kicks(self._coefficients)
+        self._orbit, self._moved = np.zeros((2, n))
         count, sizes = len(groups), [group.size for group in groups]
         self._weights, self._group_of = np.array(sizes) / n, np.repeat(np.arange(count), sizes)
-        # p if R were known, of every mode and of every group; and p of every group
-        steps = [group.step for group in groups]
-        self._all_steps = np.array([*self._steps, *steps, *steps])
-        self._variances = np.zeros(len(self._all_steps))
-        parts = np.split(self._variances, [n, n + count])
-        self._known, self._group_known, self._group_variances = parts
-        self._since_drift = 0
-        self._kicks = 0.0
+        steps = np.array([*self._steps, *(group.step for group in groups)])
+        self._filter = OrbitFilter(steps, self._noise)
+        self._since_drift, self._doubt, self._told = 0, 0.0, 0.0
         self.reset()
 
     @property
     def rows(self) -> Vector:
         """Rows of UᵀR̂ as columns, shape (m, n)."""
-        return self._coefficients.rows()[:, : self._size].T
+        self.settle()
+        return self._coefficients.rows[:, : self._size].T.copy()
 
     @property
     def response(self) -> Vector:
@@ -118,14 +119,15 @@ class RecursiveResponse:
         """The creep b̂ in every mode, shape (n,) [m/tick]."""
         if self.settings.creep == 0.0:
             return np.zeros(len(self._orbit))
-        return self._coefficients.column(-1)
+        return self._coefficients.rows[:, -1].copy()
 
     @property
     def column(self) -> Vector | None:
         """The RF column as it stands, shape (n,) [m/Hz]; None: the RF does not step."""
         if self._columns.rf is None:
             return None
-        return self.modes @ self._coefficients.column(self._size) / self._columns.unit
+        self.settle()
+        return self.modes @ self._coefficients.rows[:, self._size] / self._columns.unit
 
     @property
     def orbit(self) -> Vector:
@@ -150,13 +152,13 @@ class RecursiveResponse:
     @property
     def deviation(self) -> float:
         """Norm of x̂ over what noise alone makes expect of the orbit at the next tick [1]."""
-        return float(np.sqrt(self._orbit @ self._orbit / np.sum(self._known + self._steps)))
+        usual = np.sum(self._filter.variances[: len(self._orbit)] + self._steps)
+        return float(np.sqrt(self._orbit @ self._orbit / usual))
 
     @property
     def floor(self) -> Vector:
         """Variance of the predicted orbit of every mode at rest, if R is known, (n,) [m²]."""
-        ratio = self._steps / self._noise
-        return 0.5 * self._noise * (ratio + np.sqrt(ratio * (ratio + 4.0)))
+        return at_rest(self._steps, self._noise)
 
     @property
     def covariance(self) -> Vector:
@@ -190,6 +192,15 @@ class RecursiveResponse:
             error[members] = (error[members] @ directions) / np.sqrt(values)
         return error
 
+    def settle(self) -> None:
+        """Learn of R what was read so far, at whatever tick of a block."""
+        if self._block.is_empty:
+            return
+        self._orbit += self._coefficients.learn(self._block)
+        self._doubt = float(self._weights.dot(self._coefficients.doubt))
+        self._told = 0.0
+        self._block.begin()
+
     def reset(self) -> None:
         """Forget the orbit, not R: before the first reading, after a gap or a kick."""
         self._forget_orbit(_DIFFUSE * self._noise)
@@ -201,71 +212,70 @@ class RecursiveResponse:
             change: Of the setpoints.
             hertz: The step of the RF that went with it [Hz].
         """
-        self._regressor[: self._size] = change
-        if self._columns.rf is not None:
-            self._regressor[self._size] = hertz / self._columns.unit
         self._since_drift += 1
         if self._since_drift >= self.settings.drift_every:
             self._add_drift()
-        moved, added = self._coefficients.predict(self._regressor)
-        self._orbit += moved
-        self._variances += self._all_steps
-        self._group_variances += added
+        regressor = self._block.next()
+        regressor[: self._size] = change
+        if self._columns.rf is not None:
+            regressor[self._size] = hertz / self._columns.unit
+        self._orbit += self._coefficients.rows.dot(regressor, out=self._moved)
+        self._filter.predict()
 
     def filtered(self, reading: Vector) -> Filtered:
         """Say where a reading, shape (n,) [m], puts the orbit; nothing is taken in."""
-        noise, predicted = self._noise, self._known + self._extra()[self._group_of]
-        innovations, worth, chi2 = self._weigh(reading, predicted)
+        noise, (variances, shares) = self._noise, self._filter.weigh()
+        variances = variances[: len(self._orbit)]
+        innovations, chi2 = self._innovations(reading, variances)
+        if chi2 >= _SURPRISING:
+            variances = self._with_doubt(variances)
+            innovations, chi2 = self._innovations(reading, variances)
         if chi2 > self.settings.kick_chi2:
-            orbit = self._orbit + innovations
-            known = np.full(len(orbit), noise)
+            orbit, known = self._orbit + innovations, np.full(len(variances), noise)
         else:
-            orbit = self._orbit + predicted * worth
-            known = self._known * (noise / (self._known + noise))
+            orbit = self._orbit + innovations * (1.0 - noise / variances)
+            known = noise * (1.0 - shares[: len(variances)])
         usual = float(np.sum(known + self._steps))
         return Filtered(orbit + self.creep, float(np.sqrt(orbit @ orbit / usual)))
 
     def read(self, reading: Vector) -> Innovation:
         """Take in a reading, shape (n,) [m]."""
-        noise, extra = self._noise, self._extra()
-        predicted = self._known + extra[self._group_of]
-        innovations, worth, chi2 = self._weigh(reading, predicted)
-        doubt = float(self._weights.dot(extra / (self._group_known + noise)))
+        n, (variances, shares) = len(reading), self._filter.weigh()
+        innovations, chi2 = self._innovations(reading, variances[:n])
+        at_once = chi2 >= _SURPRISING or not self.settings.noise_model
+        if at_once:
+            innovations, chi2 = self._innovations(reading, self._with_doubt(variances[:n]))
+        else:
+            chi2 /= 1.0 + self._doubt
         kick = chi2 > self.settings.kick_chi2
         if kick:
-            self._surprise()
-            predicted = self._known
-            worth = innovations / (predicted + noise)
-        shares = noise / (self._variances + noise)
-        if not kick:
-            self._kicks = max(0.0, self._kicks - _KICK_FADES)
-            self._coefficients.learn(worth, shares[-len(extra) :], noise)
-        self._orbit += predicted * worth
-        self._variances *= shares
+            self._kicks.count()
+            self.reset()
+            shares = self._filter.weigh()[1]
+        else:
+            self._kicks.fade()
+            self._block.read(innovations, variances, shares[n:])
+        self._orbit += innovations
+        self._orbit -= shares[:n] * innovations
+        self._filter.read()
+        self._told += self._doubt
+        if at_once or self._told > _TOLD:
+            self.settle()
         if not self.settings.noise_model:
             self._orbit[:] = reading @ self.modes
-            self._forget_orbit(noise)
-        return Innovation(chi2, doubt, kick)
+            self._forget_orbit(self._noise)
+        return Innovation(chi2, self._doubt, kick)
 
-    def _weigh(self, reading: Vector, predicted: Vector) -> tuple[Vector, Vector, float]:
-        """Compare a reading, shape (n,) [m], with the orbits that were predicted.
-
-        Args:
-            reading: The orbit.
-            predicted: Variance of the predicted orbit of every mode, shape (n,) [m²].
-
-        Returns:
-            The innovations, shape (n,) [m]; the same over their variances, (n,) [1/m]; and the
-            mean of their squares over their variances [1].
-        """
+    def _innovations(self, reading: Vector, variances: Vector) -> tuple[Vector, float]:
+        """Give the innovations, shape (n,) [m], and their mean square over variances (n,) [m²]."""
         innovations = reading.dot(self.modes)
         innovations -= self._orbit
-        worth = innovations / (predicted + self._noise)
-        return innovations, worth, float(innovations.dot(worth)) / len(innovations)
+        return innovations, float(innovations.dot(innovations / variances)) / len(innovations)
 
-    def _extra(self) -> Vector:
-        """Variance of the predicted orbit that not knowing R makes, of every group [m²]."""
-        return np.maximum(self._group_variances - self._group_known, 0.0)
+    def _with_doubt(self, variances: Vector) -> Vector:
+        """Learn, and add what is still not known of R to the variances, shape (n,) [m²]."""
+        self.settle()
+        return variances + self._coefficients.extra[self._group_of]
 
     def _covariances(self, size: int) -> tuple[Vector, ...]:
         self._add_drift()
@@ -273,18 +283,13 @@ class RecursiveResponse:
 
     def _forget_orbit(self, variance: float) -> None:
         """Know nothing of the orbit but that its variance is this one [m²]."""
-        self._variances[:] = variance
+        self.settle()
+        self._filter.forget(variance)
         self._coefficients.forget_orbit()
 
-    def _surprise(self) -> None:
-        self._kicks += 1.0
-        if self._kicks > _KICKS:
-            most = self._widest / self._coefficients.traces()
-            self._coefficients.widen(np.clip(most, 1.0, _WIDENING))
-        self.reset()
-
     def _add_drift(self) -> None:
-        """Add what the random walk of R has done since it was last added."""
+        """Learn, and add what the random walk of R has done since it was last added."""
+        self.settle()
         if self._since_drift:
             self._coefficients.add_drift(self._since_drift)
             self._since_drift = 0

@@ -44,7 +44,10 @@ class RecursiveSettings(Settings):
         description="Drift of the gains of BPMs and correctors in √tick, rms [1].",
     )
     drift_every: int = Field(
-        default=10, ge=1, description="Ticks after which drift is added to the doubt [ticks]."
+        default=30,
+        ge=1,
+        description="Ticks after which drift is added to the doubt, and R is learnt at the latest "
+        "[ticks].",
     )
     creep: float = Field(
         default=0.0,

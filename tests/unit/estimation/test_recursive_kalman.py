@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from orbitfb.estimation.columns import KnownRf
+from orbitfb.estimation.recursive import estimate as module
 from orbitfb.estimation.recursive.estimate import RecursiveResponse
 from orbitfb.estimation.recursive.settings import RecursiveSettings
 
@@ -84,10 +85,20 @@ def textbook(estimate, whole, settings, unit, energy):
 
 
 @pytest.mark.parametrize(
+    ("surprising", "settled"),
+    [(1.5, 1), (1.5, 4), (0.0, 5), (np.inf, 1), (np.inf, 6), (np.inf, 25)],
+)
+@pytest.mark.parametrize(
     ("n", "m", "groups", "every", "creep", "tracked"),
     [(7, 9, 3, 10, 0.0, False), (8, 6, 1, 1, 3e-8, False), (12, 14, 12, 7, 3e-8, True)],
 )
-def test_equals_a_plain_kalman_filter_of_every_mode(n, m, groups, every, creep, tracked):
+def test_equals_a_plain_kalman_filter_of_every_mode(
+    n, m, groups, every, creep, tracked, surprising, settled, monkeypatch
+):
+    """However long the blocks are: without surprises up to `every` ticks, else down to one."""
+    monkeypatch.setattr(module, "_SURPRISING", surprising)
+    monkeypatch.setattr(module, "_TOLD", surprising)
+    kicks = KICKS if surprising < np.inf else ()  # what surprises nobody is no kick
     generator = np.random.default_rng(n)
     first = generator.standard_normal((n, m)) * np.geomspace(3.0, 0.3, m)
     told, energy = generator.standard_normal(n) * 1e-6, 50.0 * generator.standard_normal(m)
@@ -103,11 +114,11 @@ def test_equals_a_plain_kalman_filter_of_every_mode(n, m, groups, every, creep, 
 
     truth, orbit, kicked = first + 0.05 * generator.standard_normal((n, m)), np.zeros(n), []
     for tick in range(TICKS):
-        orbit = orbit + 1e-3 * (tick in KICKS) * generator.standard_normal(n)
+        orbit = orbit + 1e-3 * (tick in kicks) * generator.standard_normal(n)
         reading = orbit + NOISE * generator.standard_normal(n)
         said = estimate.read(reading)
         kicked += [tick] if said.kick else []
-        assert plain.read(reading @ estimate.modes, widen=tick == KICKS[2]) == said.kick
+        assert plain.read(reading @ estimate.modes, widen=tick == KICKS[2] and kicks) == said.kick
 
         change, hertz = 3e-6 * generator.standard_normal(m), generator.standard_normal() * tracked
         regressor = [*change, *([hertz / unit] if tracked else []), *([1.0] if creep else [])]
@@ -117,8 +128,11 @@ def test_equals_a_plain_kalman_filter_of_every_mode(n, m, groups, every, creep, 
         plain.predict(np.array(regressor))
         orbit = orbit + truth @ change + 1.2 * hertz * told + WHITE * generator.standard_normal(n)
 
-        np.testing.assert_allclose(estimate.orbit @ estimate.modes, plain.state[:, -1], atol=1e-14)
-        if creep:
+        if tick % settled == 0:
+            estimate.settle()
+            its = estimate.orbit @ estimate.modes
+            np.testing.assert_allclose(its, plain.state[:, -1], atol=1e-14)
+        if creep and tick % settled == 0:
             np.testing.assert_allclose(estimate.creep, plain.state[:, -2], atol=1e-15)
         if tick % every == every - 1 and tick % 3 == 0:  # what is read changes nothing
             found = (estimate.modes @ plain.state)[:, :m]
@@ -126,7 +140,7 @@ def test_equals_a_plain_kalman_filter_of_every_mode(n, m, groups, every, creep, 
             for members, part in zip(estimate.groups, estimate.whole_covariances, strict=True):
                 its = plain.covariance[members, : len(part), : len(part)]
                 np.testing.assert_allclose(its, np.broadcast_to(part, its.shape), atol=1e-11)
-    assert tuple(kicked) == KICKS
+    assert tuple(kicked) == kicks
     if tracked:
         np.testing.assert_allclose(
             estimate.column * unit, estimate.modes @ plain.state[:, m], rtol=1e-6
