@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orbitfb.core.signals import Vector
 from orbitfb.models.linear import LinearModel
@@ -94,32 +95,58 @@ def predict_loop(
         horizon: Ticks from a perfect orbit.
         kick: What the steps of the RF leave at every tick, rms, shape (n,) [m]; None: nothing.
     """
-    size = len(model.modes)
-    unit = np.sqrt(model.reading_variance)  # far from the smallest numbers of single precision
-    ground = (model.modes * (model.ground_variances / unit**2)) @ model.modes.T
-    if kick is not None:
-        ground = ground + np.outer(kick, kick) / unit**2
-    creep = (model.modes @ (model.creep / unit)).astype(np.float32)
-    squares, growth = [], []
-    for response in responses:
-        answer = response @ gain
-        transition = (np.eye(size) - answer).astype(np.float32)
-        covariance = (ground + answer @ answer.T).astype(np.float32)
-        mean = creep
-        norm = 0.0
-        ticks = 1
-        with np.errstate(over="ignore", invalid="ignore"):
-            while ticks < horizon:
-                covariance = covariance + transition @ covariance @ transition.T
-                mean = mean + transition @ mean
+    still = _Still.of(model)
+    return _joined([_predict(gain, response, still, horizon, kick) for response in responses])
+
+
+@dataclass(frozen=True, slots=True)
+class _Still:
+    """What moves the orbit whatever the law does, in units of the reading noise of a BPM.
+
+    Args:
+        unit: That noise, rms [m]; it keeps far from the smallest numbers of single precision.
+        ground: Covariance of the step of a tick, shape (n, n) [1].
+        creep: Shape (n,) [1].
+    """
+
+    unit: float
+    ground: Vector
+    creep: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, model: LinearModel) -> "_Still":
+        """Take it from a model."""
+        unit = float(np.sqrt(model.reading_variance))
+        ground = (model.modes * (model.ground_variances / unit**2)) @ model.modes.T
+        return cls(unit, ground, (model.modes @ (model.creep / unit)).astype(np.float32))
+
+
+def _predict(
+    gain: Vector, response: Vector, still: _Still, horizon: int, kick: Vector | None
+) -> tuple[float, float]:
+    """Give the mean square of the true orbit [m²] and the growth per tick; see `predict_loop`."""
+    answer = response @ gain
+    size, unit = len(answer), still.unit
+    transition = (np.eye(size) - answer).astype(np.float32)
+    single = answer.astype(np.float32)
+    ground = still.ground if kick is None else still.ground + np.outer(kick, kick) / unit**2
+    covariance = ground.astype(np.float32) + single @ single.T
+    mean, total, norm, ticks = still.creep, float(np.trace(covariance)), 0.0, 1
+    with np.errstate(over="ignore", invalid="ignore"):
+        while ticks < horizon:
+            ticks *= 2
+            moved = transition @ covariance
+            if ticks < horizon:
+                covariance += moved @ transition.T
+            else:  # of the last covariance only the trace is wanted
+                total = float(np.trace(covariance) + np.vdot(moved, transition))
                 norm = float(np.linalg.norm(transition))
-                transition = transition @ transition
-                ticks *= 2
-            later = float(np.linalg.norm(transition))
-            square = float(np.trace(covariance) + mean @ mean) / size * unit**2
-        growth.append(_growth(norm, later, ticks))
-        squares.append(min(square, WORST_RMS**2) if np.isfinite(square) else WORST_RMS**2)
-    return Prediction(float(np.sqrt(np.mean(squares))), max(growth), np.sqrt(squares))
+            mean = mean + transition @ mean
+            transition = transition @ transition
+        later = float(np.linalg.norm(transition))
+        square = (total + float(mean @ mean)) / size * unit**2
+    square = min(square, WORST_RMS**2) if np.isfinite(square) else WORST_RMS**2
+    return square, _growth(norm, later, ticks)
 
 
 def predict_pairs(
@@ -150,24 +177,24 @@ def predict_pairs(
     Returns:
         The responses that were drawn, and what both loops do on them.
     """
+    still = _Still.of(model)
     responses: list[Vector] = []
-    mine: list[Prediction] = []
-    others: list[Prediction] = []
+    mine: list[tuple[float, float]] = []
+    others: list[tuple[float, float]] = []
     for response in drawn:
         responses.append(response)
         left, right = (None, None) if steps is None else steps(response)
-        mine.append(predict_loop(ours, [response], model, horizon, left))
-        others.append(predict_loop(theirs, [response], model, horizon, right))
-        if hopeless is not None and not mine[-1].rms <= (1.0 - hopeless) * others[-1].rms:
+        mine.append(_predict(ours, response, still, horizon, left))
+        others.append(_predict(theirs, response, still, horizon, right))
+        if hopeless is not None and not mine[-1][0] <= (1.0 - hopeless) ** 2 * others[-1][0]:
             break
     return responses, _joined(mine), _joined(others)
 
 
-def _joined(parts: Sequence[Prediction]) -> Prediction:
-    """Give the prediction over the responses of several ones."""
-    each = np.concatenate([part.each for part in parts])
-    growth = max(part.growth for part in parts)
-    return Prediction(float(np.sqrt(np.mean(each**2))), growth, each)
+def _joined(found: Sequence[tuple[float, float]]) -> Prediction:
+    """Make a prediction of the mean square [m²] and the growth on several responses."""
+    squares, growth = zip(*found, strict=True)
+    return Prediction(float(np.sqrt(np.mean(squares))), max(growth), np.sqrt(squares))
 
 
 def _growth(earlier: float, later: float, ticks: int) -> float:
