@@ -13,9 +13,9 @@ import pytest
 import typer.main
 from hypothesis import settings
 from left_behind import watch
-from times import pytest_addoption, pytest_configure
+from times import pytest_addoption, pytest_collection_modifyitems, pytest_configure
 
-__all__ = ["pytest_addoption", "pytest_configure"]
+__all__ = ["pytest_addoption", "pytest_collection_modifyitems", "pytest_configure"]
 
 _LOOPBACK_EPICS = {
     "EPICS_CA_ADDR_LIST": "127.0.0.1",

@@ -258,7 +258,7 @@ class RecursiveResponse:
             self._block.read(innovations, variances, shares[n:])
         self._orbit += innovations
         self._orbit -= shares[:n] * innovations
-        self._filter.read()
+        self._filter.update()
         self._told += self._doubt
         if at_once or self._told > _TOLD:
             self.settle()

@@ -56,7 +56,7 @@ class OrbitFilter:
         variances = self.variances + self._noise
         return variances, self._noise / variances
 
-    def read(self) -> None:
+    def update(self) -> None:
         """Take in a reading."""
         if self._turns > self._ticks and not self._just_read:
             self.variances = self._resting[1]

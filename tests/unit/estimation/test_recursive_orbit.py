@@ -39,7 +39,7 @@ def test_it_is_the_plain_recursion(steps):
         expected, shares = mine.weigh()
         assert alike(expected, variances + NOISE) and alike(shares, NOISE / (variances + NOISE))
         variances = variances * NOISE / (variances + NOISE)
-        mine.read()
+        mine.update()
 
     odd = (predict, read, forget, lambda: None)
     forget()

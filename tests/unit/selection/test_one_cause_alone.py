@@ -59,11 +59,13 @@ def test_a_corrector_that_trips(tmp_path: Path) -> None:
     assert found("plain", "trip", 1, tmp_path) == ["corrector-stuck"]
 
 
+@nightly
 def test_a_corrector_that_trips_and_throws_the_beam_about(tmp_path: Path) -> None:
     """The row at which it begins is told again over the floor that a like law leaves."""
     assert found("few-correctors", "trip", 22, tmp_path) == ["corrector-stuck"]
 
 
+@nightly
 def test_corrector_gains_that_play_has_nothing_to_say_of(tmp_path: Path) -> None:
     """Its values cannot be told where nothing shows, which is no error."""
     assert found("few-correctors", "corrector-gain", 22, tmp_path) == ["corrector-gain"]
@@ -95,6 +97,7 @@ def test_correctors_that_lag_in_a_ring_that_shakes(tmp_path: Path) -> None:
     assert found("one-shaking", "lag", 19, tmp_path) == ["corrector-lag"]
 
 
+@nightly
 def test_a_healthy_ring_that_shakes_has_no_odd_bpms(tmp_path: Path) -> None:
     """What BPMs have in common is not the noise of each."""
     assert found("shaking", "frozen", 19, tmp_path) == []

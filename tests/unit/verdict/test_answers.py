@@ -102,6 +102,7 @@ def test_what_no_library_has_is_unknown_at_its_device() -> None:
     assert found.unknown.places[0] == "C6 (x)"
 
 
+@pytest.mark.nightly
 def test_a_corrector_that_sticks_late_is_told_with_the_time() -> None:
     found = answer(make_record(27, currents=stuck_late, rows=700))
     first = found.causes[0]
