@@ -243,9 +243,8 @@ def _under(
 
 
 def _beside(one: Candidate, best: Candidate) -> bool:
-    """Whether the best says of a device of it only that its course is odd.
+    """Whether the best says of a device of it, or of its place, only that its course is odd.
 
     Whatever that device does is a random course to a floor that was estimated without it.
     """
-    same = one.kind.target == best.kind.target
-    return best.courseless and same and not set(one.places).isdisjoint(best.places)
+    return best.courseless and not set(one.names).isdisjoint(best.names)

@@ -60,9 +60,15 @@ def test_a_corrector_that_trips(tmp_path: Path) -> None:
 
 
 @nightly
-def test_a_corrector_that_trips_and_throws_the_beam_about(tmp_path: Path) -> None:
-    """The row at which it begins is told again over the floor that a like law leaves."""
-    assert found("few-correctors", "trip", 22, tmp_path) == ["corrector-stuck"]
+@pytest.mark.parametrize(("machine", "seed"), [("few-correctors", 22), ("unlike-bpms", 31)])
+def test_a_corrector_that_trips_and_throws_the_beam_about(
+    machine: str, seed: int, tmp_path: Path
+) -> None:
+    """The row at which it begins is told again over the floor that a like law leaves.
+
+    Where an odd course at its place leads by ten times, its own laws get floors of their own, too.
+    """
+    assert found(machine, "trip", seed, tmp_path) == ["corrector-stuck"]
 
 
 @nightly
