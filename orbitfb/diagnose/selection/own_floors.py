@@ -25,7 +25,7 @@ def settled(
         times: That its sizes are told anew, at most.
         spread: Whether its values may differ a little from device to device.
     """
-    if best.after is not None:
+    if best.after is not None:  # it begins at the floor that it has already
         space = replace(over(space, best.after), trust=space.trust)
         best = replace(_told(best, best.after), after=None)
     after = best.accepted(space, spread)

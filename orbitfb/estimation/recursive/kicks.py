@@ -5,8 +5,11 @@ import numpy as np
 from orbitfb.estimation.recursive.coefficients import Coefficients
 
 _MOST = 2.0
+"""Kicks, less what has faded, beyond which R is taken for another one [1]. By hand."""
 _FADES = 0.1
+"""How much of a kick every reading that is none takes off them [1]. By hand."""
 _WIDENING = 4.0
+"""Factor by which such a reading widens the covariance of R [1]. By hand: its errors double."""
 _WIDEST = 4.0**4
 """Variance that readings which nothing explains may give R, over that of the beginning: where they
 never end, not R but the noise is another one."""
