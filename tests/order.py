@@ -39,5 +39,22 @@ def begin_elsewhere(config: pytest.Config) -> None:
 
 
 def sort_tests(items: list[pytest.Item]) -> None:
-    """Put what takes longest first, so that all cores are busy to the end; all workers alike."""
-    items.sort(key=lambda item: (not item.nodeid.startswith(LONG), item.path))
+    """Put tests in the order in which they run, the same one for all workers.
+
+    What takes longest comes first, so that all cores are busy to the end. Then system tests, which
+    wait half of their time, are spread evenly among the others, which compute: workers that all
+    wait leave cores idle.
+
+    Args:
+        items: All tests, in the order of their file within each file.
+    """
+    rank: dict[Path, tuple[bool, float]] = {}
+    groups: dict[str, set[Path]] = {"first": set(), "wait": set(), "compute": set()}
+    for item in items:
+        waits = item.nodeid.startswith("tests/system/")
+        group = "first" if item.nodeid.startswith(LONG) else "wait" if waits else "compute"
+        groups[group].add(item.path)
+    for group, files in groups.items():
+        for number, file in enumerate(sorted(files)):
+            rank[file] = (group != "first", (number + 0.5) / len(files))
+    items.sort(key=lambda item: (*rank[item.path], item.path))

@@ -49,11 +49,22 @@ def test_folders_inside_another_one_are_not_collected_twice(
     assert found == [str(tmp_path / "a"), str(tmp_path / "ab")]
 
 
+def item(name: str) -> Any:
+    return SimpleNamespace(nodeid=name, path=Path(name.split("::")[0]))
+
+
 def test_all_run_in_one_order_with_the_longest_first():
     names = ("tests/unit/a/test_a.py::z", "tests/unit/a/test_a.py::b", "tests/unit/verdict/t.py::t")
-    items: Any = [SimpleNamespace(nodeid=name, path=Path(name.split("::")[0])) for name in names]
+    items = [item(name) for name in names]
     turned = [items[2], *items[:2]]
     sort_tests(items)
     sort_tests(turned)
     assert [item.nodeid for item in items] == [names[2], *names[:2]]
     assert items == turned
+
+
+def test_what_waits_stands_among_what_computes():
+    items = [item(f"tests/system/test_{n}.py::t") for n in range(2)]
+    items += [item(f"tests/unit/a/test_{n}.py::t") for n in range(4)]
+    sort_tests(items)
+    assert [one.nodeid.split("/")[1] for one in items] == ["unit", "system", "unit"] * 2
