@@ -74,13 +74,12 @@ class Track:
         self.estimate = RecursiveResponse(known.response, settings.tracking, known.covariances, rf)
         self.gain = CautiousGain(self.estimate, settings.caution)
         self.chi2 = known.chi2
-        self._take_gains()
 
     def change(self, reading: Vector) -> Vector:
         """Give the change for a reading, shape (n,) [m]: shape (m,) [A]. Nothing is taken in."""
         filtered = self.estimate.filtered(reading)
         far = filtered.deviation > self.gain.far_from_floor
-        return -((self._far if far else self._near) @ filtered.expected)
+        return -((self.gain.far_modes if far else self.gain.near_modes) @ filtered.expected)
 
     def learn(self, reading: Vector, applied: Vector, hertz: float = 0.0) -> bool:
         """Take in a reading, shape (n,) [m], and the change that answered it, shape (m,) [A].
@@ -96,10 +95,8 @@ class Track:
         said = self.estimate.read(reading)
         if not said.kick:
             self.chi2 += (said.chi2 - self.chi2) / _LOOKED_BACK
-        renewed = self.gain.follow(said, both=True)
+        renewed = self.gain.follow_in_turn(said)
         self.estimate.predict(applied, hertz)
-        if renewed:
-            self._take_gains()
         return renewed
 
     def at_rest(self) -> Vector:
@@ -111,13 +108,10 @@ class Track:
         floor = estimate.floor
         gains = floor / (floor + estimate.settings.reading_noise**2)
         unit = np.eye(len(gains))
-        left = unit - estimate.rows.T @ self._near
+        near = self.gain.near_modes
+        left = unit - estimate.rows.T @ near
         settled = np.linalg.solve(unit - (1.0 - gains)[:, None] * left, np.diag(gains))
-        return self._near @ settled @ estimate.modes.T
-
-    def _take_gains(self) -> None:
-        modes = self.estimate.modes
-        self._near, self._far = self.gain.near @ modes, self.gain.far @ modes
+        return near @ settled @ estimate.modes.T
 
 
 class AdaptivePolicy:

@@ -35,8 +35,8 @@ class CautiousGain:
         settings: Caution, and when to renew.
 
     Attributes:
-        near: K at the floor, shape (m, n) [A/m].
-        far: K after a kick, shape (m, n) [A/m].
+        near_modes: K at the floor, on the orbit in modes, shape (m, n) [A/m].
+        far_modes: K after a kick, the same way.
         swaps: How often a gain was renewed.
     """
 
@@ -44,11 +44,21 @@ class CautiousGain:
         self._estimate = estimate
         self._settings = settings
         self._weights = np.ones(len(estimate.modes))
-        self._age = 0
+        self._near_age, self._far_age = 0, settings.period // 2
         self._was_far = True
+        self._on_readings: dict[str, Vector] = {}
         self.swaps = 0
-        self.near = self._solve_near()
-        self.far = self._solve_far(_FIRST_ROUNDS)
+        self.near_modes, self.far_modes = self._solve_near(), self._solve_far(_FIRST_ROUNDS)
+
+    @property
+    def near(self) -> Vector:
+        """K at the floor, shape (m, n) [A/m]."""
+        return self._on_reading("near", self.near_modes)
+
+    @property
+    def far(self) -> Vector:
+        """K after a kick, shape (m, n) [A/m]."""
+        return self._on_reading("far", self.far_modes)
 
     @property
     def far_from_floor(self) -> float:
@@ -61,61 +71,109 @@ class CautiousGain:
         return self._estimate.deviation > self._settings.far
 
     def follow(self, innovation: Innovation, both: bool = False) -> bool:
-        """Renew the gain if it is time.
+        """Renew the gain for where the orbit is, if it is time.
 
         Args:
             innovation: What the last reading said.
-            both: Whether both gains are wanted, and not only the one for where the orbit is.
+            both: Whether the other gain is wanted together with it.
 
         Returns:
             Whether there is a new gain.
         """
-        settings = self._settings
         far = self.is_far
-        self._age += 1
-        called = settings.events and (
+        self._near_age += 1
+        self._far_age += 1
+        if not self._is_called(innovation, far) and self._age(far) < self._settings.period:
+            return False
+        if far or both:
+            self._renew_far(2 if far and not self._was_far else 1)
+        if not far or both:
+            self._renew_near()
+        self._was_far = far
+        self.swaps += 1
+        return True
+
+    def follow_in_turn(self, innovation: Innovation) -> bool:
+        """Do the same, and renew the other gain at other ticks, so that none costs two solutions.
+
+        Args:
+            innovation: What the last reading said.
+
+        Returns:
+            Whether there is a new gain.
+        """
+        if self.follow(innovation):
+            return True
+        if self._far_age >= self._settings.period:
+            self._renew_far(1)
+        elif self._near_age >= self._settings.period:
+            self._renew_near()
+        else:
+            return False
+        return True
+
+    def _age(self, far: bool) -> int:
+        return self._far_age if far else self._near_age
+
+    def _is_called(self, innovation: Innovation, far: bool) -> bool:
+        settings = self._settings
+        return settings.events and (
             innovation.chi2 > settings.chi2
             or innovation.doubt > settings.doubt
             or far != self._was_far
         )
-        if not called and self._age < settings.period:
-            return False
-        if far or both:
-            self.far = self._solve_far(2 if far and not self._was_far else 1)
-        if not far or both:
-            self.near = self._solve_near()
-        self._was_far = far
-        self._age = 0
-        self.swaps += 1
-        return True
+
+    def _on_reading(self, name: str, gain: Vector) -> Vector:
+        """Give a gain on the orbit of the BPMs; it is worked out when it is first asked for."""
+        if name not in self._on_readings:
+            self._on_readings[name] = gain @ self._estimate.modes.T
+        return self._on_readings[name]
+
+    def _renew_near(self) -> None:
+        self.near_modes = self._solve_near()
+        self._on_readings.pop("near", None)
+        self._near_age = 0
+
+    def _renew_far(self, rounds: int) -> None:
+        self.far_modes = self._solve_far(rounds)
+        self._on_readings.pop("far", None)
+        self._far_age = 0
 
     def _solve_near(self) -> Vector:
         rows = self._estimate.rows
         doubt = len(self._weights) * self._estimate.weakest_covariance()
-        return self._solve(rows, rows, doubt) @ self._estimate.modes.T
+        return self._solve(rows, np.ones(len(self._weights)), doubt)
 
     def _solve_far(self, rounds: int) -> Vector:
         rows = self._estimate.rows
-        inverse = np.empty_like(rows)
+        gain = np.empty_like(rows)
         for _ in range(rounds):
-            weighted = rows * self._weights
             doubt = self._estimate.weighted_covariance(self._weights)
-            inverse = self._solve(rows, weighted, doubt)
-            corrected = np.einsum("mn,mn->n", rows, inverse)
+            gain = self._solve(rows, self._weights, doubt)
+            corrected = np.einsum("mn,mn->n", rows, gain)
             self._weights = 1.0 / np.clip(corrected, 1.0 / self._settings.longest, 1.0)
-        return inverse @ self._estimate.modes.T
+        return gain
 
-    def _solve(self, rows: Vector, weighted: Vector, doubt: Vector) -> Vector:
-        from scipy.linalg import cho_factor, cho_solve  # half a second of a loop that never learns
+    def _solve(self, rows: Vector, weights: Vector, doubt: Vector) -> Vector:
+        """Give (Σ w_i (R̂_i R̂_iᵀ + doubt))⁻¹ w_i R̂_i.
 
-        squared = weighted @ rows.T
+        Args:
+            rows: R̂_i as columns, shape (m, n).
+            weights: w_i, shape (n,).
+            doubt: The sum of the covariances, shape (m, m).
+        """
+        from scipy.linalg import get_lapack_funcs  # half a second of a loop that never learns
+
+        half = rows * np.sqrt(weights)
+        squared = half @ half.T
         squared += self._settings.caution * doubt
         squared.flat[:: len(squared) + 1] += self._settings.regularisation**2
-        try:
-            factor = cho_factor(squared, lower=True, check_finite=False)
-        except np.linalg.LinAlgError:  # without any doubt a mode of no strength has no inverse
+        weighted = np.multiply(rows.T, weights[:, None]).T  # in the order of LAPACK
+        (solve,) = get_lapack_funcs(("posv",), dtype=np.float64)
+        _, gain, failed = solve(squared, weighted, lower=1)
+        if failed:  # without any doubt a mode of no strength has no inverse
             return _pseudo_inverse(squared) @ weighted
-        return cho_solve(factor, weighted, check_finite=False)
+        return gain
 
 
 def _pseudo_inverse(matrix: Vector) -> Vector:

@@ -12,6 +12,9 @@ e = var(δx), and the answer to all readings of a block is that of the filter wh
 after the other. It costs products of matrices, of which a tick's share is small, in place of
 products of P and a vector at every tick.
 
+In single precision P and the covariance of the readings are positive only within what rounding
+makes of k terms, ε √k of what stands on their diagonals: so much is added there.
+
 Modes of a group may differ in their noise: each learns from its own innovations, over variances
 of its own, while P shrinks by what those of the whole group are worth.
 
@@ -26,7 +29,7 @@ import numpy as np
 
 from orbitfb.core.errors import EstimationError
 from orbitfb.core.signals import Vector
-from orbitfb.estimation.recursive.block import Block
+from orbitfb.estimation.recursive.block import Block, Precise
 from orbitfb.estimation.recursive.group import Group
 
 
@@ -37,6 +40,7 @@ class Coefficients:
         groups: What is known beforehand.
         drift: What a tick adds to P of every group, shape (k, k).
         length: Most changes of a block.
+        precision: Of θ̂, P, c and the products with them, as a dtype.
 
     Attributes:
         rows: θ̂ of every mode, shape (n, k); nobody else writes into it.
@@ -44,19 +48,27 @@ class Coefficients:
         doubt: What it added to that of the last reading, over what that is without, (groups,) [1].
     """
 
-    def __init__(self, groups: Sequence[Group], drift: Vector, length: int) -> None:
+    def __init__(
+        self, groups: Sequence[Group], drift: Vector, length: int, precision: type[np.floating]
+    ) -> None:
         self._members = [group.members for group in groups]
-        self._drift, self._diagonal = drift, np.array([group.drift for group in groups])
-        self.rows = np.concatenate([group.rows for group in groups])
-        self._covariances = np.array([group.covariance for group in groups])
-        self._cross = np.zeros((len(groups), len(drift)))
+        self._group_of = np.repeat(np.arange(len(groups)), [group.size for group in groups])
+        self._precision, self._drift = precision, drift.astype(precision)
+        self._diagonal = np.array([group.drift for group in groups], dtype=precision)
+        self.rows = np.concatenate([group.rows for group in groups]).astype(precision)
+        # of every P only the triangle that BLAS calls the lower one is kept up to date
+        self._covariances = np.array([group.covariance for group in groups], dtype=precision)
+        self._diagonals = self._covariances.reshape(len(groups), -1)[:, :: len(drift) + 1]
+        self._rounding = precision(np.finfo(precision).eps * np.sqrt(len(drift)))
+        self._cross = np.zeros((len(groups), len(drift)), dtype=precision)
         self.extra, self.doubt = np.zeros((2, len(groups)))
-        self._joint = np.empty((length + 1, len(drift)))
-        self._product = np.empty_like(drift)
-        from scipy.linalg import get_lapack_funcs  # half a second of a loop that never learns
+        self._product = np.empty_like(self._drift)
+        self._joint = np.empty((len(groups), 1 + length, len(drift)), dtype=precision)
+        # half a second of a loop that never learns
+        from scipy.linalg import get_blas_funcs, get_lapack_funcs
 
-        routines = get_lapack_funcs(("potrf", "trtri"), dtype=np.float64)
-        self._factorise, self._invert = routines
+        self._multiply, self._add_square = get_blas_funcs(("symm", "syrk"), dtype=precision)
+        (self._invert,) = get_lapack_funcs(("trtri",), dtype=np.float64)
 
     def learn(self, block: Block) -> Vector:
         """Learn from a block; it is left as it is.
@@ -70,46 +82,64 @@ class Coefficients:
         Raises:
             EstimationError: What is known is not finite.
         """
-        count, changes = len(self._members), block.changes
-        weights, variances, innovations = block.weights(count), block.variances, block.innovations
-        mistaken = np.zeros(len(self.rows))
+        changes, weights = block.changes, block.weights()
+        seen, end = weights[:, :-1], weights[:, -1]
+        joint, inner = self._covariances_with(changes)
+        carried = _times(inner, end)
+        self._cross = _times(joint.transpose(0, 2, 1), end.astype(self._precision))
+        self.extra = np.sum(end * carried, axis=1)
+        if not block.readings:
+            return np.zeros(len(self.rows))
+        count, of = len(self._members), self._group_of
+        variances, known = np.split(block.variances, [len(of)], axis=1)
+        covariance = seen @ inner @ seen.transpose(0, 2, 1)
+        diagonal = covariance.reshape(count, -1)[:, :: block.readings + 1]
+        diagonal += known.T + self._rounding * np.sum(diagonal, axis=1, keepdims=True)
+        try:
+            factors = np.linalg.cholesky(covariance)
+        except np.linalg.LinAlgError as error:
+            raise EstimationError(
+                "what is expected of the readings is not a finite covariance; begin with "
+                "another response, or check its noise and its prior"
+            ) from error
+        whitening = np.array([self._invert(factor, lower=1)[0] for factor in factors])
+        white = whitening @ seen
+        told, along = white.astype(self._precision) @ joint, _times(white, carried)
+        total = np.diagonal(factors, axis1=1, axis2=2) ** 2
+        worth = np.empty_like(variances)
         for group, members in enumerate(self._members):
-            # covariances of (δx, changes · δθ) with θ and with themselves
-            joint = self._joint[: len(changes) + 1]
-            joint[0] = self._cross[group]
-            np.dot(changes, self._covariances[group], out=joint[1:])
-            inner = np.empty((len(joint), len(joint)))
-            inner[:, 1:] = joint @ changes.T
-            inner[0, 0], inner[1:, 0] = self.extra[group], inner[0, 1:]
-            seen, end = weights[group, :-1], weights[group, -1]
-            carried = inner @ end
-            self._cross[group], self.extra[group] = end @ joint, end @ carried
-            if not block.readings:
-                continue
-            known = variances[:, group - count]
-            covariance = seen @ inner @ seen.T
-            covariance.flat[:: len(seen) + 1] += known
-            factor, failed = self._factorise(covariance, lower=1)
-            if failed:
-                raise EstimationError(
-                    "what is expected of the readings is not a finite covariance; begin with "
-                    "another response, or check its noise and its prior"
-                )
-            whitening = self._invert(factor, lower=1)[0]
-            white = whitening @ seen
-            told, along = white @ joint, white @ carried
-            total = np.diagonal(factor) ** 2
-            worth = whitening @ innovations[:, members]
-            own = variances[:, members] - known[:, None]
-            worth *= total[:, None] / (total[:, None] + own)
-            self.rows[members] += worth.T @ told
-            mistaken[members] = along @ worth
-            np.dot(told.T, told, out=self._product)
-            self._covariances[group] -= self._product
-            self._cross[group] -= along @ told
-            self.extra[group] = max(self.extra[group] - float(along @ along), 0.0)
-            self.doubt[group] = total[-1] / known[-1] - 1.0
-        return mistaken
+            worth[:, members] = whitening[group] @ block.innovations[:, members]
+        ends = total.T[:, of]
+        worth *= ends / (ends + variances - known[:, of])
+        precise = worth.astype(self._precision)
+        for group, members in enumerate(self._members):
+            self.rows[members] += precise[:, members].T @ told[group]
+            its = self._covariances[group].T
+            self._add_square(-1.0, told[group].T, 1.0, its, lower=1, overwrite_c=1)
+        self._diagonals *= 1.0 + self._rounding
+        self._cross -= _times(told.transpose(0, 2, 1), along.astype(self._precision))
+        self.extra = np.maximum(self.extra - np.sum(along**2, axis=1), 0.0)
+        self.doubt = total[:, -1] / known[-1] - 1.0
+        return np.sum(along.T[:, of] * worth, axis=0)
+
+    def _covariances_with(self, changes: Precise) -> tuple[Precise, Vector]:
+        """Give the covariances of (δx, changes · δθ) with θ and with themselves, of every group.
+
+        Args:
+            changes: Shape (j, k).
+
+        Returns:
+            Shapes (groups, 1 + j, k) and (groups, 1 + j, 1 + j).
+        """
+        count, (j, k) = len(self._members), changes.shape
+        joint = self._joint[:, : 1 + j]
+        joint[:, 0] = self._cross
+        for its, covariance in zip(joint, self._covariances, strict=True):
+            its[1:] = self._multiply(1.0, covariance.T, changes.T, lower=1).T
+        inner = np.empty((count, 1 + j, 1 + j))
+        inner[:, :, 1:] = (np.reshape(joint, (-1, k)) @ changes.T).reshape(count, 1 + j, j)
+        inner[:, 0, 0], inner[:, 1:, 0] = self.extra, inner[:, 0, 1:]
+        return joint, inner
 
     def forget_orbit(self) -> None:
         """Let what is not known of R have no part in what is not known of the orbit."""
@@ -120,17 +150,34 @@ class Coefficients:
         """Add what the random walk of R does in some ticks."""
         np.multiply(self._drift, ticks, out=self._product)
         self._covariances += self._product
-        size = len(self._drift)
-        self._covariances.reshape(-1, size**2)[:, :: size + 1] += ticks * self._diagonal
+        self._diagonals += ticks * self._diagonal
 
     def traces(self) -> Vector:
         """Give the trace of P of every group, shape (groups,)."""
-        return np.trace(self._covariances, axis1=1, axis2=2)
+        return np.trace(self._covariances, axis1=1, axis2=2, dtype=np.float64)
 
     def widen(self, factors: Vector) -> None:
         """Multiply P of every group by its factor, shape (groups,)."""
-        self._covariances *= factors[:, None, None]
+        self._covariances *= factors[:, None, None].astype(self._precision)
 
     def covariances(self, size: int) -> tuple[Vector, ...]:
         """Give the covariance of the first coefficients in every group, each (size, size)."""
-        return tuple(0.5 * (part + part.T) for part in self._covariances[:, :size, :size])
+        return tuple(_whole(part[:size, :size]) for part in self._covariances)
+
+    def covariance(self, size: int, shares: Vector) -> Vector:
+        """Give the sum of these with shares of the groups, shape (groups,), as (size, size)."""
+        precise = shares.astype(self._precision)
+        return _whole(np.tensordot(precise, self._covariances, axes=1)[:size, :size])
+
+
+def _times(matrices: Precise, vectors: Precise) -> Precise:
+    """Give every matrix, (j, n, m), times its vector, (j, m): shape (j, n)."""
+    return np.matmul(matrices, vectors[:, :, None])[:, :, 0]
+
+
+def _whole(triangle: Precise) -> Vector:
+    """Make a symmetric matrix of the triangle that is kept, in double precision."""
+    upper = np.triu(triangle).astype(np.float64)
+    whole = upper + upper.T
+    whole.flat[:: len(whole) + 1] *= 0.5
+    return whole

@@ -51,6 +51,9 @@ and learnt from at once [1]: what is not known of R adds a half then, which call
 _TOLD = 0.3
 """Sum of the doubts of a block's readings from which it ends [1], twice the nats that they can tell
 of R. By hand: of 24 drifting rings 1 left 4 % more in the first half minute, and 0.1 costs more."""
+_PRECISION = np.float32
+"""Of R̂, its covariance and the products with them, in which the time goes; the orbit and all that
+the readings of a block have in common is double."""
 _DIFFUSE = 1e8
 """Variance of an orbit of which nothing is known, over that of the reading noise."""
 
@@ -93,11 +96,12 @@ class RecursiveResponse:
             known = slice(min(len(covariance), columns.actuators))
             group.covariance[known, known] = covariance[known, known]
         self.groups = [group.members for group in groups]
-        self._coefficients = Coefficients(groups, drift, settings.drift_every)
-        self._block = Block(len(drift), settings.drift_every)
-        self._kicks = Kicks(self._coefficients)
-        self._orbit, self._moved = np.zeros((2, n))
         count, sizes = len(groups), [group.size for group in groups]
+        self._coefficients = Coefficients(groups, drift, settings.drift_every, _PRECISION)
+        self._block = Block(len(drift), n, count, settings.drift_every, self._noise, _PRECISION)
+        self._kicks = Kicks(self._coefficients)
+        self._orbit = np.zeros(n)
+        self._looking = self.modes.astype(_PRECISION)
         self._weights, self._group_of = np.array(sizes) / n, np.repeat(np.arange(count), sizes)
         steps = np.array([*self._steps, *(group.step for group in groups)])
         self._filter = OrbitFilter(steps, self._noise)
@@ -108,7 +112,7 @@ class RecursiveResponse:
     def rows(self) -> Vector:
         """Rows of UᵀR̂ as columns, shape (m, n)."""
         self.settle()
-        return self._coefficients.rows[:, : self._size].T.copy()
+        return self._coefficients.rows[:, : self._size].T.astype(np.float64)
 
     @property
     def response(self) -> Vector:
@@ -120,7 +124,7 @@ class RecursiveResponse:
         """The creep b̂ in every mode, shape (n,) [m/tick]."""
         if self.settings.creep == 0.0:
             return np.zeros(len(self._orbit))
-        return self._coefficients.rows[:, -1].copy()
+        return self._coefficients.rows[:, -1].astype(np.float64)
 
     @property
     def column(self) -> Vector | None:
@@ -128,7 +132,8 @@ class RecursiveResponse:
         if self._columns.rf is None:
             return None
         self.settle()
-        return self.modes @ self._coefficients.rows[:, self._size] / self._columns.unit
+        column = self._coefficients.rows[:, self._size].astype(np.float64)
+        return self.modes @ column / self._columns.unit
 
     @property
     def orbit(self) -> Vector:
@@ -168,14 +173,12 @@ class RecursiveResponse:
 
     def weighted_covariance(self, weights: Vector) -> Vector:
         """Sum the covariances of all rows of UᵀR̂ with weights of the rows, shape (m, m)."""
-        total = np.zeros((self._size, self._size))
-        for members, covariance in zip(self.groups, self.covariances, strict=True):
-            total += float(np.sum(weights[members])) * covariance
-        return total
+        shares = np.array([np.sum(weights[members]) for members in self.groups])
+        return self._covariance(shares)
 
     def weakest_covariance(self) -> Vector:
         """Give the covariance of a row of the weakest modes, shape (m, m)."""
-        return self.covariances[-1]
+        return self._covariance(np.arange(len(self.groups)) == len(self.groups) - 1)
 
     def normalised_errors(self, response: Vector) -> Vector:
         """Errors against a known response in units of the stated uncertainty.
@@ -220,44 +223,51 @@ class RecursiveResponse:
         regressor[: self._size] = change
         if self._columns.rf is not None:
             regressor[self._size] = hertz / self._columns.unit
-        self._orbit += self._coefficients.rows.dot(regressor, out=self._moved)
+        self._orbit += self._coefficients.rows.dot(regressor)
         self._filter.predict()
 
     def filtered(self, reading: Vector) -> Filtered:
         """Say where a reading, shape (n,) [m], puts the orbit; nothing is taken in."""
-        noise, (variances, shares) = self._noise, self._filter.weigh()
-        variances = variances[: len(self._orbit)]
-        innovations, chi2 = self._innovations(reading, variances)
+        noise, n, shares = self._noise, len(reading), self._filter.weigh()[1]
+        innovations = self._innovations(reading)
+        unexplained, chi2 = self._weighed(innovations, shares[:n])
         if chi2 >= _SURPRISING:
-            variances = self._with_doubt(variances)
-            innovations, chi2 = self._innovations(reading, variances)
+            doubted = self._with_doubt(self._filter.weigh()[0][:n])
+            innovations = self._innovations(reading)
+            unexplained, chi2 = self._weighed(innovations, noise / doubted)
         if chi2 > self.settings.kick_chi2:
-            orbit, known = self._orbit + innovations, np.full(len(variances), noise)
+            orbit, known = self._orbit + innovations, np.full(n, noise)
         else:
-            orbit = self._orbit + innovations * (1.0 - noise / variances)
-            known = noise * (1.0 - shares[: len(variances)])
+            orbit = self._orbit + innovations - unexplained
+            known = noise * (1.0 - shares[:n])
         usual = float(np.sum(known + self._steps))
         return Filtered(orbit + self.creep, float(np.sqrt(orbit @ orbit / usual)))
 
     def read(self, reading: Vector) -> Innovation:
         """Take in a reading, shape (n,) [m]."""
         n, (variances, shares) = len(reading), self._filter.weigh()
-        innovations, chi2 = self._innovations(reading, variances[:n])
+        if self._block.is_full:
+            self.settle()
+        innovations = self._innovations(reading)
+        unexplained, chi2 = self._weighed(innovations, shares[:n])
         at_once = chi2 >= _SURPRISING or not self.settings.noise_model
         if at_once:
-            innovations, chi2 = self._innovations(reading, self._with_doubt(variances[:n]))
+            doubted = self._with_doubt(variances[:n])
+            innovations = self._innovations(reading)
+            chi2 = self._weighed(innovations, self._noise / doubted)[1]
+            unexplained = shares[:n] * innovations
         else:
             chi2 /= 1.0 + self._doubt
         kick = chi2 > self.settings.kick_chi2
         if kick:
             self._kicks.count()
             self.reset()
-            shares = self._filter.weigh()[1]
+            unexplained = self._filter.weigh()[1][:n] * innovations
         else:
             self._kicks.fade()
-            self._block.read(innovations, variances, shares[n:])
+            self._block.read(innovations, variances)
         self._orbit += innovations
-        self._orbit -= shares[:n] * innovations
+        self._orbit -= unexplained
         self._filter.update()
         self._told += self._doubt
         if at_once or self._told > _TOLD:
@@ -267,16 +277,28 @@ class RecursiveResponse:
             self._forget_orbit(self._noise)
         return Innovation(chi2, self._doubt, kick)
 
-    def _innovations(self, reading: Vector, variances: Vector) -> tuple[Vector, float]:
-        """Give the innovations, shape (n,) [m], and their mean square over variances (n,) [m²]."""
-        innovations = reading.dot(self.modes)
-        innovations -= self._orbit
-        return innovations, float(innovations.dot(innovations / variances)) / len(innovations)
+    def _innovations(self, reading: Vector) -> Vector:
+        """Give what a reading is beyond what is expected, in modes, shape (n,) [m]."""
+        return reading.astype(_PRECISION).dot(self._looking) - self._orbit
+
+    def _weighed(self, innovations: Vector, shares: Vector) -> tuple[Vector, float]:
+        """Give what of the innovations is noise, (n,) [m], and their mean square over variances.
+
+        Args:
+            innovations: Shape (n,) [m].
+            shares: r² over the variances, shape (n,) [1].
+        """
+        noise = shares * innovations
+        return noise, float(innovations.dot(noise)) / (self._noise * len(noise))
 
     def _with_doubt(self, variances: Vector) -> Vector:
         """Learn, and add what is still not known of R to the variances, shape (n,) [m²]."""
         self.settle()
         return variances + self._coefficients.extra[self._group_of]
+
+    def _covariance(self, shares: Vector) -> Vector:
+        self._add_drift()
+        return self._coefficients.covariance(self._size, shares)
 
     def _covariances(self, size: int) -> tuple[Vector, ...]:
         self._add_drift()

@@ -7,6 +7,7 @@ from orbitfb.estimation.columns import KnownRf
 from orbitfb.estimation.recursive import estimate as module
 from orbitfb.estimation.recursive.estimate import RecursiveResponse
 from orbitfb.estimation.recursive.settings import RecursiveSettings
+from orbitfb.policies.adaptive_settings import TrackingSettings
 
 NOISE, WHITE, TICKS = 0.2e-6, 0.05e-6, 300
 KICKS = (60, 61, 62, 150, 233)
@@ -96,6 +97,7 @@ def test_equals_a_plain_kalman_filter_of_every_mode(
     n, m, groups, every, creep, tracked, surprising, settled, monkeypatch
 ):
     """However long the blocks are: without surprises up to `every` ticks, else down to one."""
+    monkeypatch.setattr(module, "_PRECISION", np.float64)
     monkeypatch.setattr(module, "_SURPRISING", surprising)
     monkeypatch.setattr(module, "_TOLD", surprising)
     kicks = KICKS if surprising < np.inf else ()  # what surprises nobody is no kick
@@ -145,3 +147,39 @@ def test_equals_a_plain_kalman_filter_of_every_mode(
         np.testing.assert_allclose(
             estimate.column * unit, estimate.modes @ plain.state[:, m], rtol=1e-6
         )
+
+
+@pytest.mark.parametrize("kick", [0.0, 3e-6, pytest.param(1e-3, id="beyond all measure")])
+def test_single_precision_is_lost_among_what_is_not_known(kick, monkeypatch):
+    """Over thousands of ticks in closed loop: of R and P in units of what is not known."""
+    n, noise = 40, 0.2e-6
+    generator = np.random.default_rng(11)
+    left, right = (np.linalg.qr(generator.standard_normal((n, n)))[0] for _ in range(2))
+    truth = left @ np.diag(np.geomspace(1e-3, 2e-6, n)) @ right
+    settings = TrackingSettings(reading_noise=noise)
+    estimates = []
+    for precision in (np.float32, np.float64):
+        monkeypatch.setattr(module, "_PRECISION", precision)
+        estimates.append(RecursiveResponse(truth, settings))
+    gain = np.linalg.inv(truth)
+    truth = truth + 0.1 * settings.prior_entry * generator.standard_normal((n, n))
+    orbit = np.zeros(n)
+    for tick in range(1500):
+        orbit = orbit + kick * (tick in (600, 601, 1000)) * generator.standard_normal(n)
+        reading = orbit + noise * generator.standard_normal(n)
+        for estimate in estimates:
+            estimate.read(reading)
+        change = -0.5 * gain @ estimates[1].expected
+        for estimate in estimates:
+            estimate.predict(change)
+        orbit = orbit + truth @ change + 0.04e-6 * generator.standard_normal(n)
+        if tick % 100 == 99:
+            single, double = estimates
+            told, exact = (np.std(e.normalised_errors(truth)) for e in estimates)
+            assert told < 1.1 * exact + 0.01
+            if kick > 1e-4:  # hundreds of amperes, whose squares are not resolved
+                continue
+            assert np.std(single.normalised_errors(double.response)) < 1e-3
+            for its, exact in zip(single.covariances, double.covariances, strict=True):
+                ratios = np.linalg.eigvals(np.linalg.solve(exact, its)).real
+                np.testing.assert_allclose(ratios, 1.0, atol=0.01)
