@@ -213,9 +213,10 @@ def _inverse(matrix: Matrix) -> Matrix:
             "what the rows say about the response is not a finite positive number in every "
             "direction; leave out the rows that are not finite, or begin with another response"
         )
-    inverse = _POTRI(factor, lower=1, overwrite_c=1)[0]
-    low = np.tril(inverse)
-    return low + np.tril(inverse, -1).T
+    low = _POTRI(factor, lower=1, overwrite_c=1)[0]  # above the diagonal there are zeros
+    inverse = low + low.T
+    inverse.flat[:: len(inverse) + 1] *= 0.5
+    return inverse
 
 
 def _beside(eigenvalue: Vector) -> tuple[Indices, Vector]:

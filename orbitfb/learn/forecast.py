@@ -125,10 +125,9 @@ def _predict(
     gain: Vector, response: Vector, still: _Still, horizon: int, kick: Vector | None
 ) -> tuple[float, float]:
     """Give the mean square of the true orbit [m²] and the growth per tick; see `predict_loop`."""
-    answer = response @ gain
-    size, unit = len(answer), still.unit
-    transition = (np.eye(size) - answer).astype(np.float32)
-    single = answer.astype(np.float32)
+    single = response.astype(np.float32) @ gain.astype(np.float32)
+    size, unit = len(single), still.unit
+    transition = np.eye(size, dtype=np.float32) - single
     ground = still.ground if kick is None else still.ground + np.outer(kick, kick) / unit**2
     covariance = ground.astype(np.float32) + single @ single.T
     mean, total, norm, ticks = still.creep, float(np.trace(covariance)), 0.0, 1

@@ -44,10 +44,10 @@ def unreachable_rms(error: Vector, response: Vector, moving: Mask) -> float:
     valid = np.isfinite(error)
     if not valid.any() or not moving.any():
         return float(np.sqrt(np.mean(error[valid] ** 2))) if valid.any() else 0.0
-    left, sigma, _ = np.linalg.svd(response[np.ix_(valid, moving)], full_matrices=False)
-    reached = left[:, sigma > _SMALLEST * sigma.max(initial=0.0)]
-    beyond = error[valid] - reached @ (reached.T @ error[valid])
-    return float(np.sqrt(np.mean(beyond**2)))
+    known = response[np.ix_(valid, moving)]
+    squares, patterns = np.linalg.eigh(known @ known.T)  # half the time of the singular values
+    beyond = patterns[:, squares <= _SMALLEST**2 * squares[-1]]
+    return float(np.linalg.norm(error[valid] @ beyond) / np.sqrt(np.count_nonzero(valid)))
 
 
 def needed_change(model: LinearModel, moving: Mask, amplitude: float) -> float:

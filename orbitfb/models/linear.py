@@ -54,15 +54,16 @@ class LinearModel:
     def samples(self, generator: np.random.Generator) -> Iterator[Vector]:
         """Draw responses that the data allow one after another, each of shape (n, m) [m/A]."""
         factors = [
-            (self.levels == level, np.linalg.cholesky(self.covariances[level]).T)
+            (self.levels == level, np.linalg.cholesky(self.covariances[level]).T.astype(np.float32))
             for level in np.unique(self.levels)
         ]
+        modes = self.modes.astype(np.float32)  # what is drawn at random needs no more digits
         while True:
-            rows = generator.standard_normal(self.response.shape)
+            rows = generator.standard_normal(self.response.shape).astype(np.float32)
             error = np.empty_like(rows)
             for members, factor in factors:
                 error[members] = rows[members] @ factor
-            yield self.response + self.modes @ error
+            yield self.response + modes @ error
 
     def normalised_errors(self, response: Vector) -> Vector:
         """Errors against a known response in units of the stated uncertainty.
