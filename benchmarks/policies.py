@@ -18,6 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from orbitfb.config.tree import TrainSettings
+from orbitfb.core.signals import Mask
 from orbitfb.evaluate.compare import NEAR
 from orbitfb.evaluate.simulate import ClosedLoop
 from orbitfb.physics.places import Ring
@@ -89,13 +90,19 @@ def policies() -> dict[str, tuple[Any, float]]:
     }
 
 
+def masked_bpms(count: int, seed: int, masked: int) -> Mask:
+    """Say which BPMs are valid while some are masked, others for each seed, shape (count,)."""
+    valid = np.ones(count, dtype=np.bool_)
+    valid[np.random.default_rng(seed).choice(count, masked, replace=False)] = False
+    return valid
+
+
 def loop_of(
     policy: Any, seed: int, masked: int = 0, initial: float = 250e-6, ticks: int = TICKS
 ) -> ClosedLoop:
     """Close the loop on a ring of its own, with some BPMs masked; a law that learns begins anew."""
     plant = Plant(Ring.load(), "x", PlantSettings(initial_orbit_rms=initial), seed)
-    valid = np.ones(len(plant.nominal_response), dtype=np.bool_)
-    valid[np.random.default_rng(seed).choice(len(valid), masked, replace=False)] = False
+    valid = masked_bpms(len(plant.nominal_response), seed, masked)
     if isinstance(policy, AdaptivePolicy):
         policy = AdaptivePolicy(plant.nominal_response, policy.settings)
     return ClosedLoop(plant, policy, ticks, ramp=1, valid=valid).run()

@@ -36,6 +36,10 @@ class QuadrupoleOrbits:
                 )
             self._unit.append(response * (math.sqrt(len(response)) / size))
 
+    def covariance(self) -> list[Matrix]:
+        """Give the covariance of the orbits of every plane, whose expected rms is 1."""
+        return [unit @ unit.T for unit in self._unit]
+
     def draw(self, rng: np.random.Generator) -> Vector:
         """Draw an orbit of an *expected* rms of 1 in every plane, shape (n,)."""
         return np.concatenate(self._by_plane(rng))
