@@ -184,8 +184,7 @@ def test_other_planes(planes: str, tmp_path: Path):
         *("--planes", planes, "--data", tmp_path / planes),
         *("--summary", tmp_path / f"{planes}.json"),
     )
-    patient = {"ORBITFB_EPICS__ANSWER_TIMEOUT": str(START / 2)}  # as its connect_timeout
-    with Process(arguments, tmp_path, planes, patient) as process:
+    with Process(arguments, tmp_path, planes) as process:
         assert process.popen.wait(START) == 0, process.err
     archived = transitions(tmp_path / planes)
     assert archived.orbit.shape[1] == 180 * len(planes)
