@@ -13,9 +13,10 @@ import pytest
 import typer.main
 from hypothesis import settings
 from left_behind import watch
-from times import pytest_addoption, pytest_collection_modifyitems, pytest_configure
+from order import begin_elsewhere, sort_tests
+from times import measure_times, pytest_addoption
 
-__all__ = ["pytest_addoption", "pytest_collection_modifyitems", "pytest_configure"]
+__all__ = ["pytest_addoption"]
 
 _LOOPBACK_EPICS = {
     "EPICS_CA_ADDR_LIST": "127.0.0.1",
@@ -52,6 +53,17 @@ typer.main.get_command = cache(typer.main.get_command)
 # A busy computer is no bug: how long an example takes is never an assertion.
 settings.register_profile("orbitfb", deadline=None)
 settings.load_profile("orbitfb")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Measure what tests take, if that is asked for; tell a worker where to begin."""
+    measure_times(config)
+    begin_elsewhere(config)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put them in the order in which they run."""
+    sort_tests(items)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -18,8 +18,6 @@ import pytest
 from _pytest.terminal import TerminalReporter
 
 SHOWN = 10
-LONG = tuple(f"tests/unit/{one}/" for one in ("verdict", "selection", "hypotheses", "screen"))
-"""Folders whose modules take longest: begun last, one of them would keep a single core busy."""
 _TIMES = "times"
 
 
@@ -91,12 +89,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--times", metavar="FILE", type=Path, help=text)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what takes longest, so that all cores are busy to the end."""
-    items.sort(key=lambda item: not item.nodeid.startswith(LONG))
-
-
-def pytest_configure(config: pytest.Config) -> None:
+def measure_times(config: pytest.Config) -> None:
     """Measure if a file is named."""
     if file := config.getoption("--times"):
         worker = hasattr(config, "workerinput")

@@ -151,7 +151,7 @@ def test_the_entry_point_runs_the_installed_package_as_nobody(installed: Path):
     code, out, err = finished(as_nobody(installed, "--version"))
     assert (code, err) == (0, "") and out.strip()
     python = subprocess.run(
-        [installed / "bin/python", "-c", "import orbitfb; print(orbitfb.__file__)"],
+        [installed / "bin/python", "-I", "-c", "import orbitfb; print(orbitfb.__file__)"],
         capture_output=True,
         text=True,
         check=True,

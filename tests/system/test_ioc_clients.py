@@ -2,6 +2,7 @@
 
 import pytest
 from ioc_clients import CHANNELS, CURRENT, KICK, RF, TICK, run_client, serving
+from service_process import START
 
 pytestmark = pytest.mark.system
 
@@ -123,16 +124,16 @@ def test_aioca(port):
                 await asyncio.sleep(0.1)
                 if longest() >= 10: break
             for monitor in monitors: monitor.close()
-            await caput({SETPOINT!r}, 3.5, wait=True)
+            await caput({SETPOINT!r}, 3.5, wait=True, timeout={START})
             refused = []
             for name, value in (({SETPOINT!r}, -18.5), ({BPM!r}, 0.0)):
                 try:
-                    await caput(name, value, wait=True)
+                    await caput(name, value, wait=True, timeout={START})
                 except Exception as error:
                     refused.append(type(error).__name__)
-            await caput({KICK!r}, 0.5, wait=True)
-            control = await caget({BPM!r}, format=FORMAT_CTRL)
-            value = await caget({SETPOINT!r})
+            await caput({KICK!r}, 0.5, wait=True, timeout={START})
+            control = await caget({BPM!r}, format=FORMAT_CTRL, timeout={START})
+            value = await caget({SETPOINT!r}, timeout={START})
             return [longest(), refused, control.units, control.precision, float(value)]
         print(json.dumps(asyncio.run(main())))
         """,

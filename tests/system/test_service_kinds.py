@@ -60,6 +60,7 @@ def test_a_kind_runs_is_refitted_and_shown(kind: str, stored: str, tmp_path: Pat
 
 
 @pytest.mark.nightly
+@pytest.mark.timing
 def test_masked_elements_do_not_count_and_do_not_move(tmp_path: Path):
     from orbitfb.physics.places import Ring
 

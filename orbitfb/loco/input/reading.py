@@ -12,19 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from orbitfb.core.errors import ExchangeError
-from orbitfb.core.near_names import did_you_mean
 from orbitfb.exchange.units import PER_KICK, RESPONSE, factor
+from orbitfb.loco.input.axes import Axis, Channel, find_places
 from orbitfb.loco.input.dispersion import of_blocks, of_file
 from orbitfb.loco.input.labels import labels, masked
 from orbitfb.loco.input.matrix import Raw
 from orbitfb.loco.input.raw import raw_blocks
 from orbitfb.loco.measured import PLANES, Measured, Pair, from_setpoints
 from orbitfb.physics.optics import Matrix
-from orbitfb.physics.places import Indices, Kind, Plane, Planes, Ring, plane_row, split
-
-_MOST_TOLD = 6
-_MOST_UNKNOWN = 0.5
-"""Share of names that the table may lack; beyond, the table is of another ring [1]."""
+from orbitfb.physics.places import Indices, Plane, Planes, Ring, plane_row
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +124,8 @@ def load(request: Request, ring: Ring) -> Loaded:
 class _Placed:
     values: Matrix
     sigma: Matrix
-    rows: tuple[tuple[Plane, int] | None, ...]
-    columns: tuple[tuple[Plane, int] | None, ...]
+    rows: tuple[Channel | None, ...]
+    columns: tuple[Channel | None, ...]
 
 
 def _turned(raw: Raw) -> Raw:
@@ -140,8 +136,9 @@ def _turned(raw: Raw) -> Raw:
 def _placed(raw: Raw, request: Request, ring: Ring, notes: list[str]) -> _Placed:
     planes = raw.planes or request.planes
     unit, size = factor(request.unit, raw.unit, RESPONSE, f"{request.file}: {raw.where}", "--unit")
-    rows = _where(raw, 0, planes, ring, "BPM", request, notes)
-    columns = _where(raw, 1, planes, ring, "COR", request, notes)
+    turned = request.transpose
+    rows = find_places(Axis(request.file, raw, 0, planes, turned), ring, notes)
+    columns = find_places(Axis(request.file, raw, 1, planes, turned), ring, notes)
     values = raw.values * size
     sigma = np.full_like(values, np.nan) if raw.sigma is None else raw.sigma * size
     if sigma.shape != values.shape or np.any(sigma < 0.0):
@@ -159,96 +156,6 @@ def _placed(raw: Raw, request: Request, ring: Ring, notes: list[str]) -> _Placed
         )
         values, sigma = values * per_ampere, sigma * np.abs(per_ampere)
     return _Placed(values, sigma, rows, columns)
-
-
-def _where(
-    raw: Raw,
-    axis: int,
-    planes: str | None,
-    ring: Ring,
-    kind: Kind,
-    request: Request,
-    notes: list[str],
-) -> tuple[tuple[Plane, int] | None, ...]:
-    """Find plane and place of every row (axis 0) or column (axis 1); None: not in the table."""
-    names = (raw.rows, raw.columns)[axis]
-    what = ("BPMs", "correctors")[axis]
-    count = raw.values.shape[axis]
-    plane = (raw.pair[axis],) if raw.pair else tuple(split(_planes_of(planes)) if planes else ())
-    if not names:
-        its_own = {p: ring.places(kind, p).tolist() for p in PLANES}
-        chosen = _plain(plane or PLANES)
-        if count == sum(len(its_own[p]) for p in chosen):
-            notes.append(
-                f"{what}: no names; taken in the order of the places table, plane "
-                f"{' then '.join(chosen)}"
-            )
-            return tuple((p, i) for p in chosen for i in its_own[p])
-        there = " and ".join(f"{len(its_own[p])} {what} in {p}" for p in PLANES)
-        raise ExchangeError(
-            f"{request.file}: {raw.where} has {count} {('rows', 'columns')[axis]} without names; "
-            f"the table has {there}; give --planes, --transpose, or names "
-            f"({('--bpm-names', '--corrector-names')[axis]})"
-        )
-    if len(names) != count:
-        raise ExchangeError(
-            f"{request.file}: {len(names)} names for {count} {what} of {raw.where}; name each "
-            "once (--transpose, if its rows are correctors)"
-        )
-    known = labels(ring, kind)
-    found: list[tuple[Plane, int] | None] = []
-    unknown: list[str] = []
-    elsewhere: list[str] = []
-    for name in names:
-        its = known.get(name)
-        if its is None:
-            unknown.append(name)
-            found.append(None)
-        elif its[0] is not None and len(plane) == 1 and its[0] != plane[0]:
-            elsewhere.append(name)
-            found.append(None)
-        elif its[0] is not None:
-            found.append((its[0], its[1]))
-        elif len(plane) == 1:
-            found.append((_plain(plane)[0], its[1]))
-        else:
-            raise ExchangeError(
-                f"{request.file}: {what} {name!r} may be of either plane; name them NAME:x and "
-                "NAME:y, or give --planes x or y"
-            )
-    if len(unknown) > _MOST_UNKNOWN * count:
-        others = labels(ring, "COR" if kind == "BPM" else "BPM")
-        if sum(name in others for name in unknown) > _MOST_UNKNOWN * count:
-            raise ExchangeError(
-                f"{request.file}: the {('rows', 'columns')[axis]} of {raw.where} are "
-                f"{('correctors', 'BPMs')[axis]}, such as {unknown[0]!r}; "
-                f"{'leave --transpose out' if request.transpose else 'give --transpose'}"
-            )
-        hint = did_you_mean(unknown[0], known, most=1)
-        raise ExchangeError(
-            f"{request.file}: {len(unknown)} of {count} {what} are not in the places table, such "
-            f"as {unknown[0]!r}{hint}; name its table with --places and --ring"
-        )
-    for left_out, why in ((unknown, "the table lacks"), (elsewhere, "are of the other plane")):
-        if left_out:
-            told = ", ".join(left_out[:_MOST_TOLD]) + " …" * (len(left_out) > _MOST_TOLD)
-            notes.append(f"{len(left_out)} {what} that {why} are left out: {told}")
-    seen = [its for its in found if its is not None]
-    if len(set(seen)) != len(seen):
-        twice = next(its for its in seen if seen.count(its) > 1)
-        raise ExchangeError(
-            f"{request.file}: {ring.table.name[twice[1]]}:{twice[0]} is named twice among the "
-            f"{what}; leave one out"
-        )
-    return tuple(found)
-
-
-def _planes_of(planes: str) -> Planes:
-    return "x" if planes == "x" else "y" if planes == "y" else "xy"
-
-
-def _plain(planes: Sequence[str]) -> tuple[Plane, ...]:
-    return tuple(plane for plane in PLANES if plane in planes)
 
 
 def _devices(blocks: Sequence[_Placed], axis: int) -> dict[Plane, Indices]:

@@ -1,7 +1,7 @@
 """caproto's server on sockets that were claimed before, without beacons."""
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -9,6 +9,25 @@ from caproto.asyncio.server import Context
 
 from orbitfb.sim.access.listening import Sockets
 from orbitfb.sim.access.transport import Datagrams, Stream
+
+_AGAIN = 0.05
+"""How long a task may take to end before it is cancelled again [s]."""
+
+
+async def end_tasks(tasks: Sequence[asyncio.Task[Any]]) -> None:
+    """Cancel tasks until all of them have ended.
+
+    Once is not enough: caproto waits for what it is to send by `asyncio.wait_for`, which in Python
+    3.11 forgets that it was cancelled if there is something to send at that moment.
+
+    Args:
+        tasks: What is to end.
+    """
+    while left := [task for task in tasks if not task.done()]:
+        for task in left:
+            task.cancel()
+        with suppress(asyncio.CancelledError):  # whoever cancels this wants the same
+            await asyncio.wait(left, timeout=_AGAIN)
 
 
 class ClaimedContext(Context):
@@ -59,11 +78,8 @@ class ClaimedContext(Context):
             with suppress(asyncio.CancelledError):
                 await asyncio.gather(*tasks)
         finally:
-            for task in tasks:
-                task.cancel()
-            await self.server_tasks.cancel_all()
-            for circuit in self.circuits:
-                await circuit.tasks.cancel_all()
+            handlers = [self.server_tasks, *(circuit.tasks for circuit in self.circuits)]
+            await end_tasks([*tasks, *(task for handler in handlers for task in handler.tasks)])
             for method in self.shutdown_methods.values():
                 await method(self.async_layer)
             searches.close()
