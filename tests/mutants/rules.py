@@ -265,7 +265,7 @@ MUTANTS = (
         "orbitfb.loop.inspection",
         "doubt = closing or unknown or given or memory.state is LoopState.HELD",
         "doubt = unknown or given",
-        ("loop/test_rules.py", "loop/test_away_rules.py"),
+        ("loop/test_runner.py", "loop/test_rules.py", "loop/test_away_rules.py"),
     ),
     Mutant(
         "the loop does not close while the machine must not be written to",
