@@ -108,10 +108,11 @@ class LatentKind(EffectKind):
     collective = False
     sudden = False
     strength: ClassVar[Literal["always one", "normal", "sometimes normal"]]
-    """`always one`: z = 1 with the probability that is the first parameter, else 0; `normal`: z
-    is normal at every row, of the standard deviation that is the first parameter; `sometimes
-    normal`: with the probability that is the first parameter z is normal, of the standard
-    deviation that is the second one, else 0."""
+    """`always one`: z = 1 with the probability that is the first parameter, else 0, and strikes
+    in a row adds up, as a value is held until the next one comes; `normal`: z is normal at every
+    row, of the standard deviation that is the first parameter; `sometimes normal`: with the
+    probability that is the first parameter z is normal, of the standard deviation that is the
+    second one, else 0."""
     per_bpm: ClassVar[bool] = False
     """Whether it strikes BPM by BPM (every column of `shapes` with its own z) or all at once."""
 

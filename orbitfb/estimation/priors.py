@@ -247,6 +247,14 @@ VALUE_SCATTER = 0.5
 STRUCK_SHARES = (0.003, 0.01, 0.03, 0.08, 0.2)
 """Shares of the rows that are struck."""
 
+STRUCK_FINE = 20
+"""Shares between the least and the largest of these that are weighed of what leads: a quarter from
+one to the next, as 16 strikes tell."""
+
+STRUCK_RUN = 5
+"""Rows that are struck one after the other, at most: of 3,000 rows of which a fifth is struck one
+run of that length is expected, ln 3,000 / ln 5."""
+
 STRENGTHS = (2.0, 4.0, 8.0, 16.0)
 """Standard deviations of a stroke on single readings, over their noise."""
 

@@ -1,16 +1,24 @@
 """Rows that are struck, nobody knows which: a mixture over rows of being struck and not."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfb.core.signals import Vector
+from orbitfb.core.signals import Mask, Vector
 from orbitfb.diagnose.hypotheses.candidate import Candidate
 from orbitfb.diagnose.hypotheses.noise_laws import ReadingNoise
 from orbitfb.diagnose.hypotheses.scores import Scorer
 from orbitfb.effects.kinds import EffectKind
 from orbitfb.effects.laws import EventLaw
-from orbitfb.estimation.priors import MORE, STRENGTHS, STRUCK_SHARES, VALUE_COST
+from orbitfb.estimation.priors import (
+    MORE,
+    STRENGTHS,
+    STRUCK_FINE,
+    STRUCK_RUN,
+    STRUCK_SHARES,
+    VALUE_COST,
+)
+from orbitfb.estimation.runs import evidence_of_runs, likeliest_runs
 from orbitfb.estimation.transform import Indices, Matrix
 
 
@@ -19,18 +27,19 @@ def scan_events(kind: EffectKind, law: EventLaw, scorer: Scorer) -> list[Candida
     if law.single:
         return [_tails(kind, scorer)]
     strikes = _Strikes.of(law, scorer)
-    weigh = _jitter if law.often else _struck
-    best: tuple[float, str, tuple[int, ...], dict[str, float], Vector] | None = None
     parts = {"": np.arange(strikes.moves.shape[1]), **law.parts}
-    for name, members in parts.items():
-        evidence, values, strength = weigh(kind, scorer, *strikes.rows(members))
-        if best is None or evidence > best[0]:
-            places = tuple(map(int, members)) if name else ()
-            best = (evidence, name, places, values, strength)
-    if best is None:
-        return []
-    evidence, name, places, values, strength = best
-    field = _field(scorer, strikes.shapes(places), strength)
+
+    def weigh(name: str) -> float:
+        known = strikes.rows(parts[name])
+        return _jitter(kind, scorer, *known)[0] if law.often else _struck(*known)
+
+    name = max(parts, key=weigh)
+    if law.often:
+        evidence, values, strength = _jitter(kind, scorer, *strikes.rows(parts[name]))
+        field = _field(scorer, strikes.shapes(parts[name]), strength)
+    else:
+        evidence, values, field = _in_runs(kind, scorer, strikes, parts[name])
+    places = tuple(map(int, parts[name])) if name else ()
     gain = evidence - float(np.log(len(parts))) - VALUE_COST
     return [Candidate(kind, places, (name,) if name else (), values, gain, field=field)]
 
@@ -74,36 +83,73 @@ class _Strikes:
 
     def rows(self, members: Indices) -> tuple[Vector, Vector]:
         """Pull and information of some devices struck at one row alone, shape (T,) each."""
-        moves = self.moves[np.ix_(self.every, members)]
+        moves = self.moves[self.every[:, None], members]
         pull = np.einsum("td,td->t", moves, self.along[:, members])
         inner = moves @ self.gram[np.ix_(members, members)]
         return pull, np.einsum("td,td->t", inner, moves)
 
-    def shapes(self, places: tuple[int, ...]) -> Matrix:
-        """Change of the readings at every row by some devices, or all, shape (N, n) [m]."""
-        chosen = list(places) if places else slice(None)
-        return self.moves[:, chosen] @ self.patterns[:, chosen].T
+    def shapes(self, members: Indices) -> Matrix:
+        """Change of the readings at every row by some devices, shape (N, n) [m]."""
+        return self.moves[:, members] @ self.patterns[:, members].T
+
+    def later(self, before: "_Strikes", starts: Mask) -> "_Strikes":
+        """Strikes after one more than another has before them: what is held is older by a row.
+
+        Args:
+            before: The others.
+            starts: Whether a row begins a stretch, shape (N,).
+        """
+        held = np.roll(before.moves, 1, axis=0)
+        held[starts] = 0.0
+        return replace(self, moves=self.moves + held)
 
 
-def _struck(
-    kind: EffectKind, scorer: Scorer, pull: Vector, information: Vector
-) -> tuple[float, dict[str, float], Vector]:
-    """Strikes of strength one, with a probability: evidence, values, strength by step."""
+def _struck(pull: Vector, information: Vector) -> float:
+    """Log evidence of strikes of strength one, every row for itself."""
     gain, against = pull - 0.5 * information, -pull - 0.5 * information
-    best, share = -np.inf, 0.0
-    for tried in STRUCK_SHARES:
-        # The same with the opposite sign: what noise of any shape gives to such a mixture.
-        found = _mixture(gain, tried) - max(_mixture(against, tried), 0.0)
-        if found > best:
-            best, share = found, tried
-    struck = np.log(share) + gain > np.log1p(-share)
-    values = {p.name: p.typical for p in kind.parameters}
-    values[kind.parameters[0].name] = share
-    return best, values, struck.astype(float)
+    # The same with the opposite sign: what noise of any shape gives to such a mixture.
+    found, chance = (
+        max(_mixture(one, share) for share in STRUCK_SHARES) for one in (gain, against)
+    )
+    return found - max(chance, 0.0)
 
 
 def _mixture(gain: Vector, share: float) -> float:
     return float(np.sum(np.logaddexp(np.log1p(-share), np.log(share) + np.clip(gain, -700, 700))))
+
+
+def _in_runs(
+    kind: EffectKind, scorer: Scorer, strikes: _Strikes, members: Indices
+) -> tuple[float, dict[str, float], Matrix]:
+    """Strikes of strength one that may follow each other: evidence, values, and what they add.
+
+    Args:
+        kind: The effect.
+        scorer: Of what is left to explain.
+        strikes: Of all devices.
+        members: Devices that are struck together.
+    """
+    starts = scorer.space.signals.record.starts
+    runs = [strikes]
+    for _ in range(STRUCK_RUN - 1):
+        runs.append(strikes.later(runs[-1], starts))
+    known = [one.rows(members) for one in runs]
+    pull, information = (np.stack(its) for its in zip(*known, strict=True))
+    gains = pull - 0.5 * information
+    shares = np.geomspace(min(STRUCK_SHARES), max(STRUCK_SHARES), STRUCK_FINE)
+    found = evidence_of_runs(gains, shares)
+    # The same with the opposite sign: what noise of any shape gives to such a chain.
+    chance = evidence_of_runs(-pull - 0.5 * information, shares)
+    share = float(shares[np.argmax(found)])
+    values = {p.name: p.typical for p in kind.parameters}
+    values[kind.parameters[0].name] = share
+    length = likeliest_runs(gains, share)
+    field = sum(
+        _field(scorer, one.shapes(members), (length == run).astype(float))
+        for run, one in enumerate(runs, 1)
+        if np.any(length == run)
+    )
+    return float(found.max() - max(chance.max(), 0.0)), values, np.asarray(field)
 
 
 def _jitter(

@@ -18,8 +18,8 @@ class MissedWrite(LatentKind):
 
     The next ones, absolute, make good for it.
 
-    The plant keeps the last set that arrived. `shapes` tells what one lost set does; of two in a
-    row it tells the second one's own part only.
+    The plant keeps the last set that arrived. `shapes` tells what one lost set does; what is lost
+    in a row adds up.
     """
 
     id = "missed-write"
