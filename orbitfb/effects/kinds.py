@@ -177,6 +177,18 @@ class EffectKind(ABC):
         """
         return None
 
+    def together(self, layout: Layout, sizes: Sequence[Vector]) -> Matrix | None:
+        """Change of the response by errors that act on one another, shape (n, m) [m/A].
+
+        Args:
+            layout: Devices and ring.
+            sizes: Of `linear`, of every device, block by block of its law, shape (D,) each.
+
+        Returns:
+            What they all do; None: that is the sum of what each does alone.
+        """
+        return None
+
     @abstractmethod
     def laws(self, signals: Signals) -> Sequence[Law]:
         """Tell what it adds to the readings of a record, in forms that the diagnosis knows."""

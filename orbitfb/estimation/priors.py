@@ -142,6 +142,10 @@ ALONE = 0.1
 """Share of its evidence that an effect of few devices finds at most at all others, once these are
 told, if it is no misfit of another law [1]. By hand: a misfit leaves them as much as it has."""
 
+BENT = 1.0
+"""Log likelihood by which what errors add together may be off before it is told anew [nats]: far
+below what any decision hangs on."""
+
 FIRST_ORDER = 0.02
 """Relative error of what healthy errors do to a record, where the ring's places are known [1]: it
 is taken to be proportional to each of them, and they are errors of 1 to 2 %. Its square is the

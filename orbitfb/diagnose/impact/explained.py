@@ -65,7 +65,8 @@ class Explained:
         for block, share in zip(space.blocks, space.shares, strict=True):
             if block.accepted or share > 1.0:
                 usual[block.columns] = 0.0
-        taken = _Taken(space, sizes)
+        healthy = space.terms.contribution(usual) + space.bend_of(usual)
+        taken = _Taken(space, sizes, usual, space.bend_of(usual))
         for number, part in enumerate(accepted):
             wave = wave_of(part, space)
             own = None if wave is None else wave.field
@@ -73,7 +74,7 @@ class Explained:
                 own = rounds[number + 1].space.explained - rounds[number].space.explained
             taken.take(part, own)
         return cls(
-            space, sizes, space.terms.contribution(usual), space.terms.contribution(taken.left()),
+            space, sizes, healthy, space.terms.contribution(taken.left()),
             tuple(taken.field_of(one) for one in causes),
             tuple(taken.pieces_of(one) for one in causes), taken.differences, space.noise,
         )  # fmt: skip
@@ -119,10 +120,19 @@ class Explained:
 
 @dataclass(slots=True, eq=False)
 class _Taken:
-    """Fields and pieces of candidates, taken in the order in which they were accepted."""
+    """Fields and pieces of candidates, taken in the order in which they were accepted.
+
+    Args:
+        space: Of the record, all causes accepted.
+        sizes: Of every column of the errors, shape (k,).
+        known: The same of those that are healthy or were taken; the others are zero.
+        bend: Spectrum of what these add together, beyond the sum of each alone, (T, n) [m].
+    """
 
     space: Workspace
     sizes: Vector
+    known: Vector
+    bend: Matrix
     fields: dict[int, Matrix] = field(default_factory=dict)
     pieces: dict[int, tuple[Piece, ...]] = field(default_factory=dict)
     differences: dict[int, Mapping[int, Differences]] = field(default_factory=dict)
@@ -141,6 +151,10 @@ class _Taken:
             if differences:
                 named[block.columns] = self.sizes[block.columns]
                 self.told.append(block)
+        if len(columns):
+            self.known = self.known + named
+            bend = space.bend_of(self.known)
+            own, self.bend = (0.0 if own is None else own) + bend - self.bend, bend
         if np.any(named):
             own = (0.0 if own is None else own) + space.terms.contribution(named)
         if own is not None:

@@ -70,8 +70,9 @@ class Later:
                 if len(columns):
                     own = np.zeros_like(known)
                     inside = columns[columns < len(known)]
+                    bend = space.bend_of(usual)
                     own[inside], usual[inside] = known[inside], 0.0
-                    field = space.terms.contribution(own)
+                    field = space.terms.contribution(own) + bend - space.bend_of(usual)
                 if heard is not None:
                     space = heard
                 if field is not None:
@@ -82,8 +83,8 @@ class Later:
         if all(one is None for one in fields):
             return cls(None, tuple(dict.fromkeys(untold)))
         found = Explained(
-            space, known, space.terms.contribution(usual), np.zeros_like(space.plain),
-            tuple(fields), its.pieces, its.differences, space.noise,
+            space, known, space.terms.contribution(usual) + space.bend_of(usual),
+            np.zeros_like(space.plain), tuple(fields), its.pieces, its.differences, space.noise,
         )  # fmt: skip
         mended = space.explaining(found.named).with_floor()
         return cls(found.over(mended.noise), tuple(dict.fromkeys(untold)))

@@ -21,6 +21,7 @@ class ErrorBlock:
     Args:
         kind: Its effect.
         law: Of the effect.
+        pattern: Which of its law's blocks of patterns the columns have.
         columns: Among the terms: one per device.
         delayed: Further columns, the same courses some rows late, less the course itself.
         limit: Standard deviation up to which a healthy ring has it, by device, shape (D,).
@@ -29,6 +30,7 @@ class ErrorBlock:
 
     kind: EffectKind
     law: DeviceLaw
+    pattern: int
     columns: slice
     delayed: slice
     limit: Vector
@@ -79,7 +81,8 @@ def _laid_out(
             continue
         law = next(one for one in kind.laws(signals) if isinstance(one, DeviceLaw))
         count = len(limit)
-        for block, unit in zip(law.patterns, unit_courses(kind, law, signals), strict=True):
+        units = unit_courses(kind, law, signals)
+        for number, (block, unit) in enumerate(zip(law.patterns, units, strict=True)):
             if not np.any(block):
                 continue
             late = [_delayed(unit, rows, transform) - unit for rows in range(1, kind.delays + 1)]
@@ -88,7 +91,7 @@ def _laid_out(
             courses += [unit, *late]
             own = slice(first, first + count)
             rest = slice(own.stop, own.stop + count * kind.delays)
-            blocks.append(ErrorBlock(kind, law, own, rest, limit))
+            blocks.append(ErrorBlock(kind, law, number, own, rest, limit))
             first, known = rest.stop, known + count
     if not blocks:
         rows = signals.record.layout.response.shape[0]

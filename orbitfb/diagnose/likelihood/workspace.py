@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from orbitfb.core.signals import Mask, Vector
+from orbitfb.diagnose.likelihood.bend import added_together
 from orbitfb.diagnose.likelihood.courses import Courses
 from orbitfb.diagnose.likelihood.errors import (
     ErrorBlock,
@@ -28,6 +29,7 @@ from orbitfb.estimation.prediction import predicted
 from orbitfb.estimation.priors import (
     AGAIN,
     AT_FIRST,
+    BENT,
     EXACTLY,
     FREELY,
     LEAST_SHARE,
@@ -50,6 +52,7 @@ class Workspace:
         transform: Of its steps.
         plain: Spectrum of the readings less the nominal model, shape (T, n) [m].
         explained: Spectrum of what accepted causes add, shape (T, n) [m].
+        bend: Spectrum of what errors add together, beyond the sum of each alone, (T, n) [m].
         noise: The floor.
         shape: Prior mean of the walk's covariance, shape (n, n) [m²].
         held: Covariance of the walk that accepted random causes own, shape (n, n) [m²].
@@ -63,6 +66,7 @@ class Workspace:
         weights: Of them in the walk, shape (F,); empty before the first fit.
         reference: Of a healthy time, whose walk is the prior of this one's; None: there is none.
         trust: Steps that the prior mean of the walk is worth; zero: the next floor tells.
+        bending: Share of `bend` in what errors of these sizes should add together.
         widened: Log of the factor by which undoing accepted causes widens the readings' density.
         asked: The healthy errors and their factored priors, once they were asked for.
     """
@@ -71,6 +75,7 @@ class Workspace:
     transform: StepTransform
     plain: Matrix
     explained: Matrix
+    bend: Matrix
     noise: StepNoise
     shape: Matrix
     held: Matrix
@@ -84,6 +89,7 @@ class Workspace:
     weights: Vector
     reference: "Workspace | None" = None
     trust: float = 0.0
+    bending: float = 0.0
     widened: float = 0.0
     asked: list[tuple[NormalTerms, NormalPriors]] = field(default_factory=list, init=False)
 
@@ -129,6 +135,7 @@ class Workspace:
             transform,
             plain,
             np.zeros_like(plain),
+            np.zeros_like(plain),
             first,
             noise.walk,
             np.zeros_like(noise.walk),
@@ -165,10 +172,42 @@ class Workspace:
                 space = space.explaining(size * field)
         return space
 
+    def bent(self) -> "Workspace":
+        """Tell what the errors add together, of the sizes that they have now, if that has moved.
+
+        As much of it as the record shows, between nothing and all: errors that stand in for a
+        cause that is not known yet add nothing of the kind.
+        """
+        sizes = self.priors.mean(self.errors.pull)
+        whole = self._together(sizes)
+        pulled = self.noise.pull(whole, self.transform)
+        square = float(np.sum(pulled * whole))
+        if square < BENT:
+            return self
+        cross = self.terms.pull(pulled, self.variance > 0.0)
+        beyond = square - float(cross @ self.priors.mean(cross))
+        more = (float(np.sum(pulled * self.residual)) - float(cross @ sizes)) / beyond
+        share = float(np.clip(np.sum(pulled * self.bend) / square + more, 0.0, 1.0))
+        moved = share * whole - self.bend
+        if 0.5 * float(np.sum(self.noise.pull(moved, self.transform) * moved)) < BENT:
+            return self
+        return replace(self, bend=share * whole, bending=share)
+
+    def bend_of(self, sizes: Vector) -> Matrix:
+        """What errors of other sizes add together, shape (T, n) [m]; of `sizes`, shape (k,)."""
+        return self.bending * self._together(sizes) if self.bending else np.zeros_like(self.bend)
+
+    def _together(self, sizes: Vector) -> Matrix:
+        driving = self.single > 0.0  # what is a cause is in the currents already
+        for block, share in zip(self.blocks, self.shares, strict=True):
+            driving[block.columns] |= share > 1.0
+        known = self.blocks, sizes, driving, self.terms
+        return added_together(*known, self.signals, self.transform)
+
     @property
     def residual(self) -> Matrix:
         """What the nominal model and the accepted causes leave, shape (T, n) [m]."""
-        return self.plain - self.explained
+        return self.plain - self.explained - self.bend
 
     @property
     def variance(self) -> Vector:
@@ -232,7 +271,7 @@ class Workspace:
             trust = trusted(mixed, Moments.halves(left, self.transform, scatter), TRUST)
         noise = improve(mixed, moments, mixed.walk, FREELY, trust)
         fresh = replace(self, noise=noise, shape=shape, weights=weights, trust=trust)
-        return fresh._knowing(self._own).with_errors()
+        return fresh._knowing(self._own).with_errors().bent()
 
     def with_noise(self, noise: StepNoise) -> "Workspace":
         """Take another floor to begin with."""
@@ -309,7 +348,7 @@ class Workspace:
         count = len(pattern)
         columns = slice(len(self.terms), len(terms))
         none = slice(len(terms), len(terms))
-        block = ErrorBlock(kind, law, columns, none, np.full(count, limit), accepted=True)
+        block = ErrorBlock(kind, law, 0, columns, none, np.full(count, limit), accepted=True)
         return replace(
             self,
             terms=terms,

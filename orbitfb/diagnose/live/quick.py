@@ -53,6 +53,7 @@ def quick_workspace(record: Record, kinds: Sequence[EffectKind]) -> Workspace:
         transform,
         plain,
         np.zeros_like(plain),
+        np.zeros_like(plain),
         noise,
         noise.walk,
         np.zeros_like(noise.walk),

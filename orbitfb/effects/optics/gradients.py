@@ -1,5 +1,7 @@
 """Gradient errors of quadrupoles: what they make of the orbit of the correctors."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -61,6 +63,35 @@ def gradient_kicks(
             there += besides @ interpolation(layout, "QUAD", plane)[places].T
         kicks[row] = there * (strength / (1.0 - strength * own))
     return kicks
+
+
+def response_change(layout: Layout, gradients: Sequence[Vector]) -> Matrix:
+    """Change of the response by gradient errors of all quadrupoles together, (n, m) [m/A].
+
+    Args:
+        layout: Devices and ring.
+        gradients: Δk1L of every quadrupole, plane by plane, shape (q,) each [1/m].
+    """
+    found = np.zeros_like(layout.response)
+    for plane, its in zip(PLANES, gradients, strict=True):
+        if plane in layout.planes:
+            found += in_thin_lenses(
+                layout.orbit_per_kick("QUAD", plane), SIGN[plane] * its,
+                green(layout.known_ring, "QUAD", "QUAD", plane), layout.orbit_at("QUAD", plane),
+            )  # fmt: skip
+    return found
+
+
+def in_thin_lenses(back: Matrix, strength: Vector, own: Matrix, into: Matrix) -> Matrix:
+    """Orbit that thin lenses make of the orbit in them and of what they add to it, (n, m).
+
+    Args:
+        back: Orbit per kick of every lens, shape (n, q).
+        strength: Kick per orbit in every lens, shape (q,).
+        own: Orbit in every lens per kick of every lens, shape (q, q).
+        into: Orbit in every lens without any of them, shape (q, m).
+    """
+    return (back * strength) @ np.linalg.solve(np.eye(len(strength)) - own * strength, into)
 
 
 def gradient_scatters(layout: Layout) -> Vector:

@@ -1,5 +1,7 @@
 """A quadrupole whose gradient is not the model's."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from orbitfb.core.signals import Vector
@@ -10,7 +12,9 @@ from orbitfb.effects.optics.gradients import (
     focusing_scatters,
     gradient_kicks,
     gradient_scatters,
+    in_thin_lenses,
     nearest_bpms,
+    response_change,
 )
 from orbitfb.effects.orbit_kinds import Courses, SourceKind
 from orbitfb.physics.effect import Effect
@@ -71,6 +75,13 @@ class QuadrupoleGradient(SourceKind):
         """Errors that beat by one or two per cent."""
         known = layout.ring is not None
         return gradient_scatters(layout) if known else focusing_scatters(layout)
+
+    def together(self, layout: Layout, sizes: Sequence[Vector]) -> Matrix | None:
+        """They kick by the orbit that they have made themselves, too."""
+        if layout.ring is not None:
+            return response_change(layout, sizes)
+        near, per_kick = nearest_bpms(layout), source_patterns(layout)
+        return in_thin_lenses(per_kick, -sizes[0], per_kick[near], layout.response[near])
 
     def simulate(
         self, layout: Layout, places: Indices, values: Values, rng: np.random.Generator
