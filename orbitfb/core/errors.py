@@ -33,7 +33,21 @@ if TYPE_CHECKING:  # a question to the service waits for no arithmetic
 
 
 class OrbitFeedbackError(Exception):
-    """Base of every error that orbitfb raises on purpose."""
+    """Base of every error that orbitfb raises on purpose.
+
+    One that a worker process raises arrives as it was, whatever it was made of.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (type(self), self.args, self.__dict__)
+
+
+def _again(
+    kind: type[OrbitFeedbackError], args: tuple[Any, ...], known: dict[str, Any]
+) -> OrbitFeedbackError:
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(known)
+    return error
 
 
 class ConfigError(OrbitFeedbackError):
