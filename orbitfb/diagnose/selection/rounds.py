@@ -171,12 +171,15 @@ def tournament(
             return accepted, rounds
         if not accepted and free and free[0].evidence > candidates[0].evidence:
             return accepted, rounds  # nothing of the library is as good as a law without a name
-        leading = _leading(candidates)
-        if waits and _speaks_against(leading, space):
-            led, space = _drawn_with(leading, space)
+        best = candidates[0]
+        leading = _undecided(_leading(candidates), space) if waits else []
+        if leading:
+            best, space = _drawn_with(leading, space)
+        if len(leading) > 1:
+            led = best
             rounds.pop()
             continue
-        best, after = settled(candidates[0], space.trusting())
+        best, after = settled(best, space.trusting())
         space = redrawn(after)
         accepted.append(best)
 
@@ -190,11 +193,22 @@ def _leading(candidates: Sequence[Candidate]) -> list[Candidate]:
     return list(found.values())[:LEADING]
 
 
-def _speaks_against(leading: Sequence[Candidate], space: Workspace) -> bool:
-    """Whether what was not read, and was drawn without the next cause, may decide which it is."""
-    enough = SURE + MISFIT * leading[0].evidence
-    fields = (one.field for one in leading)
-    return any(drawn_apart(space, one) > enough for one in fields if one is not None)
+def _undecided(leading: Sequence[Candidate], space: Workspace) -> list[Candidate]:
+    """Those that may be the next cause, if what was not read may say so; else none.
+
+    It was drawn without any of them, and speaks against each by as much as that one moves it. No
+    more does one gain that is weighed in readings drawn with it.
+
+    Args:
+        leading: The best of every effect that leads, the best first.
+        space: That they were tried on.
+    """
+    apart = [0.0 if one.field is None else drawn_apart(space, one.field) for one in leading]
+    best = leading[0].evidence
+    if max(apart) <= SURE + MISFIT * best:
+        return []
+    whole = zip(leading, apart, strict=True)
+    return [one for one, more in whole if one is leading[0] or one.evidence + more >= best]
 
 
 def _drawn_with(leading: Sequence[Candidate], space: Workspace) -> tuple[Candidate, Workspace]:
