@@ -55,6 +55,11 @@ class Logs:
         structlog.reset_defaults()
 
 
+def log_is_open() -> bool:
+    """Whether events go to a log of this process; else nobody has said where."""
+    return any(isinstance(one, _Entrance) for one in logging.getLogger().handlers)
+
+
 class _Entrance(QueueHandler):
     """Queue records as they are; they do not leave the process, so nothing is rendered yet."""
 

@@ -25,7 +25,7 @@ from orbitfb.sim.served import Served
 from orbitfb.sim.server import serve
 from orbitfb.sim.settings import SimSettings
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.timing]  # it counts messages by ticks
 
 SIZE, RATE_HZ, TICKS = 6, 20.0, 10
 WINDOWS = 60

@@ -15,6 +15,7 @@ from orbitfb.app.setup.stop_signals import StopSignals
 from orbitfb.config.tree import AppConfig
 from orbitfb.core.errors import MachineError, OrbitFeedbackError
 from orbitfb.core.signals import LoopState
+from orbitfb.observe.logs import log_is_open
 from orbitfb.observe.statistics.summary import check_place, write_summary
 
 _log = structlog.stdlib.get_logger("orbitfb.service")
@@ -62,7 +63,7 @@ def run_service(
         try:
             service = Service(config, ioc, state, duration, stack, excite, announce, asked)
         except OrbitFeedbackError as error:
-            if structlog.is_configured():  # the log is open
+            if log_is_open():
                 _log.error("start_failed", problem=str(error))
             raise
         service.announce(announce)

@@ -12,7 +12,7 @@ from orbitfb.core.errors import OwnershipError
 from orbitfb.core.refit import Decision
 from orbitfb.core.signals import LoopState
 from orbitfb.observe.event_log import EventLog
-from orbitfb.observe.logs import configure_logs
+from orbitfb.observe.logs import configure_logs, log_is_open
 from orbitfb.observe.settings import LogSettings
 
 
@@ -157,6 +157,18 @@ def test_the_file_is_json_lines_whatever_is_logged(tmp_path):
     assert found[0]["timestamp"].endswith("Z")
     assert all("ValueError: bad value" in event["exception"] for event in found[1:])
     assert [event["logger"] for event in found] == ["orbitfb.test", "orbitfb.test", "library"]
+
+
+def test_a_log_is_open_from_when_it_is_set_up_until_it_is_closed(tmp_path):
+    """Events that somebody captured are no log: an error would be told twice, once as an event."""
+    with structlog.testing.capture_logs():
+        pass
+    assert structlog.is_configured()
+    assert not log_is_open()
+    logs = configure_logs(LogSettings(file="log/events.jsonl"), tmp_path)
+    assert log_is_open()
+    logs.close()
+    assert not log_is_open()
 
 
 def test_closing_puts_logging_back(tmp_path):
